@@ -1,0 +1,82 @@
+# rfpipe: `make` lists what can be done. Needs Python >= 3.11 and make; the rest goes into .venv.
+
+PYTHON ?= python3
+VENV := .venv
+INSTALLED := $(VENV)/.installed
+PIP := $(VENV)/bin/python -m pip
+REPORT := results/report/index.html
+# more options for snakemake, as in: make run ARGS="--dry-run"
+ARGS ?=
+
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+# `make unlock run` unlocks first, also under -j
+.NOTPARALLEL:
+.PHONY: help install run thesis unlock test lint format bench config lock clean
+
+help: ## list the targets
+	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
+	@echo
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@echo
+	@echo "Start with 'make run'. Settings: config/README.md."
+
+install: $(INSTALLED) ## install the pinned packages and rfpipe into .venv
+
+$(INSTALLED): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys, venv, ensurepip; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "make: $(PYTHON) must be Python >= 3.11 with the venv module (on Debian: python3-venv);" \
+	    "name another one with 'make PYTHON=python3.12 ...'" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) install --quiet --require-hashes --requirement requirements.lock
+	$(PIP) install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the report's path
+	@snakemake $(ARGS) || { status=$$?; \
+	  echo "make: the run stopped. 'make run' goes on where it stopped;" \
+	    "after a kill -9 it is 'make unlock run'." >&2; exit $$status; }
+	@echo "report: $(REPORT)"
+
+thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/
+	@snakemake --directory thesis --configfile config/thesis.yaml $(ARGS)
+	@echo "report: thesis/$(REPORT)"
+
+unlock: $(INSTALLED) ## free the folder after a killed run; then: make unlock run
+	@snakemake --unlock
+
+test: lint ## check everything: lint, types, layers, workflow, tests
+	pytest -n 2
+
+lint: $(INSTALLED) ## check style, types, layers and the workflow
+	ruff check .
+	ruff format --check .
+	mypy
+	lint-imports
+	snakefmt --check Snakefile workflow/rules
+	snakemake --lint
+
+format: $(INSTALLED) ## format the sources and the workflow
+	ruff check --fix .
+	ruff format .
+	snakefmt Snakefile workflow/rules
+
+bench: $(INSTALLED) ## measure, into results/bench/*.csv
+	@mkdir -p results/bench
+	@for script in benchmarks/bench_*.py; do echo "$$script"; python "$$script"; done
+
+config: $(INSTALLED) ## write config/config.yaml and its JSON schema from the settings' model
+	python -m rfpipe.config config
+
+lock: $(INSTALLED) ## resolve pyproject.toml anew into requirements.lock
+	uv pip compile pyproject.toml --extra dev --upgrade --universal --python-version 3.11 \
+	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --no-annotate \
+	  --quiet --output-file requirements.lock
+
+clean: ## remove caches and build files; results and .venv stay
+	rm -rf .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis dist
+	find src tests workflow benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +

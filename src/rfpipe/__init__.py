@@ -1,0 +1,41 @@
+"""Acquire, store and relight the light transport between a projector and a camera.
+
+``open_transport`` opens what a run stored; ``acquire`` runs a whole acquisition in this process;
+``OperatorRig`` is a rig made from a matrix or linear operator. Each is imported when it is first
+used, so that ``import rfpipe`` stays quick.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rfpipe.rigs import OperatorRig
+    from rfpipe.stages.acquire import acquire
+    from rfpipe.transport import open_transport
+
+    __version__: str
+
+__all__ = ["OperatorRig", "__version__", "acquire", "open_transport"]
+
+_HOMES = {
+    "OperatorRig": "rfpipe.rigs",
+    "acquire": "rfpipe.stages.acquire",
+    "open_transport": "rfpipe.transport",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: object = version("rfpipe")
+    elif name in _HOMES:
+        value = getattr(import_module(_HOMES[name]), name)
+    else:
+        raise AttributeError(f"module 'rfpipe' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,162 @@
+"""The commands of ``rfpipe``: thin, each importing what it needs when it runs."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rfpipe.errors import InputError, RfpipeError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="rfpipe",
+    help="Inspect and relight the light transport between a projector and a camera.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+TransportPath = Annotated[
+    Path, typer.Argument(metavar="TRANSPORT", help="A transport.zarr that a run left in results/.")
+]
+
+
+@app.command()
+def validate(
+    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")],
+) -> None:
+    """Check a settings file; say every mistake in it."""
+    from rfpipe.config import load_config
+
+    settings = load_config(config)
+    runs = len(settings.scenes) * len(settings.methods)
+    typer.echo(
+        f"{config}: valid. {runs} acquisitions: {', '.join(settings.scenes)} "
+        f"by {', '.join(settings.methods)}"
+    )
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of a settings file."""
+    from rfpipe.config import json_schema
+
+    typer.echo(json.dumps(json_schema(), indent=2))
+
+
+@app.command()
+def info(path: TransportPath) -> None:
+    """Show a transport's shape, channels, bytes and table of levels."""
+    from rfpipe.transport import open_transport
+
+    transport = open_transport(path)
+    rows, columns = (
+        math.prod(shape) for shape in (transport.camera_shape, transport.projector_shape)
+    )
+    dense = rows * columns * transport.channels * 4  # float32
+    typer.echo(f"camera     {_times(transport.camera_shape)} = {rows:,} rays")
+    typer.echo(f"projector  {_times(transport.projector_shape)} = {columns:,} rays")
+    typer.echo(f"channels   {transport.channels}")
+    typer.echo(
+        f"bytes      {transport.nbytes:,} ({transport.nbytes / dense:.2%} of a dense matrix)"
+    )
+    typer.echo()
+    typer.echo(transport.levels.to_string(index=False))
+
+
+@app.command()
+def relight(
+    path: TransportPath,
+    pattern: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="The light: white, vertical_bar, horizontal_bar, noise, binary or spot; or a "
+            "picture of the projector's size, one channel (white light) or RGB, its values taken "
+            "as linear weights.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(help="Picture to write: .exr (radiance, float32) or .png (8 bits, sRGB)."),
+    ],
+    dual: Annotated[
+        bool, typer.Option("--dual", help="Light from the camera, see from the projector.")
+    ] = False,
+    level: Annotated[
+        int | None,
+        typer.Option(min=0, help="Use the transport as known after this level only."),
+    ] = None,
+    white: Annotated[
+        float | None,
+        typer.Option(help="Radiance shown as white in a .png; the image's maximum by default."),
+    ] = None,
+) -> None:
+    """Render the image under a pattern.
+
+    Several views stand one above the other in the pattern and in the output.
+    """
+    from rfpipe.cli.images import write_image
+    from rfpipe.transport import open_transport
+
+    transport = open_transport(path)
+    if level is not None:
+        transport = transport.truncate(level)
+    lit = transport.T if dual else transport
+    weights = _pattern(pattern, lit.projector_shape, lit.channels)
+    image = lit.relight(weights)
+    write_image(output, image.reshape(-1, *image.shape[-2:]), white)
+    typer.echo(f"{output}: {_times(lit.camera_shape)}, radiance up to {image.max():.4g}")
+
+
+def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.float32]:
+    """Make a named pattern, or read a picture: its views one above the other."""
+    import numpy as np
+
+    from rfpipe.cli.images import read_image
+    from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
+
+    if name == "white":
+        return np.ones(shape, np.float32)
+    if name in RELIGHTING_PATTERNS:
+        return relighting_patterns(shape)[name]
+    if not Path(name).is_file():
+        raise InputError(
+            f"pattern {name}: is no file and no name of a pattern; expected a picture, white, "
+            f"{', '.join(RELIGHTING_PATTERNS)}"
+        )
+    picture = read_image(Path(name))
+    expected = (math.prod(shape[:-1]), shape[-1])
+    if picture.shape[:2] != expected:
+        raise InputError(
+            f"pattern {name}: is {_times(picture.shape[:2])} pixels (height x width); expected "
+            f"{_times(expected)}, the shape of the rays that send the light; resize the picture"
+        )
+    if picture.ndim == 3 and channels == 1:
+        raise InputError(
+            f"pattern {name}: is RGB, but the transport has one channel; give a grey picture"
+        )
+    return picture.reshape(*shape, *picture.shape[2:])
+
+
+def _times(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))
+
+
+def main() -> None:
+    """Run the command line; an expected error is a message and exit status 1."""
+    try:
+        app()
+    except RfpipeError as error:
+        typer.echo(f"rfpipe: {error}", err=True)
+        sys.exit(1)

@@ -1,0 +1,335 @@
+"""The model of a run's settings: names, units, ranges and defaults.
+
+Plain data only: the layers above build cameras, scenes and methods from it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+
+__all__ = [
+    "AcquisitionConfig",
+    "CameraConfig",
+    "CaptureConfig",
+    "Config",
+    "MergeConfig",
+    "MethodName",
+    "Normalization",
+    "OccluderConfig",
+    "ReportConfig",
+    "SceneConfig",
+    "Surface",
+]
+
+Surface = Literal["white", "texture"]
+MethodName = Literal["brute_force", "dual", "symmetric"]
+Normalization = Literal["none", "per_channel", "total_energy"]
+
+Exposure = Annotated[float, Field(gt=0, le=60)]
+Extent = Annotated[int, Field(ge=1, le=4096)]
+Tolerance = Annotated[float, Field(gt=0, lt=1)]
+Vector = tuple[float, float, float]
+SceneName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+
+
+class _Settings(BaseModel):
+    """Base of all settings: unknown keys are errors, values can't change, numbers are finite."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_truth_value_as_number(cls, value: object, info: ValidationInfo) -> object:
+        # pydantic would read true as 1, and YAML reads a bare yes or on as true
+        name = info.field_name
+        if isinstance(value, bool) and name and cls.model_fields[name].annotation is not bool:
+            raise ValueError("should not be true or false")
+        return value
+
+
+class OccluderConfig(_Settings):
+    """A parallelogram that blocks light between surface points, itself unseen."""
+
+    centre: Vector = Field(
+        description="Centre (x, y, z) in scene units; the camera is at the origin and looks "
+        "along +z, the scene's surfaces are at z of about 1 to 3."
+    )
+    edge_u: Vector = Field(
+        description="Vector from the centre to the middle of one edge, in scene units."
+    )
+    edge_v: Vector = Field(
+        description="Vector from the centre to the middle of a neighbouring edge, in scene units; "
+        "not parallel to edge_u."
+    )
+
+    @model_validator(mode="after")
+    def _spans_a_parallelogram(self) -> Self:
+        (a, b, c), (d, e, f) = self.edge_u, self.edge_v
+        if (b * f - c * e, c * d - a * f, a * e - b * d) == (0, 0, 0):
+            raise ValueError("edge_u and edge_v should span a parallelogram, but they are parallel")
+        return self
+
+
+class SceneConfig(_Settings):
+    """A simulated scene seen by a coaxial rig."""
+
+    geometry: Literal["plane", "wedge"] = Field(
+        description="plane: one plane across the line of sight; wedge: two planes that meet in "
+        "a concave edge, farthest from the camera."
+    )
+    surfaces: tuple[Surface, ...] = Field(
+        min_length=1,
+        max_length=2,
+        description="Albedo of each surface: one for a plane, left and right for a wedge. "
+        "white: albedo 0.8; texture: text-like strokes of albedo 0.15 and 0.85.",
+    )
+    shape: tuple[Extent, Extent] = Field(
+        (62, 70), description="Rays of the rig: height and width in pixels, 1 to 4096 each."
+    )
+    channels: Literal[1, 3] = Field(3, description="Colour channels: 1 (grey) or 3 (RGB).")
+    bounces: Literal[1, 2, 3] = Field(
+        3, description="Light simulated: 1 is direct light alone, 2 and 3 add inter-reflection."
+    )
+    occluders: tuple[OccluderConfig, ...] = Field(
+        (), description="Parallelograms that block light between the surfaces."
+    )
+    seed: int = Field(0, ge=0, description="Seed of the texture's strokes, at least 0.")
+
+    @model_validator(mode="after")
+    def _one_surface_a_plane(self) -> Self:
+        expected = {"plane": 1, "wedge": 2}[self.geometry]
+        if len(self.surfaces) != expected:
+            raise ValueError(
+                f"geometry {self.geometry} should have {expected} surfaces, "
+                f"not {len(self.surfaces)} ({', '.join(self.surfaces)})"
+            )
+        return self
+
+
+class CameraConfig(_Settings):
+    """The simulated camera [App. B]; radiance is in units of the coaxial transport matrix."""
+
+    exposures: tuple[Exposure, ...] = Field(
+        (1 / 64, 1 / 8, 1.0),
+        min_length=1,
+        description="Exposure times of a bracket in seconds, ascending, above 0 and at most 60.",
+    )
+    electrons_per_radiance: float = Field(
+        640_000.0,
+        gt=0,
+        description="Photo-electrons a second for a radiance of 1, above 0. The default fills "
+        "the full well at radiance 2 in 1/64 s.",
+    )
+    full_well_electrons: float = Field(
+        20_000.0, gt=0, description="Electrons at which a pixel saturates, above 0."
+    )
+    read_noise_electrons: float = Field(
+        5.0, ge=0, description="Standard deviation of the read noise in electrons, at least 0."
+    )
+    dark_current_electrons: float = Field(
+        1.0, ge=0, description="Dark current in electrons a second, at least 0."
+    )
+    black_level_counts: int = Field(
+        64, ge=0, description="Counts of a pixel without light; at least 0 and below full scale."
+    )
+    bits: int = Field(
+        12, ge=8, le=16, description="Bits of the analogue-to-digital converter, 8 to 16."
+    )
+    psf_sigma: float = Field(
+        0.0,
+        ge=0,
+        le=10,
+        description="Standard deviation of the lens blur in pixels, 0 (none) to 10.",
+    )
+    vignetting: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        description="Fraction of the light lost in the image's corners, from 0 (none) to below 1.",
+    )
+    flare: float = Field(
+        0.0,
+        ge=0,
+        lt=1,
+        description="Fraction of the light that the lens spreads evenly over the image, from 0 "
+        "(none) to below 1.",
+    )
+    bayer: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = Field(
+        None,
+        description="Colour mosaic of the sensor, or null for three full channels: RGGB, BGGR, "
+        "GRBG or GBRG.",
+    )
+    response_gamma: float = Field(
+        1.0,
+        gt=0,
+        le=5,
+        description="Exponent g of the response, counts ~ electrons^(1/g): above 0 and at most "
+        "5; 1 is a linear camera.",
+    )
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> Self:
+        if any(a >= b for a, b in zip(self.exposures, self.exposures[1:], strict=False)):
+            raise ValueError(f"exposures should ascend without repeats, not {self.exposures}")
+        if self.black_level_counts >= 2**self.bits - 1:
+            raise ValueError(
+                f"black_level_counts should be below full scale, {2**self.bits - 1} at "
+                f"{self.bits} bits, not {self.black_level_counts}"
+            )
+        return self
+
+
+class AcquisitionConfig(_Settings):
+    """When a method stops subdividing."""
+
+    tolerance: Tolerance = Field(
+        1e-3,
+        description="Error allowed in a stored block, as a fraction of the floodlit image's "
+        "maximum, between 0 and 1.",
+    )
+    noise_significance: float = Field(
+        3.0,
+        ge=0,
+        le=100,
+        description="Light counts as measured above this many standard deviations of its noise, "
+        "0 to 100.",
+    )
+
+
+class CaptureConfig(_Settings):
+    """How patterns are shown and pictures taken."""
+
+    rig: Literal["simulated"] = Field("simulated", description="The rig: simulated.")
+    seconds_per_pattern: float = Field(
+        2.0,
+        gt=0,
+        le=3600,
+        description="Time that a real rig takes for a pattern's bracket, in seconds, above 0 and "
+        "at most 3600; the simulation doesn't wait, reports count with it.",
+    )
+    black_frames: int = Field(
+        8, ge=1, le=1024, description="Brackets of the all-off pattern, averaged: 1 to 1024."
+    )
+    floodlit_frames: int = Field(
+        16,
+        ge=1,
+        le=1024,
+        description="Brackets of the all-on pattern, averaged: 1 to 1024. A level's images are "
+        "scaled to them, so that they set the noise of the direct light.",
+    )
+    batch_patterns: int = Field(
+        16, ge=1, le=1024, description="Patterns captured and stored at a time, 1 to 1024."
+    )
+    when_patterns_change: Literal["recapture", "refuse"] = Field(
+        "recapture",
+        description="What to do with a level's pictures when a changed setting changes its "
+        "patterns: recapture (it says so first) or refuse.",
+    )
+
+
+class MergeConfig(_Settings):
+    """How a bracket becomes a radiance image."""
+
+    saturation_fraction: float = Field(
+        0.98,
+        gt=0,
+        le=1,
+        description="Counts at or above this fraction of full scale are saturated and not used, "
+        "above 0 and at most 1.",
+    )
+    repair_defects: bool = Field(
+        True, description="Replace dead and hot pixels by their neighbours' median: true or false."
+    )
+
+
+class ReportConfig(_Settings):
+    """What the report shows."""
+
+    title: str = Field(
+        "Light transport of four scenes", min_length=1, description="The report's title."
+    )
+    tolerances: tuple[Tolerance, ...] = Field(
+        (1e-2, 3e-3, 1e-3, 3e-4),
+        min_length=1,
+        description="Tolerances of the plot of speed against error, as fractions of the floodlit "
+        "image's maximum, between 0 and 1.",
+    )
+    resolutions: tuple[Extent, ...] = Field(
+        (8, 16, 32, 64),
+        min_length=1,
+        description="Sides, in pixels, of the square domains in the plot of patterns against "
+        "resolution [Fig. 3.8], 1 to 4096.",
+    )
+
+
+def _thesis_scenes() -> dict[str, SceneConfig]:
+    """Scenes I to IV of [Fig. 2.1], at a fifth of their size."""
+    return {
+        "planes_i": SceneConfig(geometry="plane", surfaces=("texture",)),
+        "planes_ii": SceneConfig(geometry="wedge", surfaces=("white", "white")),
+        "planes_iii": SceneConfig(geometry="wedge", surfaces=("white", "texture")),
+        "planes_iv": SceneConfig(geometry="wedge", surfaces=("texture", "texture")),
+    }
+
+
+class Config(_Settings):
+    """All settings of a run."""
+
+    seed: int = Field(1, ge=0, description="Seed of the captures' noise, an integer of at least 0.")
+    scenes: dict[SceneName, SceneConfig] = Field(
+        default_factory=_thesis_scenes,
+        min_length=1,
+        description="The scenes by name: lower-case letters, digits and _. The default are "
+        "scenes I to IV of Fig. 2.1.",
+    )
+    methods: tuple[MethodName, ...] = Field(
+        ("symmetric", "dual"),
+        min_length=1,
+        description="Methods to acquire each scene with: brute_force, dual, symmetric.",
+    )
+    acquisition: AcquisitionConfig = Field(
+        default_factory=AcquisitionConfig, description="When a method stops subdividing."
+    )
+    camera: CameraConfig | None = Field(
+        default_factory=CameraConfig,
+        description="The simulated camera, or null for exact radiance.",
+    )
+    capture: CaptureConfig = Field(
+        default_factory=CaptureConfig, description="How patterns are shown and pictures taken."
+    )
+    merge: MergeConfig = Field(
+        default_factory=MergeConfig, description="How a bracket becomes a radiance image."
+    )
+    normalization: Normalization = Field(
+        "per_channel",
+        description="Scaling of a level's images to add up to the floodlit image [B.2]: none, "
+        "per_channel, or total_energy (one factor for all channels).",
+    )
+    report: ReportConfig = Field(default_factory=ReportConfig, description="What the report shows.")
+
+    @field_validator("methods", mode="after")
+    @classmethod
+    def _no_method_twice(cls, methods: tuple[Any, ...]) -> tuple[Any, ...]:
+        if len(set(methods)) < len(methods):
+            raise ValueError("should name each method once")
+        return methods
+
+    @model_validator(mode="after")
+    def _mosaic_has_colour(self) -> Self:
+        if self.camera is not None and self.camera.bayer is not None:
+            for name, scene in self.scenes.items():
+                if scene.channels != 3:
+                    raise ValueError(
+                        f"camera.bayer {self.camera.bayer} needs scenes of 3 channels, but "
+                        f"scenes.{name}.channels is {scene.channels}; set it to 3, or bayer to null"
+                    )
+        return self

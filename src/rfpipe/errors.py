@@ -1,0 +1,48 @@
+"""The errors that rfpipe raises on purpose.
+
+Every message names the file or setting, its value, what was expected and what to do. Anything
+else that escapes the library is a bug.
+"""
+
+__all__ = [
+    "CaptureError",
+    "ConfigError",
+    "InputError",
+    "IntegrityError",
+    "LockedError",
+    "RfpipeError",
+    "StaleStoreError",
+    "StoreError",
+]
+
+
+class RfpipeError(Exception):
+    """Base of every error that rfpipe raises on purpose."""
+
+
+class ConfigError(RfpipeError):
+    """A configuration file is unreadable, or a setting in it is unknown or out of range."""
+
+
+class InputError(RfpipeError, ValueError):
+    """An argument has the wrong shape, dtype, range or kind."""
+
+
+class CaptureError(RfpipeError):
+    """A rig failed, or what it returned can't be a picture of the pattern shown."""
+
+
+class StoreError(RfpipeError):
+    """A store, journal or manifest is missing, unreadable or can't be written."""
+
+
+class IntegrityError(StoreError):
+    """Stored bytes differ from the digest that was recorded when they were written."""
+
+
+class StaleStoreError(StoreError):
+    """A store was made with another configuration than the one in force."""
+
+
+class LockedError(StoreError):
+    """Another process holds the lock of this store."""

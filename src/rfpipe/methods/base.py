@@ -1,0 +1,86 @@
+"""The protocol that every acquisition method follows; free of any file or device."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.patterns import Schedule
+from rfpipe.transport.base import Transport
+
+Float = NDArray[np.float32]
+State = TypeVar("State")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a method needs to know of the user's wishes.
+
+    Attributes
+    ----------
+    tolerance : float
+        Error allowed in an image, as a fraction of the floodlit image's maximum; above 0.
+    noise_significance : float
+        How many standard deviations make a measured energy significant; at least 0.
+    """
+
+    tolerance: float = 1e-3
+    noise_significance: float = 3.0
+
+
+class LevelImages(Protocol):
+    """The radiance images of one level, read a few patterns at a time."""
+
+    @property
+    def schedule(self) -> Schedule:
+        """The patterns they were taken under."""
+
+    def read(self, first: int, last: int) -> tuple[Float, Float]:
+        """Return radiance and variance, each float32 ``(last - first, *camera_shape, C)``."""
+
+
+@dataclass(frozen=True)
+class Pack:
+    """What one level's refinement adds to a state, as named arrays and plain data."""
+
+    arrays: Mapping[str, NDArray[Any]]
+    attributes: Mapping[str, Any]
+
+
+class Method(Protocol[State]):
+    """An acquisition method: a state machine from floodlit image to transport.
+
+    A level is: `schedule`, the capture of its patterns by somebody else, `refine`. The levels of
+    a run are known beforehand (`n_levels`); a level with nothing left to ask has an empty
+    schedule and is refined with no images.
+    """
+
+    name: str
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
+        """Return the number of levels; raises InputError if the method does not fit the rig."""
+
+    def start(
+        self, camera: RayDomain, projector: RayDomain, channels: int, settings: Settings
+    ) -> State:
+        """Return the state before the first level."""
+
+    def schedule(self, state: State) -> Schedule:
+        """Return the patterns of the next level."""
+
+    def refine(self, state: State, images: LevelImages) -> State:
+        """Return the state after a level's images."""
+
+    def transport(self, state: State) -> Transport:
+        """Return what is known of the transport so far; nodes still open at their estimate."""
+
+    def pack(self, state: State) -> Pack:
+        """Return what the last refinement added, and what the next one needs."""
+
+    def restore(self, start: State, packs: Sequence[Pack]) -> State:
+        """Return the state after the last of the given levels' packs."""

@@ -1,0 +1,343 @@
+"""Dual photography: light together what no camera pixel sees together (thesis ch. 3, C.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.conflicts import colour, conflict_graph
+from rfpipe.methods.base import Float, LevelImages, Pack, Settings
+from rfpipe.patterns import Schedule
+from rfpipe.transport.hierarchical import ragged_ranges
+from rfpipe.transport.multilevel import MultilevelTransport, PairSet, fold, no_pairs
+
+Index = NDArray[np.int64]
+Blocks = NDArray[np.int32]
+
+# Images read at a time.
+_BATCH_BYTES = 32 * 2**20
+
+# What becomes of a response.
+_DROPPED, _STORED, _OPEN = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class DualState:
+    """The state of dual photography before a level.
+
+    Attributes
+    ----------
+    camera : RayDomain
+    tree : BlockTree
+        Of the projector's rays.
+    channels : int
+    settings : Settings
+    level : int
+        Level to be scheduled next.
+    stored : tuple of PairSet
+        Responses stored so far, one set a level.
+    frontier : PairSet
+        Responses of level ``level - 1`` that are to be subdivided: the sets B_k of the thesis.
+    floodlit_maximum : float
+        Maximum of the floodlit image, the unit of the tolerance.
+    complete : bool
+        Whether all rays outside the frontier's blocks send no significant light to the camera.
+    rows : tuple of dict
+        The table of levels so far.
+    """
+
+    camera: RayDomain
+    tree: BlockTree
+    channels: int
+    settings: Settings
+    level: int
+    stored: tuple[PairSet, ...]
+    frontier: PairSet
+    floodlit_maximum: float = 0.0
+    complete: bool = True
+    rows: tuple[dict[str, int], ...] = ()
+
+
+class Dual:
+    """Dual photography as a `Method`.
+
+    Parameters
+    ----------
+    subtract_stored : bool
+        Whether to subtract from each image what the responses stored so far predict for it. The
+        thesis doesn't: the light that reaches a pixel from a block stored for it is still in the
+        images of finer levels, and where the pixel reads such an image for another of its blocks
+        it counts again.
+    """
+
+    name = "dual"
+
+    def __init__(self, subtract_stored: bool = False) -> None:
+        self.subtract_stored = subtract_stored
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
+        """Return the depth of the projector's block tree; any camera will do."""
+        return BlockTree(projector).n_levels
+
+    def start(
+        self, camera: RayDomain, projector: RayDomain, channels: int, settings: Settings
+    ) -> DualState:
+        """Return the state before the floodlit image."""
+        tree = BlockTree(projector)
+        return DualState(camera, tree, channels, settings, 0, (), no_pairs(0, channels))
+
+    def schedule(self, state: DualState) -> Schedule:
+        """Colour the conflict graph of the blocks to be subdivided; light their children in turn.
+
+        Two blocks conflict when a camera pixel sees both. Their children inherit the conflict,
+        and those of one block conflict with each other.
+        """
+        if state.level == 0:
+            return Schedule.floodlit(state.tree.domain.shape)
+        tree, level = state.tree, state.level
+        pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
+        if len(state.frontier):
+            parents, colours = coloured_blocks(state.frontier, state.camera.size)
+            counts = np.diff(tree.child_starts[level - 1])[parents]
+            patterns_of_colour = np.zeros(int(colours.max()) + 1, np.int64)
+            np.maximum.at(patterns_of_colour, colours, counts)
+            first_pattern = np.cumsum(patterns_of_colour) - patterns_of_colour
+            children = ragged_ranges(tree.child_starts[level - 1][parents], counts)
+            pattern_of_block[children] = ragged_ranges(first_pattern[colours], counts)
+        return Schedule.of_blocks(tree, level, pattern_of_block, state.complete)
+
+    def refine(self, state: DualState, images: LevelImages) -> DualState:
+        """Drop, store or subdivide each response that the level measured (ProcessResults, C.1)."""
+        tree, level, schedule = state.tree, state.level, images.schedule
+        asked = _candidates(state)
+        pattern = _pattern_of_block(schedule, tree)[asked.block]
+        divisible = _divisible_into(tree, level)[asked.block]
+        begin = np.cumsum(asked.count) - asked.count
+        total = int(asked.count.sum())
+        values = np.empty((state.channels, total), np.float32)
+        outcome = np.empty(total, np.uint8)
+        maximum = state.floodlit_maximum
+        for first, last in _batches(schedule.count, state.camera.size * state.channels):
+            radiance, variance = (
+                part.reshape(last - first, state.camera.size, state.channels)
+                for part in images.read(first, last)
+            )
+            if level == 0:
+                maximum = float(radiance.max())
+            here = np.flatnonzero((pattern >= first) & (pattern < last))
+            count = asked.count[here]
+            seen = (
+                np.repeat(pattern[here] - first, count),
+                asked.pixel[ragged_ranges(asked.first[here], count)],
+            )
+            response = radiance[seen]
+            rounding = np.finfo(np.float32).eps * response
+            noise = np.sqrt(variance[seen] + rounding * rounding)
+            if self.subtract_stored:
+                response -= self._predicted(state, schedule, first, last)[seen]
+            place = ragged_ranges(begin[here], count)
+            values[:, place] = np.maximum(response, 0.0).T
+            outcome[place] = _judge(
+                response,
+                state.settings.noise_significance * noise,
+                state.settings.tolerance * maximum,
+                np.repeat(divisible[here], count),
+            )
+        block = np.repeat(asked.block, asked.count)
+        pixel = asked.pixel[ragged_ranges(asked.first, asked.count)]
+        stored, frontier = (
+            PairSet(level, block[chosen], pixel[chosen], values[:, chosen])
+            for chosen in (outcome == _STORED, outcome == _OPEN)
+        )
+        unlit_from_now_on = np.setdiff1d(stored.block, frontier.block)
+        return replace(
+            state,
+            level=level + 1,
+            stored=(*state.stored, stored),
+            frontier=frontier,
+            floodlit_maximum=maximum,
+            complete=state.complete and not len(unlit_from_now_on),
+            rows=(*state.rows, _row(tree, schedule, total, len(stored), len(frontier))),
+        )
+
+    def _predicted(self, state: DualState, schedule: Schedule, first: int, last: int) -> Float:
+        """Return what the stored responses predict for patterns, ``(last - first, M, C)``."""
+        known = self.transport(replace(state, frontier=no_pairs(state.level, state.channels)))
+        images = known.relight_batch(schedule.batch(first, last))
+        return images.reshape(last - first, state.camera.size, state.channels)
+
+    def transport(self, state: DualState) -> MultilevelTransport:
+        """Return the multilevel transport; responses still to be subdivided as they are."""
+        pair_sets = list(state.stored)
+        if len(state.frontier):
+            together = [state.stored[-1], state.frontier]
+            pair_sets[-1] = fold(
+                state.tree, state.level - 1, together, state.channels, state.camera.size
+            )
+        return MultilevelTransport.from_pair_sets(
+            state.camera, state.tree.domain, state.channels, list(state.rows), pair_sets
+        )
+
+    def pack(self, state: DualState) -> Pack:
+        """Return the responses that the last refinement stored, and the frontier."""
+        arrays: dict[str, NDArray[Any]] = {}
+        for name, pairs in (("stored", state.stored[-1]), ("frontier", state.frontier)):
+            arrays |= {f"{name}_{part}": getattr(pairs, part) for part in _PARTS}
+        attributes = {
+            "level": state.level,
+            "floodlit_maximum": state.floodlit_maximum,
+            "complete": state.complete,
+            "row": state.rows[-1],
+        }
+        return Pack(arrays, attributes)
+
+    def restore(self, start: DualState, packs: Sequence[Pack]) -> DualState:
+        """Return the state after the last of `packs`, one a level from level 0 on."""
+        if not packs:
+            return start
+        last = packs[-1].attributes
+        return replace(
+            start,
+            level=last["level"],
+            stored=tuple(
+                _unpacked("stored", level, pack.arrays) for level, pack in enumerate(packs)
+            ),
+            frontier=_unpacked("frontier", last["level"] - 1, packs[-1].arrays),
+            floodlit_maximum=last["floodlit_maximum"],
+            complete=last["complete"],
+            rows=tuple(pack.attributes["row"] for pack in packs),
+        )
+
+
+_PARTS = ("block", "pixel", "values")
+
+
+def _unpacked(name: str, level: int, arrays: Mapping[str, NDArray[Any]]) -> PairSet:
+    return PairSet(level, *(arrays[f"{name}_{part}"] for part in _PARTS))
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """The pairs (block, pixel) that a level measures.
+
+    Attributes
+    ----------
+    block : ndarray of int64, shape (n_blocks,)
+        The blocks that the level lights, ascending.
+    first, count : ndarray of int64, shape (n_blocks,)
+        Each block's pixels are ``pixel[first : first + count]``, ascending.
+    pixel : ndarray of int32
+    """
+
+    block: Index
+    first: Index
+    count: Index
+    pixel: NDArray[np.int32]
+
+
+def _candidates(state: DualState) -> _Candidates:
+    """Pair all pixels with the root, later the children of the frontier's blocks with its pixels."""
+    tree, level, frontier = state.tree, state.level, state.frontier
+    if level == 0:
+        pixel = np.arange(state.camera.size, dtype=np.int32)
+        zero = np.zeros(1, np.int64)
+        return _Candidates(zero, zero, zero + len(pixel), pixel)
+    parents, first, count = np.unique(frontier.block, return_index=True, return_counts=True)
+    begin = tree.child_starts[level - 1][parents]
+    children = tree.child_starts[level - 1][parents + 1] - begin
+    return _Candidates(
+        ragged_ranges(begin, children),
+        np.repeat(first, children),
+        np.repeat(count, children),
+        frontier.pixel,
+    )
+
+
+def _pattern_of_block(schedule: Schedule, tree: BlockTree) -> NDArray[np.int32]:
+    """Return the pattern that lights each block of a schedule's level."""
+    assert schedule.pattern_of_ray is not None
+    first_ray = tree.order[tree.starts[schedule.level][:-1]]
+    return schedule.pattern_of_ray.ravel()[first_ray]
+
+
+def _divisible_into(tree: BlockTree, level: int) -> Index:
+    """Return the number of children of each block of a level; 0 for a single ray."""
+    sizes = np.diff(tree.starts[level])
+    if level == tree.n_levels - 1:
+        return np.zeros_like(sizes)
+    return np.where(sizes > 1, np.diff(tree.child_starts[level]), 0)
+
+
+def _batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
+    """Cut patterns into runs whose images fit a batch."""
+    step = max(1, _BATCH_BYTES // (np.dtype(np.float32).itemsize * image_size))
+    for first in range(0, count, step):
+        yield first, min(first + step, count)
+
+
+def _judge(response: Float, noise: Float, threshold: float, children: Index) -> NDArray[np.uint8]:
+    """Decide what becomes of responses, all channels together.
+
+    A response is subdivided only where its children can be told from noise too: an average child
+    has to be significant.
+
+    Parameters
+    ----------
+    response, noise : ndarray of float32, shape (n, C)
+        The measured radiance, and the radiance above which one is significant.
+    threshold : float
+        Radiance below which a response is stored rather than subdivided.
+    children : ndarray of int, shape (n,)
+        Number of children of the response's block; 0 where it can't be subdivided.
+    """
+    significant = (response > noise).any(axis=1)
+    limit = np.maximum(threshold, children[:, None] * noise)
+    large = (response >= limit).any(axis=1) & (children > 0)
+    outcome = np.where(large, _OPEN, _STORED)
+    return np.where(significant, outcome, _DROPPED).astype(np.uint8)
+
+
+def _row(
+    tree: BlockTree, schedule: Schedule, nodes: int, stored: int, subdivided: int
+) -> dict[str, int]:
+    last = schedule.level == tree.n_levels - 1
+    return {
+        "level": schedule.level,
+        "patterns": schedule.count,
+        "nodes": nodes,
+        "empty": nodes - stored - subdivided,
+        "rank1": 0 if last else stored,
+        "scalar": stored if last else 0,
+        "subdivided": subdivided,
+    }
+
+
+def coloured_blocks(frontier: PairSet, pixels: int) -> tuple[Index, NDArray[np.int32]]:
+    """Colour blocks so that no camera pixel sees two of one colour (ConstructConflictFreeLists).
+
+    Parameters
+    ----------
+    frontier : PairSet
+        Which pixel sees which block.
+    pixels : int
+        Number of camera pixels.
+
+    Returns
+    -------
+    blocks : ndarray of int, shape (n,)
+        The frontier's blocks, ascending.
+    colours : ndarray of int32, shape (n,)
+    """
+    from scipy.sparse import coo_array, triu
+
+    blocks, column = np.unique(frontier.block, return_inverse=True)
+    sees = coo_array(
+        (np.ones(len(column), np.bool_), (frontier.pixel, column)), shape=(pixels, len(blocks))
+    ).tocsr()
+    shared = triu(sees.T @ sees, k=1).tocoo()
+    return blocks, colour(conflict_graph(len(blocks), shared.row, shared.col))

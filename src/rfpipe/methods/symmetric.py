@@ -1,0 +1,397 @@
+"""Symmetric photography: local rank-1 factors from both sides of a coaxial rig (thesis ch. 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.conflicts import colour, conflict_graph, square
+from rfpipe.errors import InputError
+from rfpipe.methods.base import Float, LevelImages, Pack, Settings
+from rfpipe.methods.nodes import (
+    Blocks,
+    Double,
+    Frontier,
+    as_leaves,
+    child_pairs,
+    compared_pixels,
+    no_nodes,
+    select,
+)
+from rfpipe.patterns import Schedule
+from rfpipe.transport.hierarchical import (
+    HierarchicalTransport,
+    LeafSet,
+    apply_leaf_sets,
+    factor_offsets,
+)
+
+# Images predicted and subtracted at a time.
+_BATCH = 16
+# The mean of n squared normal deviates stays within 1 +- 3 sqrt(2 / n) of its expectation.
+_SPREAD = 3.0
+
+
+@dataclass(frozen=True)
+class SymmetricState:
+    """The state of symmetric photography before a level.
+
+    Attributes
+    ----------
+    tree : BlockTree
+    channels : int
+    settings : Settings
+    level : int
+        Level to be scheduled next.
+    known : tuple of LeafSet
+        Leaves found so far.
+    added : tuple of LeafSet
+        Those of them that the last refinement found.
+    frontier : Frontier
+        Unknown nodes of level ``level - 1``.
+    floodlit_maximum : float
+        Maximum of the floodlit image, the unit of the tolerance.
+    dark : ndarray of bool, shape (N,)
+        Rays (in tree order) from which no light comes back under floodlight.
+    rows : tuple of dict
+        The table of levels so far.
+    """
+
+    tree: BlockTree
+    channels: int
+    settings: Settings
+    level: int
+    known: tuple[LeafSet, ...]
+    added: tuple[LeafSet, ...]
+    frontier: Frontier
+    floodlit_maximum: float
+    dark: NDArray[np.bool_]
+    rows: tuple[dict[str, int], ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a level measured: images with the known light taken out, in tree order.
+
+    Attributes
+    ----------
+    residuals, variances : ndarray of float32, shape (P, C, N)
+        The variance includes the rounding of the images to float32.
+    pattern_of_block : ndarray of int32
+        Pattern that lit each block of the level, -1 for none.
+    """
+
+    residuals: Float
+    variances: Float
+    pattern_of_block: Blocks
+
+
+class Symmetric:
+    """Symmetric photography as a `Method`."""
+
+    name = "symmetric"
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
+        """Return the depth of the block tree; camera and projector must share their rays."""
+        if camera.shape != projector.shape:
+            raise InputError(
+                f"symmetric photography needs a coaxial rig, one ray domain for camera and "
+                f"projector; got a camera of {camera.shape} and a projector of {projector.shape}. "
+                "Resample the camera onto the projector's grid, or use dual photography"
+            )
+        return BlockTree(projector).n_levels
+
+    def start(
+        self, camera: RayDomain, projector: RayDomain, channels: int, settings: Settings
+    ) -> SymmetricState:
+        """Return the state before the floodlit image."""
+        self.n_levels(camera, projector)
+        tree = BlockTree(projector)
+        dark = np.zeros(projector.size, np.bool_)
+        nothing = no_nodes(channels)
+        return SymmetricState(tree, channels, settings, 0, (), (), nothing, 0.0, dark)
+
+    def schedule(self, state: SymmetricState) -> Schedule:
+        """Colour the square of the graph of unknown transport (Lemmas 1 and 2)."""
+        if state.level == 0:
+            return Schedule.floodlit(state.tree.domain.shape)
+        tree, level = state.tree, state.level
+        _, first, second = child_pairs(tree, level - 1, state.frontier)
+        blocks, index = np.unique(np.concatenate([first, second]), return_inverse=True)
+        pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
+        if len(blocks):
+            graph = conflict_graph(len(blocks), index[: len(first)], index[len(first) :])
+            pattern_of_block[blocks] = colour(square(graph))
+        lit = pattern_of_block[tree.block_of_position(level)] >= 0
+        return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | state.dark).all()))
+
+    def refine(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
+        """Test the unknown nodes against the level's images; keep, or subdivide."""
+        measured = measure(state, images)
+        if state.level == 0:
+            return self._begin(state, measured)
+        tree, level = state.tree, state.level
+        if not images.schedule.count:
+            row = _row(level, patterns=0)
+            return replace(state, level=level + 1, added=(), rows=(*state.rows, row))
+        passed = _passes_rank_test(state, measured)
+        kept = as_leaves(tree, level - 1, select(tree, level - 1, state.frontier, passed))
+        open_nodes = select(tree, level - 1, state.frontier, ~passed)
+        _, first, second = child_pairs(tree, level - 1, open_nodes)
+        before = state.rows[-1]
+        outcome = {"rank1": before["rank1"] + len(kept), "subdivided": len(open_nodes)}
+        found = _classify(state, first, second, measured)
+        row = _row(level, patterns=images.schedule.count, nodes=len(first), **found.counts)
+        return replace(
+            state,
+            level=level + 1,
+            known=(*state.known, kept, found.leaves),
+            added=(kept, found.leaves),
+            frontier=found.frontier,
+            rows=(*state.rows[:-1], {**before, **outcome}, row),
+        )
+
+    def _begin(self, state: SymmetricState, measured: Measured) -> SymmetricState:
+        """Make the root node from the floodlit image."""
+        floodlit, variance = measured.residuals[0], measured.variances[0]
+        significant = floodlit > state.settings.noise_significance * np.sqrt(variance)
+        state = replace(
+            state,
+            floodlit_maximum=float(floodlit.max(initial=0.0)),
+            dark=~significant.any(axis=0),
+        )
+        root = np.zeros(1, np.int32)
+        found = _classify(state, root, root, measured)
+        return replace(
+            state,
+            level=1,
+            known=(found.leaves,),
+            added=(found.leaves,),
+            frontier=found.frontier,
+            rows=(_row(0, patterns=1, nodes=1, **found.counts),),
+        )
+
+    def transport(self, state: SymmetricState) -> HierarchicalTransport:
+        """Return the hierarchical tensor; nodes still unknown at their rank-1 estimate."""
+        estimate = as_leaves(state.tree, state.level - 1, state.frontier)
+        return HierarchicalTransport.from_leaf_sets(
+            state.tree, state.channels, list(state.rows), [*state.known, estimate]
+        )
+
+    def pack(self, state: SymmetricState) -> Pack:
+        """Return the leaves that the last refinement added, and the frontier."""
+        arrays: dict[str, NDArray[Any]] = {"dark": state.dark.astype(np.uint8)}
+        for leaves in state.added:
+            prefix = f"leaves_{leaves.level:02d}"
+            arrays[f"{prefix}_block_a"] = leaves.block_a
+            arrays[f"{prefix}_block_b"] = leaves.block_b
+            arrays[f"{prefix}_values"] = leaves.values
+        for name in _FRONTIER:
+            arrays[f"frontier_{name}"] = getattr(state.frontier, name)
+        attributes = {
+            "level": state.level,
+            "leaf_levels": [leaves.level for leaves in state.added],
+            "floodlit_maximum": state.floodlit_maximum,
+            "rows": list(state.rows),
+        }
+        return Pack(arrays, attributes)
+
+    def restore(self, start: SymmetricState, packs: Sequence[Pack]) -> SymmetricState:
+        """Return the state after the last of `packs`, one a level from level 0 on."""
+        if not packs:
+            return start
+        known: list[LeafSet] = []
+        added: list[LeafSet] = []
+        for pack in packs:
+            added = [
+                LeafSet(
+                    level,
+                    *(
+                        pack.arrays[f"leaves_{level:02d}_{part}"]
+                        for part in ("block_a", "block_b", "values")
+                    ),
+                )
+                for level in pack.attributes["leaf_levels"]
+            ]
+            known += added
+        last = packs[-1]
+        return replace(
+            start,
+            level=last.attributes["level"],
+            known=tuple(known),
+            added=tuple(added),
+            frontier=Frontier(*(last.arrays[f"frontier_{name}"] for name in _FRONTIER)),
+            floodlit_maximum=last.attributes["floodlit_maximum"],
+            dark=last.arrays["dark"].astype(np.bool_),
+            rows=tuple(last.attributes["rows"]),
+        )
+
+
+_FRONTIER = ("block_a", "block_b", "pieces", "energy", "variance")
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What became of the nodes of a level, and how many of each kind there are."""
+
+    leaves: LeafSet
+    frontier: Frontier
+    counts: dict[str, int]
+
+
+def _row(
+    level: int, *, patterns: int, nodes: int = 0, empty: int = 0, rank1: int = 0, scalar: int = 0
+) -> dict[str, int]:
+    """Return a row of the table of levels; what the rank test decides is known a level later."""
+    return {
+        "level": level,
+        "patterns": patterns,
+        "nodes": nodes,
+        "empty": empty,
+        "rank1": rank1,
+        "scalar": scalar,
+        "subdivided": 0,
+    }
+
+
+def measure(state: SymmetricState, images: LevelImages) -> Measured:
+    """Subtract the known leaves' prediction from a level's images."""
+    tree, schedule = state.tree, images.schedule
+    shape = (schedule.count, state.channels, tree.domain.size)
+    residuals, variances = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    for first in range(0, schedule.count, _BATCH):
+        last = min(first + _BATCH, schedule.count)
+        radiance, variance = (
+            _planar(part, tree, state.channels) for part in images.read(first, last)
+        )
+        lit = schedule.batch(first, last).reshape(last - first, 1, -1)[..., tree.order]
+        patterns = np.broadcast_to(lit, radiance.shape)
+        predicted = apply_leaf_sets(tree, state.known, patterns, range(state.channels))
+        residuals[first:last] = radiance - predicted
+        rounding = np.finfo(np.float32).eps * radiance
+        variances[first:last] = variance + rounding * rounding
+    assert schedule.pattern_of_ray is not None
+    in_order = schedule.pattern_of_ray.ravel()[tree.order]
+    return Measured(residuals, variances, in_order[tree.starts[state.level][:-1]])
+
+
+def _planar(image: Float, tree: BlockTree, channels: int) -> Float:
+    rays = image.reshape(len(image), tree.domain.size, channels)[:, tree.order]
+    return np.ascontiguousarray(np.moveaxis(rays, 2, 1))
+
+
+def _allowed(asked: float, noise: Double, samples: Double) -> Double:
+    """Largest mean squared difference that still counts as agreement.
+
+    Noise alone makes a mean squared difference of `noise`. What exceeds it may be as large as
+    what the user asks for, or as the fluctuation of the noise's mean square over `samples` pixels.
+    """
+    allowed: Double = noise + np.maximum(asked, noise * _SPREAD * np.sqrt(2.0 / samples))
+    return allowed
+
+
+def _passes_rank_test(state: SymmetricState, measured: Measured) -> NDArray[np.bool_]:
+    """Tell which unknown nodes predict their children's images (thesis §5.1).
+
+    A node passes only on evidence: where a single child on either side has nearly all the energy,
+    its image is the node's own again, whatever lies underneath. On the last level the children
+    are measured already, so that only noise is a reason to keep the parent instead.
+    """
+    from rfpipe.methods import kernels
+
+    tree, level, nodes = state.tree, state.level - 1, state.frontier
+    starts = tree.starts[level]
+    offset_a, offset_b, _ = factor_offsets(starts, nodes.block_a, nodes.block_b)
+    ssd = np.empty((state.channels, len(nodes)))
+    noise = np.empty_like(ssd)
+    shares = np.empty((state.channels, 2, len(nodes)))
+    kernels.rank_test(
+        starts, tree.child_starts[level], tree.starts[level + 1], nodes.block_a, nodes.block_b,
+        offset_a, offset_b, nodes.pieces, nodes.energy, nodes.variance, measured.pattern_of_block,
+        measured.residuals, measured.variances, ssd, noise, shares,
+    )  # fmt: skip
+    samples = compared_pixels(tree, level, nodes)
+    asked = 0.0 if state.level == tree.n_levels - 1 else _asked(state)
+    agrees = ssd / samples <= _allowed(asked, noise / samples, samples)
+    children = np.diff(tree.child_starts[level])
+    # Two of four children with half the energy each are evidence enough, or three quarters and
+    # one quarter where there are only two children.
+    enough = 3.0 / (children[np.stack([nodes.block_b, nodes.block_a])] + 2.0)
+    evident = (shares <= enough).any(axis=1)
+    passed: NDArray[np.bool_] = (agrees & (evident | (nodes.energy == 0))).all(axis=0)
+    return passed
+
+
+def _asked(state: SymmetricState) -> float:
+    """Mean squared difference that the user's tolerance allows."""
+    return (state.settings.tolerance * state.floodlit_maximum) ** 2
+
+
+def _classify(
+    state: SymmetricState, block_a: Blocks, block_b: Blocks, measured: Measured
+) -> _Found:
+    """Sort the nodes that a level measured into empty ones, leaves and unknown ones."""
+    from rfpipe.methods import kernels
+
+    tree, channels, level = state.tree, state.channels, state.level
+    starts = tree.starts[level]
+    sums = np.empty((channels, 2, len(block_a)))
+    spread = np.empty_like(sums)
+    kernels.measure_pieces(
+        starts,
+        block_a,
+        block_b,
+        measured.pattern_of_block,
+        measured.residuals,
+        measured.variances,
+        sums,
+        spread,
+    )
+    energy, variance = _combine(sums, spread, block_a == block_b)
+    significant = energy > state.settings.noise_significance * np.sqrt(variance)
+    energy = np.where(significant, energy, 0.0)
+    full = np.any(significant, axis=0)
+    block_a, block_b = block_a[full], block_b[full]
+    energy, spread = np.ascontiguousarray(energy[:, full]), spread[..., full]
+    empty = len(full) - len(block_a)
+    if level == tree.n_levels - 1:
+        leaves = LeafSet(level, block_a, block_b, energy.astype(np.float32))
+        return _Found(leaves, no_nodes(channels), {"empty": empty, "scalar": len(leaves)})
+    offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
+    pieces = np.empty((channels, n_values), np.float32)
+    worst = np.empty((channels, len(block_a)))
+    lit = np.empty_like(worst)
+    kernels.gather_pieces(
+        starts, tree.child_starts[level], tree.starts[level + 1], block_a, block_b, offset_a,
+        offset_b, energy, measured.pattern_of_block, measured.residuals, pieces, worst, lit,
+    )  # fmt: skip
+    nodes = Frontier(block_a, block_b, pieces, energy, np.ascontiguousarray(spread))
+    sizes = np.diff(starts)
+    pixels = np.where(block_a == block_b, sizes[block_a], sizes[block_a] + sizes[block_b])
+    noise = np.where(block_a == block_b, spread[:, 0], spread.sum(axis=1)) / pixels
+    # The images of the children can't differ from their prediction by more than `worst`: where
+    # that is within bounds the rank test is passed already, and no pattern is spent on it. A node
+    # over a single ray is of rank 1 whatever it holds.
+    mean_worst = worst / np.maximum(lit, 1.0)
+    certain = (mean_worst <= _allowed(_asked(state), noise, np.maximum(lit, 1.0))).all(axis=0)
+    certain |= (sizes[block_a] == 1) | (sizes[block_b] == 1)
+    leaves = as_leaves(tree, level, select(tree, level, nodes, certain))
+    frontier = select(tree, level, nodes, ~certain)
+    return _Found(leaves, frontier, {"empty": empty, "rank1": len(leaves)})
+
+
+def _combine(sums: Double, spread: Double, diagonal: NDArray[np.bool_]) -> tuple[Double, Double]:
+    """Combine the two measurements of a node's energy by their variances.
+
+    On the diagonal both are the same one.
+    """
+    weight = np.where(spread.sum(axis=1, keepdims=True) > 0, spread[:, ::-1], 1.0)
+    weight = weight / weight.sum(axis=1, keepdims=True)
+    energy = (weight * sums).sum(axis=1)
+    variance = (weight * weight * spread).sum(axis=1)
+    return np.where(diagonal, sums[:, 0], energy), np.where(diagonal, spread[:, 0], variance)

@@ -1,0 +1,16 @@
+"""Camera model and its inverse: noise, HDR merge, response, mosaic, defects, normalization."""
+
+from rfpipe.photometry.camera import CameraModel, sensor_from_config
+from rfpipe.photometry.response import Response, recover_response
+from rfpipe.photometry.sensor import ExactSensor, Merged, MergeOptions, Sensor
+
+__all__ = [
+    "CameraModel",
+    "ExactSensor",
+    "MergeOptions",
+    "Merged",
+    "Response",
+    "Sensor",
+    "recover_response",
+    "sensor_from_config",
+]

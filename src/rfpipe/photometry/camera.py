@@ -1,0 +1,291 @@
+"""The camera model: radiance to counts and back [App. B]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.photometry.demosaic import BAYER_PATTERNS, check_mosaic, demosaic, mosaic
+from rfpipe.photometry.hdr import merge_bracket
+from rfpipe.photometry.optics import apply_optics
+from rfpipe.photometry.response import Response
+from rfpipe.photometry.sensor import (
+    ExactSensor,
+    Merged,
+    MergeOptions,
+    Sensor,
+    check_frames,
+    check_light,
+    check_shape,
+)
+from rfpipe.provenance import generator
+from rfpipe.units import COUNTS
+
+if TYPE_CHECKING:
+    from rfpipe.config import CameraConfig
+
+__all__ = ["CameraModel", "sensor_from_config"]
+
+Float = NDArray[np.float32]
+Counts = NDArray[np.uint16]
+
+EXACT_POISSON_BELOW = 64.0
+"""Mean electrons below which shot noise is drawn from the Poisson distribution; from there on it
+is a rounded Gaussian of the same mean and variance (skewness of the true one: at most 1/8)."""
+
+GLOW_SIGNIFICANCE = 4.0
+"""Electrons in the all-off frames count as more than the dark current above this many standard
+deviations of their noise; its shot noise then enters the variance."""
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A camera with photon and read noise, limited wells and a converter of few bits.
+
+    Radiance -> lens -> mosaic -> electrons of each exposure (Poisson), full well, read noise
+    -> response, gain, black level, rounding -> counts; `merge` is the way back.
+
+    Parameters
+    ----------
+    exposures : tuple of float
+        Exposure times in seconds, ascending, above 0.
+    electrons_per_radiance : float
+        Electrons a second for a radiance of 1, above 0.
+    full_well_electrons : float
+        Electrons at which a pixel saturates, above 0; they give full scale.
+    read_noise_electrons : float
+        Standard deviation in electrons, at least 0.
+    dark_current_electrons : float
+        Electrons a second without light, at least 0.
+    black_level_counts : int
+        Counts without electrons, at least 0 and below full scale.
+    bits : int
+        Bits of the converter, 1 to 16; full scale is ``2**bits - 1``.
+    psf_sigma : float
+        Standard deviation of the lens blur in pixels, at least 0.
+    vignetting : float
+        Fraction of the light lost in the corners, in [0, 1).
+    flare : float
+        Fraction of the light spread evenly over a view, in [0, 1).
+    bayer : str or None
+        Colour mosaic, one of `BAYER_PATTERNS`, or None for full channels.
+    response_gamma : float
+        Exponent g of the response, counts above black ~ electrons^(1/g), above 0.
+
+    Raises
+    ------
+    InputError
+        When a setting is out of range.
+    """
+
+    exposures: tuple[float, ...] = (1 / 64, 1 / 8, 1.0)
+    electrons_per_radiance: float = 640_000.0
+    full_well_electrons: float = 20_000.0
+    read_noise_electrons: float = 5.0
+    dark_current_electrons: float = 1.0
+    black_level_counts: int = 64
+    bits: int = 12
+    psf_sigma: float = 0.0
+    vignetting: float = 0.0
+    flare: float = 0.0
+    bayer: str | None = None
+    response_gamma: float = 1.0
+
+    def __post_init__(self) -> None:
+        ascending = all(a < b for a, b in zip(self.exposures, self.exposures[1:], strict=False))
+        checks = {
+            "exposures": (bool(self.exposures) and self.exposures[0] > 0 and ascending, "ascend"),
+            "electrons_per_radiance": (self.electrons_per_radiance > 0, "be above 0"),
+            "full_well_electrons": (self.full_well_electrons > 0, "be above 0"),
+            "read_noise_electrons": (self.read_noise_electrons >= 0, "be at least 0"),
+            "dark_current_electrons": (self.dark_current_electrons >= 0, "be at least 0"),
+            "bits": (1 <= self.bits <= 16, "be 1 to 16"),
+            "black_level_counts": (
+                0 <= self.black_level_counts < self.white_level,
+                f"be at least 0 and below full scale, {self.white_level}",
+            ),
+            "psf_sigma": (self.psf_sigma >= 0, "be at least 0"),
+            "vignetting": (0 <= self.vignetting < 1, "be in [0, 1)"),
+            "flare": (0 <= self.flare < 1, "be in [0, 1)"),
+            "bayer": (self.bayer in (None, *BAYER_PATTERNS), f"be None or in {BAYER_PATTERNS}"),
+            "response_gamma": (self.response_gamma > 0, "be above 0"),
+        }
+        for name, (is_right, expected) in checks.items():
+            value = getattr(self, name)
+            if not is_right or (isinstance(value, float) and not np.isfinite(value)):
+                raise InputError(f"camera: {name} is {value}; it must {expected}")
+
+    @property
+    def white_level(self) -> int:
+        """Full scale in counts."""
+        return int(2**self.bits) - 1
+
+    @property
+    def electrons_per_count(self) -> float:
+        """Gain of a linear camera: the full well gives full scale."""
+        return self.full_well_electrons / (self.white_level - self.black_level_counts)
+
+    @property
+    def frame_dtype(self) -> np.dtype[Any]:
+        """Frames are uint16 counts."""
+        return np.dtype(COUNTS)
+
+    def frame_shape(self, camera_shape: tuple[int, ...], channels: int) -> tuple[int, ...]:
+        """Shape of one bracket: (E, *camera_shape, C), or (E, *camera_shape) under a mosaic."""
+        if self.bayer is None:
+            return (len(self.exposures), *camera_shape, channels)
+        check_mosaic(camera_shape, channels)
+        return (len(self.exposures), *camera_shape)
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests."""
+        settings = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {"kind": "camera", **settings, "exposures": list(self.exposures)}
+
+    def expose(self, radiance: NDArray[Any], seed: int, key: tuple[int, ...]) -> Counts:
+        """Take one bracket of a radiance image (*camera_shape, C); see `Sensor.expose`.
+
+        Returns
+        -------
+        ndarray of uint16
+            Shape `frame_shape`, values from 0 to `white_level`.
+
+        Raises
+        ------
+        CaptureError
+            Where the radiance is not finite or is negative.
+        InputError
+            When the image can't be sampled through the mosaic.
+        """
+        light = apply_optics(
+            check_light(radiance, key), self.psf_sigma, self.vignetting, self.flare
+        )
+        frames = np.empty(self.frame_shape(light.shape[:-1], light.shape[-1]), COUNTS)
+        if self.bayer is not None:
+            light = mosaic(light, self.bayer)
+        for index, exposure in enumerate(self.exposures):
+            frames[index] = self._frame(light, exposure, generator(seed, *key, index))
+        return frames
+
+    def merge(
+        self, frames: NDArray[Any], black: NDArray[Any], options: MergeOptions | None = None
+    ) -> Merged:
+        """Merge brackets to radiance with its variance.
+
+        Parameters
+        ----------
+        frames : ndarray of uint16, shape (B, *frame_shape)
+        black : ndarray of float32, shape `frame_shape`
+            Mean of the all-off frames in counts. Of a non-linear camera it is the mean of
+            non-linear counts: a dark current below the read noise is then not wholly removed.
+        options : MergeOptions, optional
+
+        Returns
+        -------
+        Merged
+            In units of radiance; the black level's own noise is part of the variance.
+
+        Raises
+        ------
+        CaptureError
+            When frames or `black` have the wrong shape, dtype or range.
+        """
+        options = options or MergeOptions()
+        frames, black = np.asarray(frames), np.asarray(black, np.float32)
+        check_shape(frames, black, len(self.exposures), options)
+        check_frames(frames, self.white_level, options)
+        collection = [self.electrons_per_radiance * exposure for exposure in self.exposures]
+        full_scale = self.full_well_electrons / collection[0]
+        counts_from = options.saturation_fraction * self.white_level
+        table = self._electrons_of_counts(options.response)
+        background = _interpolate(table, black)
+        noise = self._fixed_noise(background, options)
+        is_linear = self.response_gamma == 1 and options.response is None
+        # the converter's steps are as coarse in electrons as the response is steep
+        steps = np.square(np.gradient(table)).astype(np.float32) / 12
+        radiance, variance, saturated = [], [], 0
+        for bracket in frames:
+            if is_linear:
+                electrons = bracket - black
+                electrons *= np.float32(self.electrons_per_count)
+                bracket_noise = noise + steps[0]
+            else:
+                electrons = table[bracket] - background
+                bracket_noise = noise + steps[bracket]
+            image, spread, lost = merge_bracket(
+                electrons, bracket < counts_from, collection, bracket_noise, full_scale
+            )
+            if self.bayer is not None:
+                image, spread = demosaic(image, spread, self.bayer)
+            radiance.append(image)
+            variance.append(spread)
+            saturated += lost
+        return Merged(np.stack(radiance), np.stack(variance), saturated)
+
+    def _frame(self, light: Float, exposure: float, random: np.random.Generator) -> Counts:
+        """Take one exposure of the light on the sensor."""
+        mean = light * np.float32(self.electrons_per_radiance * exposure)
+        mean += np.float32(self.dark_current_electrons * exposure)
+        electrons = random.standard_normal(mean.shape, np.float32)
+        electrons *= np.sqrt(mean)
+        electrons += mean
+        np.rint(electrons, out=electrons)
+        few = mean < EXACT_POISSON_BELOW
+        electrons[few] = random.poisson(mean[few])
+        np.clip(electrons, 0, self.full_well_electrons, out=electrons)
+        if self.read_noise_electrons > 0:
+            read = random.standard_normal(mean.shape, np.float32)
+            read *= np.float32(self.read_noise_electrons)
+            electrons += read
+        electrons /= np.float32(self.full_well_electrons)
+        if self.response_gamma != 1:
+            level = np.abs(electrons.astype(np.float64)) ** (1 / self.response_gamma)
+            electrons = np.copysign(level, electrons).astype(np.float32)
+        electrons *= self.white_level - self.black_level_counts
+        electrons += self.black_level_counts
+        np.rint(electrons, out=electrons)
+        return np.clip(electrons, 0, self.white_level, out=electrons).astype(COUNTS)
+
+    def _electrons_of_counts(self, response: Response | None) -> Float:
+        """Return the electrons above the nominal black level behind each count, float32."""
+        span = self.white_level - self.black_level_counts
+        level = (np.arange(self.white_level + 1) - self.black_level_counts) / span
+        if response is not None:
+            fraction = response.linearise(level)
+        else:
+            fraction = np.copysign(np.abs(level) ** self.response_gamma, level)
+        return (fraction * self.full_well_electrons).astype(np.float32)
+
+    def _fixed_noise(self, background: Float, options: MergeOptions) -> Float:
+        """Variance in electrons squared that doesn't come from the signal, (E, *frame).
+
+        Read noise, dark current and the shot noise of light in the all-off frames (the
+        projector's black level), each twice: in the frame, and in the mean that is subtracted.
+        """
+        shape = (-1, *(1,) * (background.ndim - 1))
+        dark = self.dark_current_electrons * np.reshape(self.exposures, shape)
+        variance = self.read_noise_electrons**2 + dark
+        # the converter's noise is of the frame alone: in the mean it's averaged and dithered
+        quantum = self.electrons_per_count**2 / 12
+        glow = background - dark
+        error = np.sqrt((variance + quantum) / options.black_count)
+        glow[glow < GLOW_SIGNIFICANCE * error] = 0
+        noise = (variance + glow) * (1 + 1 / options.black_count) + quantum / options.black_count
+        return noise.astype(np.float32)
+
+
+def sensor_from_config(config: CameraConfig | None) -> Sensor:
+    """Return the sensor of a run's settings: a camera, or exact radiance for None."""
+    if config is None:
+        return ExactSensor()
+    return CameraModel(**config.model_dump())
+
+
+def _interpolate(table: Float, counts: Float) -> Float:
+    """Look up fractional counts in a table with one entry a count, float32."""
+    index = np.arange(len(table))
+    return np.interp(counts, index, table).astype(np.float32)

@@ -1,0 +1,233 @@
+"""Hot, dead and stuck pixels: finding them in the first frames, and filling them in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry.sensor import Sensor
+
+__all__ = ["DefectMap", "find_defects", "repair"]
+
+Float = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+SIGNIFICANCE = 5.0
+"""Standard deviations, beyond what the largest of as many good pixels reaches."""
+
+NEIGHBOUR_RATIO = 10.0
+"""A pixel without response is dead where its neighbours respond by this many times what would
+have been seen in it."""
+
+MAD_TO_DEVIATION = 1.4826
+"""Standard deviation of a Gaussian over its median absolute deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class DefectMap:
+    """Pixels not to be trusted.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (*camera_shape)
+        Pixels to repair: the defects and, under a colour mosaic, their neighbours, which the
+        interpolation fills from them.
+    hot : int
+        Pixels with an outlying black level or noise.
+    dead : int
+        Pixels that don't respond to light, stuck at any value.
+    """
+
+    mask: Mask
+    hot: int
+    dead: int
+
+
+def find_defects(
+    black_frames: NDArray[Any], floodlit_frames: NDArray[Any], sensor: Sensor
+) -> DefectMap:
+    """Find the pixels that are hot, dead or stuck.
+
+    Parameters
+    ----------
+    black_frames : ndarray, shape (K, E, ...)
+        Brackets of the all-off pattern as the sensor gives them.
+    floodlit_frames : ndarray, shape (E, ...)
+        A bracket of the all-on pattern.
+    sensor : Sensor
+        Tells frames with channels from those of a colour mosaic.
+
+    Returns
+    -------
+    DefectMap
+
+    Raises
+    ------
+    CaptureError
+        When the shapes don't belong together.
+
+    Notes
+    -----
+    Hot: the mean of the black frames, or (with two or more) their variance, is an outlier of any
+    exposure, relative to the robust spread over pixels. Dead or stuck: in no exposure does the
+    floodlit frame differ from the black one by more than noise, while all neighbours but one
+    (of the same colour) do, by `NEIGHBOUR_RATIO` times that. So a black surface is not taken for
+    dead unless it is a pixel or two in size.
+    """
+    if black_frames.ndim < 4 or black_frames.shape[1:] != floodlit_frames.shape:
+        raise CaptureError(
+            f"all-off frames {black_frames.shape} and floodlit frames {floodlit_frames.shape} "
+            "don't belong together; expected (frames, exposures, ...) and (exposures, ...)"
+        )
+    count = len(black_frames)
+    black = black_frames.mean(axis=0, dtype=np.float64)
+    floor = _rounding(black_frames, floodlit_frames) / np.sqrt(count)
+    hot = np.zeros(floodlit_frames.shape[1:], bool)
+    noise = np.zeros_like(black)
+    for exposure, mean in enumerate(black):
+        centre, deviation = _robust(mean)
+        deviation = max(deviation, floor)
+        hot |= np.abs(mean - centre) > _threshold(mean.size) * deviation
+        # one frame is noisier than the mean of all
+        noise[exposure] = deviation * np.sqrt(count)
+        if count > 1:
+            hot |= _noisy(black_frames[:, exposure], floor * np.sqrt(count))
+    signal = np.abs(floodlit_frames - black)
+    visible = _threshold(hot.size) * noise
+    response = (signal / np.maximum(visible, np.finfo(np.float64).tiny)).max(axis=0)
+    has_channels = len(sensor.frame_shape((2, 2), 3)) == 4
+    if not has_channels:
+        hot, response = hot[..., None], response[..., None]
+    # under a mosaic, the next photosite of the same colour is two pixels away
+    dead = (response <= 1) & _alone(response > NEIGHBOUR_RATIO, 1 if has_channels else 2)
+    hot_pixels, dead_pixels = hot.any(axis=-1), dead.any(axis=-1)
+    mask = hot_pixels | dead_pixels
+    if not has_channels:
+        mask = _grown(mask)
+    return DefectMap(mask, int(hot_pixels.sum()), int((dead_pixels & ~hot_pixels).sum()))
+
+
+def repair(radiance: Float, variance: Float, mask: Mask) -> tuple[Float, Float]:
+    """Replace defective pixels by the median of their valid neighbours.
+
+    Parameters
+    ----------
+    radiance, variance : ndarray of float32, shape (..., *camera_shape, C)
+    mask : ndarray of bool, shape (*camera_shape)
+        True where defective.
+
+    Returns
+    -------
+    radiance, variance : ndarray of float32
+        Copies, or the inputs where nothing is masked. The variance is the neighbours' largest
+        plus the variance among them.
+
+    Raises
+    ------
+    InputError
+        When the mask doesn't fit the images.
+    CaptureError
+        When a view has no valid pixel.
+    """
+    if radiance.ndim <= mask.ndim or radiance.shape[-mask.ndim - 1 : -1] != mask.shape:
+        raise InputError(f"a defect mask {mask.shape} doesn't fit images {radiance.shape}")
+    if not mask.any():
+        return radiance, variance
+    images, spread = radiance.copy(), variance.copy()
+    for pixel in map(tuple, np.argwhere(mask)):
+        view, (y, x) = pixel[:-2], pixel[-2:]
+        window = _nearest_valid(mask[view], y, x)
+        valid = (*view, *window)
+        values = radiance[(..., *valid, slice(None))]
+        target = (..., *pixel, slice(None))
+        images[target] = np.median(values, axis=-2)
+        noise = variance[(..., *valid, slice(None))].max(axis=-2)
+        spread[target] = noise + values.var(axis=-2, dtype=np.float64)
+    return images, spread
+
+
+def _nearest_valid(mask: Mask, y: int, x: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the valid pixels in the smallest square around (y, x) that holds three, or any."""
+    wanted = min(3, int(np.count_nonzero(~mask)))
+    if wanted == 0:
+        raise CaptureError("every pixel of a view is defective; check the camera and its exposures")
+    radius = 0
+    while True:
+        radius += 1
+        top, left = max(0, y - radius), max(0, x - radius)
+        rows, columns = np.nonzero(~mask[top : y + radius + 1, left : x + radius + 1])
+        if len(rows) >= wanted:
+            return rows + top, columns + left
+
+
+def _rounding(black_frames: NDArray[Any], floodlit_frames: NDArray[Any]) -> float:
+    """Return a frame's rounding as standard deviation: of counts, or of float32 at full scale."""
+    if black_frames.dtype.kind == "u":
+        return float(1 / np.sqrt(12))
+    largest = float(np.abs(floodlit_frames).max(initial=0))
+    return float(np.finfo(np.float32).eps) * largest
+
+
+def _threshold(size: int) -> float:
+    """Deviations that none of `size` good Gaussian pixels exceeds."""
+    return SIGNIFICANCE + float(np.sqrt(2 * np.log(max(size, 2))))
+
+
+def _robust(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Return median and robust standard deviation."""
+    centre = float(np.median(values))
+    return centre, MAD_TO_DEVIATION * float(np.median(np.abs(values - centre)))
+
+
+def _noisy(frames: NDArray[Any], floor: float) -> Mask:
+    """Find pixels whose variance over frames (K, ...) is an outlier.
+
+    The cube root of a chi-squared variable is close to Gaussian (Wilson and Hilferty 1931).
+    """
+    freedom = len(frames) - 1
+    variance = frames.var(axis=0, ddof=1, dtype=np.float64)
+    spread = 2 / (9 * freedom)
+    # the median of a chi-squared variable over its mean
+    typical = max(float(np.median(variance)) / (1 - spread) ** 3, floor**2)
+    if typical == 0:
+        return np.asarray(variance > 0)
+    score = (np.cbrt(variance / typical) - (1 - spread)) / np.sqrt(spread)
+    outlying: Mask = score > _threshold(variance.size)
+    return outlying
+
+
+def _alone(responds: Mask, step: int) -> Mask:
+    """Find pixels (*camera_shape, C) all of whose neighbours respond, or all but one.
+
+    Neighbours are `step` pixels apart; at least two must exist.
+    """
+    pad = [(0, 0)] * (responds.ndim - 3) + [(step, step), (step, step), (0, 0)]
+    there = np.pad(np.ones(responds.shape, np.int8), pad)
+    padded = np.pad(responds.astype(np.int8), pad)
+    height, width = responds.shape[-3:-1]
+    responding = np.zeros(responds.shape, np.int8)
+    existing = np.zeros(responds.shape, np.int8)
+    for dy in (0, step, 2 * step):
+        for dx in (0, step, 2 * step):
+            if (dy, dx) != (step, step):
+                window = (..., slice(dy, dy + height), slice(dx, dx + width), slice(None))
+                responding += padded[window]
+                existing += there[window]
+    return np.asarray((existing >= 2) & (responding >= np.maximum(existing - 1, 2)))
+
+
+def _grown(mask: Mask) -> Mask:
+    """Grow a mask by one pixel in each direction of the image, the reach of the demosaic."""
+    grown = mask.copy()
+    for axis in (-2, -1):
+        step = grown.copy()
+        ahead = np.moveaxis(step, axis, 0)
+        source = np.moveaxis(grown, axis, 0)
+        ahead[1:] |= source[:-1]
+        ahead[:-1] |= source[1:]
+        grown = step
+    return grown

@@ -1,0 +1,222 @@
+"""What turns light into frames and frames back into radiance, and the sensor without noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry.response import Response
+from rfpipe.units import RADIANCE
+
+__all__ = [
+    "ExactSensor",
+    "MergeOptions",
+    "Merged",
+    "Sensor",
+    "check_frames",
+    "check_light",
+    "check_shape",
+    "place",
+]
+
+Float = NDArray[np.float32]
+
+NEGATIVE_TOLERANCE = 1e-3
+"""Negative light up to this fraction of the image's maximum counts as a compressed operator's
+rounding and is set to zero; below that the operator is wrong."""
+
+
+@dataclass(frozen=True)
+class Merged:
+    """Radiance images merged from brackets.
+
+    Parameters
+    ----------
+    radiance : ndarray of float32, shape (B, *camera_shape, C)
+        In units of the transport matrix; finite; noise may take it below zero.
+    variance : ndarray of float32, same shape
+        Variance of `radiance`; finite, not negative, 0 for exact radiance.
+    saturated : int
+        Samples (photosites under a mosaic, else pixels times channels) of the batch that were
+        saturated in every exposure. Their radiance is a lower bound, their variance huge.
+    """
+
+    radiance: Float
+    variance: Float
+    saturated: int
+
+
+@dataclass(frozen=True)
+class MergeOptions:
+    """How to merge; nothing here changes what is captured.
+
+    Parameters
+    ----------
+    black_count : int
+        Number of all-off brackets that `black` is the mean of; its noise enters the variance.
+    saturation_fraction : float
+        Counts at or above this fraction of full scale are saturated and not used, in (0, 1].
+    response : Response, optional
+        A recovered response, used in place of the camera's nominal one.
+    first_index : int
+        Index of the batch's first pattern, for error messages.
+    """
+
+    black_count: int = 1
+    saturation_fraction: float = 0.98
+    response: Response | None = None
+    first_index: int = 0
+
+    def __post_init__(self) -> None:
+        if self.black_count < 1:
+            raise InputError(f"black_count is {self.black_count}; expected at least 1")
+        if not 0 < self.saturation_fraction <= 1:
+            raise InputError(
+                f"saturation_fraction is {self.saturation_fraction}; expected above 0, at most 1"
+            )
+
+
+class Sensor(Protocol):
+    """A camera's sensor: radiance to frames, and frames back to radiance."""
+
+    @property
+    def exposures(self) -> tuple[float, ...]:
+        """Exposure times of a bracket in seconds, ascending; their number is E."""
+
+    @property
+    def frame_dtype(self) -> np.dtype[Any]:
+        """Dtype of frames: uint16 counts or float32 radiance."""
+
+    def frame_shape(self, camera_shape: tuple[int, ...], channels: int) -> tuple[int, ...]:
+        """Shape of one bracket: (E, *camera_shape, C), or (E, *camera_shape) under a mosaic."""
+
+    def expose(self, radiance: NDArray[Any], seed: int, key: tuple[int, ...]) -> NDArray[Any]:
+        """Take one bracket of a radiance image (*camera_shape, C).
+
+        The noise depends on (seed, key, exposure index) alone. Raises CaptureError where the
+        radiance is not finite or is negative.
+        """
+
+    def merge(
+        self, frames: NDArray[Any], black: NDArray[Any], options: MergeOptions = ...
+    ) -> Merged:
+        """Merge brackets (B, E, ...), given the mean of the all-off bracket (E, ...).
+
+        Raises CaptureError where a frame can't be one of this sensor's.
+        """
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+
+
+@dataclass(frozen=True)
+class ExactSensor:
+    """A sensor without noise or limits: one exposure of a second, frames are radiance."""
+
+    exposures: tuple[float, ...] = (1.0,)
+
+    def __post_init__(self) -> None:
+        if len(self.exposures) != 1:
+            raise InputError(
+                f"exact radiance has one exposure, not {len(self.exposures)}: {self.exposures}"
+            )
+
+    @property
+    def frame_dtype(self) -> np.dtype[Any]:
+        """Frames are float32 radiance."""
+        return np.dtype(RADIANCE)
+
+    def frame_shape(self, camera_shape: tuple[int, ...], channels: int) -> tuple[int, ...]:
+        """Shape of one bracket, (1, *camera_shape, C)."""
+        return (1, *camera_shape, channels)
+
+    def expose(self, radiance: NDArray[Any], seed: int, key: tuple[int, ...]) -> Float:  # noqa: ARG002
+        """Return the radiance as the only frame of a bracket, float32 (1, *camera_shape, C)."""
+        return check_light(radiance, key)[None]
+
+    def merge(
+        self, frames: NDArray[Any], black: NDArray[Any], options: MergeOptions | None = None
+    ) -> Merged:
+        """Subtract the all-off frame; the variance is zero.
+
+        Raises
+        ------
+        CaptureError
+            Where a frame has the wrong shape, or is not finite or negative somewhere: names the
+            pattern and the pixel.
+        """
+        options = options or MergeOptions()
+        frames = np.asarray(frames)
+        check_shape(frames, black, 1, options)
+        for index, frame in enumerate(frames):
+            _check_values(frame, f"pattern {options.first_index + index}")
+        radiance = np.subtract(frames[:, 0], black[0], dtype=RADIANCE)
+        return Merged(radiance, np.zeros_like(radiance), 0)
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests."""
+        return {"kind": "exact"}
+
+
+def check_frames(frames: NDArray[Any], white_level: int, options: MergeOptions) -> None:
+    """Raise CaptureError unless the frames hold counts from 0 to `white_level`."""
+    if frames.dtype.kind != "u":
+        raise CaptureError(
+            f"frames have dtype {frames.dtype}; this camera's frames are unsigned counts (uint16)"
+        )
+    if frames.size and int(frames.max()) > white_level:
+        where = np.unravel_index(int(frames.argmax()), frames.shape)
+        raise CaptureError(
+            f"pattern {options.first_index + int(where[0])} holds {frames[where]} counts at "
+            f"exposure {int(where[1])}, {place(where[2:])}; this camera's full scale is "
+            f"{white_level}: check its bits"
+        )
+
+
+def check_shape(
+    frames: NDArray[Any], black: NDArray[Any], exposures: int, options: MergeOptions
+) -> None:
+    """Raise CaptureError unless the brackets (B, E, ...) have E exposures and fit `black`."""
+    if frames.ndim < 4 or frames.shape[1] != exposures:
+        raise CaptureError(
+            f"pattern {options.first_index}: frames have the shape {frames.shape}; expected "
+            f"(patterns, {exposures} exposures, *camera_shape[, channels])"
+        )
+    if frames.shape[1:] != np.shape(black):
+        raise CaptureError(
+            f"pattern {options.first_index}: brackets have the shape {frames.shape[1:]}, the "
+            f"all-off one {np.shape(black)}; all must be of one camera and setting"
+        )
+    if not np.isfinite(black).all():
+        raise CaptureError("the all-off frames hold NaN or infinity; take them again")
+
+
+def check_light(radiance: NDArray[Any], key: tuple[int, ...]) -> Float:
+    """Return radiance as float32 without negative rounding, or raise CaptureError."""
+    light = np.asarray(radiance, RADIANCE)
+    largest = _check_values(light, f"pattern {key}", NEGATIVE_TOLERANCE)
+    return np.maximum(light, 0, dtype=RADIANCE) if largest else np.zeros_like(light)
+
+
+def place(index: tuple[Any, ...]) -> str:
+    """Name a pixel in an error message."""
+    return f"pixel {tuple(int(i) for i in index)}"
+
+
+def _check_values(image: NDArray[Any], name: str, tolerance: float = 0.0) -> float:
+    """Return the maximum of an image of finite values, none negative beyond `tolerance` of it."""
+    if not image.size:
+        raise CaptureError(f"{name}: the picture is empty, shape {image.shape}")
+    least, largest = float(image.min()), float(image.max())
+    if np.isfinite(least) and np.isfinite(largest) and least >= -tolerance * largest:
+        return largest
+    bad = ~np.isfinite(image) if not np.isfinite(image).all() else image < -tolerance * largest
+    where = tuple(np.argwhere(bad)[0])
+    raise CaptureError(
+        f"{name} holds {image[where]} at {place(where)} (and {np.count_nonzero(bad) - 1} more "
+        "such values); light is finite and not negative: check the rig or the operator behind it"
+    )

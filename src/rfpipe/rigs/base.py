@@ -1,0 +1,109 @@
+"""The rig protocol: what shows a pattern and returns a bracket."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.photometry.sensor import Sensor
+
+__all__ = ["BLACK_LEVEL_KEY", "FLOODLIT_KEY", "PatternOperator", "Rig", "check_patterns"]
+
+Float = NDArray[np.float32]
+Key = tuple[int, ...]
+
+BLACK_LEVEL_KEY = 1_000_000
+"""First part of the keys of all-off brackets, where patterns have their level: (this, i)."""
+
+FLOODLIT_KEY = 1_000_001
+"""The same of the all-on brackets that an acquisition begins with."""
+
+
+class PatternOperator(Protocol):
+    """Light transport as a function of patterns.
+
+    The image of a pattern must not depend, to the last bit, on the patterns that it comes with:
+    else a capture that was resumed in the middle of a batch differs from an undisturbed one.
+    """
+
+    @property
+    def channels(self) -> int:
+        """Colour channels, 1 or 3."""
+
+    def apply(self, patterns: Float) -> NDArray[Any]:
+        """Return the images (B, camera rays, C) of patterns (B, projector rays)."""
+
+
+class Rig(Protocol):
+    """A projector and a camera, real or simulated; see `rfpipe.testing.RigContract`."""
+
+    @property
+    def camera_shape(self) -> tuple[int, ...]:
+        """The camera's ray domain, (H, W) or (V, H, W)."""
+
+    @property
+    def projector_shape(self) -> tuple[int, ...]:
+        """The projector's ray domain, (H, W) or (V, H, W)."""
+
+    @property
+    def channels(self) -> int:
+        """Colour channels, 1 or 3."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """The camera's sensor, which merges what `capture` returns."""
+
+    @property
+    def seconds_per_pattern(self) -> float:
+        """Seconds that a real rig takes for a bracket; simulations don't wait."""
+
+    def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
+        """Show patterns and return their brackets.
+
+        Parameters
+        ----------
+        patterns : ndarray of float32, shape (B, *projector_shape)
+            Weights in [0, 1].
+        keys : sequence of B tuples of int
+            (level, index) of each pattern; with the rig's seed, all that its noise depends on.
+
+        Returns
+        -------
+        ndarray, shape (B, *sensor.frame_shape(camera_shape, channels)), sensor.frame_dtype
+
+        Raises
+        ------
+        InputError
+            When patterns or keys have the wrong shape or range.
+        CaptureError
+            When the rig fails or the light is not finite.
+        """
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+
+
+def check_patterns(
+    patterns: NDArray[Any], keys: Sequence[Key], projector_shape: tuple[int, ...]
+) -> Float:
+    """Return patterns as float32, or raise InputError where a rig can't show them."""
+    patterns = np.asarray(patterns)
+    if patterns.shape[1:] != projector_shape or patterns.ndim != len(projector_shape) + 1:
+        raise InputError(
+            f"patterns have the shape {patterns.shape}; this projector shows (patterns, "
+            f"{', '.join(map(str, projector_shape))})"
+        )
+    if len(keys) != len(patterns):
+        raise InputError(f"{len(patterns)} patterns came with {len(keys)} keys; one key each")
+    is_right = (patterns >= 0) & (patterns <= 1)  # NaN is neither
+    if not is_right.all():
+        where = tuple(int(i) for i in np.argwhere(~is_right)[0])
+        raise InputError(
+            f"pattern {tuple(keys[where[0]])} is {patterns[where]} at projector pixel "
+            f"{where[1:]}; a projector shows weights from 0 to 1"
+        )
+    return np.asarray(patterns, np.float32)

@@ -1,0 +1,52 @@
+"""The simulated coaxial rig: a scene seen and lit through one ray domain."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from rfpipe.photometry import Sensor
+from rfpipe.rigs.base import PatternOperator
+from rfpipe.rigs.operator import OperatorRig
+
+__all__ = ["CoaxialScene", "SimulatedRig"]
+
+
+class CoaxialScene(PatternOperator, Protocol):
+    """A scene's light transport over one ray domain, camera and projector alike."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The ray domain, (H, W) or (V, H, W)."""
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data: all that shapes the transport."""
+
+
+class SimulatedRig(OperatorRig):
+    """A projector and a camera that look at a simulated scene along the same rays.
+
+    Parameters
+    ----------
+    scene : CoaxialScene
+        Such as one of `rfpipe.scenes`.
+    sensor : Sensor or None
+        The camera; None captures exact radiance.
+    seed : int
+        Seed of the noise, at least 0.
+    seconds_per_pattern : float
+        Seconds that a real rig would take for a bracket; the simulation doesn't wait.
+    """
+
+    def __init__(
+        self,
+        scene: CoaxialScene,
+        sensor: Sensor | None = None,
+        seed: int = 0,
+        seconds_per_pattern: float = 2.0,
+    ) -> None:
+        super().__init__(scene, scene.shape, scene.shape, sensor, seed, seconds_per_pattern)
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        described = super().describe()
+        return {**described, "kind": "simulated", "scene": described.pop("operator")}

@@ -1,0 +1,195 @@
+"""Clusters of neighbouring points on a plane, and pairs of them that see each other simply."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.scenes.geometry import Plane
+from rfpipe.scenes.occluders import HIDDEN, VISIBLE, Occluder, classify
+
+__all__ = ["ClusterPairs", "ClusterTree", "cluster_pairs"]
+
+_PAIRS_AT_A_TIME = 2**16  # cluster pairs tested against the occluders at once
+
+
+@dataclass(frozen=True)
+class ClusterTree:
+    """A binary tree over points of a plane, cut at the median of the longer side.
+
+    Parameters
+    ----------
+    order
+        int64 (n,): point at each tree position; every cluster is a contiguous range of it.
+    start, stop
+        int64 (clusters,): each cluster's range.
+    child
+        int64 (clusters,): first of the two children, which are neighbours; -1 for a leaf.
+    depth
+        int64 (clusters,): 0 is the root.
+    corners
+        float64 (clusters, 4, 3): corners of the rectangle in the plane that bounds the points.
+    """
+
+    order: NDArray[np.int64]
+    start: NDArray[np.int64]
+    stop: NDArray[np.int64]
+    child: NDArray[np.int64]
+    depth: NDArray[np.int64]
+    corners: NDArray[np.float64]
+
+    @property
+    def radius(self) -> NDArray[np.float64]:
+        """Half the diagonal of each cluster's rectangle, float64 (clusters,)."""
+        radius: NDArray[np.float64] = (
+            np.linalg.norm(self.corners[:, 3] - self.corners[:, 0], axis=1) / 2
+        )
+        return radius
+
+    def roots(self, depth: int) -> NDArray[np.int64]:
+        """Clusters of one depth, and the leaves above it: together they hold every point."""
+        chosen = (self.depth == depth) | ((self.depth < depth) & (self.child < 0))
+        return np.flatnonzero(chosen)
+
+    @classmethod
+    def of_plane(
+        cls, plane: Plane, positions: NDArray[np.float64], leaf_size: int
+    ) -> ClusterTree:
+        """Build the tree of points (n, 3) of a plane, with at most `leaf_size` a leaf."""
+        axes = plane.axes()
+        flat = (positions - np.asarray(plane.point)) @ axes.T
+        order = np.arange(len(flat))
+        start, stop, child, depth = [0], [len(flat)], [-1], [0]
+        low, high = [], []
+        node = 0
+        while node < len(start):
+            a, b = start[node], stop[node]
+            members = order[a:b]
+            here = flat[members]
+            low.append(here.min(0))
+            high.append(here.max(0))
+            if b - a > leaf_size:
+                longer = int(np.argmax(high[-1] - low[-1]))
+                half = (b - a) // 2
+                order[a:b] = members[np.argsort(here[:, longer], kind="stable")]
+                child[node] = len(start)
+                start += [a, a + half]
+                stop += [a + half, b]
+                child += [-1, -1]
+                depth += [depth[node] + 1] * 2
+            node += 1
+        bounds = np.stack([low, high])  # (2, clusters, 2)
+        corners = np.stack(
+            [
+                np.stack([bounds[i, :, 0], bounds[j, :, 1]], axis=1) @ axes
+                for i, j in ((0, 0), (0, 1), (1, 0), (1, 1))
+            ],
+            axis=1,
+        ) + np.asarray(plane.point)
+        return cls(
+            order, np.array(start), np.array(stop), np.array(child), np.array(depth), corners
+        )
+
+
+@dataclass(frozen=True)
+class ClusterPairs:
+    """A partition of all pairs of points of two planes, less those known to be hidden.
+
+    Parameters
+    ----------
+    first, second
+        int64 (n,): cluster of either tree.
+    smooth
+        bool (n,): far apart and wholly visible, so that G is smooth there; the others are small.
+    first_root, second_root
+        int64 (n,): which of the trees' roots at the depth asked for the clusters stand under.
+    """
+
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    smooth: NDArray[np.bool_]
+    first_root: NDArray[np.int64]
+    second_root: NDArray[np.int64]
+
+
+def cluster_pairs(
+    trees: tuple[ClusterTree, ClusterTree],
+    occluders: Sequence[Occluder],
+    *,
+    separation: float,
+    least_distance: float,
+    depth: int,
+) -> ClusterPairs:
+    """Subdivide pairs of clusters until each is smooth, hidden, or a pair of leaves.
+
+    Parameters
+    ----------
+    trees
+        Clusters of either plane.
+    occluders
+        What may hide them from each other. A pair counts as visible or hidden only where that
+        is proved for all its points.
+    separation
+        A pair is far apart if the distance between the clusters is at least `separation` times
+        the larger one's diameter.
+    least_distance
+        ... and at least this, the clamp of the distances, scene units.
+    depth
+        Depth of both trees at which to start.
+
+    Returns
+    -------
+    ClusterPairs
+        In a fixed order.
+    """
+    one, two = trees
+    radius = (one.radius, two.radius)
+    centre = (one.corners.mean(1), two.corners.mean(1))
+    affine = [
+        (occluder.coordinates(one.corners), occluder.coordinates(two.corners))
+        for occluder in occluders
+    ]
+    roots = (one.roots(depth), two.roots(depth))
+    a, b = (grid.ravel() for grid in np.meshgrid(*roots, indexing="ij"))
+    root_a, root_b = (
+        grid.ravel() for grid in np.meshgrid(*map(np.arange, map(len, roots)), indexing="ij")
+    )
+    done: list[tuple[NDArray[np.int64], ...]] = []
+    while len(a):
+        visibility = _visibility(a, b, affine)
+        gap = np.linalg.norm(centre[0][a] - centre[1][b], axis=1) - radius[0][a] - radius[1][b]
+        larger = np.maximum(radius[0][a], radius[1][b])
+        smooth = (visibility == VISIBLE) & (gap >= np.maximum(separation * 2 * larger, least_distance))
+        leaf_a, leaf_b = one.child[a] < 0, two.child[b] < 0
+        kept = (smooth | (leaf_a & leaf_b)) & (visibility != HIDDEN)
+        done.append(tuple(x[kept] for x in (a, b, smooth.astype(np.int64), root_a, root_b)))
+
+        open_ = ~kept & (visibility != HIDDEN)
+        a, b, root_a, root_b = a[open_], b[open_], root_a[open_], root_b[open_]
+        cut_a = ~leaf_a[open_] & (leaf_b[open_] | (radius[0][a] >= radius[1][b]))
+        a = np.stack([np.where(cut_a, one.child[a] + side, a) for side in (0, 1)], 1).ravel()
+        b = np.stack([np.where(cut_a, b, two.child[b] + side) for side in (0, 1)], 1).ravel()
+        root_a, root_b = np.repeat(root_a, 2), np.repeat(root_b, 2)
+    a, b, far, root_a, root_b = (np.concatenate(part) for part in zip(*done, strict=True))
+    return ClusterPairs(a, b, far.astype(np.bool_), root_a, root_b)
+
+
+def _visibility(
+    a: NDArray[np.int64],
+    b: NDArray[np.int64],
+    affine: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
+) -> NDArray[np.int8]:
+    """What clusters are to each other behind all occluders: hidden by one is hidden."""
+    verdict = np.full(len(a), VISIBLE)
+    for one, two in affine:
+        for start in range(0, len(a), _PAIRS_AT_A_TIME):
+            part = slice(start, start + _PAIRS_AT_A_TIME)
+            here = classify(one[a[part]], two[b[part]])
+            now = verdict[part]
+            verdict[part] = np.where(
+                (now == HIDDEN) | (here == HIDDEN), HIDDEN, np.maximum(now, here)
+            )
+    return verdict

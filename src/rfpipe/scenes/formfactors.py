@@ -1,0 +1,183 @@
+"""Geometry of the inter-reflection: G between the points of a scene, without their albedo.
+
+``G_ij = cos_i cos_j V_ij / (pi d_ij^2)``, squared distances clamped from below at the mean pixel
+area. Points of one plane don't see each other, so that G consists of one block for each pair of
+planes; the block and its transpose serve the two directions, which makes G exactly symmetric.
+Within a block the cosines factor: ``d cos_i`` is the height of i over the other plane, whatever j
+is, hence ``G_ij = h_i h_j V_ij / (pi d_ij^4)``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.scenes.geometry import Plane, SurfacePoints
+from rfpipe.scenes.occluders import Occluder, blocked
+
+__all__ = [
+    "DENSE_LIMIT",
+    "DenseFormFactors",
+    "FacingPair",
+    "FormFactors",
+    "facing_pairs",
+    "form_factors",
+]
+
+# Entries of G, each unordered pair of points counted once, above which it is compressed: a quarter
+# of a gigabyte of float64.
+DENSE_LIMIT = 2**25
+_STRIP_ENTRIES = 2**20  # entries of G computed at a time
+_TOUCHING = 1e-12  # height over a plane, relative to the distance from the camera, that is rounding
+
+
+class FormFactors(Protocol):
+    """The symmetric operator G on columns of N surface points."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the stored operator takes."""
+        ...
+
+    def apply(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Multiply G with columns (N, K), float64 in and out."""
+        ...
+
+
+@dataclass(frozen=True)
+class FacingPair:
+    """The points of two planes that see each other, and what G needs to know of them.
+
+    Parameters
+    ----------
+    planes
+        The two planes.
+    indices
+        int64 (n_1,) and (n_2,): pixels of the points on either plane, ascending.
+    positions
+        float64 (n_1, 3) and (n_2, 3): the points, scene units.
+    heights
+        float64 (n_1,) and (n_2,): positive heights of the points over the other plane.
+    occluders
+        What may stand between them.
+    least_squared_distance
+        Lower clamp of the squared distances, scene units squared.
+    """
+
+    planes: tuple[Plane, Plane]
+    indices: tuple[NDArray[np.int64], NDArray[np.int64]]
+    positions: tuple[NDArray[np.float64], NDArray[np.float64]]
+    heights: tuple[NDArray[np.float64], NDArray[np.float64]]
+    occluders: tuple[Occluder, ...]
+    least_squared_distance: float
+
+    @property
+    def size(self) -> int:
+        """Entries of this block of G."""
+        return len(self.indices[0]) * len(self.indices[1])
+
+    def block(self, rows: slice | NDArray[np.int64] = slice(None)) -> NDArray[np.float64]:
+        """Rows of this block of G, exact: float64 (rows, n_2), in 1 / (scene units squared)."""
+        heights = self.heights[0][rows]
+        out = np.empty((len(heights), len(self.indices[1])))
+        strip = max(1, _STRIP_ENTRIES // max(1, out.shape[1]))
+        here = self.positions[0][rows]
+        shadows = [
+            (occluder.coordinates(here), occluder.coordinates(self.positions[1]))
+            for occluder in self.occluders
+        ]
+        for start in range(0, len(out), strip):
+            part = slice(start, start + strip)
+            squared = np.zeros_like(out[part])
+            for axis in range(3):
+                squared += (here[part, axis, None] - self.positions[1][:, axis]) ** 2
+            np.maximum(squared, self.least_squared_distance, out=squared)
+            np.divide(heights[part, None] * self.heights[1], np.pi * squared**2, out=out[part])
+            for mine, other in shadows:
+                out[part][blocked(mine[part, None], other)] = 0
+        return out
+
+
+def facing_pairs(
+    points: SurfacePoints, occluders: Sequence[Occluder] = ()
+) -> tuple[FacingPair, ...]:
+    """Pair up the planes of a scene, each unordered pair once, with the points that face."""
+    pairs = []
+    touching = _TOUCHING * np.linalg.norm(points.positions, axis=1)
+    for a, b in combinations(range(len(points.planes)), 2):
+        indices, heights = [], []
+        for mine, other in ((a, b), (b, a)):
+            over_other = points.planes[other].heights(points.positions)
+            seen = np.flatnonzero((points.surface == mine) & (over_other > touching))
+            indices.append(seen)
+            heights.append(over_other[seen])
+        first, second = indices
+        if len(first) and len(second):
+            pairs.append(
+                FacingPair(
+                    (points.planes[a], points.planes[b]),
+                    (first, second),
+                    (points.positions[first], points.positions[second]),
+                    (heights[0], heights[1]),
+                    tuple(occluders),
+                    points.mean_area,
+                )
+            )
+    return tuple(pairs)
+
+
+class DenseFormFactors:
+    """G with every entry stored, float64: exact, for small scenes.
+
+    Parameters
+    ----------
+    pairs
+        The facing planes.
+    """
+
+    def __init__(self, pairs: Sequence[FacingPair]) -> None:
+        self.blocks = tuple((*pair.indices, pair.block()) for pair in pairs)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the stored entries."""
+        return sum(block.nbytes for _, _, block in self.blocks)
+
+    def apply(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Multiply G with columns (N, K), float64 in and out."""
+        out = np.zeros_like(columns)
+        for first, second, block in self.blocks:
+            out[first] += block @ columns[second]
+            out[second] += block.T @ columns[first]
+        return out
+
+
+def form_factors(
+    points: SurfacePoints, occluders: Sequence[Occluder] = (), *, compress: bool | None = None
+) -> FormFactors:
+    """Build G: dense for small scenes, compressed above `DENSE_LIMIT` entries.
+
+    Parameters
+    ----------
+    points
+        The scene's surface points.
+    occluders
+        What may stand between them.
+    compress
+        Compress (True) or store densely (False) whatever the size; None decides by the size.
+
+    Returns
+    -------
+    FormFactors
+    """
+    pairs = facing_pairs(points, occluders)
+    if compress or (compress is None and sum(pair.size for pair in pairs) > DENSE_LIMIT):
+        from rfpipe.scenes.compression import CompressedFormFactors  # brings in numba
+
+        return CompressedFormFactors(pairs)
+    return DenseFormFactors(pairs)

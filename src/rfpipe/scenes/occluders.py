@@ -1,0 +1,134 @@
+"""Black occluders, and whether they stand between two points.
+
+An occluder is a parallelogram. In its own affine coordinates (s, u, v) a point is
+``centre + s n + u edge_u + v edge_v``, with n the unit normal, so that the occluder is s = 0,
+|u| <= 1, |v| <= 1. The segment between two points on opposite sides of s = 0 crosses that plane at
+``u = (u_1 s_2 - u_2 s_1) / (s_2 - s_1)``, likewise v: a form that is the same, to the last bit,
+when the two points change places.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+
+__all__ = ["END_TOLERANCE", "HIDDEN", "MIXED", "VISIBLE", "Occluder", "blocked", "classify"]
+
+Vector = tuple[float, float, float]
+
+# Fraction of a segment at either end in which it can't be blocked: a surface that touches an
+# occluder isn't hidden by it where they touch.
+END_TOLERANCE = 1e-9
+_MARGIN = 1e-9  # relative margin by which a whole cluster must be clear, against rounding
+
+# What a pair of point clusters can be to each other.
+HIDDEN, VISIBLE, MIXED = np.int8(0), np.int8(1), np.int8(2)
+
+
+@dataclass(frozen=True)
+class Occluder:
+    """A black parallelogram that blocks light between surfaces and the camera's own view.
+
+    Parameters
+    ----------
+    centre
+        Centre, scene units.
+    edge_u, edge_v
+        Vectors from the centre to the middle of two neighbouring edges, scene units; not
+        parallel.
+
+    Raises
+    ------
+    InputError
+        If the vectors don't span a parallelogram.
+    """
+
+    centre: Vector
+    edge_u: Vector
+    edge_v: Vector
+
+    def __post_init__(self) -> None:
+        frame = np.array([self.edge_u, self.edge_v], dtype=np.float64)
+        area = np.linalg.norm(np.cross(frame[0], frame[1]))
+        if not area > 1e-12 * np.linalg.norm(frame, axis=1).prod():
+            raise InputError(
+                f"occluder at {self.centre}: edges {self.edge_u} and {self.edge_v} should span a "
+                "parallelogram; give two vectors that are neither zero nor parallel"
+            )
+
+    def coordinates(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Affine coordinates (s, u, v) of points (..., 3), float64 of the same shape."""
+        edges = np.array([self.edge_u, self.edge_v], dtype=np.float64)
+        normal = np.cross(edges[0], edges[1])
+        normal /= np.linalg.norm(normal)
+        frame = np.linalg.inv(np.stack([normal, edges[0], edges[1]], axis=1))
+        affine: NDArray[np.float64] = (points - np.asarray(self.centre)) @ frame.T
+        return affine
+
+
+def blocked(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether the occluder stands between points.
+
+    Parameters
+    ----------
+    first, second
+        float64 (..., 3): affine coordinates of the segments' ends, broadcast against each other.
+
+    Returns
+    -------
+    ndarray of bool
+        True where the segment crosses the occluder, its two ends excepted.
+    """
+    s_1, u_1, v_1 = np.moveaxis(first, -1, 0)
+    s_2, u_2, v_2 = np.moveaxis(second, -1, 0)
+    span = s_2 - s_1
+    ends = END_TOLERANCE * np.abs(span)
+    crosses = (s_1 * s_2 < 0) & (np.abs(s_1) > ends) & (np.abs(s_2) > ends)
+    # |u| <= 1 at the crossing, without a division by a span that may be zero
+    crosses &= np.abs(u_1 * s_2 - u_2 * s_1) <= np.abs(span)
+    crosses &= np.abs(v_1 * s_2 - v_2 * s_1) <= np.abs(span)
+    return crosses
+
+
+def classify(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.int8]:
+    """Prove pairs of clusters wholly visible to each other or wholly hidden, where possible.
+
+    A cluster stands for the convex hull of its corners. When two hulls lie on opposite sides of
+    the occluder's plane, the lines between them cross it in the convex hull of the corners'
+    crossings, so that bounds of these bound all of them.
+
+    Parameters
+    ----------
+    first, second
+        float64 (n, k, 3): affine coordinates of the k corners of each cluster.
+
+    Returns
+    -------
+    int8 (n,)
+        `VISIBLE`, `HIDDEN`, or `MIXED` where neither is proved.
+    """
+    both = np.concatenate([first, second], axis=1)
+    low, high = both.min(1), both.max(1)
+    clear = (low[:, 0] >= 0) | (high[:, 0] <= 0)
+    clear |= (low[:, 1:] > 1 + _MARGIN).any(1) | (high[:, 1:] < -1 - _MARGIN).any(1)
+    verdict = np.where(clear, VISIBLE, MIXED)
+
+    s_1, s_2 = first[..., 0], second[..., 0]
+    margin = _MARGIN * (high[:, 0] - low[:, 0])
+    opposite = (s_1.max(1) < -margin) & (s_2.min(1) > margin)
+    opposite |= (s_1.min(1) > margin) & (s_2.max(1) < -margin)
+    todo = np.flatnonzero(opposite & ~clear)
+    if len(todo):
+        p, q = first[todo][:, :, None], second[todo][:, None]
+        s_p, s_q = p[..., :1], q[..., :1]
+        crossing = (p[..., 1:] * s_q - q[..., 1:] * s_p) / (s_q - s_p)
+        low, high = crossing.min((1, 2)), crossing.max((1, 2))
+        missed = (low > 1 + _MARGIN).any(1) | (high < -1 - _MARGIN).any(1)
+        inside = ((low > -1 + _MARGIN) & (high < 1 - _MARGIN)).all(1)
+        verdict[todo[missed]] = VISIBLE
+        verdict[todo[inside]] = HIDDEN
+    return verdict

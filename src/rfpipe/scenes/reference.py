@@ -1,0 +1,147 @@
+"""The four scenes of [thesis Fig. 2.1], and any scene that a configuration describes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rfpipe.config import SceneConfig
+from rfpipe.errors import InputError
+from rfpipe.scenes.geometry import GEOMETRIES, surface_points
+from rfpipe.scenes.occluders import Occluder
+from rfpipe.scenes.radiosity import RadiosityScene
+from rfpipe.scenes.textures import surface_albedo
+
+__all__ = ["REFERENCE_SCENES", "planes_scene", "reference_scene", "scene_from_config"]
+
+# Geometry and surfaces of the scenes of Fig. 2.1.
+REFERENCE_SCENES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "I": ("plane", ("texture",)),
+    "II": ("wedge", ("white", "white")),
+    "III": ("wedge", ("white", "texture")),
+    "IV": ("wedge", ("texture", "texture")),
+}
+
+
+def planes_scene(
+    geometry: str,
+    surfaces: Sequence[str],
+    shape: tuple[int, int],
+    *,
+    channels: int = 3,
+    bounces: int = 3,
+    occluders: Sequence[Occluder] = (),
+    seed: int = 0,
+    compress: bool | None = None,
+) -> RadiosityScene:
+    """Build a scene of white or textured planes.
+
+    Parameters
+    ----------
+    geometry
+        A key of `GEOMETRIES`: ``"plane"`` or ``"wedge"``.
+    surfaces
+        ``"white"`` or ``"texture"`` for each plane, left to right.
+    shape
+        Height and width of the ray domain in pixels.
+    channels
+        1 (grey) or 3 (RGB).
+    bounces
+        1 is direct light alone; each further one adds an inter-reflection.
+    occluders
+        Black parallelograms.
+    seed
+        Seed of the texture.
+    compress
+        Whether to compress the form factors; None decides by their number.
+
+    Returns
+    -------
+    RadiosityScene
+
+    Raises
+    ------
+    InputError
+        For an unknown geometry or surface, a number of surfaces that doesn't fit the geometry, or
+        settings out of range.
+    """
+    if geometry not in GEOMETRIES:
+        raise InputError(f"geometry {geometry!r}: expected one of {', '.join(GEOMETRIES)}")
+    planes = GEOMETRIES[geometry]
+    if len(surfaces) != len(planes) or not set(surfaces) <= {"white", "texture"}:
+        raise InputError(
+            f"surfaces {tuple(surfaces)} of geometry {geometry!r}: expected {len(planes)}, each "
+            "'white' or 'texture'"
+        )
+    if channels not in (1, 3):
+        raise InputError(f"channels {channels}: expected 1 (grey) or 3 (RGB)")
+    points = surface_points(shape, planes)
+    of_surfaces = np.stack(
+        [
+            surface_albedo(kind, points.shape, channels, seed, index).reshape(-1, channels)
+            for index, kind in enumerate(surfaces)
+        ]
+    )
+    albedo = of_surfaces[points.surface, np.arange(len(points.surface))]
+    return RadiosityScene(
+        points,
+        albedo.reshape(*points.shape, channels),
+        bounces=bounces,
+        occluders=occluders,
+        compress=compress,
+        name=f"{geometry} of {', '.join(surfaces)}",
+    )
+
+
+def reference_scene(
+    name: str, shape: tuple[int, int], *, channels: int = 3, bounces: int = 3, seed: int = 0
+) -> RadiosityScene:
+    """Build scene I, II, III or IV of Fig. 2.1 at any resolution; 310 x 350 is the thesis'.
+
+    Parameters
+    ----------
+    name
+        ``"I"`` to ``"IV"``.
+    shape, channels, bounces, seed
+        As for `planes_scene`.
+
+    Returns
+    -------
+    RadiosityScene
+
+    Raises
+    ------
+    InputError
+        For another name, or settings out of range.
+    """
+    if name not in REFERENCE_SCENES:
+        raise InputError(f"reference scene {name!r}: expected one of {', '.join(REFERENCE_SCENES)}")
+    geometry, surfaces = REFERENCE_SCENES[name]
+    return planes_scene(geometry, surfaces, shape, channels=channels, bounces=bounces, seed=seed)
+
+
+def scene_from_config(config: SceneConfig) -> RadiosityScene:
+    """Build the scene that a configuration describes.
+
+    Parameters
+    ----------
+    config
+        A scene's settings.
+
+    Returns
+    -------
+    RadiosityScene
+    """
+    return planes_scene(
+        config.geometry,
+        config.surfaces,
+        config.shape,
+        channels=config.channels,
+        bounces=config.bounces,
+        occluders=[
+            Occluder(occluder.centre, occluder.edge_u, occluder.edge_v)
+            for occluder in config.occluders
+        ],
+        seed=config.seed,
+    )

@@ -1,0 +1,70 @@
+"""The patterns under which relighting is compared with ground truth."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.provenance import generator
+
+__all__ = ["RELIGHTING_PATTERNS", "relighting_patterns"]
+
+RELIGHTING_PATTERNS = ("vertical_bar", "horizontal_bar", "noise", "binary", "spot")
+
+_SPOT = (3, 4)  # height and width in pixels
+_SMOOTHNESS = 1 / 16  # standard deviation of the random field's blur, over the shorter side
+
+
+def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDArray[np.float32]]:
+    """Make the relighting patterns of a ray domain.
+
+    Parameters
+    ----------
+    shape
+        (H, W), or (V, H, W) for a stack of views, each of which then gets the same picture.
+    seed
+        Seed of the noise and of the random picture.
+
+    Returns
+    -------
+    dict of float32 arrays of `shape`, weights in [0, 1]
+        ``vertical_bar``: centred at W / 4, W / 8 wide. ``horizontal_bar``: from H / 3 to H / 2.
+        ``noise``: uniform. ``binary``: a smooth random field cut at its mean. ``spot``: 4 pixels
+        wide and 3 high, left of the middle. On tiny domains each keeps at least one pixel.
+
+    Raises
+    ------
+    InputError
+        If the shape isn't two or three positive numbers.
+    """
+    if len(shape) not in (2, 3) or min(shape) < 1:
+        raise InputError(
+            f"relighting patterns of shape {tuple(shape)}: expected (H, W) or (V, H, W), each at "
+            "least 1"
+        )
+    height, width = shape[-2:]
+    pictures = {name: np.zeros((height, width), dtype=np.float32) for name in RELIGHTING_PATTERNS}
+    left = width // 4 - width // 16
+    pictures["vertical_bar"][:, left : left + max(1, width // 8)] = 1
+    top = height // 3
+    pictures["horizontal_bar"][top : max(top + 1, height // 2)] = 1
+    pictures["noise"][:] = generator(seed, 0).random((height, width), dtype=np.float32)
+    pictures["binary"][:] = _smooth_picture(height, width, generator(seed, 1))
+    top, left = height // 2, width // 5
+    pictures["spot"][top : top + _SPOT[0], left : left + _SPOT[1]] = 1
+    return {
+        name: np.ascontiguousarray(np.broadcast_to(picture, shape))
+        for name, picture in pictures.items()
+    }
+
+
+def _smooth_picture(height: int, width: int, random: np.random.Generator) -> NDArray[np.bool_]:
+    """White noise blurred by a Gaussian on the torus, cut at its mean; (height, width)."""
+    sigma = _SMOOTHNESS * min(height, width)
+    frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
+    transfer = np.exp(-2 * (np.pi * sigma * frequency) ** 2)
+    spectrum = np.fft.rfft2(random.standard_normal((height, width))) * transfer
+    field = np.fft.irfft2(spectrum, s=(height, width))
+    picture: NDArray[np.bool_] = field >= field.mean()
+    return picture

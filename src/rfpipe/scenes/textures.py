@@ -1,0 +1,113 @@
+"""Albedo of the surfaces: plain white, or a printed page of text-like strokes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.provenance import generator
+
+__all__ = ["INK", "PAPER", "TINTS", "WHITE", "printed_page", "surface_albedo"]
+
+WHITE = 0.8
+PAPER = 0.85
+INK = 0.15
+
+# Colour of each surface of an RGB scene: factors of its albedo around one, so that the surfaces
+# differ in colour, the middle channel is the grey scene's and no albedo comes near 1.
+TINTS = ((1.04, 1.0, 0.92), (0.94, 1.0, 1.05))
+
+# A printed page at the run's resolution, in pixels.
+_LETTER_HEIGHT = 7
+_LEADING = 9  # from one line of text to the next
+_LETTER_WIDTHS = (4, 6)  # bounds, inclusive
+_WORD_LENGTHS = (2, 7)  # letters
+
+
+def printed_page(shape: tuple[int, int], seed: int, page: int = 0) -> NDArray[np.bool_]:
+    """Lines of words of letter-like strokes, each one to two pixels wide, at any resolution.
+
+    Parameters
+    ----------
+    shape
+        Height and width in pixels.
+    seed
+        Seed of the strokes.
+    page
+        Number of the page: pages of one seed differ.
+
+    Returns
+    -------
+    ndarray of bool, (H, W)
+        True where there is ink.
+    """
+    height, width = shape
+    random = generator(seed, page)
+    ink = np.zeros(shape, dtype=np.bool_)
+    for top in range(int(random.integers(-_LETTER_HEIGHT, 1)), height, _LEADING):
+        left = int(random.integers(-_LETTER_WIDTHS[1], 1))
+        while left < width:
+            for _ in range(random.integers(_WORD_LENGTHS[0], _WORD_LENGTHS[1] + 1)):
+                letter = _letter(random)
+                _print(ink, letter, top, left)
+                left += letter.shape[1] + 1
+            left += int(random.integers(1, 4))
+    return ink
+
+
+def _letter(random: np.random.Generator) -> NDArray[np.bool_]:
+    """A stem on the left and two or three more strokes, like a capital's."""
+    width = int(random.integers(_LETTER_WIDTHS[0], _LETTER_WIDTHS[1] + 1))
+    letter = np.zeros((_LETTER_HEIGHT, width), dtype=np.bool_)
+    letter[:, : random.integers(1, 3)] = True
+    rows = np.arange(_LETTER_HEIGHT)
+    slant = 1 + rows * (width - 2) // (_LETTER_HEIGHT - 1)
+    for stroke in random.choice(6, size=random.integers(2, 4), replace=False):
+        if stroke < 3:  # a bar at the top, in the middle or at the foot
+            letter[stroke * (_LETTER_HEIGHT - 1) // 2] = True
+        elif stroke == 3:
+            letter[:, -1] = True
+        else:
+            letter[rows, slant if stroke == 4 else slant[::-1]] = True
+    return letter
+
+
+def _print(page: NDArray[np.bool_], letter: NDArray[np.bool_], top: int, left: int) -> None:
+    """Add a letter to a page, cut at the page's edges."""
+    height, width = page.shape
+    rows = slice(max(top, 0), min(top + letter.shape[0], height))
+    columns = slice(max(left, 0), min(left + letter.shape[1], width))
+    if rows.start < rows.stop and columns.start < columns.stop:
+        page[rows, columns] |= letter[
+            rows.start - top : rows.stop - top, columns.start - left : columns.stop - left
+        ]
+
+
+def surface_albedo(
+    kind: str, shape: tuple[int, int], channels: int, seed: int, surface: int
+) -> NDArray[np.float64]:
+    """Albedo of one surface over the whole image.
+
+    Parameters
+    ----------
+    kind
+        ``"white"`` or ``"texture"``.
+    shape
+        Height and width in pixels.
+    channels
+        1 (grey) or 3 (RGB, tinted).
+    seed
+        Seed of the strokes.
+    surface
+        Number of the surface: its page and its tint.
+
+    Returns
+    -------
+    float64 (H, W, C)
+        Between 0 and 1.
+    """
+    grey = np.full(shape, WHITE)
+    if kind == "texture":
+        grey = np.where(printed_page(shape, seed, surface), INK, PAPER)
+    tint = TINTS[surface % len(TINTS)] if channels > 1 else (1.0,)
+    return grey[..., None] * np.array(tint)

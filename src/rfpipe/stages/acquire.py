@@ -1,0 +1,189 @@
+"""A whole acquisition in this process: the workflow's stages without its files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
+from rfpipe.methods import get_method
+from rfpipe.methods.base import Settings
+from rfpipe.patterns import Schedule
+from rfpipe.photometry import ExactSensor
+from rfpipe.photometry.normalize import Mode
+from rfpipe.rigs import Rig
+from rfpipe.stages.images import ImagesInMemory, NormalizedImages, normalize_level
+from rfpipe.stages.merging import Merger, reference_patterns
+from rfpipe.transport import Transport
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_BATCH = 16
+
+
+@dataclass(frozen=True)
+class AcquisitionResult:
+    """What an acquisition in process returns.
+
+    Attributes
+    ----------
+    transport : Transport
+    patterns : int
+        Patterns shown, the floodlit one included, the all-off ones not.
+    capture_seconds, processing_seconds : float
+        Wall time inside the rig, and of everything else.
+    saturated : int
+        Samples that were saturated in every exposure; 0 in a well exposed acquisition.
+    """
+
+    transport: Transport
+    patterns: int
+    capture_seconds: float
+    processing_seconds: float
+    saturated: int
+
+    @property
+    def levels(self) -> pd.DataFrame:
+        """The table of levels, see `Transport.levels`."""
+        return self.transport.levels
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the acquisition."""
+        return self.capture_seconds + self.processing_seconds
+
+
+def acquire(
+    rig: Rig,
+    method: str = "symmetric",
+    tolerance: float = 1e-3,
+    progress: bool = True,
+    *,
+    noise_significance: float = 3.0,
+    normalization: Mode = "per_channel",
+    black_frames: int = 8,
+    floodlit_frames: int = 16,
+    repair_defects: bool = True,
+    saturation_fraction: float = 0.98,
+) -> AcquisitionResult:
+    """Acquire the transport between a rig's projector and camera.
+
+    Parameters
+    ----------
+    rig : Rig
+    method : {"symmetric", "dual", "brute_force"}
+        "symmetric" needs a coaxial rig, camera and projector on one ray domain.
+    tolerance : float
+        Error allowed in an image, as a fraction of the floodlit image's maximum; above 0.
+    progress : bool
+        Whether to show a progress bar a level on stderr.
+    noise_significance : float
+        Standard deviations that make a measured energy significant; at least 0.
+    normalization : {"per_channel", "none", "total_energy"}
+        How a level's images are made to add up to the floodlit image (thesis B.2).
+    black_frames : int
+        All-off brackets whose mean is subtracted; at least 1. Exact radiance takes one.
+    floodlit_frames : int
+        All-on brackets to whose mean each level's images are scaled; at least 1. Exact radiance
+        takes one.
+    repair_defects : bool
+        Whether dead and hot pixels are filled in from their neighbours.
+    saturation_fraction : float
+        Counts from this fraction of full scale on are not used.
+
+    Returns
+    -------
+    AcquisitionResult
+
+    Raises
+    ------
+    InputError
+        If a setting is out of range or the method does not fit the rig.
+    CaptureError
+        If the rig fails or returns what can't be a picture.
+    """
+    if not tolerance > 0 or not np.isfinite(tolerance):
+        raise InputError(f"tolerance is {tolerance}; it must be a finite number above 0")
+    if min(black_frames, floodlit_frames) < 1:
+        raise InputError(
+            f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
+            "at least one of each is needed"
+        )
+    began = perf_counter()
+    camera, projector = RayDomain(rig.camera_shape), RayDomain(rig.projector_shape)
+    plan = get_method(method)
+    n_levels = plan.n_levels(camera, projector)
+    state = plan.start(camera, projector, rig.channels, Settings(tolerance, noise_significance))
+    session = _Session(
+        rig,
+        progress,
+        (1, 1) if isinstance(rig.sensor, ExactSensor) else (black_frames, floodlit_frames),
+        saturation_fraction=saturation_fraction,
+        repair_defects=repair_defects,
+    )
+    patterns = 0
+    for level in range(n_levels):
+        schedule = plan.schedule(state)
+        patterns += schedule.count
+        merged = session.capture(schedule)
+        gain = normalize_level(
+            schedule, merged, session.merger.floodlit, normalization, noise_significance
+        )
+        state = plan.refine(state, NormalizedImages(schedule, merged, gain))
+    transport = plan.transport(state)
+    processing = perf_counter() - began - session.capture_seconds
+    return AcquisitionResult(
+        transport, patterns, session.capture_seconds, processing, session.saturated
+    )
+
+
+class _Session:
+    """One acquisition's dealings with the rig; begins with the all-off and all-on brackets."""
+
+    def __init__(
+        self, rig: Rig, progress: bool, references: tuple[int, int], **merging: Any
+    ) -> None:
+        self.rig = rig
+        self.progress = progress
+        self.capture_seconds = 0.0
+        self.saturated = 0
+        patterns, keys = reference_patterns(rig.projector_shape, *references)
+        frames = self._show(patterns, keys)
+        off, on = np.split(frames, references[:1])
+        self.merger = Merger.calibrate(rig.sensor, off, on, **merging)
+
+    def capture(self, schedule: Schedule) -> ImagesInMemory:
+        """Capture and merge the patterns of a level."""
+        from tqdm import tqdm
+
+        rig = self.rig
+        shape = (schedule.count, *rig.camera_shape, rig.channels)
+        radiance, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        with tqdm(
+            total=schedule.count,
+            desc=f"level {schedule.level}",
+            unit="pattern",
+            disable=not self.progress,
+        ) as bar:
+            for first in range(0, schedule.count, _BATCH):
+                last = min(first + _BATCH, schedule.count)
+                keys = [(schedule.level, index) for index in range(first, last)]
+                frames = self._show(schedule.batch(first, last), keys)
+                merged = self.merger.merge(frames, first)
+                radiance[first:last], variance[first:last] = merged.radiance, merged.variance
+                self.saturated += merged.saturated
+                bar.update(last - first)
+        return ImagesInMemory(radiance, variance)
+
+    def _show(self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]) -> NDArray[Any]:
+        began = perf_counter()
+        frames = self.rig.capture(patterns, keys)
+        self.capture_seconds += perf_counter() - began
+        return frames

@@ -1,0 +1,20 @@
+"""What lies on disk: journaled frame stores, array bundles, manifests and their locks.
+
+The only package that imports zarr, and only when a store is created or read: manifests, journals
+and locks do without it.
+"""
+
+from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays
+from rfpipe.store.frames import FrameStore
+from rfpipe.store.lock import StoreLock
+from rfpipe.store.manifest import read_manifest, write_manifest
+
+__all__ = [
+    "ArrayBundle",
+    "FrameStore",
+    "StoreLock",
+    "open_arrays",
+    "read_manifest",
+    "write_arrays",
+    "write_manifest",
+]

@@ -1,0 +1,397 @@
+"""Journaled stores of frames: what a capture writes, pattern by pattern, and can resume."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from rfpipe.errors import InputError, IntegrityError, StaleStoreError, StoreError
+from rfpipe.store.chunks import (
+    METADATA,
+    Compression,
+    compression_for,
+    damaged_metadata,
+    read_attributes,
+)
+from rfpipe.store.files import (
+    bytes_on_disk,
+    canonical_json,
+    digest_of,
+    plain,
+    remove_tree,
+    write_atomically,
+)
+from rfpipe.store.items import ItemArray, item_digests, make_item_array
+from rfpipe.store.journal import JournalWriter, journal_bytes, read_journal
+from rfpipe.store.lock import StoreLock
+
+__all__ = ["FrameStore"]
+
+_KIND = "frames"
+_JOURNAL = "journal.jsonl"
+_DTYPE_KINDS = "uif"
+_NAMED_IN_WARNING = 16
+_log = logging.getLogger(__name__)
+
+
+class FrameStore:
+    """A zarr array whose first axis counts items (patterns), with a journal of what it holds.
+
+    An item is captured when the journal says so, which happens after its chunk is written: a
+    process killed at any moment loses at most the block that it was writing, and a resumed
+    store ends with the same bytes as one written without a break. The journal also keeps each
+    item's digest, which every read checks (and so finds what a power cut damaged).
+
+    Made by `create`, for writing, or `open`, for reading; a context manager. Threads may share
+    it; of processes, one may write while any number read.
+
+    Attributes
+    ----------
+    path : Path
+        Its folder: a zarr array that any zarr reader opens, and the journal.
+    shape : tuple of int
+        (items, *item shape).
+    dtype : numpy.dtype
+        Of the frames.
+    items_per_chunk : int
+        Blocks are written in whole chunks of so many items.
+    fingerprint : str
+        The configuration that it was made with.
+    attributes : dict
+        Plain data that its maker left.
+    """
+
+    def __init__(self, path: Path, *, writable: bool) -> None:
+        header = read_attributes(path, _KIND)
+        self.path = path
+        try:
+            self.fingerprint: str = header["fingerprint"]
+            self.attributes: dict[str, Any] = header["attributes"]
+        except KeyError as error:
+            raise damaged_metadata(path, error) from error
+        self._array = ItemArray(path, writable=writable)
+        self.shape = self._array.shape
+        self.dtype = self._array.dtype
+        self.items_per_chunk = self._array.items_per_chunk
+        # Digest by captured item; a chunk with an item that the journal lost is written again.
+        self._digests = self._array.whole_chunks(read_journal(path / _JOURNAL, self.shape[0]))
+        self._journal: JournalWriter | None = None
+        self._lock = StoreLock(path)
+        self._thread_lock = threading.Lock()
+
+    @classmethod
+    def create(
+        cls,
+        path: Path,
+        shape: tuple[int, ...],
+        dtype: DTypeLike,
+        fingerprint: str,
+        attributes: dict[str, Any],
+        *,
+        items_per_chunk: int = 1,
+        compression: Compression | None = None,
+    ) -> FrameStore:
+        """Make a store, or resume the one that stands there; locked until `close`.
+
+        A resumed store keeps its own attributes, chunks and compression. Each of its items is
+        read and checked: a damaged one counts as missing, to be written again.
+
+        Parameters
+        ----------
+        path
+            Its folder.
+        shape
+            (items, *item shape); no items is fine.
+        dtype
+            Of the frames: `rfpipe.units.COUNTS` or `RADIANCE`.
+        fingerprint
+            Digest of all that shapes the frames.
+        attributes
+            Plain data to keep with it: units, exposures, versions.
+        items_per_chunk
+            Items in one file. One resumes at the very item where it stopped; several are quicker
+            for small frames (a file costs about half a millisecond).
+        compression
+            ``"zstd"``, ``"lz4"`` or ``"none"``; None chooses by dtype.
+
+        Raises
+        ------
+        LockedError
+            When another process writes it.
+        StaleStoreError
+            When a store with another fingerprint, shape or dtype stands there: restore the
+            settings, or `discard` it.
+        IntegrityError
+            When its metadata are damaged.
+        StoreError
+            When the disk is full or the folder isn't writable.
+        InputError
+            When an argument is out of range, or something that is no store stands there.
+        """
+        wanted = np.dtype(dtype)
+        if len(shape) < 2 or shape[0] < 0 or min(shape[1:]) < 1 or items_per_chunk < 1:
+            raise InputError(
+                f"{path}: shape {tuple(shape)} in chunks of {items_per_chunk}; expected (items, "
+                "*item shape), at least one element an item, at least one item a chunk"
+            )
+        if wanted.kind not in _DTYPE_KINDS:
+            raise InputError(f"{path}: dtype {wanted}; expected an integer or float dtype")
+        header = {"kind": _KIND, "fingerprint": fingerprint, "attributes": attributes}
+        header = plain(header, f"{path}: attributes")
+        lock = StoreLock(path)
+        lock.acquire()
+        try:
+            if not (path / METADATA).exists():
+                make_item_array(
+                    path,
+                    shape,
+                    wanted,
+                    header,
+                    items_per_chunk=items_per_chunk,
+                    compression=compression or compression_for(wanted),
+                )
+            store = cls(path, writable=True)
+            store._refuse_other(shape, wanted, fingerprint)
+            store._repair()
+            store._journal = JournalWriter(path / _JOURNAL)
+        except BaseException:
+            lock.release()
+            raise
+        store._lock = lock
+        return store
+
+    @classmethod
+    def open(cls, path: Path) -> FrameStore:
+        """Open a store for reading; it shows what was captured at this moment.
+
+        Raises
+        ------
+        StoreError
+            When there is none.
+        IntegrityError
+            When its metadata are damaged.
+        """
+        return cls(path, writable=False)
+
+    @staticmethod
+    def discard(path: Path) -> None:
+        """Remove a store, if there is one.
+
+        Raises
+        ------
+        LockedError
+            When another process writes it.
+        StoreError
+            When it can't be removed.
+        """
+        with StoreLock(path):
+            remove_tree(path)
+
+    @property
+    def done(self) -> NDArray[np.bool_]:
+        """(items,) bool: which are captured."""
+        done = np.zeros(self.shape[0], dtype=np.bool_)
+        with self._thread_lock:
+            done[list(self._digests)] = True
+        return done
+
+    @property
+    def complete(self) -> bool:
+        """True when every item is captured."""
+        return len(self._digests) == self.shape[0]
+
+    @property
+    def nbytes_stored(self) -> int:
+        """Bytes on disk."""
+        return bytes_on_disk(self.path)
+
+    def missing(self, longest: int | None = None) -> list[tuple[int, int]]:
+        """List the runs [start, stop) of items still to capture, in order, in whole chunks.
+
+        Parameters
+        ----------
+        longest
+            Cut the runs to at most so many items, rounded down to whole chunks but at least
+            one; None leaves them whole.
+        """
+        edges = np.flatnonzero(np.diff(~self.done, prepend=False, append=False))
+        runs = [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+        if longest is None:
+            return runs
+        step = max(1, longest // self.items_per_chunk) * self.items_per_chunk
+        return [
+            (first, min(first + step, stop))
+            for start, stop in runs
+            for first in range(start, stop, step)
+        ]
+
+    def write(self, start: int, block: NDArray[Any]) -> None:
+        """Store items, then enter them in the journal.
+
+        Parameters
+        ----------
+        start
+            Index of the first.
+        block
+            (B, *item shape), in the store's dtype; whole chunks, none of them captured yet.
+
+        Raises
+        ------
+        InputError
+            When the block doesn't fit.
+        StoreError
+            When the store isn't open for writing, an item is captured already, or the disk is
+            full: all that is in the journal stays.
+        """
+        if self._journal is None:
+            raise StoreError(f"{self.path}: isn't open for writing; use FrameStore.create")
+        stop = start + len(block)
+        self._check_block(start, stop, block)
+        if start == stop:
+            return
+        block = np.ascontiguousarray(block)
+        digests = item_digests(block)
+        self._array.write(start, block)
+        with self._thread_lock:
+            self._journal.append(start, digests)
+            self._digests.update(zip(range(start, stop), digests, strict=True))
+
+    def read(self, start: int, stop: int) -> NDArray[Any]:
+        """Items [start, stop), checked against the journal.
+
+        Returns
+        -------
+        ndarray
+            (stop - start, *item shape).
+
+        Raises
+        ------
+        StoreError
+            When an item isn't captured yet.
+        IntegrityError
+            When a chunk is missing, truncated or altered; names the file and what to do.
+        InputError
+            When the range is out of bounds.
+        """
+        self._check_range(start, stop)
+        absent = next((item for item in range(start, stop) if item not in self._digests), None)
+        if absent is not None:
+            raise StoreError(
+                f"{self.path}: item {absent} isn't captured yet ({len(self._digests)} of "
+                f"{self.shape[0]} are); run the stage that writes it to the end"
+            )
+        block = self._array.read(start, stop, self._digests)
+        if block is None:
+            item = next(iter(self._array.damaged(start, stop, self._digests)), start)
+            raise IntegrityError(
+                f"{self._array.chunk_file(item)}: item {item} is missing, truncated or altered; "
+                f"expected the digest {self._digests[item]} of {_JOURNAL}. Run the stage that "
+                f"writes {self.path} again: it checks every item and makes the damaged ones anew"
+            )
+        return block
+
+    def digest(self) -> str:
+        """Digest of all items in their order, whatever the order they were written in.
+
+        Raises
+        ------
+        StoreError
+            When an item isn't captured yet.
+        """
+        if not self.complete:
+            raise StoreError(
+                f"{self.path}: {len(self._digests)} of {self.shape[0]} items captured; a digest "
+                "needs them all"
+            )
+        header = canonical_json([self.dtype.str, list(self.shape)], str(self.path))
+        items = "".join(self._digests[item] for item in range(self.shape[0]))
+        return digest_of(header, items.encode())
+
+    def close(self) -> None:
+        """Bring the journal to the disk and release the lock; a second time does nothing."""
+        journal, self._journal = self._journal, None
+        try:
+            if journal is not None:
+                journal.close()
+                if self.complete:  # the lines stand in the order of the items, however they came
+                    self._write_journal(dict(sorted(self._digests.items())))
+        finally:
+            self._lock.release()
+
+    def __enter__(self) -> FrameStore:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _check_range(self, start: int, stop: int) -> None:
+        if not 0 <= start <= stop <= self.shape[0]:
+            raise InputError(
+                f"{self.path}: items {start} to {stop} asked for; expected a range within 0 to "
+                f"{self.shape[0]}"
+            )
+
+    def _check_block(self, start: int, stop: int, block: NDArray[Any]) -> None:
+        self._check_range(start, stop)
+        if block.shape[1:] != self.shape[1:] or block.dtype != self.dtype:
+            raise InputError(
+                f"{self.path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
+                f"(items, {', '.join(map(str, self.shape[1:]))})"
+            )
+        step = self.items_per_chunk
+        if start % step or (stop % step and stop != self.shape[0]):
+            raise InputError(
+                f"{self.path}: items {start} to {stop} aren't whole chunks of {step}; write the "
+                "runs that missing() gives"
+            )
+        taken = next((item for item in range(start, stop) if item in self._digests), None)
+        if taken is not None:
+            raise StoreError(
+                f"{self.path}: item {taken} is captured already; write the runs that missing() "
+                "gives, or discard the store to start anew"
+            )
+
+    def _refuse_other(self, shape: tuple[int, ...], dtype: np.dtype[Any], fingerprint: str) -> None:
+        found = (self.fingerprint, self.shape, str(self.dtype))
+        wanted = (fingerprint, tuple(shape), str(dtype))
+        differences = [
+            f"{name} {old} instead of {new}"
+            for name, old, new in zip(("fingerprint", "shape", "dtype"), found, wanted, strict=True)
+            if old != new
+        ]
+        if differences:
+            raise StaleStoreError(
+                f"{self.path}: made with another configuration ({'; '.join(differences)}), "
+                f"{len(self._digests)} items captured; restore the settings that it was made "
+                "with, or discard it to start anew"
+            )
+
+    def _repair(self) -> None:
+        """Drop what a kill, a power cut or a meddler left unusable; needs the lock."""
+        for partial in self.path.glob("*.partial"):
+            partial.unlink()
+        damaged = self._array.damaged(0, self.shape[0], self._digests)
+        for item in damaged:
+            del self._digests[item]
+        self._digests = self._array.whole_chunks(self._digests)
+        self._write_journal(self._digests)
+        if damaged:
+            more = ", ..." if len(damaged) > _NAMED_IN_WARNING else ""
+            named = ", ".join(map(str, damaged[:_NAMED_IN_WARNING])) + more
+            _log.warning(
+                "%s: %d items are damaged and will be written again (%s)",
+                self.path,
+                len(damaged),
+                named,
+            )
+
+    def _write_journal(self, digests: dict[int, str]) -> None:
+        """Make the journal hold these lines, if it doesn't yet."""
+        journal, content = self.path / _JOURNAL, journal_bytes(digests)
+        if (journal.read_bytes() if journal.exists() else b"") != content:
+            write_atomically(journal, content)

@@ -1,0 +1,118 @@
+"""Journals: which items of a store are captured, and the digest of each."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rfpipe.store.files import storage_errors
+
+__all__ = ["JournalWriter", "journal_bytes", "read_journal"]
+
+_SECONDS_BETWEEN_SYNCS = 1.0
+
+
+def read_journal(path: Path, n_items: int) -> dict[int, str]:
+    """Read a journal; lines that aren't whole don't count.
+
+    A kill or a power cut tears the last line; a line that someone altered doesn't match its own
+    checksum.
+
+    Parameters
+    ----------
+    path
+        The journal; a missing one is empty.
+    n_items
+        Length of the store: lines of items outside it don't count.
+
+    Returns
+    -------
+    dict
+        Digest by item, in the order of the lines.
+
+    Raises
+    ------
+    StoreError
+        When the file can't be read.
+    """
+    with storage_errors(path, "reading"):
+        content = path.read_bytes() if path.exists() else b""
+    entries = (_parse(line) for line in content.split(b"\n")[:-1])
+    return {item: digest for item, digest in filter(None, entries) if 0 <= item < n_items}
+
+
+def journal_bytes(entries: Mapping[int, str]) -> bytes:
+    """Content of a journal whose lines stand in the order of `entries`."""
+    return b"".join(_line(item, digest) for item, digest in entries.items())
+
+
+class JournalWriter:
+    """Appends to a journal; for the holder of the store's lock.
+
+    Each line is handed to the system at once, so that a killed process loses none; it is brought
+    to the disk at most once a second and at `close`.
+
+    Parameters
+    ----------
+    path
+        The journal; made when missing. Its last line must be whole (or the next would join it).
+
+    Raises
+    ------
+    StoreError
+        When the disk is full or the file isn't writable.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with storage_errors(path, "opening"):
+            self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        self._last_sync = time.monotonic()
+
+    def append(self, first: int, digests: Sequence[str]) -> None:
+        """Add the items `first`, `first` + 1, ... with their digests, all or none."""
+        content = journal_bytes({first + k: digest for k, digest in enumerate(digests)})
+        with storage_errors(self._path, "writing", len(content)):
+            before = os.fstat(self._descriptor).st_size
+            try:
+                rest = memoryview(content)
+                while rest:  # a nearly full disk takes a part, then fails
+                    rest = rest[os.write(self._descriptor, rest) :]
+            except OSError:
+                os.ftruncate(self._descriptor, before)
+                raise
+            if time.monotonic() - self._last_sync > _SECONDS_BETWEEN_SYNCS:
+                self._sync()
+
+    def close(self) -> None:
+        """Bring the journal to the disk and close it."""
+        with storage_errors(self._path, "closing"):
+            try:
+                self._sync()
+            finally:
+                os.close(self._descriptor)
+
+    def _sync(self) -> None:
+        os.fsync(self._descriptor)
+        self._last_sync = time.monotonic()
+
+
+def _line(item: int, digest: str) -> bytes:
+    check = zlib.crc32(f"{item}:{digest}".encode())
+    return f'{{"item":{item},"digest":"{digest}","check":"{check:08x}"}}\n'.encode()
+
+
+def _parse(line: bytes) -> tuple[int, str] | None:
+    """Item and digest of a line without its end, or None when it isn't what was written."""
+    try:
+        data = json.loads(line)
+        item, digest = data["item"], data["digest"]
+    except (ValueError, KeyError, TypeError):
+        return None
+    if not isinstance(item, int) or not isinstance(digest, str):
+        return None
+    return (item, digest) if _line(item, digest) == line + b"\n" else None

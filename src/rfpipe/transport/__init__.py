@@ -1,0 +1,6 @@
+"""Transport operators: dense, multilevel sparse (dual) and the hierarchical tensor."""
+
+from rfpipe.transport.base import Transport, TransposedTransport
+from rfpipe.transport.storage import open_transport, save_transport
+
+__all__ = ["Transport", "TransposedTransport", "open_transport", "save_transport"]

@@ -1,0 +1,207 @@
+"""What every transport offers: relighting, its transpose, and scipy linear operators."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from scipy.sparse.linalg import LinearOperator
+
+Float = NDArray[np.float32]
+
+
+class Transport(ABC):
+    """Light transport ``T``, one matrix a colour channel: rows camera rays, columns projector rays.
+
+    Attributes
+    ----------
+    camera_shape, projector_shape : tuple of int
+        The ray domains, ``(H, W)`` or ``(V, H, W)``.
+    channels : int
+    """
+
+    camera_shape: tuple[int, ...]
+    projector_shape: tuple[int, ...]
+    channels: int
+
+    @abstractmethod
+    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
+        """Return ``T p`` for planar patterns ``(P, K, projector rays)``, K = ``len(channels)``."""
+
+    @abstractmethod
+    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
+        """Return ``T^T c`` for planar images ``(P, K, camera rays)``, K = ``len(channels)``."""
+
+    @abstractmethod
+    def truncate(self, level: int) -> Transport:
+        """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7)."""
+
+    @property
+    @abstractmethod
+    def nbytes(self) -> int:
+        """Bytes stored: on disk if opened from a store, of the arrays if in memory."""
+
+    @property
+    @abstractmethod
+    def level_rows(self) -> list[dict[str, Any]]:
+        """The rows of `levels` as plain data."""
+
+    @abstractmethod
+    def pack(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the named arrays and the attributes that a store keeps."""
+
+    @property
+    def levels(self) -> pd.DataFrame:
+        """Per level: patterns, nodes, empty, rank-1, scalar and subdivided ones (Fig. 5.10)."""
+        import pandas as pd
+
+        return pd.DataFrame(self.level_rows)
+
+    @property
+    def T(self) -> TransposedTransport:  # noqa: N802 - as in scipy and numpy
+        """The dual transport: from the camera's rays to the projector's (eq. 2.12)."""
+        return TransposedTransport(self)
+
+    def relight(self, pattern: NDArray[Any]) -> Float:
+        """Return the image under a pattern, ``c = T p`` (eq. 2.11).
+
+        Parameters
+        ----------
+        pattern : array, shape (*projector_shape) or (*projector_shape, channels)
+            Any finite real weights; without a channel axis the light is white.
+
+        Returns
+        -------
+        ndarray of float32, shape (*camera_shape, channels)
+
+        Raises
+        ------
+        InputError
+            If the pattern has another shape or is not finite.
+        """
+        image: Float = self.relight_batch(np.asarray(pattern)[None])[0]
+        return image
+
+    def relight_batch(self, patterns: NDArray[Any]) -> Float:
+        """Relight with several patterns ``(P, *projector_shape[, channels])`` at once."""
+        planar = planar_patterns(patterns, self.projector_shape, self.channels)
+        return _images(self.forward(planar, range(self.channels)), self.camera_shape)
+
+    def channel(self, index: int) -> LinearOperator:
+        """Return one channel's matrix, rows x columns, as a scipy ``LinearOperator``."""
+        if not 0 <= index < self.channels:
+            raise InputError(f"channel {index} of a transport with channels 0..{self.channels - 1}")
+        return _channel_operator(self, index)
+
+
+def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: int) -> Float:
+    """Bring patterns ``(P, *shape[, channels])`` into planar form ``(P, channels, rays)``."""
+    patterns = np.asarray(patterns)
+    count = patterns.shape[0]
+    if patterns.shape == (count, *shape):
+        rays = patterns.reshape(count, 1, -1)
+        planar = np.broadcast_to(rays, (count, channels, rays.shape[-1]))
+    elif patterns.shape == (count, *shape, channels):
+        planar = np.moveaxis(patterns.reshape(count, -1, channels), -1, 1)
+    else:
+        raise InputError(
+            f"a pattern has the shape {shape} or {(*shape, channels)}, got {patterns.shape[1:]}"
+        )
+    if not np.isfinite(patterns).all():
+        raise InputError("a pattern holds NaN or infinite weights; all weights must be finite")
+    return np.ascontiguousarray(planar, np.float32)
+
+
+def _images(planar: Float, shape: tuple[int, ...]) -> Float:
+    """Turn planar light ``(P, C, rays)`` into images ``(P, *shape, C)``."""
+    count, channels, _ = planar.shape
+    images: Float = np.moveaxis(planar, 1, -1).reshape(count, *shape, channels)
+    return images
+
+
+class TransposedTransport:
+    """The dual of a transport: light from the camera's rays, seen by the projector.
+
+    Has `relight`, `relight_batch`, `channel` and `T` as a `Transport` has, the domains swapped.
+    """
+
+    def __init__(self, primal: Transport) -> None:
+        self.T = primal
+        self.camera_shape = primal.projector_shape
+        self.projector_shape = primal.camera_shape
+        self.channels = primal.channels
+
+    def relight(self, pattern: NDArray[Any]) -> Float:
+        """Return the dual image ``p'' = T^T c''`` (eq. 2.12), ``(*projector_shape, channels)``."""
+        image: Float = self.relight_batch(np.asarray(pattern)[None])[0]
+        return image
+
+    def relight_batch(self, patterns: NDArray[Any]) -> Float:
+        """Return the dual images of several camera patterns at once."""
+        planar = planar_patterns(patterns, self.projector_shape, self.channels)
+        return _images(self.T.adjoint(planar, range(self.channels)), self.camera_shape)
+
+    def channel(self, index: int) -> LinearOperator:
+        """Return one channel's transposed matrix as a scipy ``LinearOperator``."""
+        operator: LinearOperator = self.T.channel(index).T
+        return operator
+
+
+def _channel_operator(transport: Transport, index: int) -> LinearOperator:
+    from scipy.sparse.linalg import LinearOperator
+
+    rows = int(np.prod(transport.camera_shape))
+    columns = int(np.prod(transport.projector_shape))
+
+    def matmat(x: NDArray[Any]) -> NDArray[Any]:
+        planar = np.ascontiguousarray(x.T[:, None], np.float32)
+        return transport.forward(planar, [index])[:, 0].T
+
+    def rmatmat(x: NDArray[Any]) -> NDArray[Any]:
+        planar = np.ascontiguousarray(x.T[:, None], np.float32)
+        return transport.adjoint(planar, [index])[:, 0].T
+
+    def matvec(x: NDArray[Any]) -> NDArray[Any]:
+        return matmat(x.reshape(columns, 1))[:, 0]
+
+    def rmatvec(x: NDArray[Any]) -> NDArray[Any]:
+        return rmatmat(x.reshape(rows, 1))[:, 0]
+
+    return LinearOperator(
+        shape=(rows, columns),
+        matvec=matvec,
+        rmatvec=rmatvec,
+        matmat=matmat,
+        rmatmat=rmatmat,
+        dtype=np.dtype(np.float32),
+    )
+
+
+class LazyArrays(Mapping[str, NDArray[Any]]):
+    """Named arrays that are read when first used; a plain mapping serves as well."""
+
+    def __init__(self, names: Sequence[str], read: Any) -> None:
+        self._names = tuple(names)
+        self._read = read
+        self._held: dict[str, NDArray[Any]] = {}
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self._held:
+            if name not in self._names:
+                raise KeyError(name)
+            self._held[name] = self._read(name)
+        return self._held[name]
+
+    def __iter__(self) -> Any:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)

@@ -1,0 +1,20 @@
+"""Dtypes and names of units, shared by stores, manifests and reports."""
+
+import numpy as np
+
+__all__ = ["COUNTS", "COUNT_UNIT", "RADIANCE", "RADIANCE_UNIT", "SECOND_UNIT"]
+
+RADIANCE = np.float32
+"""Dtype of stored radiance, and of its variance (radiance squared)."""
+
+COUNTS = np.uint16
+"""Dtype of raw frames, in analogue-to-digital counts."""
+
+RADIANCE_UNIT = "radiance"
+"""Scene-referred linear light, in units of the coaxial transport matrix."""
+
+COUNT_UNIT = "count"
+"""One step of the camera's analogue-to-digital converter."""
+
+SECOND_UNIT = "s"
+"""Seconds: exposures and times."""

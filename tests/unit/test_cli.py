@@ -1,0 +1,185 @@
+"""The commands, on a transport small enough to know by heart: T = x x^T, one x a channel."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.cli import app, main
+from rfpipe.cli.images import read_image, write_image
+from rfpipe.config import json_schema
+from rfpipe.errors import InputError
+from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
+from rfpipe.transport import save_transport
+from rfpipe.transport.hierarchical import HierarchicalTransport, LeafSet
+
+SHAPE = (4, 6)
+CONFIG = Path(__file__).parents[2] / "config" / "config.yaml"
+
+
+@pytest.fixture
+def factors() -> NDArray[np.float32]:
+    """The factor x of each channel, in image order, shape (3, 24)."""
+    return np.random.default_rng(5).random((3, 24), dtype=np.float32)
+
+
+@pytest.fixture
+def transport(tmp_path: Path, factors: NDArray[np.float32]) -> Path:
+    tree = BlockTree(RayDomain(SHAPE))
+    root = LeafSet(0, np.zeros(1, np.int32), np.zeros(1, np.int32), factors[:, tree.order])
+    rows = [{"level": 0, "patterns": 1, "nodes": 1, "empty": 0, "rank1": 1}]
+    path = tmp_path / "transport.zarr"
+    save_transport(HierarchicalTransport.from_leaf_sets(tree, 3, rows, [root]), path)
+    return path
+
+
+def picture(path: Path, weights: NDArray[np.float32]) -> Path:
+    write_image(path, weights.reshape(*weights.shape[:2], -1))
+    return path
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(part) for part in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def failure(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
+) -> str:
+    """What the command line says on stderr when it fails, which must be without a traceback."""
+    monkeypatch.setattr(sys, "argv", ["rfpipe", *map(str, arguments)])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 1
+    return capsys.readouterr().err
+
+
+def test_validate_names_the_acquisitions() -> None:
+    assert "valid. 8 acquisitions" in run("validate", CONFIG)
+
+
+def test_schema_is_the_model_s() -> None:
+    assert json.loads(run("schema")) == json_schema()
+
+
+def test_info_shows_shape_bytes_and_levels(transport: Path) -> None:
+    text = run("info", transport)
+    assert "camera     4 x 6 = 24 rays" in text
+    assert "channels   3" in text
+    assert "patterns" in text
+    assert "rank1" in text
+
+
+@pytest.mark.parametrize("options", [(), ("--dual",), ("--level", 0)])
+def test_relight_writes_the_radiance(
+    transport: Path, factors: NDArray[np.float32], tmp_path: Path, options: tuple[object, ...]
+) -> None:
+    weights = np.random.default_rng(6).random((*SHAPE, 3), dtype=np.float32)
+    pattern = picture(tmp_path / "pattern.exr", weights)
+    output = tmp_path / "image.exr"
+    run("relight", transport, "--pattern", pattern, "--output", output, *options)
+    energy = np.einsum("cr,rc->c", factors, weights.reshape(-1, 3))
+    expected = (factors * energy[:, None]).T.reshape(*SHAPE, 3)
+    np.testing.assert_allclose(read_image(output), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["white", "vertical_bar"])
+def test_relight_with_a_named_pattern(
+    transport: Path, factors: NDArray[np.float32], tmp_path: Path, name: str
+) -> None:
+    output = tmp_path / "image.exr"
+    run("relight", transport, "--pattern", name, "--output", output)
+    named = {"white": np.ones(SHAPE, np.float32), **relighting_patterns(SHAPE)}
+    energy = factors @ named[name].ravel()
+    expected = (factors * energy[:, None]).T.reshape(*SHAPE, 3)
+    np.testing.assert_allclose(read_image(output), expected, rtol=1e-5)
+
+
+def test_help_lists_the_named_patterns() -> None:
+    text = run("relight", "--help")
+    assert all(name in text for name in RELIGHTING_PATTERNS)
+
+
+def test_unknown_pattern(
+    transport: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    output = tmp_path / "image.exr"
+    text = failure(
+        monkeypatch, capsys, "relight", transport, "--pattern", "barr", "--output", output
+    )
+    assert "pattern barr: is no file and no name of a pattern" in text
+
+
+def test_relight_with_white_light_into_a_picture_for_the_eye(
+    transport: Path, factors: NDArray[np.float32], tmp_path: Path
+) -> None:
+    pattern = picture(tmp_path / "pattern.png", np.ones((*SHAPE, 1), np.float32))
+    output = tmp_path / "image.png"
+    run("relight", transport, "--pattern", pattern, "--output", output, "--white", 20)
+    expected = (factors * factors.sum(axis=1, keepdims=True)).T.reshape(*SHAPE, 3) / 20
+    shown = np.where(
+        expected <= 0.0031308, 12.92 * expected, 1.055 * expected ** (1 / 2.4) - 0.055
+    ).clip(0, 1)
+    np.testing.assert_allclose(read_image(output), shown, atol=1 / 255)
+
+
+def test_pattern_of_another_size(
+    transport: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    pattern = picture(tmp_path / "pattern.exr", np.ones((6, 4, 1), np.float32))
+    output = tmp_path / "image.exr"
+    text = failure(
+        monkeypatch, capsys, "relight", transport, "--pattern", pattern, "--output", output
+    )
+    assert "6 x 4 pixels" in text
+    assert "expected 4 x 6" in text
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("validate", "absent.yaml"), "absent.yaml: can't be read"),
+        (("info", "absent.zarr"), "absent.zarr"),
+    ],
+)
+def test_errors_are_messages(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    expected: str,
+) -> None:
+    text = failure(monkeypatch, capsys, *arguments)
+    assert text.startswith("rfpipe: ")
+    assert expected in text
+    assert "Traceback" not in text
+
+
+def test_black_image_is_black_on_screen(tmp_path: Path) -> None:
+    path = picture(tmp_path / "black.png", np.zeros((2, 3, 3), np.float32))
+    assert not read_image(path).any()
+
+
+@pytest.mark.parametrize("name", ["image.jpg", "absent/image.exr"])
+def test_picture_that_can_not_be_written(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=name):
+        write_image(tmp_path / name, np.ones((2, 3, 1), np.float32))
+
+
+def test_picture_that_can_not_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "text.png"
+    path.write_text("no picture")
+    with pytest.raises(InputError, match=r"text\.png: can't be read as a picture"):
+        read_image(path)

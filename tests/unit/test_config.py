@@ -1,0 +1,204 @@
+"""Settings: defaults, generated files, and what a mistake says."""
+
+import json
+from pathlib import Path
+
+import pytest
+from pydantic import BaseModel
+
+from rfpipe.config import (
+    CameraConfig,
+    Config,
+    OccluderConfig,
+    default_yaml,
+    json_schema,
+    load_config,
+    parse_config,
+)
+from rfpipe.errors import ConfigError
+
+FOLDER = Path(__file__).parents[2] / "config"
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "mine.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def message(data: object) -> str:
+    with pytest.raises(ConfigError) as caught:
+        parse_config(data, "mine.yaml")
+    return str(caught.value)
+
+
+def models(annotation: type[BaseModel]) -> list[type[BaseModel]]:
+    """All models reachable from one, itself included, through its JSON schema's definitions."""
+    names = [annotation.__name__, *annotation.model_json_schema().get("$defs", {})]
+    module = __import__("rfpipe.config.model", fromlist=names)
+    return [getattr(module, name) for name in names]
+
+
+def test_generated_files_are_in_step_with_the_model() -> None:
+    assert (FOLDER / "config.yaml").read_text(encoding="utf-8") == default_yaml()
+    stored = json.loads((FOLDER / "config.schema.json").read_text(encoding="utf-8"))
+    assert stored == json_schema()
+
+
+def test_default_file_holds_the_defaults() -> None:
+    assert load_config(FOLDER / "config.yaml") == Config()
+
+
+def test_thesis_file_is_the_default_run_at_full_size() -> None:
+    default = Config()
+    full_size = {
+        name: scene.model_copy(update={"shape": (310, 350)})
+        for name, scene in default.scenes.items()
+    }
+    assert load_config(FOLDER / "thesis.yaml") == default.model_copy(update={"scenes": full_size})
+
+
+def test_empty_file_means_defaults(tmp_path: Path) -> None:
+    assert load_config(write(tmp_path, "")) == Config()
+
+
+def test_every_setting_has_a_description() -> None:
+    bare = [
+        f"{model.__name__}.{name}"
+        for model in models(Config)
+        for name, field in model.model_fields.items()
+        if not field.description
+    ]
+    assert bare == []
+
+
+def test_default_camera_fills_its_well_at_radiance_two_in_the_shortest_exposure() -> None:
+    camera = CameraConfig()
+    assert 2.0 * camera.electrons_per_radiance * min(camera.exposures) == pytest.approx(
+        camera.full_well_electrons
+    )
+
+
+def test_null_camera_means_exact_radiance() -> None:
+    assert parse_config({"camera": None}, "mine.yaml").camera is None
+
+
+def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
+    # YAML 1.1 takes 1e-4, without a dot, for a string
+    settings = load_config(write(tmp_path, "acquisition: {tolerance: 1e-4}"))
+    assert settings.acquisition.tolerance == 1e-4
+
+
+def test_settings_do_not_change() -> None:
+    with pytest.raises(ValueError, match="frozen"):
+        Config().seed = 2  # type: ignore[misc]
+
+
+def test_unknown_key_names_file_key_and_closest_known() -> None:
+    text = message({"acquisition": {"tolerence": 1e-3}})
+    assert text.startswith("mine.yaml: acquisition.tolerence is unknown; did you mean tolerance?")
+    assert "noise_significance" in text
+
+
+def test_unknown_key_inside_a_scene() -> None:
+    scene = {"geometry": "plane", "surfaces": ["white"], "shpae": [8, 8]}
+    text = message({"scenes": {"mine": scene}})
+    assert "scenes.mine.shpae is unknown; did you mean shape?" in text
+
+
+@pytest.mark.parametrize(
+    ("data", "key", "value", "expected"),
+    [
+        ({"acquisition": {"tolerance": "2 s"}}, "acquisition.tolerance", "'2 s'", "valid number"),
+        ({"acquisition": {"tolerance": 0}}, "acquisition.tolerance", "0", "greater than 0"),
+        ({"acquisition": {"tolerance": True}}, "acquisition.tolerance", "true", "not be true"),
+        ({"camera": {"flare": float("nan")}}, "camera.flare", "nan", "finite number"),
+        ({"camera": {"bits": 10.5}}, "camera.bits", "10.5", "valid integer"),
+        ({"camera": {"exposures": []}}, "camera.exposures", "[]", "at least 1 item"),
+        ({"seed": -1}, "seed", "-1", "greater than or equal to 0"),
+        ({"methods": ["dual", "dual"]}, "methods", "['dual', 'dual']", "each method once"),
+        ({"methods": ["duel"]}, "methods[0]", "'duel'", "'brute_force', 'dual' or 'symmetric'"),
+        ({"capture": 3}, "capture", "3", "group of 'key: value' settings"),
+        ({"scenes": {"Mine!": {}}}, "scenes.Mine!", "'Mine!'", "match pattern"),
+        ({"normalization": "all"}, "normalization", "'all'", "'none', 'per_channel'"),
+    ],
+)
+def test_wrong_value_names_key_value_and_expected(
+    data: object, key: str, value: str, expected: str
+) -> None:
+    text = message(data)
+    assert f"mine.yaml: {key} is {value}; it should " in text
+    assert expected in text
+
+
+def test_exposures_in_milliseconds_are_refused_with_their_unit() -> None:
+    text = message({"camera": {"exposures": [15.6, 125, 1000]}})
+    assert "camera.exposures[2] is 1000; it should be less than or equal to 60" in text
+    assert "seconds" in text
+
+
+def test_every_mistake_is_reported_once() -> None:
+    scene = {"geometry": "plane", "surfaces": ["wihte"]}
+    text = message({"sede": 1, "seed": -1, "scenes": {"mine": scene}})
+    assert sorted(line.split(" is ")[0] for line in text.splitlines()) == [
+        "mine.yaml: scenes.mine.surfaces[0]",
+        "mine.yaml: sede",
+        "mine.yaml: seed",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        ({"camera": {"exposures": [1.0, 0.1]}}, ["camera: exposures", "ascend", "(1.0, 0.1)"]),
+        (
+            {"camera": {"black_level_counts": 255, "bits": 8}},
+            ["camera: black_level_counts", "below full scale, 255 at 8 bits"],
+        ),
+        (
+            {"scenes": {"mine": {"geometry": "wedge", "surfaces": ["white"]}}},
+            ["scenes.mine: geometry wedge should have 2 surfaces, not 1"],
+        ),
+        (
+            {
+                "camera": {"bayer": "RGGB"},
+                "scenes": {"mine": {"geometry": "plane", "surfaces": ["white"], "channels": 1}},
+            },
+            ["camera.bayer RGGB", "scenes.mine.channels is 1", "set it to 3"],
+        ),
+    ],
+)
+def test_settings_that_contradict_each_other(data: object, words: list[str]) -> None:
+    text = message(data)
+    assert all(word in text for word in words), text
+
+
+def test_occluder_needs_two_directions() -> None:
+    with pytest.raises(ValueError, match="parallel"):
+        OccluderConfig(centre=(0, 0, 1), edge_u=(1, 0, 0), edge_v=(-2, 0, 0))
+
+
+def test_missing_key_says_what_it_means() -> None:
+    text = message({"scenes": {"mine": {"surfaces": ["white"]}}})
+    assert "scenes.mine.geometry is missing; add it." in text
+    assert "wedge: two planes" in text
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("seed: 1\nseed: 2\n", "the key 'seed' stands twice"),
+        ("seed: [1\n", "is not valid YAML"),
+        ("- seed\n", "expected 'key: value' lines"),
+    ],
+)
+def test_broken_file(tmp_path: Path, text: str, expected: str) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(ConfigError, match=expected) as caught:
+        load_config(path)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"absent\.yaml: can't be read"):
+        load_config(tmp_path / "absent.yaml")

@@ -1,0 +1,171 @@
+"""Array bundles: complete or absent, verified, the same bytes each time."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError, IntegrityError, LockedError, StoreError
+from rfpipe.store import FrameStore, StoreLock, open_arrays, write_arrays
+
+ATTRIBUTES = {"unit": "radiance", "shape": [3, 4], "gain": 0.1}
+
+
+def example() -> dict[str, NDArray[Any]]:
+    generator = np.random.default_rng(3)
+    return {
+        "L02.row_values": generator.random(300_000).astype(np.float32),
+        "L02.offsets": np.arange(0, 700_000, 7, dtype=np.int64),
+        "empty": np.zeros(0, np.float32),
+        "empty-rows": np.zeros((0, 3), np.int32),
+        "no_columns": np.zeros((4, 0)),
+        "zeros": np.zeros((50, 70), np.float32),
+        "flags": generator.random(9) > 0.5,
+        "scalar": np.array(2.5),
+        "transposed": np.arange(12.0).reshape(3, 4).T,
+        "wide": generator.integers(0, 9, (3, 2**19)).astype(np.int32),
+    }
+
+
+def tree(path: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
+
+
+def test_arrays_come_back_as_they_went_in(tmp_path: Path) -> None:
+    arrays = example()
+    path = tmp_path / "new folder" / "transport.zarr"
+    digest = write_arrays(path, arrays, ATTRIBUTES)
+    bundle = open_arrays(path)
+    assert bundle.names == tuple(sorted(arrays))
+    assert bundle.attributes == ATTRIBUTES
+    assert bundle.digest == digest
+    assert bundle.nbytes_stored == sum(map(len, tree(path).values()))
+    for name, array in arrays.items():
+        assert bundle.shape(name) == array.shape
+        assert bundle.dtype(name) == array.dtype
+        found = bundle.read(name)
+        assert found.dtype == array.dtype
+        np.testing.assert_array_equal(found, array)
+    assert len(list((path / "wide").glob("c.*"))) == 3  # a row is 2 MiB
+    assert [p.name for p in path.parent.iterdir()] == ["transport.zarr"]
+
+
+def test_bytes_and_digest_are_the_same_each_time_and_in_any_order(tmp_path: Path) -> None:
+    arrays = example()
+    backwards = dict(reversed(arrays.items()))
+    first = write_arrays(tmp_path / "a", arrays, ATTRIBUTES)
+    second = write_arrays(tmp_path / "b", backwards, dict(reversed(ATTRIBUTES.items())))
+    assert first == second
+    assert tree(tmp_path / "a") == tree(tmp_path / "b")
+
+
+def test_digest_tells_names_values_dtypes_shapes_and_attributes_apart(tmp_path: Path) -> None:
+    zeros = np.zeros(4, np.int32)
+    variants: list[tuple[dict[str, NDArray[Any]], dict[str, Any]]] = [
+        ({"a": zeros}, {}),
+        ({"b": zeros}, {}),
+        ({"a": zeros + 1}, {}),
+        ({"a": zeros.view(np.float32)}, {}),
+        ({"a": zeros.reshape(2, 2)}, {}),
+        ({"a": zeros}, {"level": 1}),
+        ({}, {}),
+    ]
+    digests = [write_arrays(tmp_path / "s", arrays, given) for arrays, given in variants]
+    assert len(set(digests)) == len(variants)
+
+
+def test_a_new_bundle_takes_the_place_of_the_old(tmp_path: Path) -> None:
+    write_arrays(tmp_path / "s", {"old": np.arange(3)}, {})
+    write_arrays(tmp_path / "s", {"new": np.arange(4)}, {})
+    assert open_arrays(tmp_path / "s").names == ("new",)
+    assert [p.name for p in tmp_path.iterdir()] == ["s"]
+
+
+def test_what_a_kill_left_is_cleared(tmp_path: Path) -> None:
+    write_arrays(tmp_path / "s", {"a": np.arange(3)}, {})
+    intact = tree(tmp_path / "s")
+    for leftover in (".s.new", ".s.removed"):
+        (tmp_path / leftover / "a").mkdir(parents=True)
+        (tmp_path / leftover / "a" / "zarr.json").write_text("half")
+    write_arrays(tmp_path / "s", {"a": np.arange(3)}, {})
+    assert tree(tmp_path / "s") == intact
+    assert [p.name for p in tmp_path.iterdir()] == ["s"]
+
+
+@pytest.mark.parametrize("change", [lambda content: content[:-3], lambda content: b"", None])
+@pytest.mark.parametrize("file", ["wide/c.1.0", "wide/zarr.json"])
+def test_damage_is_named(tmp_path: Path, file: str, change: Any) -> None:
+    arrays = example()
+    write_arrays(tmp_path / "s", arrays, ATTRIBUTES)
+    damaged = tmp_path / "s" / file
+    if change is None:
+        damaged.unlink()
+    else:
+        damaged.write_bytes(change(damaged.read_bytes()))
+    bundle = open_arrays(tmp_path / "s")
+    np.testing.assert_array_equal(bundle.read("flags"), arrays["flags"])
+    with pytest.raises(IntegrityError, match="array 'wide' is missing, truncated or altered"):
+        bundle.read("wide")
+
+
+def test_an_altered_value_is_found(tmp_path: Path) -> None:
+    import zarr
+
+    write_arrays(tmp_path / "s", {"a": np.arange(5)}, {})
+    array = zarr.open_array(tmp_path / "s" / "a", mode="r+")
+    array[2] = 7
+    with pytest.raises(IntegrityError, match="'a' is missing, truncated or altered"):
+        open_arrays(tmp_path / "s").read("a")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ('"radiance"', '"count"', "don't match their digest"),
+        ('"digest"', '"digits"', "don't match their digest"),
+        ("{", "", "damaged metadata"),
+    ],
+)
+def test_altered_attributes_are_found(tmp_path: Path, old: str, new: str, named: str) -> None:
+    write_arrays(tmp_path / "s", {"a": np.arange(5)}, ATTRIBUTES)
+    metadata = tmp_path / "s" / "zarr.json"
+    metadata.write_text(metadata.read_text().replace(old, new))
+    with pytest.raises(IntegrityError, match=named):
+        open_arrays(tmp_path / "s")
+    write_arrays(tmp_path / "s", {"a": np.arange(5)}, ATTRIBUTES)  # a damaged bundle may go
+    assert open_arrays(tmp_path / "s").names == ("a",)
+
+
+def test_two_writers_do_not_meet(tmp_path: Path) -> None:
+    with StoreLock(tmp_path / "s"), pytest.raises(LockedError, match="is writing this store"):
+        write_arrays(tmp_path / "s", {"a": np.arange(5)}, {})
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "../a", ".hidden", "a b", "zarr.json", "é"])
+def test_names_that_could_leave_the_folder_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match="can't name an array"):
+        write_arrays(tmp_path / "s", {name: np.arange(5)}, {})
+
+
+def test_other_bad_input_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="dtype <U1; expected booleans, integers or floats"):
+        write_arrays(tmp_path / "s", {"a": np.array(["x"])}, {})
+    with pytest.raises(InputError, match="pass plain data with finite numbers"):
+        write_arrays(tmp_path / "s", {"a": np.arange(5)}, {"gain": float("inf")})
+    with pytest.raises(StoreError, match="no store of arrays here"):
+        open_arrays(tmp_path / "s")
+    write_arrays(tmp_path / "s", {"a": np.arange(5)}, {})
+    for wrong in (open_arrays(tmp_path / "s").read, open_arrays(tmp_path / "s").shape):
+        with pytest.raises(InputError, match="no array 'b'; expected one of a"):
+            wrong("b")
+
+
+def test_what_is_no_bundle_is_left_alone(tmp_path: Path) -> None:
+    FrameStore.create(tmp_path / "s", (2, 3), np.uint16, "abc", {}).close()
+    (tmp_path / "photos").mkdir()
+    for name in ("s", "photos"):
+        with pytest.raises(InputError, match="stands here but is no bundle of arrays"):
+            write_arrays(tmp_path / name, {}, {})
+    assert FrameStore.open(tmp_path / "s").shape == (2, 3)

@@ -1,0 +1,208 @@
+"""What kills, full disks and forbidden folders leave behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import LockedError, StoreError
+from rfpipe.store import FrameStore, StoreLock, open_arrays, write_arrays
+from rfpipe.store.journal import JournalWriter, read_journal
+
+N_ITEMS = 240
+# Writes frames that depend on their index alone, slowly enough to be hit anywhere.
+WRITER = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from rfpipe.store import FrameStore
+
+path, n_items, items_per_chunk, pause = Path(sys.argv[1]), *map(float, sys.argv[2:])
+shape = (int(n_items), 40, 50, 3)
+with FrameStore.create(path, shape, "u2", "abc", {}, items_per_chunk=int(items_per_chunk)) as store:
+    for start, stop in store.missing(longest=3):
+        rows = [np.random.default_rng(i).integers(0, 4096, shape[1:]) for i in range(start, stop)]
+        store.write(start, np.stack(rows).astype("u2"))
+        time.sleep(pause)
+"""
+FULL_DISK = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from rfpipe.errors import StoreError
+from rfpipe.store import FrameStore, write_arrays
+
+frames = np.random.default_rng(0).integers(0, 65536, (4, 200, 200)).astype("u2")
+path = Path(sys.argv[1])
+write_arrays(path / "bundle", {"a": np.arange(5)}, {})
+store = FrameStore.create(path / "s", frames.shape, "u2", "abc", {})
+store.write(0, frames[:2])
+resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+for write in (
+    lambda: store.write(2, frames[2:]),
+    lambda: write_arrays(path / "bundle", {"a": frames}, {}),
+):
+    try:
+        write()
+    except StoreError as error:
+        print(error)
+store.close()
+"""
+
+
+def tree(path: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
+
+
+def start_writer(path: Path, items_per_chunk: int, pause: float) -> subprocess.Popen[bytes]:
+    arguments = [str(path), str(N_ITEMS), str(items_per_chunk), str(pause)]
+    return subprocess.Popen([sys.executable, "-c", WRITER, *arguments])
+
+
+def lines_of(journal: Path) -> int:
+    return journal.read_bytes().count(b"\n") if journal.exists() else 0
+
+
+@pytest.mark.parametrize("items_per_chunk", [1, 3])
+def test_killed_writers_resume_to_the_same_bytes(tmp_path: Path, items_per_chunk: int) -> None:
+    assert start_writer(tmp_path / "whole", items_per_chunk, 0).wait() == 0
+    moments = np.random.default_rng(items_per_chunk).uniform(0, 0.2, 3)
+    path = tmp_path / "s"
+    captured = 0
+    for moment in moments:
+        writer = start_writer(path, items_per_chunk, 0.02)
+        deadline = time.monotonic() + 60
+        while lines_of(path / "journal.jsonl") <= captured:
+            assert time.monotonic() < deadline
+            assert writer.poll() is None
+            time.sleep(0.001)
+        time.sleep(moment)
+        writer.send_signal(signal.SIGKILL)
+        assert writer.wait() == -signal.SIGKILL
+        before, captured = captured, int(FrameStore.open(path).done.sum())
+        assert before < captured <= N_ITEMS
+    assert start_writer(path, items_per_chunk, 0).wait() == 0
+    assert tree(path) == tree(tmp_path / "whole")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["s", "whole"]
+
+
+def test_an_orphan_writer_holds_its_lock_until_it_is_killed(tmp_path: Path) -> None:
+    code = (
+        "import sys, time; from pathlib import Path; from rfpipe.store import StoreLock\n"
+        "with StoreLock(Path(sys.argv[1])): print('locked', flush=True); time.sleep(60)"
+    )
+    orphan = subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path / "s")], stdout=subprocess.PIPE
+    )
+    with orphan:
+        assert orphan.stdout is not None
+        assert orphan.stdout.readline() == b"locked\n"
+        with pytest.raises(LockedError, match=f"process {orphan.pid} is writing this store"):
+            StoreLock(tmp_path / "s").acquire()
+        orphan.kill()
+    with StoreLock(tmp_path / "s"):
+        assert (tmp_path / ".s.lock").read_text() == f"{os.getpid()}\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_lock_file_removed_by_its_last_holder_is_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # the last holder removes the file between the newcomer's open and its lock
+    import fcntl
+
+    lock_file, flock = tmp_path / ".s.lock", fcntl.flock
+    calls: list[int] = []
+
+    def late(descriptor: int, operation: int) -> None:
+        if not calls:
+            lock_file.unlink()
+        calls.append(descriptor)
+        flock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with StoreLock(tmp_path / "s"):
+        assert len(calls) == 2
+        with pytest.raises(LockedError, match=str(os.getpid())):
+            StoreLock(tmp_path / "s").acquire()
+
+
+def test_a_full_disk_loses_nothing_that_is_captured(tmp_path: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", FULL_DISK, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    frames_error, bundle_error = run.stdout.splitlines()
+    assert f"{tmp_path / 's'}: writing items 2 to 3 failed" in frames_error
+    assert "160,000 bytes needed" in frames_error
+    assert "bytes free on its file system; make room and run again" in frames_error
+    assert f"{tmp_path / 'bundle'}: writing arrays failed" in bundle_error
+    assert open_arrays(tmp_path / "bundle").shape("a") == (5,)
+    frames = np.random.default_rng(0).integers(0, 65536, (4, 200, 200)).astype("u2")
+    with FrameStore.create(tmp_path / "s", frames.shape, "u2", "abc", {}) as store:
+        assert store.missing() == [(2, 4)]
+        np.testing.assert_array_equal(store.read(0, 2), frames[:2])
+        store.write(2, frames[2:])
+        assert store.complete
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["bundle", "s"]
+
+
+def test_a_journal_on_a_full_disk_keeps_whole_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = JournalWriter(tmp_path / "journal")
+    journal.append(0, ["aa", "bb"])
+    write, taken = os.write, [7]
+
+    def nearly_full(descriptor: int, content: bytes) -> int:
+        if not taken:
+            raise OSError(28, "No space left on device")
+        return write(descriptor, content[: taken.pop()])
+
+    monkeypatch.setattr(os, "write", nearly_full)
+    with pytest.raises(StoreError, match="No space left on device"):
+        journal.append(2, ["cc"])
+    monkeypatch.undo()
+    assert lines_of(tmp_path / "journal") == 2
+    journal.append(2, ["dd"])
+    journal.close()
+    assert read_journal(tmp_path / "journal", 9) == {0: "aa", 1: "bb", 2: "dd"}
+
+
+def test_the_journal_is_synced_at_most_once_a_second(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[int] = []
+    now = [100.0]
+    monkeypatch.setattr(os, "fsync", synced.append)
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    journal = JournalWriter(tmp_path / "journal")
+    for item in range(10):
+        now[0] += 0.3
+        journal.append(item, ["aa"])
+    assert len(synced) == 2
+    journal.close()
+    assert len(synced) == 3
+
+
+@pytest.mark.parametrize("number", [1, 13, 30])
+def test_a_forbidden_folder_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    def forbidden(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "open", forbidden)
+    for attempt in (
+        lambda: FrameStore.create(tmp_path / "s", (2, 3), "u2", "abc", {}),
+        lambda: write_arrays(tmp_path / "s", {}, {}),
+    ):
+        with pytest.raises(StoreError, match=f"{os.strerror(number)}; expected a place that this"):
+            attempt()

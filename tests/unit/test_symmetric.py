@@ -1,0 +1,203 @@
+"""Symmetric photography on transports that are known exactly (thesis ch. 5)."""
+
+import numpy as np
+import pytest
+
+import rfpipe
+from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
+from rfpipe.methods.base import Pack, Settings
+from rfpipe.methods.symmetric import Symmetric
+from rfpipe.photometry import CameraModel
+from rfpipe.stages.images import ImagesInMemory, NormalizedImages, normalize_level
+
+
+def dense(transport, channel=0):
+    """Return a transport's matrix."""
+    rays = int(np.prod(transport.projector_shape))
+    return transport.channel(channel).matmat(np.eye(rays))
+
+
+def relative_error(transport, matrix):
+    """Relative error in the Frobenius norm."""
+    return np.linalg.norm(dense(transport) - matrix) / np.linalg.norm(matrix)
+
+
+def acquire(matrix, shape, tolerance=1e-3, **settings):
+    rig = rfpipe.OperatorRig(matrix, camera_shape=shape, projector_shape=shape)
+    return rfpipe.acquire(rig, "symmetric", tolerance=tolerance, progress=False, **settings)
+
+
+def involution(size, seed):
+    """Return a permutation matrix that is its own transpose."""
+    order = np.random.default_rng(seed).permutation(size)[: size // 2 * 2].reshape(-1, 2)
+    matrix = np.zeros((size, size))
+    matrix[order[:, 0], order[:, 1]] = matrix[order[:, 1], order[:, 0]] = 1
+    return matrix
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-6])
+def test_a_random_matrix_degrades_to_brute_force_and_is_recovered(tolerance):
+    matrix = np.random.default_rng(0).random((256, 256))
+    matrix += matrix.T
+    result = acquire(matrix, (16, 16), tolerance)
+    assert relative_error(result.transport, matrix) < 1e-6
+    assert result.patterns == 1 + 4 + 16 + 64 + 256
+
+
+def test_a_diffuse_cavity_is_known_after_the_first_subdivision():
+    albedo = np.random.default_rng(1).uniform(0.1, 1, 256)
+    result = acquire(np.outer(albedo, albedo), (16, 16))
+    assert result.patterns == 5
+    assert relative_error(result.transport, np.outer(albedo, albedo)) < 1e-6
+    assert result.levels["rank1"].sum() == 1
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("shape", [(16, 16), (1, 64), (13, 29)])
+def test_a_permutation_is_recovered_though_every_coarse_piece_looks_rank_one(shape, seed):
+    matrix = involution(shape[0] * shape[1], seed)
+    result = acquire(matrix, shape)
+    assert relative_error(result.transport, matrix) < 1e-6
+    assert result.patterns < len(matrix)
+
+
+def test_a_mirror_takes_few_patterns():
+    matrix = np.eye(256)[::-1]
+    result = acquire(matrix, (16, 16))
+    assert relative_error(result.transport, matrix) < 1e-6
+    assert result.patterns < 40
+
+
+def test_direct_light_alone_takes_four_patterns_a_level():
+    matrix = np.diag(np.random.default_rng(2).uniform(0.1, 1, 64 * 64))
+    result = acquire(matrix, (64, 64))
+    assert list(result.levels["patterns"]) == [1, 4, 4, 4, 4, 4, 4]
+    assert relative_error(result.transport, matrix) < 1e-6
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 37), (37, 1), (13, 29), (2, 3, 5)])
+def test_domains_of_any_size(shape):
+    size = int(np.prod(shape))
+    matrix = np.random.default_rng(3).random((size, size))
+    matrix += matrix.T
+    result = acquire(matrix, shape, tolerance=1e-6)
+    assert relative_error(result.transport, matrix) < 1e-6
+
+
+def test_no_light_at_all_is_an_empty_transport():
+    result = acquire(np.zeros((64, 64)), (8, 8))
+    assert result.patterns == 1
+    assert not dense(result.transport).any()
+
+
+def test_direct_light_100000_times_the_indirect_does_not_spoil_it():
+    rng = np.random.default_rng(4)
+    albedo = rng.uniform(0.2, 1, 256)
+    indirect = np.outer(albedo, albedo)
+    matrix = np.diag(1e5 * 256 * albedo) + indirect
+    result = acquire(matrix, (16, 16), tolerance=1e-7)
+    error = dense(result.transport) - matrix
+    np.fill_diagonal(error, 0)
+    assert np.linalg.norm(error) < 0.05 * np.linalg.norm(indirect)
+
+
+def test_a_channel_without_light_stays_dark():
+    matrix = np.random.default_rng(5).random((64, 64))
+    matrix += matrix.T
+    result = acquire(np.stack([matrix, np.zeros_like(matrix), matrix / 2]), (8, 8), 1e-5)
+    assert np.allclose(dense(result.transport, 0), matrix, rtol=1e-5)
+    assert not dense(result.transport, 1).any()
+    assert np.allclose(dense(result.transport, 2), matrix / 2, rtol=1e-5)
+
+
+def test_camera_noise_does_not_make_it_subdivide_noise():
+    albedo = np.random.default_rng(6).uniform(0.1, 1, 32 * 32)
+    rig = rfpipe.OperatorRig(
+        np.diag(albedo), camera_shape=(32, 32), projector_shape=(32, 32), noise=_camera()
+    )
+    result = rfpipe.acquire(rig, "symmetric", tolerance=1e-6, progress=False)
+    assert result.patterns < 60
+    assert relative_error(result.transport, np.diag(albedo)) < 0.02
+
+
+def _camera():
+    return CameraModel(
+        exposures=(1 / 64, 1 / 8, 1.0),
+        electrons_per_radiance=640_000.0,
+        full_well_electrons=20_000.0,
+        read_noise_electrons=5.0,
+        black_level_counts=64,
+        bits=12,
+    )
+
+
+def test_the_transport_is_exactly_symmetric_and_not_negative():
+    rng = np.random.default_rng(7)
+    x = rng.uniform(size=(100, 3))
+    distance = ((x[:, None] - x[None]) ** 2).sum(axis=2)
+    matrix = np.diag(rng.uniform(1, 2, 100)) + 0.01 / (0.1 + distance)
+    found = dense(acquire(matrix, (10, 10), 1e-4).transport)
+    assert np.abs(found - found.T).max() <= 1e-6 * found.max()
+    assert found.min() >= 0
+
+
+def test_looser_tolerances_take_no_more_patterns():
+    x = np.linspace(0, 1, 256)
+    matrix = np.diag(np.full(256, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
+    patterns = [acquire(matrix, (16, 16), tolerance).patterns for tolerance in (1e-1, 1e-2, 1e-3)]
+    assert patterns == sorted(patterns)
+
+
+def test_a_rig_that_is_not_coaxial_is_refused():
+    rig = rfpipe.OperatorRig(np.ones((6, 4)), camera_shape=(2, 3), projector_shape=(2, 2))
+    with pytest.raises(InputError, match="coaxial"):
+        rfpipe.acquire(rig, "symmetric", progress=False)
+
+
+def test_truncation_is_what_stopping_there_would_have_given():
+    x = np.linspace(0, 1, 144)
+    matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
+    method, domain = Symmetric(), RayDomain((12, 12))
+    state = method.start(domain, domain, 1, Settings(1e-6))
+    stopped = []
+    for _ in range(method.n_levels(domain, domain)):
+        state = method.refine(state, _images(matrix, method.schedule(state), (12, 12)))
+        stopped.append(method.transport(state))
+    for level, transport in enumerate(stopped):
+        truncated = stopped[-1].truncate(level)
+        assert truncated.levels["level"].max() == level
+        assert np.allclose(dense(truncated), dense(transport), rtol=1e-3, atol=1e-4)
+    row_sums = stopped[-1].relight(np.ones((12, 12)))
+    assert np.allclose(stopped[-1].truncate(0).relight(np.ones((12, 12))), row_sums, rtol=1e-5)
+
+
+def test_a_state_restored_from_its_packs_goes_on_alike():
+    x = np.linspace(0, 1, 144)
+    matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
+    method, domain = Symmetric(), RayDomain((12, 12))
+    start = method.start(domain, domain, 1, Settings(1e-4))
+    state, packs = start, []
+    for _ in range(method.n_levels(domain, domain)):
+        images = _images(matrix, method.schedule(state), (12, 12))
+        restored = method.refine(method.restore(start, packs), images)
+        state = method.refine(state, images)
+        pack = method.pack(state)
+        again = method.pack(restored)
+        assert pack.attributes == again.attributes
+        assert pack.arrays.keys() == again.arrays.keys()
+        for name, array in pack.arrays.items():
+            np.testing.assert_array_equal(array, again.arrays[name])
+        packs.append(Pack(pack.arrays, pack.attributes))
+    final = method.transport(method.restore(start, packs))
+    np.testing.assert_array_equal(dense(final), dense(method.transport(state)))
+
+
+def _images(matrix, schedule, shape):
+    patterns = schedule.batch(0, schedule.count).reshape(schedule.count, matrix.shape[1])
+    light = (patterns @ matrix.T).astype(np.float32).reshape(schedule.count, *shape, 1)
+    merged = ImagesInMemory(light, np.zeros_like(light))
+    floodlit = (matrix.sum(axis=1).astype(np.float32)).reshape(*shape, 1)
+    return NormalizedImages(
+        schedule, merged, normalize_level(schedule, merged, floodlit, "none", 3.0)
+    )
