@@ -65,7 +65,7 @@ def acquire_matrix(
 ) -> Acquisition:
     """Acquire a matrix (M, N) or (C, M, N) level by level."""
     matrix = np.asarray(matrix)
-    matrix = matrix[None] if matrix.ndim == 2 else matrix
+    matrix = (matrix[None] if matrix.ndim == 2 else matrix).astype(np.float64)
     camera, projector = RayDomain(camera_shape), RayDomain(projector_shape)
     state = method.start(camera, projector, len(matrix), Settings(tolerance))
     schedules, states, packs = [], [state], []

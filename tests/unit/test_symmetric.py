@@ -199,5 +199,5 @@ def _images(matrix, schedule, shape):
     merged = ImagesInMemory(light, np.zeros_like(light))
     floodlit = (matrix.sum(axis=1).astype(np.float32)).reshape(*shape, 1)
     return NormalizedImages(
-        schedule, merged, normalize_level(schedule, merged, floodlit, "none", 3.0)
+        schedule, merged, normalize_level(schedule, merged, (floodlit, floodlit), None, "none", 3.0)
     )

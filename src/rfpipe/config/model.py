@@ -312,7 +312,8 @@ class Config(_Settings):
     normalization: Normalization = Field(
         "per_channel",
         description="Scaling of a level's images to add up to the floodlit image [B.2]: none, "
-        "per_channel, or total_energy (one factor for all channels).",
+        "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
+        "to each image's energy, for the colours that a mosaic loses).",
     )
     report: ReportConfig = Field(default_factory=ReportConfig, description="What the report shows.")
 

@@ -122,24 +122,22 @@ class Dual:
         values = np.empty((state.channels, total), np.float32)
         outcome = np.empty(total, np.uint8)
         maximum = state.floodlit_maximum
+        known = self._known(state) if self.subtract_stored else None
+        planar = (-1, state.camera.size, state.channels)
         for first, last in _batches(schedule.count, state.camera.size * state.channels):
-            radiance, variance = (
-                part.reshape(last - first, state.camera.size, state.channels)
-                for part in images.read(first, last)
-            )
+            radiance, variance = (part.reshape(planar) for part in images.read(first, last))
             if level == 0:
                 maximum = float(radiance.max())
             here = np.flatnonzero((pattern >= first) & (pattern < last))
             count = asked.count[here]
-            seen = (
-                np.repeat(pattern[here] - first, count),
-                asked.pixel[ragged_ranges(asked.first[here], count)],
-            )
+            pixel = asked.pixel[ragged_ranges(asked.first[here], count)]
+            seen = np.repeat(pattern[here] - first, count), pixel
             response = radiance[seen]
             rounding = np.finfo(np.float32).eps * response
             noise = np.sqrt(variance[seen] + rounding * rounding)
-            if self.subtract_stored:
-                response -= self._predicted(state, schedule, first, last)[seen]
+            if known is not None:
+                predicted = known.relight_batch(schedule.batch(first, last))
+                response -= predicted.reshape(planar)[seen]
             place = ragged_ranges(begin[here], count)
             values[:, place] = np.maximum(response, 0.0).T
             outcome[place] = _judge(
@@ -148,7 +146,7 @@ class Dual:
                 state.settings.tolerance * maximum,
                 np.repeat(divisible[here], count),
             )
-        block = np.repeat(asked.block, asked.count)
+        block = np.repeat(asked.block, asked.count).astype(np.int32)
         pixel = asked.pixel[ragged_ranges(asked.first, asked.count)]
         stored, frontier = (
             PairSet(level, block[chosen], pixel[chosen], values[:, chosen])
@@ -165,11 +163,9 @@ class Dual:
             rows=(*state.rows, _row(tree, schedule, total, len(stored), len(frontier))),
         )
 
-    def _predicted(self, state: DualState, schedule: Schedule, first: int, last: int) -> Float:
-        """Return what the stored responses predict for patterns, ``(last - first, M, C)``."""
-        known = self.transport(replace(state, frontier=no_pairs(state.level, state.channels)))
-        images = known.relight_batch(schedule.batch(first, last))
-        return images.reshape(last - first, state.camera.size, state.channels)
+    def _known(self, state: DualState) -> MultilevelTransport:
+        """Return what is stored, without the responses still to be subdivided."""
+        return self.transport(replace(state, frontier=no_pairs(state.level, state.channels)))
 
     def transport(self, state: DualState) -> MultilevelTransport:
         """Return the multilevel transport; responses still to be subdivided as they are."""
@@ -241,7 +237,7 @@ class _Candidates:
 
 
 def _candidates(state: DualState) -> _Candidates:
-    """Pair all pixels with the root, later the children of the frontier's blocks with its pixels."""
+    """Pair all pixels with the root; later, the frontier's pixels with their blocks' children."""
     tree, level, frontier = state.tree, state.level, state.frontier
     if level == 0:
         pixel = np.arange(state.camera.size, dtype=np.int32)
@@ -280,7 +276,9 @@ def _batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
         yield first, min(first + step, count)
 
 
-def _judge(response: Float, noise: Float, threshold: float, children: Index) -> NDArray[np.uint8]:
+def _judge(
+    response: Float, noise: NDArray[np.floating[Any]], threshold: float, children: Index
+) -> NDArray[np.uint8]:
     """Decide what becomes of responses, all channels together.
 
     A response is subdivided only where its children can be told from noise too: an average child
@@ -340,4 +338,4 @@ def coloured_blocks(frontier: PairSet, pixels: int) -> tuple[Index, NDArray[np.i
         (np.ones(len(column), np.bool_), (frontier.pixel, column)), shape=(pixels, len(blocks))
     ).tocsr()
     shared = triu(sees.T @ sees, k=1).tocoo()
-    return blocks, colour(conflict_graph(len(blocks), shared.row, shared.col))
+    return blocks.astype(np.int64), colour(conflict_graph(len(blocks), shared.row, shared.col))

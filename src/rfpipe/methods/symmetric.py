@@ -328,8 +328,11 @@ def _passes_rank_test(state: SymmetricState, measured: Measured) -> NDArray[np.b
 
 
 def _asked(state: SymmetricState) -> float:
-    """Mean squared difference that the user's tolerance allows."""
-    return (state.settings.tolerance * state.floodlit_maximum) ** 2
+    """Mean squared difference that the user's tolerance allows in the image of one child.
+
+    A pattern that lights half of a block adds up the errors of two of its four children.
+    """
+    return (state.settings.tolerance * state.floodlit_maximum) ** 2 / 2
 
 
 def _classify(

@@ -23,7 +23,7 @@ from rfpipe.photometry.sensor import (
     check_shape,
 )
 from rfpipe.provenance import generator
-from rfpipe.units import COUNTS
+from rfpipe.units import COUNTS, RADIANCE
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig
@@ -180,8 +180,10 @@ class CameraModel:
         ----------
         frames : ndarray of uint16, shape (B, *frame_shape)
         black : ndarray of float32, shape `frame_shape`
-            Mean of the all-off frames in counts. Of a non-linear camera it is the mean of
-            non-linear counts: a dark current below the read noise is then not wholly removed.
+            Mean of the all-off frames in counts. A response_gamma above 1 is steep there: a black
+            level that leaves no room for the read noise cuts its lower half off, and the mean of
+            bent counts doesn't wholly hold a dark current below the read noise. Darkness is then
+            off by a fraction of its noise.
         options : MergeOptions, optional
 
         Returns
@@ -207,8 +209,10 @@ class CameraModel:
         is_linear = self.response_gamma == 1 and options.response is None
         # the converter's steps are as coarse in electrons as the response is steep
         steps = np.square(np.gradient(table)).astype(np.float32) / 12
-        radiance, variance, saturated = [], [], 0
-        for bracket in frames:
+        shape = (len(frames), *frames.shape[2:], *(() if self.bayer is None else (3,)))
+        radiance, variance = np.empty(shape, RADIANCE), np.empty(shape, RADIANCE)
+        saturated = 0
+        for index, bracket in enumerate(frames):
             if is_linear:
                 electrons = bracket - black
                 electrons *= np.float32(self.electrons_per_count)
@@ -221,10 +225,9 @@ class CameraModel:
             )
             if self.bayer is not None:
                 image, spread = demosaic(image, spread, self.bayer)
-            radiance.append(image)
-            variance.append(spread)
+            radiance[index], variance[index] = image, spread
             saturated += lost
-        return Merged(np.stack(radiance), np.stack(variance), saturated)
+        return Merged(radiance, variance, saturated)
 
     def _frame(self, light: Float, exposure: float, random: np.random.Generator) -> Counts:
         """Take one exposure of the light on the sensor."""

@@ -12,8 +12,8 @@ __all__ = ["merge_bracket"]
 Float = NDArray[np.float32]
 
 ROUNDS = 2
-"""Rounds of weights from the pooled estimate; the third changes less than a thousandth of the
-standard deviation."""
+"""Rounds of weights from the pooled estimate; a third changes the result by less than a thousandth
+of its standard deviation (RMS), a hundredth at most."""
 
 UNKNOWN_DEVIATION = 1e3
 """Standard deviation of a sample saturated in every exposure, in units of the full scale."""

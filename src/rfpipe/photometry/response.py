@@ -131,7 +131,8 @@ def _choose_samples(
     """Choose pixels (samples, E) spread evenly over the levels, scaled to `BINS` values."""
     count = len(frames)
     pedestal = black.reshape(count, -1).astype(np.float64)
-    level = (frames.reshape(count, -1) - pedestal) / (white_level - pedestal)
+    span = np.maximum(white_level - pedestal, 1)  # a pixel stuck at full scale has none
+    level = (frames.reshape(count, -1) - pedestal) / span
     usable = (level > 1 / BINS) & (frames.reshape(count, -1) < white_level)
     candidates = np.flatnonzero(usable.sum(axis=0) >= 2)
     if len(candidates) == 0:

@@ -49,4 +49,5 @@ class SimulatedRig(OperatorRig):
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
         described = super().describe()
-        return {**described, "kind": "simulated", "scene": described.pop("operator")}
+        scene = described.pop("operator")
+        return {**described, "kind": "simulated", "scene": scene}

@@ -55,9 +55,7 @@ class ClusterTree:
         return np.flatnonzero(chosen)
 
     @classmethod
-    def of_plane(
-        cls, plane: Plane, positions: NDArray[np.float64], leaf_size: int
-    ) -> ClusterTree:
+    def of_plane(cls, plane: Plane, positions: NDArray[np.float64], leaf_size: int) -> ClusterTree:
         """Build the tree of points (n, 3) of a plane, with at most `leaf_size` a leaf."""
         axes = plane.axes()
         flat = (positions - np.asarray(plane.point)) @ axes.T
@@ -162,7 +160,9 @@ def cluster_pairs(
         visibility = _visibility(a, b, affine)
         gap = np.linalg.norm(centre[0][a] - centre[1][b], axis=1) - radius[0][a] - radius[1][b]
         larger = np.maximum(radius[0][a], radius[1][b])
-        smooth = (visibility == VISIBLE) & (gap >= np.maximum(separation * 2 * larger, least_distance))
+        smooth = (visibility == VISIBLE) & (
+            gap >= np.maximum(separation * 2 * larger, least_distance)
+        )
         leaf_a, leaf_b = one.child[a] < 0, two.child[b] < 0
         kept = (smooth | (leaf_a & leaf_b)) & (visibility != HIDDEN)
         done.append(tuple(x[kept] for x in (a, b, smooth.astype(np.int64), root_a, root_b)))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rfpipe.scenes.clusters import ClusterTree, cluster_pairs
 from rfpipe.scenes.formfactors import FacingPair
 from rfpipe.scenes.kernels import apply_blocks, fill_blocks
+from rfpipe.scenes.occluders import END_TOLERANCE
 
 __all__ = ["TOLERANCE", "CompressedFormFactors"]
 
@@ -110,10 +111,14 @@ class _PairBlocks:
             used = fill_blocks(
                 self.ranges[start:stop],
                 smooth[start:stop],
-                *positions,
-                *shadows,
-                *heights,
+                positions[0],
+                positions[1],
+                shadows[0],
+                shadows[1],
+                heights[0],
+                heights[1],
                 pair.least_squared_distance,
+                END_TOLERANCE,
                 TOLERANCE,
                 self.rank[start:stop],
                 data,

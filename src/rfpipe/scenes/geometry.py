@@ -133,9 +133,9 @@ def surface_points(shape: tuple[int, int], planes: tuple[Plane, ...]) -> Surface
     pitch = 1 / min(shape)
     x = (np.arange(width) + 0.5 - width / 2) * pitch
     y = (np.arange(height) + 0.5 - height / 2) * pitch
-    rays = np.ones((height, width, 3))
-    rays[..., 0], rays[..., 1] = x, y[:, None]
-    rays = rays.reshape(-1, 3)
+    image_plane = np.ones((height, width, 3))
+    image_plane[..., 0], image_plane[..., 1] = x, y[:, None]
+    rays = image_plane.reshape(-1, 3)
 
     depths = np.full((len(planes), len(rays)), np.inf)
     for depth, plane in zip(depths, planes, strict=True):

@@ -14,7 +14,6 @@ __all__ = ["apply_blocks", "fill_blocks"]
 
 _PANEL = 64  # terms that are added up in float32
 _MAX_RANK = 128  # a block that needs more is stored with all its entries
-_END = 1e-9  # occluders.END_TOLERANCE, compiled in
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -26,10 +25,10 @@ def _kernel(p, q, least):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _blocked(p, q):  # type: ignore[no-untyped-def]
+def _blocked(p, q, end_tolerance):  # type: ignore[no-untyped-def]
     """As occluders.blocked, for one segment."""
     span = q[0] - p[0]
-    ends = _END * abs(span)
+    ends = end_tolerance * abs(span)
     return (
         p[0] * q[0] < 0
         and abs(p[0]) > ends
@@ -40,14 +39,14 @@ def _blocked(p, q):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _entries(p, q, shadow_p, shadow_q, height_p, height_q, least, out):  # type: ignore[no-untyped-def]
+def _entries(p, q, shadow_p, shadow_q, height_p, height_q, least, end_tolerance, out):  # type: ignore[no-untyped-def]
     """All entries of G between points p and q, row-major."""
     n = q.shape[0]
     for i in range(p.shape[0]):
         for j in range(n):
             value = height_p[i] * height_q[j] * _kernel(p[i], q[j], least)
             for occluder in range(shadow_p.shape[0]):
-                if _blocked(shadow_p[occluder, i], shadow_q[occluder, j]):
+                if _blocked(shadow_p[occluder, i], shadow_q[occluder, j], end_tolerance):
                     value = 0.0
             out[i * n + j] = value
 
@@ -79,8 +78,8 @@ def _cross_approximation(p, q, least, tolerance, most, left, right):  # type: ig
             right[k, c] = value
             if abs(value) > best:
                 best, j = abs(value), c
-        if best == 0.0:
-            return k
+        if best == 0.0:  # says nothing of the other rows
+            return most + 1
         pivot = right[k, j]
         for c in range(n):
             right[k, c] /= pivot
@@ -103,7 +102,19 @@ def _cross_approximation(p, q, least, tolerance, most, left, right):  # type: ig
 
 @numba.njit(cache=True, nogil=True)
 def fill_blocks(  # type: ignore[no-untyped-def]
-    ranges, smooth, p, q, shadow_p, shadow_q, height_p, height_q, least, tolerance, rank, data
+    ranges,
+    smooth,
+    p,
+    q,
+    shadow_p,
+    shadow_q,
+    height_p,
+    height_q,
+    least,
+    end_tolerance,
+    tolerance,
+    rank,
+    data,
 ):
     """Store blocks one after the other, smooth ones as factors where that is shorter.
 
@@ -121,6 +132,8 @@ def fill_blocks(  # type: ignore[no-untyped-def]
         Heights over the other plane.
     least : float
         Lower clamp of squared distances.
+    end_tolerance : float
+        Fraction of a segment at its ends in which it can't be blocked.
     tolerance : float
         Relative error (Frobenius) allowed in a smooth block.
     rank : int64 (blocks,)
@@ -161,6 +174,7 @@ def fill_blocks(  # type: ignore[no-untyped-def]
                 height_p[i0:i1],
                 height_q[j0:j1],
                 least,
+                end_tolerance,
                 data[used : used + m * n],
             )
             used += m * n
@@ -234,9 +248,7 @@ def apply_blocks(chosen, transposed, ranges, rank, offset, data, x, y):  # type:
             left, right = right, left
             row_step, column_step = 1, row_step
         if k == 0:
-            _multiply(
-                data, offset[b], row_step, column_step, m, n, x[j0:j1], y[i0:i1], partial
-            )
+            _multiply(data, offset[b], row_step, column_step, m, n, x[j0:j1], y[i0:i1], partial)
         else:
             for r in range(k):
                 for column in range(columns):

@@ -87,7 +87,7 @@ def blocked(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[
     s_2, u_2, v_2 = np.moveaxis(second, -1, 0)
     span = s_2 - s_1
     ends = END_TOLERANCE * np.abs(span)
-    crosses = (s_1 * s_2 < 0) & (np.abs(s_1) > ends) & (np.abs(s_2) > ends)
+    crosses: NDArray[np.bool_] = (s_1 * s_2 < 0) & (np.abs(s_1) > ends) & (np.abs(s_2) > ends)
     # |u| <= 1 at the crossing, without a division by a span that may be zero
     crosses &= np.abs(u_1 * s_2 - u_2 * s_1) <= np.abs(span)
     crosses &= np.abs(v_1 * s_2 - v_2 * s_1) <= np.abs(span)

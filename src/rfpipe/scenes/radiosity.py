@@ -17,14 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
+from rfpipe.scenes.base import apply_in_batches
 from rfpipe.scenes.formfactors import DenseFormFactors, FormFactors, facing_pairs, form_factors
 from rfpipe.scenes.geometry import SurfacePoints
 from rfpipe.scenes.occluders import Occluder, blocked
 
-__all__ = ["DENSE_RAYS", "RadiosityScene", "as_columns"]
+__all__ = ["DENSE_RAYS", "RadiosityScene"]
 
 DENSE_RAYS = 8192  # rays above which a dense matrix is refused: it would take over half a gigabyte
-_PATTERNS_AT_A_TIME = 16
 
 
 class RadiosityScene:
@@ -64,7 +64,8 @@ class RadiosityScene:
         values = np.array(albedo, dtype=np.float64)
         if values.shape[:2] != points.shape or values.ndim != 3:
             raise InputError(
-                f"albedo of shape {values.shape}: expected (*{points.shape}, channels)"
+                f"albedo of shape {values.shape}: expected ({', '.join(map(str, points.shape))}, "
+                "channels)"
             )
         if not ((values >= 0) & (values < 1)).all():
             raise InputError("albedo: every value should be at least 0 and below 1")
@@ -77,9 +78,7 @@ class RadiosityScene:
         self._compress = compress
         origin = np.zeros(3)
         for occluder in self.occluders:
-            seen = blocked(
-                occluder.coordinates(origin), occluder.coordinates(points.positions)
-            )
+            seen = blocked(occluder.coordinates(origin), occluder.coordinates(points.positions))
             values[seen.reshape(points.shape)] = 0
         self._albedo = values.reshape(-1, values.shape[2])
 
@@ -106,8 +105,7 @@ class RadiosityScene:
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
         """Radiance under projected patterns.
 
-        A pattern's radiance is the same to the last bit whichever patterns stand beside it, so
-        that a capture that is resumed repeats its bytes.
+        A pattern's radiance doesn't depend on the patterns beside it, see `apply_in_batches`.
 
         Parameters
         ----------
@@ -124,17 +122,7 @@ class RadiosityScene:
         InputError
             If the patterns don't have N rays each.
         """
-        weights = as_columns(patterns, self.shape)
-        out = np.empty((weights.shape[1], len(self._albedo), self.channels), dtype=np.float32)
-        for start in range(0, weights.shape[1], _PATTERNS_AT_A_TIME):
-            part = weights[:, start : start + _PATTERNS_AT_A_TIME]
-            count = part.shape[1]
-            # Always as many columns: a matrix product may round differently for other numbers.
-            padded = np.zeros((len(part), _PATTERNS_AT_A_TIME))
-            padded[:, :count] = part
-            radiance = self._radiance(padded)
-            out[start : start + count] = radiance.transpose(1, 0, 2)[:count]
-        return out
+        return apply_in_batches(self._radiance, patterns, self.shape, self.channels)
 
     def _radiance(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Radiance (N, B, C) of patterns (N, B)."""
@@ -184,7 +172,7 @@ class RadiosityScene:
             ).blocks:
                 geometry[np.ix_(first, second)] = block
                 geometry[np.ix_(second, first)] = block.T
-            bounce = albedo[:, None] * geometry * albedo
+            bounce = np.outer(albedo, albedo) * geometry
             transport += bounce
             for _ in range(2, self.bounces):
                 bounce = (albedo[:, None] * geometry * areas) @ bounce
@@ -204,23 +192,3 @@ class RadiosityScene:
             "occluders": [asdict(occluder) for occluder in self.occluders],
             "compress": self._compress,
         }
-
-
-def as_columns(patterns: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.floating[Any]]:
-    """Patterns (B, N) or (B, *shape) as columns (N, B).
-
-    Raises
-    ------
-    InputError
-        If the patterns have another shape, or a weight is not finite.
-    """
-    weights = np.asarray(patterns)
-    if weights.ndim < 2 or weights.shape[1:] not in {tuple(shape), (int(np.prod(shape)),)}:
-        raise InputError(
-            f"patterns of shape {weights.shape}: expected (patterns, {int(np.prod(shape))}) or "
-            f"(patterns, {', '.join(map(str, shape))})"
-        )
-    if not np.isfinite(weights).all():
-        raise InputError("patterns: every weight should be finite, found NaN or infinity")
-    columns: NDArray[np.floating[Any]] = weights.reshape(len(weights), -1).T
-    return columns

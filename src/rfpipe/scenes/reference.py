@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rfpipe.config import SceneConfig
 from rfpipe.errors import InputError
 from rfpipe.scenes.geometry import GEOMETRIES, surface_points
 from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.textures import surface_albedo
+
+if TYPE_CHECKING:
+    from rfpipe.config import SceneConfig
 
 __all__ = ["REFERENCE_SCENES", "planes_scene", "reference_scene", "scene_from_config"]
 

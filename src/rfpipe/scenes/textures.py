@@ -110,4 +110,5 @@ def surface_albedo(
     if kind == "texture":
         grey = np.where(printed_page(shape, seed, surface), INK, PAPER)
     tint = TINTS[surface % len(TINTS)] if channels > 1 else (1.0,)
-    return grey[..., None] * np.array(tint)
+    albedo: NDArray[np.float64] = grey[..., None] * np.array(tint)
+    return albedo

@@ -18,7 +18,7 @@ from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
 from rfpipe.rigs import Rig
-from rfpipe.stages.images import ImagesInMemory, NormalizedImages, normalize_level
+from rfpipe.stages.images import ImagesInMemory, NormalizedImages, known_light, normalize_level
 from rfpipe.stages.merging import Merger, reference_patterns
 from rfpipe.transport import Transport
 
@@ -134,7 +134,12 @@ def acquire(
         patterns += schedule.count
         merged = session.capture(schedule)
         gain = normalize_level(
-            schedule, merged, session.merger.floodlit, normalization, noise_significance
+            schedule,
+            merged,
+            (session.merger.floodlit, session.merger.floodlit_variance),
+            known_light(plan, state, schedule),
+            normalization,
+            noise_significance,
         )
         state = plan.refine(state, NormalizedImages(schedule, merged, gain))
     transport = plan.transport(state)

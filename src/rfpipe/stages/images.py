@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.methods.base import Method
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.normalize import Mode, Normalization, apply, level_gain
+from rfpipe.transport import Transport
 
 Float = NDArray[np.float32]
 
@@ -46,32 +48,61 @@ class NormalizedImages:
         return apply(*self.merged.read(first, last), self.normalization)
 
 
+def known_light(method: Method[Any], state: Any, schedule: Schedule) -> Float | None:
+    """Predict the light of the rays that a level no longer lights.
+
+    Returns
+    -------
+    ndarray of float32, shape (*camera_shape, C), or None
+        None where the level lights every ray that can send light.
+    """
+    if schedule.complete or not schedule.count or schedule.pattern_of_ray is None:
+        return None
+    transport: Transport = method.transport(state)
+    return transport.relight(schedule.pattern_of_ray < 0)
+
+
 def normalize_level(
     schedule: Schedule,
     merged: MergedImages,
-    floodlit: Float,
+    floodlit: tuple[Float, Float],
+    known: Float | None,
     mode: Mode,
     significance: float,
     batch: int = 16,
 ) -> Normalization:
     """Compare the sum of a level's images with the floodlit image (thesis B.2).
 
+    Where the level leaves rays dark whose light is known already, that light is taken off the
+    floodlit image first. A pixel that has most of its light from such rays is left as it is: the
+    difference would be all noise.
+
     Parameters
     ----------
     schedule : Schedule
     merged : MergedImages
-    floodlit : ndarray of float32, shape (*camera_shape, C)
+    floodlit : tuple of two ndarrays of float32, shape (*camera_shape, C)
+        The floodlit image and its variance.
+    known : ndarray of float32, shape (*camera_shape, C), or None
+        Light of the rays that the level does not light, see `known_light`.
     mode : {"none", "per_channel", "total_energy"}
     significance : float
         Standard deviations that make a sum significant.
     batch : int
         Images read at a time.
     """
-    total = np.zeros(floodlit.shape)
-    total_variance = np.zeros(floodlit.shape)
-    if mode != "none" and schedule.complete:
+    radiance, spread = floodlit
+    total, total_variance = np.zeros(radiance.shape), np.zeros(radiance.shape)
+    wanted = mode != "none" and (schedule.complete or known is not None)
+    if wanted:
         for first in range(0, schedule.count, batch):
-            radiance, variance = merged.read(first, min(first + batch, schedule.count))
-            total += radiance.sum(axis=0, dtype=np.float64)
+            images, variance = merged.read(first, min(first + batch, schedule.count))
+            total += images.sum(axis=0, dtype=np.float64)
             total_variance += variance.sum(axis=0, dtype=np.float64)
-    return level_gain(floodlit, total, total_variance, mode, schedule.complete, significance)
+    expected = radiance if known is None else radiance - known
+    found = level_gain(expected, total, total_variance, mode, wanted, significance, spread)
+    if known is None:
+        return found
+    covered = found.covered & (known < expected)
+    gain = np.where(covered, found.gain, np.float32(1))
+    return Normalization(gain, covered, mode)

@@ -31,6 +31,8 @@ class Merger:
     floodlit : ndarray of float32, shape (*camera_shape, C)
         Radiance under the all-on pattern, the mean of several brackets: the images of each level
         are made to add up to it, so that its noise is the noise of the direct light.
+    floodlit_variance : ndarray of float32, same shape
+        Its variance.
     """
 
     sensor: Sensor
@@ -38,6 +40,7 @@ class Merger:
     options: MergeOptions
     defects: DefectMap | None
     floodlit: NDArray[np.float32]
+    floodlit_variance: NDArray[np.float32]
 
     @classmethod
     def calibrate(
@@ -74,12 +77,14 @@ class Merger:
         defects = None
         if repair_defects and is_camera:
             defects = find_defects(black_frames, floodlit_frames[0], sensor)
-        merger = cls(sensor, black, options, defects, np.zeros(0, np.float32))
+        nothing = np.zeros(0, np.float32)
+        merger = cls(sensor, black, options, defects, nothing, nothing)
         merged = merger.merge(floodlit_frames, 0)
         if is_camera:
             check_floodlit(merged.radiance, merged.variance)
         floodlit = merged.radiance.mean(axis=0, dtype=np.float64).astype(np.float32)
-        return replace(merger, floodlit=floodlit)
+        variance = merged.variance.mean(axis=0, dtype=np.float64) / len(floodlit_frames)
+        return replace(merger, floodlit=floodlit, floodlit_variance=variance.astype(np.float32))
 
     def merge(self, frames: Frames, first_index: int) -> Merged:
         """Merge brackets ``(B, E, ...)``, the first of them that of pattern `first_index`."""

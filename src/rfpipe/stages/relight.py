@@ -1,44 +1,33 @@
-"""Relight a transport with the reference patterns, and compute what is true of the scene."""
+"""Stage: relight a transport with the reference patterns, and compute what is true of the scene."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.provenance import versions
+from rfpipe.provenance import fingerprint
+from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.slices import leaf_levels, line_patterns
+from rfpipe.store import read_manifest
 from rfpipe.transport import Transport, open_transport
+from rfpipe.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
     from rfpipe.config import SceneConfig
+    from rfpipe.scenes import Scene
 
-__all__ = ["SceneTruth", "images_of", "relight", "relit_arrays", "right_half"]
+__all__ = ["images_of", "relit_arrays", "right_half", "run"]
 
 Float = NDArray[np.float32]
 
 _AT_A_TIME = 64
 
 
-class SceneTruth(Protocol):
-    """The exact light transport of a scene over images (H, W)."""
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width."""
-
-    @property
-    def albedo(self) -> Float:
-        """Albedo (H, W, C)."""
-
-    def apply(self, patterns: Float) -> Float:
-        """Radiance (B, N, C) under patterns (B, N)."""
-
-
-def images_of(scene: SceneTruth, patterns: Float) -> Float:
+def images_of(scene: Scene, patterns: Float) -> Float:
     """Return a scene's exact images ``(P, H, W, C)`` under patterns ``(P, H, W)``."""
     flat = patterns.reshape(len(patterns), -1)
     parts = [
@@ -55,14 +44,14 @@ def right_half(shape: tuple[int, ...]) -> Float:
     return pattern
 
 
-def relit_arrays(transport: Transport, scene: SceneTruth) -> dict[str, NDArray[Any]]:
+def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     """Compute all that the report shows of one transport, beside the truth.
 
     Parameters
     ----------
     transport : Transport
         Of a coaxial rig over images (H, W).
-    scene : SceneTruth
+    scene : Scene
         The scene that it was acquired from.
 
     Returns
@@ -80,7 +69,7 @@ def relit_arrays(transport: Transport, scene: SceneTruth) -> dict[str, NDArray[A
     InputError
         When transport and scene differ in shape or channels.
     """
-    from rfpipe.scenes.relighting import relighting_patterns
+    from rfpipe.scenes import relighting_patterns
 
     shape, channels = scene.shape, scene.albedo.shape[-1]
     if (transport.camera_shape, transport.projector_shape) != (shape, shape):
@@ -117,59 +106,37 @@ def relit_arrays(transport: Transport, scene: SceneTruth) -> dict[str, NDArray[A
     return arrays
 
 
-def relight(
-    transport_path: Path,
-    scene: SceneConfig,
-    store: Path,
-    manifest: Path,
-    *,
-    names: tuple[str, str],
-    fingerprint: str,
-) -> None:
-    """Relight a stored transport and write images, truth and a manifest.
+def run(folder: Path, scene: SceneConfig, code: str) -> None:
+    """Relight the transport of an acquisition; write ``relight.zarr`` and ``relight.json``.
 
     Parameters
     ----------
-    transport_path : Path
-        The ``transport.zarr`` of an acquisition.
+    folder : Path
+        ``results/{scene}/{method}``, with ``transport.zarr`` and ``transport.json``.
     scene : SceneConfig
         The scene that it was acquired from.
-    store : Path
-        Bundle of arrays to write, see `relit_arrays`.
-    manifest : Path
-        Written last.
-    names : (str, str)
-        Scene and method, for the manifest.
-    fingerprint : str
-        Of the settings and the code that shape the result.
+    code : str
+        Fingerprint of the code behind the stage.
     """
-    from rfpipe.scenes.reference import scene_from_config
-    from rfpipe.scenes.relighting import RELIGHTING_PATTERNS
-    from rfpipe.store.arrays import write_arrays
-    from rfpipe.store.manifest import write_manifest
+    from rfpipe.scenes import RELIGHTING_PATTERNS, scene_from_config
 
-    transport = open_transport(transport_path)
+    store, manifest = folder / "relight.zarr", folder / "relight.json"
+    acquired = read_manifest(folder / "transport.json")
+    made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
+    if accept_bundle(store, manifest, made_from):
+        return
+    transport = open_transport(folder / "transport.zarr")
     exact = scene_from_config(scene)
-    arrays = relit_arrays(transport, exact)
-    attributes = {
-        "scene": names[0],
-        "method": names[1],
-        "patterns": list(RELIGHTING_PATTERNS),
+    facts = {
+        "stage": "relight",
+        "scene": acquired["scene"],
+        "method": acquired["method"],
+        "names": list(RELIGHTING_PATTERNS),
         "row": exact.shape[0] // 2,
-        "units": "radiance",
+        "patterns": acquired["patterns"],
+        "bytes": transport.nbytes,
+        "levels": transport.level_rows,
+        "tolerance": acquired["tolerance"],
+        "units": RADIANCE_UNIT,
     }
-    digest = write_arrays(store, arrays, attributes)
-    write_manifest(
-        manifest,
-        {
-            **attributes,
-            "digest": digest,
-            "fingerprint": fingerprint,
-            "shape": list(exact.shape),
-            "channels": exact.channels,
-            "transport_bytes": transport.nbytes,
-            "patterns_shown": sum(int(entry["patterns"]) for entry in transport.level_rows),
-            "levels": transport.level_rows,
-            "versions": versions(),
-        },
-    )
+    write_bundle(store, manifest, made_from, relit_arrays(transport, exact), facts)

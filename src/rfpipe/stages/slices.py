@@ -16,8 +16,8 @@ NO_LEAF = -1
 """Level of an entry that no leaf holds: it was measured as empty."""
 
 
-def line_patterns(shape: tuple[int, int], row: int) -> NDArray[np.float32]:
-    """Return one single-pixel pattern for each pixel of an image row, float32 ``(W, H, W)``."""
+def line_patterns(shape: tuple[int, ...], row: int) -> NDArray[np.float32]:
+    """Return a single-pixel pattern for each pixel of a row of an image (H, W): (W, H, W)."""
     height, width = shape
     patterns = np.zeros((width, height, width), np.float32)
     patterns[np.arange(width), row, np.arange(width)] = 1

@@ -1,4 +1,4 @@
-"""Speed against error: the same acquisition at several tolerances, in this process."""
+"""Stage: speed against error: the same acquisition at several tolerances, in this process."""
 
 from __future__ import annotations
 
@@ -13,15 +13,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.provenance import versions
+from rfpipe.provenance import fingerprint
+from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.store.files import write_atomically
+from rfpipe.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
     from rfpipe.transport import Transport
 
-__all__ = ["TIMES_COLUMNS", "Sweep", "stored_bytes", "sweep", "sweep_tolerances"]
+__all__ = ["TIMES_COLUMNS", "Sweep", "run", "stored_bytes", "sweep_tolerances"]
 
-TIMES_COLUMNS = ("tolerance", "capture_s", "processing_s", "simulation_s")
+TIMES_COLUMNS = ("tolerance", "processing_s", "simulation_s")
+"""Wall seconds measured here, of processing and of simulating the pictures."""
 
 _log = logging.getLogger(__name__)
 
@@ -37,8 +41,7 @@ class Sweep:
     rows : list of dict
         ``tolerance``, ``patterns`` shown, ``bytes`` stored: the same in every run.
     times : list of dict
-        `TIMES_COLUMNS`: seconds that a real rig takes to show the patterns, and wall seconds that
-        were measured here, of processing and of simulating the pictures.
+        `TIMES_COLUMNS`.
     """
 
     relit: NDArray[np.float32]
@@ -71,87 +74,88 @@ def sweep_tolerances(config: Config, scene: str, method: str) -> Sweep:
     """
     from rfpipe.photometry import sensor_from_config
     from rfpipe.rigs import SimulatedRig
-    from rfpipe.scenes.reference import scene_from_config
-    from rfpipe.scenes.relighting import relighting_patterns
+    from rfpipe.scenes import relighting_patterns, scene_from_config
     from rfpipe.stages.acquire import acquire
 
     exact = scene_from_config(config.scenes[scene])
-    rig = SimulatedRig(
-        exact, sensor_from_config(config.camera), config.seed, config.capture.seconds_per_pattern
-    )
+    rig = SimulatedRig(exact, sensor_from_config(config.camera), config.seed)
+    _warm_up(method)
     patterns = np.stack(list(relighting_patterns(exact.shape).values()))
     relit: list[NDArray[np.float32]] = []
     rows: list[dict[str, Any]] = []
     times: list[dict[str, float]] = []
     for tolerance in config.report.tolerances:
-        result = acquire(
-            rig,
-            method,
-            tolerance,
-            progress=False,
-            noise_significance=config.acquisition.noise_significance,
-            normalization=config.normalization,
-            black_frames=config.capture.black_frames,
-            repair_defects=config.merge.repair_defects,
-            saturation_fraction=config.merge.saturation_fraction,
-        )
+        result = acquire(rig, method, tolerance, progress=False, **_acquisition(config))
         relit.append(result.transport.relight_batch(patterns))
-        row = {
-            "tolerance": tolerance,
-            "patterns": result.patterns,
-            "bytes": stored_bytes(result.transport),
-        }
+        nbytes = stored_bytes(result.transport)
+        row = {"tolerance": tolerance, "patterns": result.patterns, "bytes": nbytes}
         rows.append(row)
-        times.append(
-            {
-                "tolerance": tolerance,
-                "capture_s": result.patterns * rig.seconds_per_pattern,
-                "processing_s": result.processing_seconds,
-                "simulation_s": result.capture_seconds,
-            }
-        )
+        seconds = (tolerance, result.processing_seconds, result.capture_seconds)
+        times.append(dict(zip(TIMES_COLUMNS, seconds, strict=True)))
         _log.info("%s, %s at tolerance %g: %s", scene, method, tolerance, row)
     return Sweep(np.stack(relit), rows, times)
 
 
-def sweep(
-    config: Config, scene: str, method: str, store: Path, times: Path, manifest: Path,
-    *, fingerprint: str,
-) -> None:  # fmt: skip
-    """Run `sweep_tolerances` and write its images, its times and a manifest.
+def _warm_up(method: str) -> None:
+    """Load the compiled kernels, so that no tolerance's time includes it."""
+    from rfpipe.rigs import SimulatedRig
+    from rfpipe.scenes import reference_scene
+    from rfpipe.stages.acquire import acquire
+
+    tiny = reference_scene("IV", (8, 8))
+    acquire(SimulatedRig(tiny), method, progress=False).transport.relight(np.ones(tiny.shape))
+
+
+def run(config: Config, scene: str, method: str, folder: Path, code: str) -> None:
+    """Run `sweep_tolerances`; write ``sweep.zarr``, ``sweep.csv`` and ``sweep.json``.
+
+    The CSV table holds the times, which differ from run to run; the rest doesn't.
 
     Parameters
     ----------
     config : Config
     scene, method : str
-    store : Path
-        Bundle of arrays to write: ``relit``.
-    times : Path
-        CSV table of `TIMES_COLUMNS`. It stands apart since it differs from run to run.
-    manifest : Path
-        Written last.
-    fingerprint : str
-        Of the settings and the code that shape the result.
+    folder : Path
+        ``results/{scene}/{method}``.
+    code : str
+        Fingerprint of the code behind the stage.
     """
-    from rfpipe.store.arrays import write_arrays
-    from rfpipe.store.files import write_atomically
-    from rfpipe.store.manifest import write_manifest
-
+    store, times, manifest = (folder / f"sweep.{suffix}" for suffix in ("zarr", "csv", "json"))
+    made_from = fingerprint(
+        {
+            "method": method,
+            "scene": config.scenes[scene],
+            "camera": config.camera,
+            "seed": config.seed,
+            "tolerances": config.report.tolerances,
+            "acquisition": _acquisition(config),
+            "code": code,
+        }
+    )
+    if times.exists() and accept_bundle(store, manifest, made_from):
+        return
     found = sweep_tolerances(config, scene, method)
-    attributes = {"scene": scene, "method": method, "units": "radiance"}
-    digest = write_arrays(store, {"relit": found.relit}, attributes)
     text = io.StringIO()
     writer = csv.DictWriter(text, TIMES_COLUMNS, lineterminator="\n")
     writer.writeheader()
     writer.writerows(found.times)
     write_atomically(times, text.getvalue().encode())
-    write_manifest(
-        manifest,
-        {
-            **attributes,
-            "digest": digest,
-            "fingerprint": fingerprint,
-            "rows": found.rows,
-            "versions": versions(),
-        },
-    )
+    facts = {
+        "stage": "sweep",
+        "scene": scene,
+        "method": method,
+        "rows": found.rows,
+        "units": RADIANCE_UNIT,
+    }
+    write_bundle(store, manifest, made_from, {"relit": found.relit}, facts)
+
+
+def _acquisition(config: Config) -> dict[str, Any]:
+    """Return the settings that `acquire` takes, besides the tolerance."""
+    return {
+        "noise_significance": config.acquisition.noise_significance,
+        "normalization": config.normalization,
+        "black_frames": config.capture.black_frames,
+        "repair_defects": config.merge.repair_defects,
+        "saturation_fraction": config.merge.saturation_fraction,
+    }

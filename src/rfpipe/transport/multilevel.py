@@ -1,4 +1,4 @@
-"""Dual photography's transport: one sparse matrix of (block, pixel) values a level (thesis §3.2)."""
+"""Dual photography's transport: a sparse matrix (block, pixel) -> value a level (thesis §3.2)."""
 
 from __future__ import annotations
 

@@ -36,6 +36,7 @@ def gather_to_blocks(block, pixel, values, images, out):  # type: ignore[no-unty
     Parameters
     ----------
     block, pixel : int32 (n,)
+        Ordered by block, so that a block's sum stays in a register.
     values : float32 (K, n)
     images : float32 (P, K, pixels)
     out : float64 (P, K, n_blocks)
@@ -45,5 +46,11 @@ def gather_to_blocks(block, pixel, values, images, out):  # type: ignore[no-unty
     for plane in numba.prange(images.shape[0] * channels):
         p, c = plane // channels, plane % channels
         source, target = images[p, c], out[p, c]
-        for n in range(block.shape[0]):
-            target[block[n]] += values[c, n] * source[pixel[n]]
+        n = 0
+        while n < block.shape[0]:
+            current = block[n]
+            total = 0.0
+            while n < block.shape[0] and block[n] == current:
+                total += values[c, n] * source[pixel[n]]
+                n += 1
+            target[current] += total

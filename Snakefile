@@ -1,0 +1,48 @@
+"""rfpipe: from patterns to a relightable light transport and its report.
+
+Each scene of the configuration is acquired with each method, level by level: the levels above
+decide on the patterns of a level (schedule), the rig shows them (capture), brackets become radiance
+(merge) that adds up to the floodlit image (normalize), and the method learns from it (refine). The
+transport is assembled from all levels, relit, compared with the truth and reported.
+
+Every stage leaves a store and, written last, a small manifest beside it. The rules know the
+manifests only: a store is journaled, so that a stage that was stopped goes on where it stopped.
+"""
+
+from pathlib import Path
+
+from snakemake.utils import min_version
+
+min_version("9.27")
+
+
+# Settings given with --configfile take the place of the default run's, rather than joining them.
+if not workflow.overwrite_configfiles:
+
+    configfile: Path(workflow.basedir) / "config" / "config.yaml"
+
+
+include: "workflow/rules/common.smk"
+include: "workflow/rules/schedule.smk"
+include: "workflow/rules/capture_simulated.smk"
+include: "workflow/rules/merge.smk"
+include: "workflow/rules/normalize.smk"
+include: "workflow/rules/refine.smk"
+include: "workflow/rules/assemble.smk"
+
+
+rule all:
+    default_target: True
+    input:
+        every_acquisition("transport.json"),
+
+
+onsuccess:
+    print("rfpipe: done.")
+
+
+onerror:
+    print(
+        "rfpipe: a stage failed; its message stands above and, with more detail, in the .log file "
+        "beside its results. What was captured is kept: the next run goes on from there."
+    )

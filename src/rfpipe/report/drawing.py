@@ -1,0 +1,114 @@
+"""Drawing: figures without global state, radiance as pictures, and the report's palette."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "METHOD_COLOURS",
+    "chunks",
+    "label_below",
+    "label_left",
+    "new_figure",
+    "png",
+    "show_radiance",
+    "srgb",
+]
+
+METHOD_COLOURS = {"symmetric": "#1f5a9e", "dual": "#c4611a", "brute_force": "#5c5c5c"}
+
+_DPI = 110
+_SMALL = 8.0
+
+
+def new_figure(
+    rows: int, columns: int, size: tuple[float, float], **options: Any
+) -> tuple[Figure, NDArray[Any]]:
+    """Make a figure with a grid of axes.
+
+    Parameters
+    ----------
+    rows, columns : int
+    size : (float, float)
+        Width and height in inches.
+    **options
+        For ``Figure.subplots``.
+
+    Returns
+    -------
+    Figure, ndarray of Axes, shape (rows, columns)
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    for axis in axes.flat:
+        axis.tick_params(labelsize=_SMALL, width=0.6, length=3)
+        for spine in axis.spines.values():
+            spine.set_linewidth(0.6)
+    return figure, axes
+
+
+def png(figure: Figure) -> bytes:
+    """Return a figure as a PNG file; the same figure gives the same bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
+    """Render radiance for a screen.
+
+    Parameters
+    ----------
+    radiance : ndarray, shape (*shape, C)
+        C is 1 or 3.
+    white : float
+        Radiance shown as white; more is cut off.
+
+    Returns
+    -------
+    ndarray of float64, shape (*shape, 3)
+        In [0, 1], with the transfer curve of sRGB (IEC 61966-2-1).
+    """
+    linear = np.clip(np.asarray(radiance, np.float64) / white, 0, 1)
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    rgb: NDArray[np.float64] = np.broadcast_to(shown, (*shown.shape[:-1], 3))
+    return rgb
+
+
+def show_radiance(axis: Axes, radiance: NDArray[Any], white: float) -> None:
+    """Show a radiance image (H, W, C) pixel by pixel, without ticks."""
+    axis.imshow(srgb(radiance, white), interpolation="nearest")
+    axis.set_xticks([])
+    axis.set_yticks([])
+
+
+def label_left(axis: Axes, text: str) -> None:
+    """Name a row of panels at its first one."""
+    axis.set_ylabel(text, fontsize=_SMALL + 0.5, labelpad=6)
+
+
+def label_below(axis: Axes, text: str) -> None:
+    """Say something about a panel under it."""
+    axis.set_xlabel(text, fontsize=_SMALL, labelpad=3)
+
+
+def chunks(items: Sequence[Any], longest: int) -> list[Sequence[Any]]:
+    """Cut a sequence into runs of at most `longest`, as even as can be."""
+    if not items:
+        return []
+    count = -(-len(items) // longest)
+    bounds = np.linspace(0, len(items), count + 1).round().astype(int)
+    return [items[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]

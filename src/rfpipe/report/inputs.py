@@ -1,0 +1,185 @@
+"""What a report is made from: the files that the stages left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.config import Config, SceneConfig
+from rfpipe.report.thesis import numeral_of
+from rfpipe.stages.relight import right_half
+from rfpipe.store import ArrayBundle, open_arrays, read_manifest
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["Inputs", "Run", "Study", "load_inputs"]
+
+Image = NDArray[np.float32]
+
+METHOD_TITLES = {
+    "symmetric": "Symmetric photography",
+    "dual": "Dual photography",
+    "brute_force": "Brute force",
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """One scene acquired with one method, relit.
+
+    Attributes
+    ----------
+    scene, method : str
+    settings : SceneConfig
+    facts : dict
+        The manifest ``relight.json``.
+    images : ArrayBundle
+        ``relight.zarr``, see `rfpipe.stages.relight.relit_arrays`.
+    """
+
+    scene: str
+    method: str
+    settings: SceneConfig
+    facts: dict[str, Any]
+    images: ArrayBundle
+
+    @property
+    def title(self) -> str:
+        """The scene's name, with its number in Fig. 2.1 if it has one."""
+        return scene_title(self.scene, self.settings)
+
+    @property
+    def method_title(self) -> str:
+        """The method's name in words."""
+        return METHOD_TITLES.get(self.method, self.method)
+
+    @property
+    def patterns(self) -> int:
+        """Patterns shown."""
+        return int(self.facts["patterns"])
+
+    @property
+    def rays(self) -> int:
+        """Rays of the domain, and so the patterns of brute force."""
+        height, width = self.settings.shape
+        return height * width
+
+    @property
+    def white(self) -> float:
+        """Radiance shown as white: the maximum of the true floodlit image."""
+        return float(self.read("floodlit_truth").max(initial=0.0)) or 1.0
+
+    @property
+    def has_indirect_light(self) -> bool:
+        """Whether the scene's left half gets any light when the right one is lit."""
+        dark = right_half(self.settings.shape) == 0
+        return bool(dark.any() and self.read("half_truth")[dark].max() > 0)
+
+    def read(self, name: str) -> NDArray[Any]:
+        """Read one of the arrays."""
+        return self.images.read(name)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study's table and images; see `rfpipe.stages.studies`."""
+
+    rows: list[dict[str, Any]]
+    images: ArrayBundle
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """All that a report shows.
+
+    Attributes
+    ----------
+    config : Config
+    runs : list of Run
+        In the configuration's order.
+    studies : dict of str to Study
+    errors, speed_error : DataFrame
+        See `rfpipe.stages.evaluate`.
+    times : DataFrame
+        ``scene``, ``method``, ``level`` (-1 for the transport's assembly), ``stage``,
+        ``seconds`` of each job that left a benchmark file; may be empty.
+    """
+
+    config: Config
+    runs: list[Run]
+    studies: dict[str, Study]
+    errors: pd.DataFrame
+    speed_error: pd.DataFrame
+    times: pd.DataFrame
+
+    def of_method(self, method: str) -> list[Run]:
+        """Return the runs of a method."""
+        return [run for run in self.runs if run.method == method]
+
+    def of_scene(self, scene: str) -> list[Run]:
+        """Return the runs of a scene."""
+        return [run for run in self.runs if run.scene == scene]
+
+
+def scene_title(name: str, scene: SceneConfig) -> str:
+    """Return a scene's name, with its number in Fig. 2.1 if it has one."""
+    numeral = numeral_of(scene)
+    return name if numeral is None else f"{name} ({numeral})"
+
+
+def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) -> Inputs:
+    """Find what the stages left in a results folder.
+
+    Parameters
+    ----------
+    config : Config
+    results : Path
+        Holds ``{scene}/{method}/relight.json`` and ``studies/{study}.json``; what is missing is
+        not reported.
+    errors, speed_error : Path
+        The tables of the evaluate stage.
+    """
+    import pandas as pd
+
+    runs, times = [], []
+    for scene, settings in config.scenes.items():
+        for method in config.methods:
+            folder = results / scene / method
+            manifest = folder / "relight.json"
+            if not manifest.exists():
+                continue
+            images = open_arrays(manifest.with_suffix(".zarr"))
+            runs.append(Run(scene, method, settings, read_manifest(manifest), images))
+            times += [{"scene": scene, "method": method, **row} for row in _job_times(folder)]
+    studies = {
+        path.stem: Study(read_manifest(path)["rows"], open_arrays(path.with_suffix(".zarr")))
+        for path in sorted((results / "studies").glob("*.json"))
+    }
+    return Inputs(
+        config,
+        runs,
+        studies,
+        pd.read_csv(errors),
+        pd.read_csv(speed_error),
+        pd.DataFrame(times, columns=["scene", "method", "level", "stage", "seconds"]),
+    )
+
+
+def _job_times(folder: Path) -> list[dict[str, Any]]:
+    """Read Snakemake's benchmark files of an acquisition, as many as there are."""
+    import pandas as pd
+
+    found = []
+    for path in sorted(folder.rglob("*.benchmark.tsv")):
+        level, stage = path.parent.name, path.name.removesuffix(".benchmark.tsv")
+        seconds = float(pd.read_csv(path, sep="\t")["s"].mean())
+        if path.parent != folder and level.startswith("L"):
+            found.append({"level": int(level[1:]), "stage": stage, "seconds": seconds})
+        elif stage == "transport":
+            found.append({"level": -1, "stage": "assemble", "seconds": seconds})
+    return found

@@ -1,0 +1,32 @@
+"""Simulated scenes: the ground-truth transport that a rig of the simulation captures."""
+
+from rfpipe.scenes.base import Scene
+from rfpipe.scenes.geometry import GEOMETRIES, Plane, SurfacePoints, surface_points
+from rfpipe.scenes.hard import DenseScene, hard_cases
+from rfpipe.scenes.occluders import Occluder
+from rfpipe.scenes.radiosity import RadiosityScene
+from rfpipe.scenes.reference import (
+    REFERENCE_SCENES,
+    planes_scene,
+    reference_scene,
+    scene_from_config,
+)
+from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
+
+__all__ = [
+    "GEOMETRIES",
+    "REFERENCE_SCENES",
+    "RELIGHTING_PATTERNS",
+    "DenseScene",
+    "Occluder",
+    "Plane",
+    "RadiosityScene",
+    "Scene",
+    "SurfacePoints",
+    "hard_cases",
+    "planes_scene",
+    "reference_scene",
+    "relighting_patterns",
+    "scene_from_config",
+    "surface_points",
+]

@@ -1,0 +1,53 @@
+"""Stage: the transport, from what all levels added."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rfpipe.provenance import fingerprint, versions
+from rfpipe.stages.plan import AcquisitionFolder, Plan, restore_state
+from rfpipe.store import write_manifest
+from rfpipe.transport import save_transport
+from rfpipe.units import RADIANCE_UNIT
+
+__all__ = ["run"]
+
+
+def run(plan: Plan, folder: AcquisitionFolder, manifest: Path, scene: str, code: str) -> None:
+    """Write ``transport.zarr`` beside its manifest.
+
+    Parameters
+    ----------
+    plan : Plan
+    folder : AcquisitionFolder
+    manifest : Path
+        Written last.
+    scene : str
+        Name, kept with the transport.
+    code : str
+        Fingerprint of the code behind the stage.
+    """
+    n_levels = plan.n_levels
+    refined = [folder.read_manifest(level, "refine")["digest"] for level in range(n_levels)]
+    made_from = fingerprint({"plan": plan.describe(), "refine": refined, "code": code})
+    transport = plan.method.transport(restore_state(plan, folder, n_levels))
+    about: dict[str, Any] = {"scene": scene, "method": plan.method.name, "fingerprint": made_from}
+    store = manifest.with_suffix(".zarr")
+    digest = save_transport(transport, store, **about)
+    write_manifest(
+        manifest,
+        {
+            **about,
+            "stage": "assemble",
+            "digest": digest,
+            "camera_shape": list(plan.camera.shape),
+            "projector_shape": list(plan.projector.shape),
+            "channels": plan.channels,
+            "units": RADIANCE_UNIT,
+            "levels": transport.level_rows,
+            "patterns": sum(int(row["patterns"]) for row in transport.level_rows),
+            "tolerance": plan.settings.tolerance,
+            "versions": versions(),
+        },
+    )

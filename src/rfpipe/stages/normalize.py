@@ -1,0 +1,81 @@
+"""Stage: the factors that make a level's images add up to the floodlit image [B.2]."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rfpipe.photometry.normalize import Mode, Normalization
+from rfpipe.provenance import fingerprint
+from rfpipe.stages.images import known_light, normalize_level
+from rfpipe.stages.merge import CALIBRATION, merged_frames, read_floodlit
+from rfpipe.stages.plan import AcquisitionFolder, Plan, advice_on_damage, restore_state
+from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.stages.schedule import read_schedule
+
+__all__ = ["read_normalization", "run"]
+
+
+def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: str) -> None:
+    """Compare a level's images with the floodlit image; write the factors and their manifest.
+
+    The images aren't written a second time: who reads them applies the factors on the way.
+
+    Parameters
+    ----------
+    plan : Plan
+    folder : AcquisitionFolder
+    level : int
+    mode : {"none", "per_channel", "total_energy"}
+    code : str
+        Fingerprint of the code behind the stage.
+    """
+    store, manifest = folder.store(level, "normalize"), folder.manifest(level, "normalize")
+    planned = folder.read_manifest(level, "schedule")
+    made_of = {
+        "merge": folder.read_manifest(level, "merge")["digest"],
+        "calibration": folder.read_manifest(0, "merge")[CALIBRATION]["digest"],
+        "schedule": [planned["shown"], planned["complete"]],
+        "mode": mode,
+        "noise_significance": plan.settings.noise_significance,
+        "code": code,
+    }
+    # What is known already counts only where the level leaves rays dark.
+    if not planned["complete"] and mode != "none":
+        made_of |= {
+            "plan": plan.describe(),
+            "refine": [folder.read_manifest(above, "refine")["digest"] for above in range(level)],
+        }
+    made_from = fingerprint(made_of)
+    if accept_bundle(store, manifest, made_from):
+        return
+    schedule = read_schedule(folder, level)
+    known = None
+    if "refine" in made_of:
+        known = known_light(plan.method, restore_state(plan, folder, level), schedule)
+    with merged_frames(folder, level) as merged:
+        found = normalize_level(
+            schedule, merged, read_floodlit(folder), known, mode, plan.settings.noise_significance
+        )
+    facts = {
+        "stage": "normalize",
+        "level": level,
+        "mode": mode,
+        "units": {"gain": "1", "covered": "whether scaled"},
+        "covered_fraction": float(np.mean(found.covered)),
+    }
+    arrays = {"gain": found.gain, "covered": found.covered}
+    write_bundle(store, manifest, made_from, arrays, facts)
+
+
+def read_normalization(folder: AcquisitionFolder, level: int) -> Normalization:
+    """Read the factors of a level.
+
+    Raises
+    ------
+    StoreError, IntegrityError
+        When they are missing or damaged.
+    """
+    bundle = folder.bundle(level, "normalize")
+    mode: Mode = bundle.attributes["facts"]["mode"]
+    with advice_on_damage(folder.manifest(level, "normalize")):
+        return Normalization(bundle.read("gain"), bundle.read("covered"), mode)

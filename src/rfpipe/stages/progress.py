@@ -1,0 +1,71 @@
+"""Progress of a long stage: a bar on a terminal, else a line now and then in the log."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+__all__ = ["Progress"]
+
+_SECONDS_BETWEEN_LINES = 15.0
+
+_log = logging.getLogger(__name__)
+
+
+class Progress:
+    """Says how many patterns are done, and when the rest will be; a context manager.
+
+    Parameters
+    ----------
+    name : str
+        What is in progress.
+    total, done : int
+        Patterns in all, and those done before.
+    """
+
+    def __init__(self, name: str, total: int, done: int = 0) -> None:
+        self._name = name
+        self._total = total
+        self._before = self._done = done
+        self._began = self._said = monotonic()
+        self._bar: tqdm[Any] | None = None
+        if done < total and sys.stderr.isatty():
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, initial=done, desc=name, unit="pattern", leave=False)
+
+    def advance(self, patterns: int) -> None:
+        """Count patterns as done."""
+        self._done += patterns
+        now = monotonic()
+        if self._bar is not None:
+            self._bar.update(patterns)
+        elif now - self._said >= _SECONDS_BETWEEN_LINES and self._done < self._total:
+            self._said = now
+            rest = (now - self._began) / (self._done - self._before) * (self._total - self._done)
+            _log.info(
+                "%s: %d of %d patterns, %s to go", self._name, self._done, self._total, _time(rest)
+            )
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
+        patterns, seconds = self._done - self._before, monotonic() - self._began
+        if patterns:
+            _log.info("%s: %d patterns in %s", self._name, patterns, _time(seconds))
+
+
+def _time(seconds: float) -> str:
+    minutes, rest = divmod(seconds, 60)
+    hours, minutes = divmod(int(minutes), 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {rest:02.0f} s" if minutes else f"{rest:.1f} s"

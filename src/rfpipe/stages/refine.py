@@ -1,0 +1,56 @@
+"""Stage: what a level's images tell about the transport, and what is left to ask."""
+
+from __future__ import annotations
+
+from rfpipe.provenance import fingerprint
+from rfpipe.stages.images import NormalizedImages
+from rfpipe.stages.merge import merged_frames
+from rfpipe.stages.normalize import read_normalization
+from rfpipe.stages.plan import AcquisitionFolder, Plan, restore_state
+from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.stages.schedule import read_schedule
+from rfpipe.units import RADIANCE_UNIT
+
+__all__ = ["run"]
+
+
+def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
+    """Refine the method's state by a level's images; write what the level added.
+
+    Parameters
+    ----------
+    plan : Plan
+    folder : AcquisitionFolder
+    level : int
+    code : str
+        Fingerprint of the code behind the stage.
+    """
+    store, manifest = folder.store(level, "refine"), folder.manifest(level, "refine")
+    planned = folder.read_manifest(level, "schedule")
+    made_from = fingerprint(
+        {
+            "plan": plan.describe(),
+            "refine": [folder.read_manifest(above, "refine")["digest"] for above in range(level)],
+            "schedule": [planned["shown"], planned["complete"]],
+            "merge": folder.read_manifest(level, "merge")["digest"],
+            "normalize": folder.read_manifest(level, "normalize")["digest"],
+            "code": code,
+        }
+    )
+    if accept_bundle(store, manifest, made_from):
+        return
+    state = restore_state(plan, folder, level)
+    with merged_frames(folder, level) as merged:
+        images = NormalizedImages(
+            read_schedule(folder, level), merged, read_normalization(folder, level)
+        )
+        state = plan.method.refine(state, images)
+    pack = plan.method.pack(state)
+    facts = {
+        "stage": "refine",
+        "method": plan.method.name,
+        "level": level,
+        "patterns": planned["patterns"],
+        "units": RADIANCE_UNIT,
+    }
+    write_bundle(store, manifest, made_from, pack.arrays, facts, state=dict(pack.attributes))

@@ -1,0 +1,136 @@
+"""The public contract suite, run on the rigs that need no device, and on rigs that break it."""
+
+from dataclasses import replace
+from itertools import count
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs import OperatorRig, Rig, SimulatedRig
+from rfpipe.testing import RigContract
+
+CAMERA = CameraModel()
+
+SERIAL = count()
+
+
+def transport(rows: int, columns: int) -> np.ndarray:
+    """Diagonal light and a dim rest, in radiance that the camera can take."""
+    random = np.random.default_rng(0)
+    matrix = random.uniform(0, 0.2 / columns, (3, rows, columns))
+    matrix += np.eye(rows, columns) * random.uniform(0.2, 1, (3, 1, columns))
+    return matrix
+
+
+class TestExactRig(RigContract):
+    def make_rig(self) -> Rig:
+        return OperatorRig(transport(20, 21), (4, 5), (3, 7))
+
+
+class TestNoisyRig(RigContract):
+    def make_rig(self) -> Rig:
+        return OperatorRig(transport(20, 21), (4, 5), (3, 7), noise=CAMERA, seed=1)
+
+
+class TestRigWithMosaicAndOptics(RigContract):
+    def make_rig(self) -> Rig:
+        camera = replace(CAMERA, bayer="GRBG", psf_sigma=0.7, vignetting=0.3, flare=0.05)
+        return OperatorRig(transport(20, 21), (4, 5), (3, 7), noise=camera)
+
+
+class TestRigOfViews(RigContract):
+    def make_rig(self) -> Rig:
+        return OperatorRig(transport(24, 24), (2, 3, 4), (2, 3, 4), noise=CAMERA)
+
+
+class TestRigOfOneRay(RigContract):
+    def make_rig(self) -> Rig:
+        return OperatorRig(np.ones((1, 1)), (1, 1), (1, 1), noise=CAMERA)
+
+
+class TestRigOfALine(RigContract):
+    def make_rig(self) -> Rig:
+        return OperatorRig(transport(37, 37), (1, 37), (1, 37), noise=CAMERA)
+
+
+class Scene:
+    shape = (5, 6)
+    channels = 3
+
+    def apply(self, patterns: np.ndarray) -> np.ndarray:
+        return np.repeat(patterns[..., None], 3, axis=-1)
+
+    def describe(self) -> dict[str, Any]:
+        return {"name": "white"}
+
+
+class TestSimulatedRig(RigContract):
+    def make_rig(self) -> Rig:
+        return SimulatedRig(Scene(), CAMERA, seed=2)
+
+
+class Broken(OperatorRig):
+    """A rig with one thing wrong with it."""
+
+    def __init__(self, fault: str, noise: CameraModel | None = CAMERA) -> None:
+        super().__init__(transport(30, 30), (5, 6), (5, 6), noise=noise)
+        self._fault = fault
+        self._captured = 0
+
+    def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
+        self._captured += 1
+        if self._fault == "clips patterns":
+            patterns = np.nan_to_num(patterns).clip(0, 1)
+        if self._fault == "forgets its key":
+            keys = [(self._captured, index) for index in range(len(keys))]
+        if self._fault == "one noise for all":
+            keys = [(0, 0)] * len(keys)
+        if self._fault == "ambient light":
+            patterns = np.maximum(patterns, 0.1 * (patterns.sum() > 0)).astype(np.float32)
+        if self._fault == "projector gamma":
+            patterns = np.where(
+                patterns.mean(axis=(1, 2), keepdims=True) < 1, patterns / 2, patterns
+            )
+        frames = super().capture(patterns, keys)
+        if self._fault == "flickering black level":
+            frames[...] += np.array([40 if key[1] == 4 else 0 for key in keys], np.uint16).reshape(
+                -1, *(1,) * (frames.ndim - 1)
+            )
+        return frames[:, :2] if self._fault == "loses a frame" else frames
+
+    def describe(self) -> dict[str, Any]:
+        described = super().describe()
+        return (
+            {**described, "made": next(SERIAL)}
+            if self._fault == "unstable description"
+            else described
+        )
+
+
+@pytest.mark.parametrize(
+    ("fault", "test"),
+    [
+        ("clips patterns", "rejects_what_cannot_be_shown"),
+        ("forgets its key", "same_bytes_however_captured"),
+        ("one noise for all", "own_noise_for_each_key"),
+        ("ambient light", "light_adds_up"),
+        ("projector gamma", "light_adds_up"),
+        ("flickering black level", "black_is_black"),
+        ("loses a frame", "frames"),
+        ("unstable description", "describes_itself"),
+    ],
+)
+def test_the_contract_finds_what_is_wrong(fault: str, test: str) -> None:
+    class Contract(RigContract):
+        def make_rig(self) -> Rig:
+            return Broken(fault)
+
+    with pytest.raises(AssertionError):
+        getattr(Contract(), f"test_{test}")()
+
+
+def test_a_subclass_must_make_its_rig() -> None:
+    with pytest.raises(NotImplementedError, match=r"must define make_rig\(\)"):
+        RigContract().test_shapes()

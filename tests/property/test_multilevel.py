@@ -1,0 +1,152 @@
+"""The multilevel transport as a linear operator, made by dual photography of random matrices."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.helpers import acquire_matrix, dense
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.methods.dual import Dual
+from rfpipe.transport import open_transport, save_transport
+from rfpipe.transport.multilevel import MultilevelTransport
+
+shapes = st.one_of(
+    st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    st.tuples(st.integers(1, 3), st.integers(1, 5), st.integers(1, 5)),
+)
+
+
+@st.composite
+def rigs(draw: st.DrawFn) -> tuple[np.ndarray, tuple[int, ...], tuple[int, ...], float]:
+    """A matrix (C, M, N) with some light, both shapes, a tolerance."""
+    camera, projector = draw(shapes), draw(shapes)
+    random = np.random.default_rng(draw(st.integers(0, 2**32)))
+    shape = (draw(st.sampled_from([1, 3])), RayDomain(camera).size, RayDomain(projector).size)
+    share = draw(st.sampled_from([0.02, 0.3, 1.0]))
+    matrix = random.random(shape) * (random.random(shape) < share)
+    return matrix, camera, projector, draw(st.sampled_from([1e-6, 1e-2, 0.3]))
+
+
+@st.composite
+def transports(draw: st.DrawFn) -> MultilevelTransport:
+    matrix, camera, projector, tolerance = draw(rigs())
+    run = acquire_matrix(Dual(), matrix, camera, projector, tolerance)
+    assert isinstance(run.transport, MultilevelTransport)
+    return run.transport
+
+
+def by_definition(transport: MultilevelTransport) -> np.ndarray:
+    """The matrices that eq. (3.2) describes: each value spread over its block's rays."""
+    tree = BlockTree(RayDomain(transport.projector_shape))
+    pixels = RayDomain(transport.camera_shape).size
+    matrix = np.zeros((transport.channels, pixels, tree.domain.size))
+    for pairs in transport.pair_sets:
+        for n, (block, pixel) in enumerate(zip(pairs.block, pairs.pixel, strict=True)):
+            start, end = tree.starts[pairs.level][block : block + 2]
+            share = pairs.values[:, n, None].astype(np.float64) / (end - start)
+            matrix[:, pixel, tree.order[start:end]] += share
+    return matrix
+
+
+@settings(max_examples=25)
+@given(transports())
+def test_equals_the_dense_matrix(transport: MultilevelTransport) -> None:
+    matrix = by_definition(transport)
+    scale = max(matrix.max(), 1e-30)
+    np.testing.assert_allclose(dense(transport), matrix, rtol=0, atol=1e-6 * scale)
+    for channel in range(transport.channels):
+        operator = transport.channel(channel)
+        back = operator.T @ np.eye(operator.shape[0], dtype=np.float32)
+        np.testing.assert_allclose(back, matrix[channel].T, rtol=0, atol=1e-6 * scale)
+
+
+@settings(max_examples=25)
+@given(transports(), st.integers(0, 2**32))
+def test_transpose_is_the_adjoint(transport: MultilevelTransport, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    for channel in range(transport.channels):
+        operator = transport.channel(channel)
+        x = random.standard_normal(operator.shape[1]).astype(np.float32)
+        y = random.standard_normal(operator.shape[0]).astype(np.float32)
+        forward, back = operator @ x, operator.T @ y
+        scale = np.linalg.norm(forward) * np.linalg.norm(y) + np.linalg.norm(back)
+        difference = np.dot(forward, y.astype(np.float64)) - np.dot(x.astype(np.float64), back)
+        assert abs(difference) <= 1e-6 * max(scale, 1e-30)
+
+
+@settings(max_examples=25)
+@given(transports(), st.integers(0, 2**32))
+def test_relighting_is_linear(transport: MultilevelTransport, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    # More patterns than are relit at a time.
+    patterns = random.random((20, *transport.projector_shape, transport.channels))
+    images = transport.relight_batch(patterns)
+    weights = random.standard_normal(20)
+    combined = transport.relight(np.tensordot(weights, patterns, axes=1))
+    atol = 1e-5 * max(float(np.abs(images).max(initial=0.0)), 1e-30)
+    np.testing.assert_allclose(np.tensordot(weights, images, axes=1), combined, rtol=0, atol=atol)
+
+
+@settings(max_examples=25)
+@given(transports(), st.data())
+def test_truncation_keeps_the_energy(transport: MultilevelTransport, data: st.DataObject) -> None:
+    level = data.draw(st.integers(0, transport.tree.n_levels - 1))
+    truncated = transport.truncate(level)
+    assert all(pairs.level <= level for pairs in truncated.pair_sets)
+    light = np.ones(transport.projector_shape)
+    np.testing.assert_allclose(
+        truncated.relight(light), transport.relight(light), rtol=1e-5, atol=1e-7
+    )
+    # Blocks of the level can't be told from their even light.
+    even = np.random.default_rng(0).random(transport.tree.n_blocks(level))
+    pattern = even[transport.tree.labels(level)]
+    np.testing.assert_allclose(
+        truncated.relight(pattern), transport.relight(pattern), rtol=1e-5, atol=1e-7
+    )
+
+
+@settings(max_examples=10)
+@given(transports())
+def test_round_trip_through_the_store(transport: MultilevelTransport) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        save_transport(transport, Path(folder) / "transport.zarr", scene="random")
+        stored = open_transport(Path(folder) / "transport.zarr")
+        assert isinstance(stored, MultilevelTransport)
+        assert stored.camera_shape == transport.camera_shape
+        assert stored.projector_shape == transport.projector_shape
+        assert stored.nbytes > 0
+        assert stored.level_rows == transport.level_rows
+        np.testing.assert_array_equal(dense(stored), dense(transport))
+
+
+@settings(max_examples=25)
+@given(rigs())
+def test_fine_tolerance_recovers_the_matrix(
+    rig: tuple[np.ndarray, tuple[int, ...], tuple[int, ...], float],
+) -> None:
+    matrix, camera, projector, _ = rig
+    run = acquire_matrix(Dual(), matrix, camera, projector, tolerance=1e-7)
+    np.testing.assert_allclose(dense(run.transport), matrix, rtol=1e-4, atol=1e-5)
+
+
+@settings(max_examples=25)
+@given(rigs())
+def test_no_pixel_sees_two_of_its_blocks_in_a_pattern(
+    rig: tuple[np.ndarray, tuple[int, ...], tuple[int, ...], float],
+) -> None:
+    run = acquire_matrix(Dual(), *rig)
+    tree = run.states[0].tree
+    for before, schedule in zip(run.states[1:], run.schedules[1:], strict=False):
+        frontier, level = before.frontier, before.level
+        pattern_of_block = schedule.pattern_of_ray.ravel()[tree.order[tree.starts[level][:-1]]]
+        seen = set()
+        for block, pixel in zip(frontier.block, frontier.pixel, strict=True):
+            begin, end = tree.child_starts[level - 1][block : block + 2]
+            for child in range(begin, end):
+                assert pattern_of_block[child] >= 0
+                key = (int(pixel), int(pattern_of_block[child]))
+                assert key not in seen
+                seen.add(key)

@@ -1,0 +1,257 @@
+"""Dual photography on known matrices."""
+
+import json
+
+import numpy as np
+import pytest
+from tests.helpers import Acquisition, acquire_matrix, dense
+
+from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
+from rfpipe.methods import METHODS, Pack, get_method
+from rfpipe.methods.dual import Dual, DualState
+from rfpipe.scenes.reference import reference_scene
+
+
+def sparse_random(camera: int, projector: int, share: float, seed: int = 0) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return random.random((camera, projector)) * (random.random((camera, projector)) < share)
+
+
+@pytest.fixture(scope="module")
+def wedge() -> np.ndarray:
+    return reference_scene("IV", (32, 32), channels=1).dense(0).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", ["brute_force", "dual", "symmetric"])
+def test_registry_knows_the_methods(name: str) -> None:
+    assert get_method(name).name == name
+    assert name in METHODS
+
+
+def test_registry_names_the_methods_it_knows() -> None:
+    with pytest.raises(InputError, match="'duel': expected one of brute_force, dual, symmetric"):
+        get_method("duel")
+
+
+def test_any_rig_fits() -> None:
+    assert Dual().n_levels(RayDomain((3, 5)), RayDomain((2, 8, 8))) == 5
+
+
+@pytest.mark.parametrize("shape", [(1, 37), (13, 29), (1, 1), (3, 4, 6)])
+def test_permutation_is_recovered_exactly(shape: tuple[int, ...]) -> None:
+    rays = RayDomain(shape).size
+    matrix = np.eye(rays)[np.random.default_rng(1).permutation(rays)]
+    run = acquire_matrix(Dual(), matrix, shape, shape)
+    np.testing.assert_array_equal(dense(run.transport)[0], matrix)
+    # No pixel sees two rays: as many patterns a level as a block has children.
+    assert max(run.patterns) <= max(4, shape[0] if len(shape) == 3 else 0)
+
+
+def test_mirror_takes_four_patterns_a_level() -> None:
+    matrix = np.eye(256).reshape(16, 16, 256)[:, ::-1].reshape(256, 256)
+    run = acquire_matrix(Dual(), matrix, (16, 16), (16, 16))
+    assert run.patterns == [1, 4, 4, 4, 4]
+    np.testing.assert_array_equal(dense(run.transport)[0], matrix)
+
+
+def test_dense_random_matrix_degrades_to_brute_force() -> None:
+    matrix = np.random.default_rng(2).random((3, 240, 256))
+    run = acquire_matrix(Dual(), matrix, (12, 20), (16, 16), tolerance=1e-7)
+    assert run.patterns == [1, 4, 16, 64, 256]
+    error = dense(run.transport) - matrix
+    assert np.linalg.norm(error) <= 1e-4 * np.linalg.norm(matrix)
+    assert np.abs(error).max() <= 1e-4
+
+
+@pytest.mark.parametrize(
+    ("camera", "projector"),
+    [
+        ((7, 3), (1, 37)),
+        ((5, 5), (13, 29)),
+        ((1, 1), (4, 4)),
+        ((4, 6), (1, 1)),
+        ((2, 3, 4), (5, 7)),
+    ],
+)
+def test_sparse_random_matrix_of_any_shape(
+    camera: tuple[int, ...], projector: tuple[int, ...]
+) -> None:
+    matrix = sparse_random(RayDomain(camera).size, RayDomain(projector).size, 0.05)
+    run = acquire_matrix(Dual(), matrix, camera, projector, tolerance=1e-7)
+    np.testing.assert_allclose(dense(run.transport)[0], matrix, rtol=1e-5, atol=1e-6)
+
+
+def test_zero_transport_is_done_after_one_pattern() -> None:
+    run = acquire_matrix(Dual(), np.zeros((12, 64)), (3, 4), (8, 8))
+    assert run.patterns == [1, 0, 0, 0]
+    assert run.transport.nbytes == 0
+    assert not run.transport.relight(np.ones((8, 8))).any()
+
+
+def test_a_channel_without_energy_stays_dark() -> None:
+    matrix = np.stack([sparse_random(20, 64, 0.1), np.zeros((20, 64))])
+    run = acquire_matrix(Dual(), matrix, (4, 5), (8, 8), tolerance=1e-7)
+    np.testing.assert_allclose(dense(run.transport), matrix, rtol=1e-5, atol=1e-6)
+
+
+def test_the_brightest_channel_decides_for_all() -> None:
+    matrix = np.zeros((2, 2, 4))
+    matrix[:, 0, 0] = 1.0, 0.01  # bright in the first channel: both go down to the ray
+    matrix[:, 1, 3] = 0.02, 0.01  # dark in both: both stay where they fell below the threshold
+    run = acquire_matrix(Dual(), matrix, (1, 2), (2, 2), tolerance=0.1)
+    pairs = {
+        (pairs.level, int(block), int(pixel)): pairs.values[:, n].tolist()
+        for pairs in run.transport.pair_sets
+        for n, (block, pixel) in enumerate(zip(pairs.block, pairs.pixel, strict=True))
+    }
+    assert pairs == {
+        (0, 0, 1): pytest.approx([0.02, 0.01]),
+        (1, 0, 0): pytest.approx([1.0, 0.01]),
+    }
+
+
+def test_responses_are_dropped_stored_or_subdivided(wedge: np.ndarray) -> None:
+    run = acquire_matrix(Dual(), wedge, (32, 32), (32, 32), tolerance=1e-2)
+    floodlit = wedge.sum(axis=1).max()
+    for level, state in enumerate(run.states[1:]):
+        row = state.rows[level]
+        assert row["nodes"] == row["empty"] + row["rank1"] + row["scalar"] + row["subdivided"]
+        assert row["patterns"] == run.patterns[level]
+        last = level == len(run.patterns) - 1
+        assert row["scalar" if last else "rank1"] == len(state.stored[level])
+        assert row["subdivided"] == len(state.frontier)
+        assert (state.frontier.values.max(axis=0) >= 0.999e-2 * floodlit).all()
+        if not last:
+            assert (state.stored[level].values.max(axis=0) < 1.001e-2 * floodlit).all()
+        for pairs in (state.stored[level], state.frontier):
+            assert (pairs.values.max(axis=0) > 0).all()
+            key = pairs.block.astype(np.int64) * 1024 + pairs.pixel
+            assert (np.diff(key) > 0).all()  # sorted, no pair twice
+
+
+def test_no_energy_is_stored_at_two_levels(wedge: np.ndarray) -> None:
+    """Each matrix element is covered by one stored response at most, its own block's."""
+    run = acquire_matrix(Dual(), wedge, (32, 32), (32, 32), tolerance=1e-2)
+    tree = run.states[0].tree
+    covered = np.zeros((1024, 1024), np.int64)
+    for pairs in run.transport.pair_sets:
+        for block, pixel in zip(pairs.block, pairs.pixel, strict=True):
+            start, end = tree.starts[pairs.level][block : block + 2]
+            covered[pixel, tree.order[start:end]] += 1
+    assert covered.max() == 1
+
+
+def test_patterns_of_the_textured_wedge() -> None:
+    """The threshold means what it meant in the thesis-like prototype: some 533 patterns."""
+    matrix = reference_scene("IV", (64, 64), channels=1).dense(0).astype(np.float32)
+    run = acquire_matrix(Dual(), matrix, (64, 64), (64, 64))
+    assert 450 <= sum(run.patterns) <= 600
+    assert run.patterns[:4] == [1, 4, 16, 64]
+
+
+def relative_error(run: Acquisition, matrix: np.ndarray, pattern: np.ndarray) -> float:
+    truth = matrix @ pattern.ravel()
+    return float(np.linalg.norm(run.transport.relight(pattern).ravel() - truth)) / float(
+        np.linalg.norm(truth)
+    )
+
+
+def test_subtracting_what_is_stored_keeps_energy_from_counting_again(wedge: np.ndarray) -> None:
+    floodlight = np.ones((32, 32))
+    as_in_thesis = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
+    subtracted = acquire_matrix(Dual(subtract_stored=True), wedge, (32, 32), (32, 32))
+    assert sum(subtracted.patterns) <= sum(as_in_thesis.patterns)
+    assert relative_error(as_in_thesis, wedge, floodlight) < 0.1
+    assert relative_error(subtracted, wedge, floodlight) < 1e-3
+
+
+def test_noise_is_not_subdivided(wedge: np.ndarray) -> None:
+    """A tolerance far below the noise changes nothing: what noise allows is the threshold."""
+    sigma = 1e-3 * float(wedge.sum(axis=1).max())
+    counts = []
+    for tolerance in (1e-3, 1e-7):
+        run = acquire_matrix(Dual(), wedge, (32, 32), (32, 32), tolerance=tolerance, sigma=sigma)
+        assert np.isfinite(dense(run.transport)).all()
+        counts.append(sum(run.patterns))
+    assert counts[1] <= 1.05 * counts[0]
+    assert counts[1] < 200
+    assert relative_error(run, wedge, np.ones((32, 32))) < 0.1
+
+
+def test_what_is_within_noise_is_dropped() -> None:
+    matrix = np.zeros((64, 64))
+    matrix[:4] = np.eye(64)[:4]
+    run = acquire_matrix(Dual(), matrix, (8, 8), (8, 8), sigma=0.05)
+    stored = sum(len(pairs) for pairs in run.transport.pair_sets)
+    # Three standard deviations: about one in 700 zeros passes for light.
+    assert stored <= 4 + 4 * 64 * 0.01
+    np.testing.assert_allclose(dense(run.transport)[0, :4, :4], np.eye(4), atol=0.25)
+
+
+def test_a_single_ray_is_not_lit_again() -> None:
+    """Rays of the shorter halves of an odd length are measured a level before the others."""
+    run = acquire_matrix(Dual(), np.eye(5), (1, 5), (1, 5))
+    lit = [(schedule.pattern_of_ray >= 0).tolist()[0] for schedule in run.schedules]
+    assert lit[2:] == [[True] * 5, [True, True, False, False, False]]
+    assert [schedule.complete for schedule in run.schedules] == [True, True, True, False]
+
+
+def test_culled_blocks_leave_a_level_complete_and_stored_ones_do_not() -> None:
+    matrix = np.eye(16)
+    matrix[:, [10, 11, 14, 15]] = 0  # the lower right block sends no light to any pixel
+    dark = acquire_matrix(Dual(), matrix, (4, 4), (4, 4))
+    assert (dark.schedules[2].pattern_of_ray.reshape(4, 4)[2:, 2:] == -1).all()
+    assert [schedule.complete for schedule in dark.schedules] == [True, True, True]
+    matrix[0, 15] = 0.01  # now some, below the threshold
+    stored = acquire_matrix(Dual(), matrix, (4, 4), (4, 4), tolerance=0.1)
+    assert (stored.schedules[2].pattern_of_ray.reshape(4, 4)[2:, 2:] == -1).all()
+    assert [schedule.complete for schedule in stored.schedules] == [True, True, False]
+
+
+def assert_same_state(one: DualState, other: DualState) -> None:
+    for a, b in zip([*one.stored, one.frontier], [*other.stored, other.frontier], strict=True):
+        assert a.level == b.level
+        for part in ("block", "pixel", "values"):
+            left, right = getattr(a, part), getattr(b, part)
+            assert left.dtype == right.dtype
+            np.testing.assert_array_equal(left, right)
+    for name in ("level", "channels", "settings", "floodlit_maximum", "complete", "rows"):
+        assert getattr(one, name) == getattr(other, name)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.01])
+def test_restored_states_are_the_same_to_the_last_bit(wedge: np.ndarray, sigma: float) -> None:
+    method = Dual()
+    run = acquire_matrix(method, wedge, (32, 32), (32, 32), tolerance=1e-2, sigma=sigma)
+    packs = [Pack(pack.arrays, json.loads(json.dumps(dict(pack.attributes)))) for pack in run.packs]
+    assert_same_state(method.restore(run.states[0], []), run.states[0])
+    for count in range(1, len(packs) + 1):
+        restored = method.restore(run.states[0], packs[:count])
+        assert_same_state(restored, run.states[count])
+        if count < len(packs):
+            assert method.schedule(restored).digest() == run.schedules[count].digest()
+            assert method.schedule(restored).complete == run.schedules[count].complete
+
+
+def test_a_state_gives_its_open_responses_at_their_estimate(wedge: np.ndarray) -> None:
+    method = Dual()
+    run = acquire_matrix(method, wedge, (32, 32), (32, 32), tolerance=1e-2)
+    floodlit = method.transport(run.states[1])
+    assert [row["level"] for row in floodlit.level_rows] == [0]
+    np.testing.assert_allclose(
+        floodlit.relight(np.ones((32, 32))).ravel(), wedge.sum(axis=1), rtol=1e-5
+    )
+    empty = method.transport(run.states[0])
+    assert not empty.relight(np.ones((32, 32))).any()
+
+
+def test_truncated_is_as_if_stopped() -> None:
+    matrix = sparse_random(30, 64, 0.1)
+    method = Dual()
+    run = acquire_matrix(method, matrix, (5, 6), (8, 8), tolerance=1e-7)
+    for level in range(4):
+        stopped = method.transport(run.states[level + 1])
+        truncated = run.transport.truncate(level)
+        assert truncated.level_rows == stopped.level_rows
+        np.testing.assert_allclose(dense(truncated), dense(stopped), rtol=1e-5, atol=1e-6)

@@ -1,0 +1,164 @@
+"""The multilevel transport by hand, its dual images, its truncation."""
+
+import numpy as np
+import pytest
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.errors import InputError
+from rfpipe.transport.multilevel import MultilevelTransport, PairSet, fold
+
+CAMERA = RayDomain((1, 2))
+
+
+def pair_set(level: int, *pairs: tuple[int, int, float]) -> PairSet:
+    """Pairs (block, pixel, value) of a single channel."""
+    block, pixel, value = zip(*pairs, strict=True)
+    return PairSet(
+        level, np.array(block, np.int32), np.array(pixel, np.int32), np.array([value], np.float32)
+    )
+
+
+def transport_of(
+    *pair_sets: PairSet,
+    projector: tuple[int, ...] = (4, 4),
+    camera: RayDomain = CAMERA,
+    channels: int = 1,
+) -> MultilevelTransport:
+    return MultilevelTransport.from_pair_sets(
+        camera, RayDomain(projector), channels, [], list(pair_sets)
+    )
+
+
+@pytest.fixture
+def transport() -> MultilevelTransport:
+    return transport_of(
+        pair_set(0, (0, 0, 16.0)), pair_set(1, (1, 0, 8.0)), pair_set(2, (0, 1, 3.0), (15, 1, 5.0))
+    )
+
+
+def test_a_level_acts_on_the_mean_over_its_blocks(transport: MultilevelTransport) -> None:
+    pattern = np.zeros((4, 4))
+    pattern[0, 3] = 1.0  # a sixteenth of the root, a quarter of the upper right block
+    np.testing.assert_array_equal(transport.relight(pattern)[0, :, 0], [1.0 + 2.0, 0.0])
+    np.testing.assert_array_equal(transport.relight(np.ones((4, 4)))[0, :, 0], [24.0, 8.0])
+
+
+def test_the_transpose_spreads_a_value_over_its_block(transport: MultilevelTransport) -> None:
+    expected = np.ones((4, 4))
+    expected[:2, 2:] += 2.0
+    np.testing.assert_array_equal(transport.T.relight(np.array([[1.0, 0.0]]))[..., 0], expected)
+    expected = np.zeros((4, 4))
+    expected[0, 0], expected[3, 3] = 3.0, 5.0
+    np.testing.assert_array_equal(transport.T.relight(np.array([[0.0, 1.0]]))[..., 0], expected)
+
+
+def test_truncation_adds_up_what_lies_below(transport: MultilevelTransport) -> None:
+    pair_sets = transport.truncate(1).pair_sets
+    assert [pairs.level for pairs in pair_sets] == [0, 1]
+    assert pair_sets[1].block.tolist() == [0, 1, 3]
+    assert pair_sets[1].pixel.tolist() == [1, 0, 1]
+    assert pair_sets[1].values.tolist() == [[3.0, 8.0, 5.0]]
+    root = transport.truncate(0).pair_sets
+    assert [pairs.level for pairs in root] == [0]
+    assert root[0].values.tolist() == [[24.0, 8.0]]
+    same = transport.truncate(2)
+    np.testing.assert_array_equal(same.relight(np.eye(4)), transport.relight(np.eye(4)))
+
+
+@pytest.mark.parametrize("level", [-1, 3])
+def test_truncation_at_no_level(transport: MultilevelTransport, level: int) -> None:
+    with pytest.raises(InputError, match=rf"level {level} of a transport with levels 0\.\.2"):
+        transport.truncate(level)
+
+
+def test_folding_nothing_gives_nothing() -> None:
+    tree = BlockTree(RayDomain((4, 4)))
+    folded = fold(tree, 1, [], channels=3, pixels=2)
+    assert len(folded) == 0
+    assert folded.values.shape == (3, 0)
+
+
+def test_an_empty_transport_is_dark() -> None:
+    dark = transport_of()
+    assert dark.nbytes == 0
+    assert dark.pair_sets == []
+    for image in (dark.relight(np.ones((4, 4))), dark.T.relight(np.ones((1, 2)))):
+        assert not image.any()
+    assert not dark.dual_image(np.ones((1, 2))).any()
+    assert dark.truncate(1).pair_sets == []
+
+
+def test_pack_and_unpack(transport: MultilevelTransport) -> None:
+    arrays, attributes = transport.pack()
+    assert set(arrays) == {
+        f"level_{level:02d}_{part}" for level in range(3) for part in ("block", "pixel", "values")
+    }
+    assert all(arrays[name].dtype in (np.int32, np.float32) for name in arrays)
+    unpacked = MultilevelTransport.unpack(arrays, attributes, None)
+    assert unpacked.nbytes == transport.nbytes == 4 * (4 + 4 + 4)
+    assert MultilevelTransport.unpack(arrays, attributes, 123).nbytes == 123
+    np.testing.assert_array_equal(unpacked.relight(np.eye(4)), transport.relight(np.eye(4)))
+
+
+def test_dual_image_of_one_block_is_even() -> None:
+    """Level 0 is one value for the whole image, or for the whole stack."""
+    for projector in ((3, 5), (2, 3, 5)):
+        transport = transport_of(pair_set(0, (0, 1, 30.0)), projector=projector)
+        image = transport.dual_image(np.array([[7.0, 1.0]]))
+        np.testing.assert_allclose(image, np.full((*projector, 1), 30.0 / np.prod(projector)))
+
+
+def test_dual_image_of_rays_is_their_values() -> None:
+    tree = BlockTree(RayDomain((3, 5)))
+    values = np.arange(1.0, 16.0)
+    rays = pair_set(tree.n_levels - 1, *((ray, 0, values[ray]) for ray in range(15)))
+    transport = transport_of(rays, projector=(3, 5))
+    light = np.array([[1.0, 0.0]])
+    np.testing.assert_allclose(transport.dual_image(light), transport.T.relight(light), rtol=1e-6)
+
+
+def test_dual_image_of_even_blocks_is_even_whatever_their_sizes() -> None:
+    projector = (7, 13)
+    tree = BlockTree(RayDomain(projector))
+    for level in range(tree.n_levels):
+        sizes = np.diff(tree.starts[level])
+        blocks = pair_set(level, *((block, 0, 2.0 * size) for block, size in enumerate(sizes)))
+        image = transport_of(blocks, projector=projector).dual_image(np.array([[1.0, 0.0]]))
+        np.testing.assert_allclose(image, 2.0, rtol=1e-6)
+
+
+def test_dual_image_interpolates_a_ramp_between_the_blocks_centres() -> None:
+    projector = (1, 32)
+    tree = BlockTree(RayDomain(projector))
+    level = tree.n_levels - 3  # blocks of four rays
+    centres = np.arange(8) * 4 + 1.5
+    blocks = pair_set(level, *((block, 0, 4 * centres[block]) for block in range(8)))
+    image = transport_of(blocks, projector=projector).dual_image(np.array([[1.0, 0.0]]))[0, :, 0]
+    np.testing.assert_allclose(image[6:26], np.arange(6, 26), rtol=1e-6)
+
+
+def test_views_of_a_dual_image_do_not_mix() -> None:
+    transport = transport_of(
+        pair_set(2, *((block, 0, 1.0) for block in range(4))), projector=(2, 4, 4)
+    )
+    image = transport.dual_image(np.array([[1.0, 0.0]]))
+    np.testing.assert_allclose(image[0], 0.25)
+    assert not image[1].any()
+
+
+@pytest.mark.parametrize("pattern", [np.ones((2, 1)), np.ones((1, 2, 2)), np.array([[np.nan, 1]])])
+def test_dual_image_of_a_bad_pattern(transport: MultilevelTransport, pattern: np.ndarray) -> None:
+    with pytest.raises(InputError, match="a pattern"):
+        transport.dual_image(pattern)
+
+
+def test_channels_are_independent() -> None:
+    pairs = PairSet(
+        1, np.array([0, 2], np.int32), np.array([1, 0], np.int32),
+        np.array([[1, 2], [3, 4], [5, 6]], np.float32),
+    )  # fmt: skip
+    transport = transport_of(pairs, channels=3)
+    light = np.ones((4, 4, 3)) * np.array([1.0, 10.0, 100.0])
+    np.testing.assert_allclose(transport.relight(light)[0], [[2, 40, 600], [1, 30, 500]])
+    assert (transport.channel(2) @ np.ones(16)).tolist() == [6.0, 5.0]
+    assert (transport.channel(1).T @ np.ones(2)).sum() == pytest.approx(7.0)

@@ -1,0 +1,233 @@
+"""The camera model: moments of its counts, limits, optics, and what its noise depends on."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rfpipe.config import CameraConfig
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel, ExactSensor, sensor_from_config
+from rfpipe.photometry.demosaic import mosaic
+from rfpipe.photometry.optics import apply_optics
+from rfpipe.provenance import fingerprint
+
+QUIET = CameraModel(read_noise_electrons=0.0, dark_current_electrons=0.0)
+"""Photon noise and rounding alone."""
+
+FINE = replace(QUIET, exposures=(1.0,), bits=16, full_well_electrons=65_471.0)
+"""One electron a count."""
+
+
+def flat(value: float, shape: tuple[int, ...] = (250, 400, 1)) -> np.ndarray:
+    return np.full(shape, value, np.float32)
+
+
+def electrons(camera: CameraModel, mean: float, **settings: float) -> np.ndarray:
+    """Electrons that the camera's first exposure counts for a mean of `mean`."""
+    camera = replace(camera, **settings)
+    image = flat(mean / camera.electrons_per_radiance / camera.exposures[0])
+    counts = camera.expose(image, 3, (0, 0))[0]
+    return (counts.astype(float) - camera.black_level_counts) * camera.electrons_per_count
+
+
+@pytest.mark.parametrize("mean", [0.3, 5.0, 40.0, 63.0, 65.0, 500.0, 20_000.0])
+def test_shot_noise_has_the_moments_of_poisson(mean: float) -> None:
+    drawn = electrons(FINE, mean)
+    error = np.sqrt(mean / drawn.size)
+    assert drawn.mean() == pytest.approx(mean, abs=5 * error)
+    # the variance of a sample variance: (mu4 - sigma^4) / n, mu4 = 3 mean^2 + mean; where shot
+    # noise is a rounded Gaussian, rounding adds 1/12
+    spread = np.sqrt((2 * mean**2 + mean) / drawn.size)
+    rounding = 1 / 12 if mean >= 64 else 0
+    assert drawn.var() == pytest.approx(mean + rounding, abs=5 * spread)
+    skewness = np.mean((drawn - drawn.mean()) ** 3) / drawn.std() ** 3
+    allowed = 1 / 8 if mean >= 64 else 0
+    assert abs(skewness - mean**-0.5) < allowed + 5 * np.sqrt(6 / drawn.size) + 0.1 / mean
+
+
+def test_read_noise_and_dark_current() -> None:
+    drawn = electrons(FINE, 0.0, read_noise_electrons=7.0, dark_current_electrons=4.0)
+    assert drawn.mean() == pytest.approx(4.0, abs=5 * 7.4 / np.sqrt(drawn.size))
+    expected = 7.0**2 + 4.0 + 1 / 12
+    assert drawn.var() == pytest.approx(expected, rel=5 * np.sqrt(2 / drawn.size))
+
+
+def test_dark_current_grows_with_the_exposure() -> None:
+    camera = replace(FINE, exposures=(0.5, 2.0), dark_current_electrons=30.0)
+    frames = camera.expose(flat(0.0), 0, (0, 0))
+    means = frames.mean(axis=(1, 2, 3)) - camera.black_level_counts
+    np.testing.assert_allclose(means, [15, 60], rtol=0.01)
+
+
+def test_full_well_is_full_scale_and_darkness_is_the_black_level() -> None:
+    camera = replace(QUIET, exposures=(1.0,))
+    bright = flat(10 * camera.full_well_electrons / camera.electrons_per_radiance)
+    assert (camera.expose(bright, 0, (0, 0)) == camera.white_level).all()
+    assert (camera.expose(flat(0.0), 0, (0, 0)) == camera.black_level_counts).all()
+    half = flat(0.5 * camera.full_well_electrons / camera.electrons_per_radiance)
+    expected = (camera.white_level + camera.black_level_counts) / 2
+    assert camera.expose(half, 0, (0, 0)).mean() == pytest.approx(expected, rel=1e-3)
+
+
+def test_noise_below_the_black_level_is_cut_at_zero_counts() -> None:
+    camera = replace(FINE, black_level_counts=0, read_noise_electrons=3.0)
+    frames = camera.expose(flat(0.0), 0, (0, 0))
+    assert frames.min() == 0
+    assert (frames == 0).mean() > 0.4
+
+
+@pytest.mark.parametrize("gamma", [0.5, 2.2])
+def test_response_bends_the_counts(gamma: float) -> None:
+    camera = replace(FINE, response_gamma=gamma)
+    image = flat(0.25 * camera.full_well_electrons / camera.electrons_per_radiance)
+    level = (camera.expose(image, 0, (0, 0)).mean() - 64) / (camera.white_level - 64)
+    assert level == pytest.approx(0.25 ** (1 / gamma), rel=1e-3)
+
+
+def test_noise_depends_on_seed_key_and_exposure_alone() -> None:
+    camera = CameraModel()
+    image = np.linspace(0, 0.02, 60, dtype=np.float32).reshape(4, 5, 3)
+    frames = camera.expose(image, 1, (4, 7))
+    camera.expose(2 * image, 1, (4, 8))
+    np.testing.assert_array_equal(camera.expose(image.copy(), 1, (4, 7)), frames)
+    others = [camera.expose(image, *given) for given in ((2, (4, 7)), (1, (4, 8)), (1, (7, 4)))]
+    assert all((other != frames).any() for other in others)
+    alone = replace(camera, exposures=camera.exposures[:1])
+    np.testing.assert_array_equal(alone.expose(image, 1, (4, 7))[0], frames[0])
+
+
+def test_exposures_do_not_share_their_noise() -> None:
+    # as good as equal exposures of the same light
+    camera = CameraModel(exposures=(0.1, 0.1001))
+    frames = camera.expose(flat(0.01), 0, (0, 0)).astype(float)
+    correlation = np.corrcoef(frames.reshape(2, -1))[0, 1]
+    assert abs(correlation) < 5 / np.sqrt(frames[0].size)
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_mosaic_samples_each_photosite_in_its_colour(pattern: str) -> None:
+    image = np.arange(4 * 6 * 3, dtype=np.float32).reshape(4, 6, 3)
+    sampled = mosaic(image, pattern)
+    for y, x in np.ndindex(4, 6):
+        assert sampled[y, x] == image[y, x, "RGB".index(pattern[2 * (y % 2) + x % 2])]
+
+
+def test_frames_under_a_mosaic_have_no_channels() -> None:
+    camera = CameraModel(bayer="RGGB")
+    assert camera.frame_shape((2, 4, 5), 3) == (3, 2, 4, 5)
+    assert camera.expose(flat(0.1, (2, 4, 5, 3)), 0, (0, 0)).shape == (3, 2, 4, 5)
+    with pytest.raises(InputError, match="needs 3 channels, not 1"):
+        camera.frame_shape((4, 5), 1)
+    with pytest.raises(InputError, match="at least 2 x 2 pixels"):
+        camera.frame_shape((1, 5), 3)
+
+
+def test_blur_keeps_light_and_flat_fields_and_views_apart() -> None:
+    image = np.zeros((2, 9, 11, 3), np.float32)
+    image[0, 0, 5, 1] = 1  # at the border, in one view and channel
+    blurred = apply_optics(image, 1.5, 0.0, 0.0)
+    assert blurred.sum() == pytest.approx(1, rel=1e-5)
+    assert blurred[0, ..., 1].sum() == pytest.approx(1, rel=1e-5)
+    assert blurred[0, 0, 5, 1] < 0.3
+    np.testing.assert_allclose(apply_optics(flat(2.0, (6, 7, 3)), 1.5, 0, 0), 2, rtol=1e-6)
+
+
+def test_vignetting_takes_its_fraction_from_the_corners() -> None:
+    seen = apply_optics(flat(1.0, (9, 13, 1)), 0, 0.4, 0)[..., 0]
+    assert seen[4, 6] == 1
+    np.testing.assert_allclose(seen[[0, 0, -1, -1], [0, -1, 0, -1]], 0.6, rtol=1e-6)
+    assert (np.diff(seen[4, 6:]) < 0).all()
+    assert apply_optics(flat(1.0, (1, 1, 1)), 0, 0.4, 0) == 1
+
+
+def test_flare_spreads_a_fraction_of_each_views_light() -> None:
+    image = np.zeros((2, 4, 5, 3), np.float32)
+    image[1, 2, 3, 0] = 20
+    seen = apply_optics(image, 0, 0, 0.1)
+    assert seen.sum() == pytest.approx(20, rel=1e-5)
+    assert (seen[0] == 0).all()
+    assert (seen[..., 1:] == 0).all()
+    np.testing.assert_allclose(seen[1, 0, 0, 0], 0.1, rtol=1e-6)
+    np.testing.assert_allclose(seen[1, 2, 3, 0], 0.9 * 20 + 0.1, rtol=1e-6)
+
+
+def test_optics_are_linear() -> None:
+    one, two = np.random.default_rng(0).random((2, 8, 9, 3)).astype(np.float32)
+    settings = (0.8, 0.3, 0.05)
+    together = apply_optics(one + two, *settings)
+    apart = apply_optics(one, *settings) + apply_optics(two, *settings)
+    np.testing.assert_allclose(together, apart, rtol=1e-5)
+
+
+def test_camera_of_the_settings() -> None:
+    assert sensor_from_config(None) == ExactSensor()
+    assert sensor_from_config(CameraConfig()) == CameraModel()
+    changed = CameraConfig(bits=10, bayer="GRBG", exposures=(0.5, 1.0), vignetting=0.2)
+    camera = sensor_from_config(changed)
+    assert isinstance(camera, CameraModel)
+    assert (camera.bits, camera.bayer, camera.exposures, camera.vignetting) == (
+        10,
+        "GRBG",
+        (0.5, 1.0),
+        0.2,
+    )
+
+
+def test_description_holds_every_setting() -> None:
+    described = CameraModel(flare=0.1).describe()
+    assert json.loads(json.dumps(described)) == described
+    assert described["flare"] == 0.1
+    digests = {
+        fingerprint(sensor.describe())
+        for sensor in (ExactSensor(), CameraModel(), CameraModel(flare=0.1), CameraModel(bits=10))
+    }
+    assert len(digests) == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("exposures", ()),
+        ("exposures", (0.5, 0.5)),
+        ("exposures", (0.0, 0.5)),
+        ("electrons_per_radiance", 0.0),
+        ("full_well_electrons", float("nan")),
+        ("read_noise_electrons", -1.0),
+        ("dark_current_electrons", float("inf")),
+        ("black_level_counts", 4095),
+        ("bits", 17),
+        ("psf_sigma", -0.1),
+        ("vignetting", 1.0),
+        ("flare", 1.0),
+        ("bayer", "RGB"),
+        ("response_gamma", 0.0),
+    ],
+)
+def test_settings_out_of_range(name: str, value: object) -> None:
+    with pytest.raises(InputError, match=f"camera: {name} is"):
+        CameraModel(**{name: value})
+
+
+def test_exact_sensor_has_one_exposure() -> None:
+    with pytest.raises(InputError, match="one exposure, not 2"):
+        ExactSensor((1.0, 2.0))
+
+
+@pytest.mark.parametrize("sensor", [ExactSensor(), CameraModel()], ids=["exact", "camera"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -0.5])
+def test_impossible_light_is_named(sensor: ExactSensor | CameraModel, value: float) -> None:
+    image = flat(1.0, (4, 5, 3))
+    image[2, 3, 1] = value
+    with pytest.raises(CaptureError, match=rf"pattern \(4, 7\) holds {value} at pixel \(2, 3, 1\)"):
+        sensor.expose(image, 0, (4, 7))
+
+
+@pytest.mark.parametrize("sensor", [ExactSensor(), CameraModel()], ids=["exact", "camera"])
+def test_negative_rounding_of_an_operator_is_darkness(sensor: ExactSensor | CameraModel) -> None:
+    image = flat(1.0, (4, 5, 3))
+    image[2, 3, 1] = -1e-6
+    dark = image.copy()
+    dark[2, 3, 1] = 0
+    np.testing.assert_array_equal(sensor.expose(image, 0, (1, 1)), sensor.expose(dark, 0, (1, 1)))

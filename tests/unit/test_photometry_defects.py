@@ -1,0 +1,191 @@
+"""Hot, dead and stuck pixels; a floodlit image without light."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel, ExactSensor, MergeOptions
+from rfpipe.photometry.checks import check_floodlit
+from rfpipe.photometry.defects import find_defects, repair
+
+CAMERA = CameraModel()
+
+
+def capture(
+    camera: CameraModel, image: np.ndarray, count: int = 8
+) -> tuple[np.ndarray, np.ndarray]:
+    """All-off brackets and a floodlit one."""
+    dark = np.zeros_like(image)
+    off = np.stack([camera.expose(dark, 1, (10**6, index)) for index in range(count)])
+    return off, camera.expose(image, 1, (0, 0))
+
+
+def texture(shape: tuple[int, ...] = (40, 50, 3)) -> np.ndarray:
+    """Strokes of albedo 0.15 and 0.85, one pixel wide."""
+    return np.where(np.random.default_rng(0).random(shape) < 0.5, 0.15, 0.85).astype(np.float32)
+
+
+@pytest.mark.parametrize("count", [1, 2, 8])
+@pytest.mark.parametrize("bayer", [None, "RGGB"])
+def test_a_good_camera_has_no_defects(count: int, bayer: str | None) -> None:
+    camera = replace(CAMERA, bayer=bayer)
+    found = find_defects(*capture(camera, texture(), count), camera)
+    assert found.mask.shape == (40, 50)
+    assert not found.mask.any()
+    assert (found.hot, found.dead) == (0, 0)
+
+
+@pytest.mark.parametrize("bayer", [None, "GBRG"])
+def test_surfaces_without_reflection_are_not_defects(bayer: str | None) -> None:
+    camera = replace(CAMERA, bayer=bayer)
+    image = texture()
+    image[10:20, 10:20] = 0  # an occluder
+    image[30:, :, 0] = 0  # a surface without red
+    assert not find_defects(*capture(camera, image), camera).mask.any()
+
+
+def test_hot_and_noisy_pixels() -> None:
+    off, lit = capture(CAMERA, texture())
+    off[:, 2, 5, 6, 1] += 30
+    lit[2, 5, 6, 1] += 30
+    off[:, 1, 7, 8, 0] += np.array([0, 40, 0, 0, 35, 0, 60, 0], np.uint16)
+    found = find_defects(off, lit, CAMERA)
+    assert sorted(map(tuple, np.argwhere(found.mask))) == [(5, 6), (7, 8)]
+    assert (found.hot, found.dead) == (2, 0)
+
+
+def test_noise_alone_makes_a_pixel_hot() -> None:
+    off, lit = capture(CAMERA, texture(), 16)
+    off = off.astype(np.int64)
+    off[:, 1, 7, 8, 0] += 12 * np.tile([-1, 1], 8)
+    found = find_defects(off.astype(np.uint16), lit, CAMERA)
+    assert np.argwhere(found.mask).tolist() == [[7, 8]]
+
+
+@pytest.mark.parametrize("value", [0, 64, 4095])
+@pytest.mark.parametrize("pixel", [(5, 6), (0, 0), (39, 20)])
+def test_stuck_pixels(value: int, pixel: tuple[int, int]) -> None:
+    off, lit = capture(CAMERA, texture())
+    off[(..., *pixel, slice(None))] = value
+    lit[(..., *pixel, slice(None))] = value
+    found = find_defects(off, lit, CAMERA)
+    assert [tuple(where) for where in np.argwhere(found.mask)] == [pixel]
+    assert found.hot + found.dead == 1
+
+
+def test_a_dead_channel_of_a_pixel() -> None:
+    off, lit = capture(CAMERA, texture())
+    lit[:, 8, 9, 2] = off[0, :, 8, 9, 2]
+    found = find_defects(off, lit, CAMERA)
+    assert np.argwhere(found.mask).tolist() == [[8, 9]]
+    assert (found.hot, found.dead) == (0, 1)
+
+
+def test_a_dead_photosite_takes_its_neighbours_with_it() -> None:
+    camera = replace(CAMERA, bayer="RGGB")
+    off, lit = capture(camera, texture())
+    lit[:, 8, 9] = off[0, :, 8, 9]
+    found = find_defects(off, lit, camera)
+    assert found.dead == 1
+    rows, columns = np.nonzero(found.mask)
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (7, 9, 8, 10)
+    assert found.mask.sum() == 9
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 7, 3), (2, 5, 6, 3)])
+def test_small_and_stacked_domains(shape: tuple[int, ...]) -> None:
+    found = find_defects(*capture(CAMERA, np.full(shape, 0.5, np.float32)), CAMERA)
+    assert found.mask.shape == shape[:-1]
+    assert not found.mask.any()
+
+
+def test_views_do_not_vouch_for_each_other() -> None:
+    off, lit = capture(CAMERA, np.full((2, 9, 9, 3), 0.5, np.float32))
+    lit[:, 1] = off[0, :, 1]  # one view sees nothing at all
+    assert not find_defects(off, lit, CAMERA).mask.any()
+
+
+def test_exact_radiance_has_no_defects() -> None:
+    frames = np.zeros((4, 1, 6, 7, 3), np.float32)
+    assert not find_defects(frames, texture((1, 6, 7, 3)), ExactSensor()).mask.any()
+
+
+def test_frames_that_do_not_belong_together() -> None:
+    off, lit = capture(CAMERA, texture())
+    with pytest.raises(CaptureError, match="don't belong together"):
+        find_defects(off, lit[:2], CAMERA)
+
+
+def test_repair_takes_the_median_neighbour_and_says_that_it_is_uncertain() -> None:
+    image = np.random.default_rng(0).uniform(1, 2, (2, 6, 7, 3)).astype(np.float32)
+    variance = np.full_like(image, 1e-4)
+    broken = image.copy()
+    mask = np.zeros((6, 7), bool)
+    mask[2:4, 3] = mask[0, 0] = True
+    broken[:, mask] = 1e6
+    fixed, spread = repair(broken, variance, mask)
+    np.testing.assert_array_equal(fixed[:, ~mask], image[:, ~mask])
+    np.testing.assert_array_equal(spread[:, ~mask], variance[:, ~mask])
+    assert (fixed >= 1).all()
+    assert (fixed <= 2).all()
+    assert (spread[:, mask] > 10 * 1e-4).all()
+    expected = np.median(image[0][[0, 1, 1], [1, 0, 1]], axis=0)
+    np.testing.assert_allclose(fixed[0, 0, 0], expected)
+    assert (broken[:, mask] == 1e6).all()  # the input is left alone
+
+
+def test_repair_reaches_out_of_a_cluster_and_stays_in_its_view() -> None:
+    image = np.stack([np.full((7, 7, 1), value, np.float32) for value in (1, 5)])
+    mask = np.zeros((2, 7, 7), bool)
+    mask[0, 1:6, 1:6] = True
+    broken = image.copy()
+    broken[mask] = np.float32(1e30)
+    fixed, spread = repair(broken, np.zeros_like(image), mask)
+    np.testing.assert_array_equal(fixed, image)
+    assert np.isfinite(spread).all()
+
+
+def test_repair_with_nothing_to_do_or_nothing_to_go_by() -> None:
+    image = np.ones((3, 4, 1), np.float32)
+    nothing = np.zeros((3, 4), bool)
+    assert repair(image, image, nothing)[0] is image
+    with pytest.raises(CaptureError, match="every pixel of a view is defective"):
+        repair(image, image, ~nothing)
+    with pytest.raises(InputError, match=r"mask \(3, 4\) doesn't fit images \(4, 3, 1\)"):
+        repair(image.reshape(4, 3, 1), image, nothing)
+
+
+def floodlit(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    off, lit = capture(CAMERA, radiance)
+    merged = CAMERA.merge(lit[None], off.mean(axis=0).astype(np.float32), MergeOptions(8))
+    return merged.radiance[0], merged.variance[0]
+
+
+def test_a_floodlit_image_with_light() -> None:
+    check_floodlit(*floodlit(np.full((20, 30, 3), 1e-4, np.float32)))
+    spot = np.zeros((50, 60, 3), np.float32)
+    spot[4, 5] = 0.01  # a few lit pixels don't show in the sum
+    check_floodlit(*floodlit(spot))
+    check_floodlit(spot, np.zeros_like(spot))
+
+
+def test_a_black_floodlit_image() -> None:
+    nothing = np.zeros((50, 60, 3), np.float32)
+    with pytest.raises(CaptureError, match="all black"):
+        check_floodlit(*floodlit(nothing))
+    with pytest.raises(CaptureError, match="all black"):
+        check_floodlit(nothing, nothing)
+
+
+def test_a_black_level_above_the_signal() -> None:
+    radiance, variance = floodlit(np.full((20, 30, 3), 1e-3, np.float32))
+    with pytest.raises(CaptureError, match="black level is above the signal"):
+        check_floodlit(radiance - 0.01, variance)
+
+
+def test_a_floodlit_image_that_is_not_finite() -> None:
+    image = np.ones((2, 3, 1), np.float32)
+    with pytest.raises(CaptureError, match="NaN or infinity"):
+        check_floodlit(np.full_like(image, np.nan), image)

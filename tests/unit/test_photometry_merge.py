@@ -1,0 +1,258 @@
+"""The merge: unbiased, with the variance that it states, and never NaN."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions
+from rfpipe.photometry.demosaic import demosaic, mosaic
+from rfpipe.photometry.hdr import merge_bracket
+
+CAMERA = CameraModel()
+
+
+def take(camera: CameraModel, image: np.ndarray, count: int = 8, key: int = 0) -> Merged:
+    """Expose, with `count` all-off brackets, and merge."""
+    return camera.merge(
+        camera.expose(image, 1, (2, key))[None], black(camera, image, count), MergeOptions(count)
+    )
+
+
+def black(camera: CameraModel, image: np.ndarray, count: int = 8) -> np.ndarray:
+    off = [camera.expose(np.zeros_like(image), 1, (10**6, index)) for index in range(count)]
+    return np.mean(off, axis=0).astype(np.float32)
+
+
+def flat(value: float, shape: tuple[int, ...] = (100, 200, 3)) -> np.ndarray:
+    return np.full(shape, value, np.float32)
+
+
+BENT = replace(CAMERA, response_gamma=2.2, black_level_counts=512, dark_current_electrons=0.0)
+"""Its counts are steep at the black level: noise needs room there, see `CameraModel.merge`."""
+
+
+@pytest.mark.parametrize("camera", [CAMERA, BENT], ids=["linear", "bent"])
+@pytest.mark.parametrize("radiance", [0.0, 1e-5, 1e-4, 1e-3, 5e-3, 0.1, 1.5])
+def test_merge_is_unbiased_and_states_its_variance(radiance: float, camera: CameraModel) -> None:
+    merged = take(camera, flat(radiance))
+    assert merged.saturated == 0
+    deviation = float(np.sqrt(merged.variance.mean(dtype=np.float64)))
+    bias = merged.radiance.mean(dtype=np.float64) - radiance
+    assert abs(bias) < 5 * deviation / np.sqrt(merged.radiance.size)
+    # at zero, noise counts as signal where it is positive: a little too much is stated
+    assert merged.radiance.std() == pytest.approx(deviation, rel=0.05 if radiance else 0.1)
+
+
+def test_weights_from_the_pooled_estimate_are_unbiased_and_those_from_each_count_are_not() -> None:
+    """Weighting each exposure by its own noisy count pulls dark samples towards zero."""
+    collection = np.array([4.0, 6.0, 9.0])  # electrons at a radiance of 1
+    noise = np.float32(1.0)
+    random = np.random.default_rng(0)
+    size = 200_000
+    drawn = random.poisson(collection[:, None], (3, size)) + random.normal(0, 1, (3, size))
+    electrons = drawn.astype(np.float32)
+    usable = np.ones(electrons.shape, bool)
+    pooled, variance, _ = merge_bracket(electrons, usable, collection, [noise] * 3, 1e3)
+    own = collection[:, None] / (np.maximum(electrons, 0) + noise)
+    naive = (own * electrons).sum(axis=0) / (own * collection[:, None]).sum(axis=0)
+    error = np.sqrt(variance.mean() / size)
+    assert abs(naive.mean() - 1) > 50 * error
+    assert naive.mean() < 0.95
+    assert abs(pooled.mean(dtype=np.float64) - 1) < 5 * error
+    # and its spread is that of the best linear estimate, which knows the true weights
+    best = 1 / np.sum(collection**2 / (collection + noise))
+    assert pooled.var(dtype=np.float64) == pytest.approx(best, rel=0.02)
+
+
+def test_all_exposures_count() -> None:
+    """At equal exposures in all but name, three have a third of one's variance."""
+    one = replace(CAMERA, exposures=(0.01,))
+    three = replace(CAMERA, exposures=(0.01, 0.010001, 0.010002))
+    ratio = take(one, flat(0.1)).variance.mean() / take(three, flat(0.1)).variance.mean()
+    assert ratio == pytest.approx(3, rel=0.01)
+
+
+def test_noise_of_the_black_level_is_in_the_variance() -> None:
+    for count in (1, 4):
+        merged = take(CAMERA, flat(0.0), count)
+        assert merged.radiance.std() <= np.sqrt(merged.variance.mean()) * 1.01
+    assert (
+        take(CAMERA, flat(0.0), 1).variance.mean()
+        > 1.8 * take(CAMERA, flat(0.0), 64).variance.mean()
+    )
+
+
+def test_black_level_is_subtracted_before_the_merge() -> None:
+    """A pedestal that differs from pixel to pixel and exposure to exposure leaves no trace."""
+    image = flat(0.004)
+    pedestal = np.random.default_rng(0).integers(0, 200, (3, *image.shape)).astype(np.uint16)
+    frames = CAMERA.expose(image, 0, (1, 1)) + pedestal
+    shifted = CAMERA.merge(frames[None], black(CAMERA, image) + pedestal, MergeOptions(8))
+    plain = CAMERA.merge((frames - pedestal)[None], black(CAMERA, image), MergeOptions(8))
+    usable = (frames < 0.98 * CAMERA.white_level).all(axis=0)
+    np.testing.assert_allclose(
+        shifted.radiance[0][usable], plain.radiance[0][usable], atol=1e-4, rtol=0
+    )
+    # light in the all-off frames brings shot noise of its own
+    assert (shifted.variance >= plain.variance).all()
+    assert shifted.variance.mean() > 1.2 * plain.variance.mean()
+
+
+def test_saturated_exposures_are_not_used() -> None:
+    camera = CAMERA
+    bright = 1.9 * camera.full_well_electrons / camera.electrons_per_radiance / 1.0
+    merged = take(camera, flat(bright))  # saturates the longest exposure
+    assert merged.radiance.mean() == pytest.approx(bright, rel=1e-3)
+    assert merged.saturated == 0
+
+
+def test_saturated_everywhere_gives_the_clipped_value_and_a_huge_variance() -> None:
+    image = flat(0.1, (6, 7, 3))
+    image[2, 3, 1] = 50
+    merged = take(CAMERA, image)
+    assert merged.saturated == 1
+    full_scale = CAMERA.full_well_electrons / CAMERA.electrons_per_radiance / CAMERA.exposures[0]
+    assert merged.radiance[0, 2, 3, 1] == pytest.approx(full_scale, rel=1e-2)
+    assert merged.variance[0, 2, 3, 1] == pytest.approx((1e3 * full_scale) ** 2)
+    assert np.isfinite(merged.radiance).all()
+    assert np.isfinite(merged.variance).all()
+    np.testing.assert_allclose(
+        np.delete(merged.radiance.ravel(), (2 * 7 + 3) * 3 + 1), 0.1, rtol=0.1
+    )
+
+
+def test_a_pixel_stuck_at_full_scale_gets_a_huge_variance_too() -> None:
+    image = flat(0.1, (4, 5, 1))
+    frames, off = CAMERA.expose(image, 0, (0, 0)), black(CAMERA, image)
+    frames[:, 1, 1], off[:, 1, 1] = CAMERA.white_level, CAMERA.white_level
+    merged = CAMERA.merge(frames[None], off, MergeOptions(8))
+    assert merged.radiance[0, 1, 1, 0] == 0
+    assert merged.variance[0, 1, 1, 0] > 1e5
+    assert merged.saturated == 1
+
+
+def test_saturation_fraction() -> None:
+    image = flat(1.9, (4, 5, 1))  # 95 % of full scale at the shortest exposure
+    bracket = CAMERA.expose(image, 0, (0, 0))[None]
+    off = black(CAMERA, image)
+    assert CAMERA.merge(bracket, off).saturated == 0
+    assert CAMERA.merge(bracket, off, MergeOptions(saturation_fraction=0.9)).saturated == 20
+    for fraction in (0.0, 1.1):
+        with pytest.raises(InputError, match="saturation_fraction is"):
+            MergeOptions(saturation_fraction=fraction)
+    with pytest.raises(InputError, match="black_count is 0"):
+        MergeOptions(0)
+
+
+def test_merge_of_a_batch_is_the_merge_of_each() -> None:
+    images = np.random.default_rng(0).random((3, 7, 9, 3)).astype(np.float32) * 0.1
+    frames = np.stack([CAMERA.expose(image, 0, (0, index)) for index, image in enumerate(images)])
+    off = black(CAMERA, images[0])
+    together = CAMERA.merge(frames, off)
+    for index in range(3):
+        alone = CAMERA.merge(frames[index : index + 1], off)
+        np.testing.assert_array_equal(alone.radiance[0], together.radiance[index])
+        np.testing.assert_array_equal(alone.variance[0], together.variance[index])
+    assert together.radiance.dtype == together.variance.dtype == np.float32
+
+
+def test_merge_of_no_brackets() -> None:
+    image = flat(0.0, (4, 5, 3))
+    for sensor in (CAMERA, replace(CAMERA, bayer="RGGB"), ExactSensor()):
+        shape = sensor.frame_shape((4, 5), 3)
+        none = np.zeros((0, *shape), sensor.frame_dtype)
+        merged = sensor.merge(none, np.zeros(shape, np.float32))
+        assert merged.radiance.shape == merged.variance.shape == (0, *image.shape)
+
+
+@pytest.mark.parametrize("shape", [(1, 37, 1), (1, 1, 1), (3, 5, 7, 3)])
+def test_small_and_stacked_domains(shape: tuple[int, ...]) -> None:
+    merged = take(CAMERA, flat(0.5, shape))
+    assert merged.radiance.shape == (1, *shape)
+    np.testing.assert_allclose(merged.radiance, 0.5, rtol=0.1)
+
+
+def test_a_noiseless_camera_still_has_a_variance() -> None:
+    camera = replace(CAMERA, read_noise_electrons=0.0, dark_current_electrons=0.0)
+    merged = take(camera, flat(0.0, (4, 5, 3)))
+    np.testing.assert_array_equal(merged.radiance, 0)
+    assert (merged.variance > 0).all()  # its converter's steps
+
+
+def test_wrong_frames_are_refused() -> None:
+    image = flat(0.1, (4, 5, 3))
+    off, bracket = black(CAMERA, image), CAMERA.expose(image, 0, (0, 0))[None]
+    options = MergeOptions(first_index=32)
+    with pytest.raises(CaptureError, match=r"pattern 32: frames have the shape \(1, 2, 4, 5, 3\)"):
+        CAMERA.merge(bracket[:, :2], off, options)
+    with pytest.raises(CaptureError, match=r"pattern 32: brackets have the shape \(3, 4, 4, 3\)"):
+        CAMERA.merge(bracket[:, :, :, :4], off, options)
+    with pytest.raises(CaptureError, match="dtype float64"):
+        CAMERA.merge(bracket.astype(float), off, options)
+    wild = np.repeat(bracket, 2, axis=0)
+    wild[1, 2, 3, 4, 0] = 5000
+    with pytest.raises(
+        CaptureError, match=r"pattern 33 holds 5000 counts at exposure 2, pixel \(3, 4, 0\).* 4095"
+    ):
+        CAMERA.merge(wild, off, options)
+    off[0, 0, 0, 0] = np.nan
+    with pytest.raises(CaptureError, match="all-off frames hold NaN"):
+        CAMERA.merge(bracket, off, options)
+
+
+@pytest.mark.parametrize("value", [np.nan, -np.inf, -0.5])
+def test_impossible_float_frames_are_named(value: float) -> None:
+    frames = np.ones((3, 1, 4, 5, 3), np.float32)
+    frames[1, 0, 2, 3, 1] = value
+    with pytest.raises(CaptureError, match=rf"pattern 33 holds {value} at pixel \(0, 2, 3, 1\)"):
+        ExactSensor().merge(frames, np.zeros(frames.shape[1:]), MergeOptions(first_index=32))
+
+
+def test_exact_sensor_returns_the_radiance() -> None:
+    image = np.random.default_rng(0).random((4, 5, 3)).astype(np.float32)
+    sensor = ExactSensor()
+    bracket = sensor.expose(image, 0, (0, 0))
+    assert bracket.shape == sensor.frame_shape((4, 5), 3)
+    merged = sensor.merge(bracket[None], np.zeros_like(bracket))
+    np.testing.assert_array_equal(merged.radiance[0], image)
+    assert not merged.variance.any()
+    assert merged.saturated == 0
+    light = np.full_like(bracket, 0.25)
+    lit = sensor.merge(bracket[None] + light, light).radiance[0]
+    np.testing.assert_allclose(lit, image, atol=1e-7)
+
+
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_demosaic_keeps_flat_fields_up_to_the_border(pattern: str) -> None:
+    image = np.broadcast_to(np.array([0.2, 0.5, 0.9], np.float32), (2, 5, 6, 3))
+    colour, _ = demosaic(mosaic(image, pattern), np.ones(image.shape[:-1], np.float32), pattern)
+    np.testing.assert_allclose(colour, image, rtol=1e-6)
+
+
+def test_demosaic_is_linear_and_keeps_samples() -> None:
+    one, two = np.random.default_rng(0).random((2, 6, 8)).astype(np.float32)
+    ones = np.ones_like(one)
+    together = demosaic(one + two, ones, "RGGB")[0]
+    apart = demosaic(one, ones, "RGGB")[0] + demosaic(two, ones, "RGGB")[0]
+    np.testing.assert_allclose(together, apart, rtol=1e-6)
+    np.testing.assert_allclose(mosaic(demosaic(one, ones, "RGGB")[0], "RGGB"), one, rtol=1e-6)
+
+
+def test_demosaic_states_the_variance_of_its_interpolation() -> None:
+    random = np.random.default_rng(0)
+    variance = random.uniform(0.5, 2, (6, 7)).astype(np.float32)
+    noise = random.normal(0, np.sqrt(variance), (3000, 6, 7)).astype(np.float32)
+    colour, stated = demosaic(noise, np.broadcast_to(variance, noise.shape), "GBRG")
+    np.testing.assert_allclose(colour.var(axis=0), stated[0], rtol=0.15)
+
+
+def test_mosaic_camera_merges_before_it_interpolates() -> None:
+    camera = replace(CAMERA, bayer="RGGB")
+    image = np.broadcast_to(np.array([0.2, 0.05, 0.4], np.float32), (60, 80, 3))
+    merged = take(camera, image)
+    assert merged.radiance.shape == (1, 60, 80, 3)
+    deviation = np.sqrt(merged.variance[0].mean(axis=(0, 1)))
+    np.testing.assert_allclose(merged.radiance[0].mean(axis=(0, 1)), image[0, 0], rtol=2e-3)
+    np.testing.assert_allclose(merged.radiance[0].std(axis=(0, 1)), deviation, rtol=0.1)

@@ -1,0 +1,202 @@
+"""Colour normalization [B.2, Fig. B.1], sentence by sentence."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import InputError
+from rfpipe.photometry.demosaic import demosaic, mosaic
+from rfpipe.photometry.normalize import MAXIMUM_GAIN, Mode, Normalization, apply, level_gain
+from rfpipe.photometry.optics import apply_optics
+
+SHAPE = (8, 10, 3)
+NONE = np.zeros(SHAPE)
+
+
+def dimmed(patterns: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """Images that lost light and colour, and the floodlit image that they should add up to."""
+    random = np.random.default_rng(0)
+    true = random.uniform(0.1, 1, (patterns, *SHAPE)).astype(np.float32)
+    grey = true.mean(axis=-1, keepdims=True)
+    images = random.uniform(0.3, 0.9, SHAPE) * (0.5 * true + 0.5 * grey)
+    return images.astype(np.float32), true.sum(axis=0)
+
+
+def gain(
+    images: np.ndarray, floodlit: np.ndarray, mode: Mode, complete: bool = True
+) -> Normalization:
+    return level_gain(floodlit, images.sum(axis=0), NONE, mode, complete, 3.0)
+
+
+@pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
+def test_corrected_images_add_up_to_the_floodlit_image(mode: Mode) -> None:
+    images, floodlit = dimmed()
+    normalization = gain(images, floodlit, mode)
+    corrected, _ = apply(images, np.ones_like(images), normalization)
+    assert normalization.covered.all()
+    np.testing.assert_allclose(corrected.sum(axis=0), floodlit, rtol=1e-5)
+
+
+def test_total_energy_distributes_the_floodlit_colour_by_each_images_energy() -> None:
+    images, floodlit = dimmed()
+    corrected, _ = apply(images, np.ones_like(images), gain(images, floodlit, "total_energy"))
+    energy = images.sum(axis=-1)  # E_p
+    share = energy / energy.sum(axis=0)
+    np.testing.assert_allclose(corrected, share[..., None] * floodlit, rtol=1e-5)
+
+
+def test_per_channel_scales_each_channel_for_itself() -> None:
+    images, floodlit = dimmed()
+    corrected, _ = apply(images, np.ones_like(images), gain(images, floodlit, "per_channel"))
+    np.testing.assert_allclose(corrected, images * (floodlit / images.sum(axis=0)), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("mode", "complete"), [("none", True), ("total_energy", False)])
+def test_not_applied_where_not_asked_for_or_where_the_level_leaves_rays_dark(
+    mode: Mode, complete: bool
+) -> None:
+    images, floodlit = dimmed()
+    variance = np.ones_like(images)
+    normalization = gain(images, floodlit, mode, complete)
+    assert not normalization.covered.any()
+    np.testing.assert_array_equal(normalization.gain, 1)
+    corrected, spread = apply(images, variance, normalization)
+    assert corrected is images
+    assert spread is variance
+
+
+@pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
+@pytest.mark.parametrize("total", [0.0, 1e-30, -0.2, 0.02, 0.3])
+def test_bounded_and_untouched_where_the_sum_is_zero_or_within_noise(
+    mode: Mode, total: float
+) -> None:
+    images, floodlit = dimmed()
+    images[:, 2, 3] = total / len(images)
+    variance = np.full(SHAPE, 0.0 if total < 0.01 else 0.2**2)
+    normalization = level_gain(floodlit, images.sum(axis=0), variance, mode, True, 3.0)
+    assert np.isfinite(normalization.gain).all()
+    assert not normalization.covered[2, 3].any()
+    assert np.delete(normalization.covered.reshape(-1, 3), 23, axis=0).any()
+    corrected, spread = apply(images, np.ones_like(images), normalization)
+    np.testing.assert_array_equal(corrected[:, 2, 3], images[:, 2, 3])
+    np.testing.assert_array_equal(spread[:, 2, 3], 1)
+    if mode == "per_channel":
+        assert normalization.gain.max() <= MAXIMUM_GAIN
+
+
+@pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
+def test_untouched_where_the_floodlit_image_is_black_or_unknown(mode: Mode) -> None:
+    images, floodlit = dimmed()
+    floodlit_variance = np.zeros(SHAPE)
+    floodlit[0, 0] = -0.1
+    floodlit[0, 1] = 0
+    floodlit_variance[0, 2] = 1e6  # saturated in every exposure
+    normalization = level_gain(
+        floodlit, images.sum(axis=0), NONE, mode, True, 3.0, floodlit_variance
+    )
+    assert not normalization.covered[0, :3].any()
+    assert normalization.covered[1:].all()
+    assert np.isfinite(normalization.gain).all()
+
+
+def test_a_channel_without_light_stays_without() -> None:
+    images, floodlit = dimmed()
+    images[..., 2] = np.random.default_rng(1).normal(0, 1e-3, images.shape[:-1])
+    floodlit[..., 2] = np.random.default_rng(2).normal(0, 1e-3, SHAPE[:-1])
+    normalization = level_gain(
+        floodlit, images.sum(axis=0), np.full(SHAPE, 5e-6), "total_energy", True, 3.0
+    )
+    corrected, spread = apply(images, np.full_like(images, 1e-6), normalization)
+    np.testing.assert_allclose(corrected.sum(axis=0), np.maximum(floodlit, 0), rtol=1e-4, atol=1e-6)
+    assert (spread > 0).all()
+
+
+@pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
+def test_the_variance_follows_the_scaling(mode: Mode) -> None:
+    images, floodlit = dimmed(3)
+    sigma = 0.01
+    noise = np.random.default_rng(0).normal(0, sigma, (4000, *images.shape[1:])).astype(np.float32)
+    normalization = gain(images, floodlit, mode)
+    corrected, spread = apply(images[:1] + noise, np.full_like(noise, sigma**2), normalization)
+    np.testing.assert_allclose(corrected.var(axis=0), spread[0], rtol=0.15)
+    assert corrected.dtype == spread.dtype == np.float32
+
+
+def test_views_and_grey_images() -> None:
+    images = np.full((4, 2, 3, 5, 1), 0.2, np.float32)
+    floodlit = np.ones((2, 3, 5, 1))
+    for mode in ("per_channel", "total_energy"):
+        normalization = level_gain(
+            floodlit, images.sum(axis=0), np.zeros_like(floodlit), mode, True, 3.0
+        )
+        np.testing.assert_allclose(apply(images, images, normalization)[0], 0.25, rtol=1e-6)
+
+
+def test_wrong_arguments() -> None:
+    with pytest.raises(InputError, match="must have one shape"):
+        level_gain(NONE, NONE[:2], NONE, "none", True, 3.0)
+    with pytest.raises(InputError, match="normalization is 'grey'"):
+        level_gain(NONE, NONE, NONE, "grey", True, 3.0)  # type: ignore[arg-type]
+
+
+BLUR = 0.6
+"""Standard deviation in pixels: a focused projector beam covers very few photosites."""
+
+
+def spots() -> np.ndarray:
+    """Images of a coloured surface lit pixel by pixel, as they fall on the sensor."""
+    blend = np.linspace(0, 1, 16)[:, None]
+    albedo = (1 - blend) * [0.8, 0.25, 0.1] + blend * [0.1, 0.25, 0.8]
+    images = np.zeros((12 * 16, 12, 16, 3), np.float32)
+    for image, (y, x) in zip(images, np.ndindex(12, 16), strict=True):
+        image[y, x] = albedo[x]
+        image[...] = apply_optics(image, BLUR, 0, 0)
+    return images
+
+
+def test_fig_b_1_the_sum_of_single_pixels_is_dim_and_pale_and_normalization_mends_it() -> None:
+    """With the edge-directed demosaic that cameras have, which isn't linear."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from colour_demosaicing import demosaicing_CFA_Bayer_Menon2007 as edge_directed
+
+    def seen(light: np.ndarray) -> np.ndarray:
+        padded = np.pad(mosaic(light, "RGGB"), 2, mode="reflect")
+        return np.asarray(edge_directed(padded)[2:-2, 2:-2]).clip(0).astype(np.float32)
+
+    light = spots()
+    images, floodlit = np.stack([seen(image) for image in light]), seen(light.sum(axis=0))
+    total = images.sum(axis=0)
+    inside = np.s_[2:-2, 2:-2]  # it mirrors its borders wrongly
+    assert total[inside].sum() < 0.99 * floodlit[inside].sum()
+    assert saturation(total[inside]) < 0.6 * saturation(floodlit[inside])
+    normalization = level_gain(floodlit, total, np.zeros(total.shape), "total_energy", True, 3.0)
+    corrected, _ = apply(images, np.ones_like(images), normalization)
+    assert normalization.covered.all()
+    np.testing.assert_allclose(corrected.sum(axis=0), floodlit, rtol=1e-5)
+    assert colour_error(corrected, light) < 0.2 * colour_error(images, light)
+
+
+def test_fig_b_1_with_our_linear_demosaic() -> None:
+    """The sum is right by itself, the colour of each image isn't until it's normalized."""
+    light = spots()
+    images, _ = demosaic(mosaic(light, "RGGB"), np.ones(light.shape[:-1], np.float32), "RGGB")
+    total = images.sum(axis=0)
+    floodlit, _ = demosaic(mosaic(light.sum(axis=0), "RGGB"), np.ones(total.shape[:2]), "RGGB")
+    np.testing.assert_allclose(total, floodlit, rtol=1e-5)
+    normalization = level_gain(floodlit, total, np.zeros(total.shape), "total_energy", True, 3.0)
+    corrected, _ = apply(images, np.ones_like(images), normalization)
+    assert colour_error(corrected, light) < 0.2 * colour_error(images, light)
+
+
+def saturation(image: np.ndarray) -> float:
+    """Colour contrast: spread of the channels over the largest."""
+    return float(np.ptp(image, axis=-1).sum() / image.max(axis=-1).sum())
+
+
+def colour_error(images: np.ndarray, light: np.ndarray) -> float:
+    """Mean error of the channels' shares at each image's lit pixel."""
+    lit = np.arange(len(images)), *np.unravel_index(np.arange(len(images)), images.shape[1:3])
+    share, true = (values[lit] / values[lit].sum(-1, keepdims=True) for values in (images, light))
+    return float(np.abs(share - true).mean())

@@ -1,0 +1,281 @@
+"""Rigs made from known light transport; the dot test."""
+
+import json
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.sparse.linalg import LinearOperator, aslinearoperator
+
+import rfpipe
+from rfpipe.config import CameraConfig
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel, ExactSensor
+from rfpipe.rigs import OperatorRig, SimulatedRig
+from rfpipe.testing import dot_test
+
+CAMERA_SHAPE, PROJECTOR_SHAPE = (4, 5), (3, 7)
+MATRICES = np.random.default_rng(0).random((3, 20, 21))
+PATTERNS = np.random.default_rng(1).random((5, *PROJECTOR_SHAPE)).astype(np.float32)
+KEYS = [(1, index) for index in range(5)]
+
+
+class Callable:
+    """A pattern operator, as a scene is."""
+
+    channels = 3
+    shape = (3, 7)
+
+    def __init__(self, images: Any = None) -> None:
+        self._images = images
+
+    def apply(self, patterns: np.ndarray) -> np.ndarray:
+        if self._images is not None:
+            return np.asarray(self._images)
+        return np.einsum("cmn,bn->bmc", MATRICES[:, :20], patterns)
+
+    def describe(self) -> dict[str, Any]:
+        return {"what": "a test's matrices"}
+
+
+def rig_of(matrix: Any, **settings: Any) -> OperatorRig:
+    return OperatorRig(matrix, CAMERA_SHAPE, PROJECTOR_SHAPE, **settings)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        MATRICES,
+        MATRICES.astype(np.float32),
+        list(MATRICES),
+        [sparse.csr_array(part) for part in MATRICES],
+        [sparse.coo_matrix(part) for part in MATRICES],
+        [aslinearoperator(part) for part in MATRICES],
+        Callable(),
+    ],
+    ids=["float64", "float32", "list", "csr", "coo", "linear", "apply"],
+)
+def test_exact_frames_are_the_matrix_product(matrix: Any) -> None:
+    rig = rig_of(matrix)
+    frames = rig.capture(PATTERNS, KEYS)
+    assert (rig.channels, frames.shape, frames.dtype) == (3, (5, 1, 4, 5, 3), np.float32)
+    expected = np.einsum("cmn,bn->bmc", MATRICES, PATTERNS.reshape(5, -1))
+    np.testing.assert_allclose(frames.reshape(expected.shape), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("matrix", [MATRICES[0], sparse.csr_array(MATRICES[0])])
+def test_one_matrix_is_one_channel(matrix: Any) -> None:
+    rig = rfpipe.OperatorRig(matrix, camera_shape=CAMERA_SHAPE, projector_shape=PROJECTOR_SHAPE)
+    assert rig.channels == 1
+    assert rig.capture(PATTERNS, KEYS).shape == (5, 1, 4, 5, 1)
+
+
+def test_views() -> None:
+    rig = OperatorRig(np.eye(24), (2, 3, 4), (2, 3, 4))
+    pattern = np.random.default_rng(0).random((1, 2, 3, 4)).astype(np.float32)
+    np.testing.assert_array_equal(rig.capture(pattern, [(0, 0)])[0, 0, ..., 0], pattern[0])
+
+
+@pytest.mark.parametrize("size", [1, 37, 130])
+@pytest.mark.parametrize("kind", ["dense", "sparse"])
+def test_a_patterns_bytes_do_not_depend_on_its_batch(size: int, kind: str) -> None:
+    matrix = np.random.default_rng(0).random((size, size))
+    rig = OperatorRig(
+        sparse.csr_array(matrix) if kind == "sparse" else matrix, (1, size), (1, size)
+    )
+    patterns = np.random.default_rng(1).random((37, 1, size)).astype(np.float32)
+    keys = [(1, index) for index in range(37)]
+    frames = rig.capture(patterns, keys)
+    for first, last in ((0, 1), (3, 20), (36, 37), (5, 37)):
+        part = rig.capture(patterns[first:last], keys[first:last])
+        np.testing.assert_array_equal(part, frames[first:last])
+
+
+def test_noise_settings() -> None:
+    matrix = np.full((20, 21), 0.01)
+    assert rig_of(matrix).sensor == ExactSensor()
+    assert rig_of(matrix, noise=CameraConfig()).sensor == CameraModel()
+    camera = CameraModel(bits=10)
+    rig = rig_of(matrix, noise=camera, seed=4)
+    assert rig.sensor is camera
+    frames = rig.capture(PATTERNS, KEYS)
+    assert (frames.shape, frames.dtype) == ((5, 3, 4, 5, 1), np.uint16)
+    other = rig_of(matrix, noise=camera, seed=5).capture(PATTERNS, KEYS)
+    assert (other != frames).any()
+    with pytest.raises(InputError, match="noise is a float; expected None, a Sensor"):
+        rig_of(matrix, noise=0.1)
+    with pytest.raises(InputError, match="needs 3 channels, not 1"):
+        rig_of(matrix, noise=CameraModel(bayer="RGGB"))
+
+
+@pytest.mark.parametrize("wrap", [np.asarray, sparse.csr_array, lambda matrix: [matrix] * 3])
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
+def test_impossible_entries_are_named(wrap: Any, value: float) -> None:
+    matrix = MATRICES[0].copy()
+    matrix[7, 8] = value
+    with pytest.raises(InputError, match=rf"channel 0 is {value} at row 7, column 8"):
+        rig_of(wrap(matrix))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        (np.ones((21, 20)), r"channel 0 has the shape \(21, 20\).*\(20 camera rays, 21 projector"),
+        ([MATRICES[0], MATRICES[1][:, :20]], r"channel 1 has the shape \(20, 20\)"),
+        (np.ones(420), r"channel 0 has the shape \(420,\)"),
+        (sparse.eye_array(3), r"channel 0 has the shape \(3, 3\)"),
+        ("a matrix", "channel 0 is a str; expected an ndarray"),
+        ([[1.0, 2.0], [3.0, 4.0]], "channel 0 is a list; expected an ndarray"),
+        (MATRICES.astype(complex), "dtype complex128; expected real numbers"),
+        ([], "no channels"),
+        (MATRICES[:2], "2 channels; expected 1 or 3"),
+    ],
+)
+def test_what_is_no_transport(matrix: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        rig_of(matrix)
+
+
+def test_wrong_settings() -> None:
+    with pytest.raises(InputError, match=r"camera_shape is \(20,\); expected \(H, W\)"):
+        OperatorRig(MATRICES, (20,), PROJECTOR_SHAPE)
+    with pytest.raises(InputError, match=r"projector_shape is \(0, 7\)"):
+        OperatorRig(MATRICES, CAMERA_SHAPE, (0, 7))
+    with pytest.raises(InputError, match="seed is -1"):
+        rig_of(MATRICES, seed=-1)
+
+
+def test_patterns_that_cannot_be_shown_are_named() -> None:
+    rig = rig_of(MATRICES)
+    patterns = PATTERNS.copy()
+    patterns[2, 1, 3] = 1.5
+    with pytest.raises(InputError, match=r"pattern \(1, 2\) is 1.5 at projector pixel \(1, 3\)"):
+        rig.capture(patterns, KEYS)
+    with pytest.raises(InputError, match=r"shape \(5, 7, 3\); this projector shows .*3, 7\)"):
+        rig.capture(PATTERNS.transpose(0, 2, 1), KEYS)
+    with pytest.raises(InputError, match="5 patterns came with 4 keys"):
+        rig.capture(PATTERNS, KEYS[:4])
+
+
+def test_an_operator_that_returns_the_wrong_thing() -> None:
+    with pytest.raises(CaptureError, match=r"shape \(5, 19, 3\) for patterns \(1, 0\) to \(1, 4\)"):
+        rig_of(Callable(np.ones((5, 19, 3)))).capture(PATTERNS, KEYS)
+    images = np.ones((5, 20, 3))
+    images[3, 6, 1] = np.nan
+    with pytest.raises(CaptureError, match=r"pattern \(1, 3\) holds nan at pixel \(1, 1, 1\)"):
+        rig_of(Callable(images)).capture(PATTERNS, KEYS)
+    negative = aslinearoperator(-MATRICES[0])
+    with pytest.raises(CaptureError, match=r"pattern \(1, 0\) holds -.* not negative"):
+        rig_of(negative).capture(PATTERNS, KEYS)
+
+
+def test_descriptions_tell_rigs_apart() -> None:
+    changed = MATRICES.copy()
+    changed[2, 3, 4] *= 1.001
+    described = [
+        json.dumps(rig.describe(), sort_keys=True)
+        for rig in (
+            rig_of(MATRICES),
+            rig_of(changed),
+            rig_of([sparse.csr_array(part) for part in MATRICES]),
+            rig_of([aslinearoperator(part) for part in MATRICES]),
+            rig_of([aslinearoperator(part) for part in changed]),
+            rig_of(MATRICES, seed=1),
+            rig_of(MATRICES, noise=CameraModel()),
+        )
+    ]
+    assert len(set(described)) == len(described)
+    assert described[0] == json.dumps(rig_of(list(MATRICES)).describe(), sort_keys=True)
+
+
+class Scene:
+    """A small coaxial scene."""
+
+    shape = (4, 5)
+    channels = 3
+
+    def apply(self, patterns: np.ndarray) -> np.ndarray:
+        return np.repeat(patterns[..., None], 3, axis=-1) * np.float32(0.5)
+
+    def describe(self) -> dict[str, Any]:
+        return {"name": "half of everything"}
+
+
+def test_a_simulated_rig_is_coaxial() -> None:
+    rig = SimulatedRig(Scene(), CameraModel(), seed=3, seconds_per_pattern=0.5)
+    assert rig.camera_shape == rig.projector_shape == (4, 5)
+    assert (rig.channels, rig.seconds_per_pattern, rig.sensor) == (3, 0.5, CameraModel())
+    described = rig.describe()
+    assert described["kind"] == "simulated"
+    assert described["scene"] == {"name": "half of everything"}
+    assert "operator" not in described
+    assert SimulatedRig(Scene()).sensor == ExactSensor()
+    pattern = np.ones((1, 4, 5), np.float32)
+    np.testing.assert_array_equal(SimulatedRig(Scene()).capture(pattern, [(0, 0)]), 0.5)
+
+
+class Transport:
+    """As much of a transport as the dot test asks for."""
+
+    channels = 2
+
+    def __init__(self, matrices: list[np.ndarray]) -> None:
+        self._matrices = matrices
+
+    def channel(self, index: int) -> LinearOperator:
+        return aslinearoperator(self._matrices[index])
+
+
+def test_dot_test_passes_what_is_transposed_right() -> None:
+    assert dot_test(MATRICES[0]) < 1e-12
+    assert dot_test(aslinearoperator(MATRICES[0])) < 1e-12
+    assert dot_test(Transport(list(MATRICES[:2]))) < 1e-12
+    assert dot_test(np.random.default_rng(0).normal(size=(30, 40))) < 1e-12
+    assert dot_test(np.zeros((3, 4))) == 0
+
+
+def test_dot_test_finds_a_wrong_transpose() -> None:
+    wrong = LinearOperator(
+        (20, 21),
+        matvec=lambda x: MATRICES[0] @ x,
+        rmatvec=lambda y: MATRICES[1].T @ y,
+        dtype=float,
+    )
+    with pytest.raises(AssertionError, match="relative difference"):
+        dot_test(wrong)
+    nan = LinearOperator(
+        (3, 4), matvec=lambda _: np.full(3, np.nan), rmatvec=lambda _: np.ones(4), dtype=float
+    )
+    with pytest.raises(AssertionError, match="nan"):
+        dot_test(nan)
+
+
+THREADS_SCRIPT = """
+import hashlib
+import numpy as np
+from rfpipe.rigs import OperatorRig
+random = np.random.default_rng(0)
+rig = OperatorRig(random.random((500, 777)), (1, 500), (1, 777))
+patterns = random.random((19, 1, 777)).astype(np.float32)
+frames = rig.capture(patterns, [(0, index) for index in range(19)])
+print(hashlib.sha256(frames.tobytes()).hexdigest())
+"""
+
+
+def test_frames_do_not_depend_on_the_number_of_threads() -> None:
+    digests = set()
+    for threads in ("1", "2", "3"):
+        done = subprocess.run(
+            [sys.executable, "-c", THREADS_SCRIPT],
+            env={**os.environ, "OPENBLAS_NUM_THREADS": threads},
+            check=True,
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        digests.add(done.stdout)
+    assert len(digests) == 1

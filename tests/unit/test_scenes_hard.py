@@ -1,0 +1,107 @@
+"""The named hard cases are what their names say."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import InputError
+from rfpipe.scenes import DenseScene, hard_cases, reference_scene
+from rfpipe.scenes.hard import with_flare, with_misalignment, with_unequal_gains
+
+CASES = hard_cases()
+
+
+def matrix(name):
+    return CASES[name]().dense()
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_case_is_a_finite_scene_made_alike_each_time(name):
+    scene, again = CASES[name](), CASES[name]()
+    rays = int(np.prod(scene.shape))
+    assert rays <= 400
+    assert scene.albedo.shape == (*scene.shape, scene.channels)
+    assert json.dumps(scene.describe()) == json.dumps(again.describe())
+    patterns = np.random.default_rng(0).random((3, rays))
+    radiance = scene.apply(patterns)
+    for channel in range(scene.channels):
+        dense = scene.dense(channel)
+        assert np.isfinite(dense).all()
+        assert (dense >= 0).all()
+        assert radiance[..., channel] == pytest.approx(patterns @ dense.T, rel=1e-6)
+        assert np.array_equal(dense, dense.T) is not name.startswith("asymmetric")
+
+
+def test_direct_light_is_1e5_times_the_indirect():
+    dense = matrix("bright_direct")
+    indirect = dense.sum(1) - reference_scene("IV", (16, 16), channels=1, bounces=1).dense().sum(1)
+    assert indirect.max() == pytest.approx(1e-5 * dense.diagonal().max(), rel=1e-3)
+
+
+def test_ranks():
+    ranks = {
+        name: np.linalg.matrix_rank(matrix(name))
+        for name in ("zero_transport", "diffuse_cavity", "mirror", "random_dense")
+    }
+    assert ranks == {
+        "zero_transport": 0,
+        "diffuse_cavity": 1,
+        "mirror": 256,
+        "random_dense": 256,
+    }
+
+
+def test_permutations_are_involutions():
+    for name in ("mirror", "random_permutation"):
+        dense = matrix(name)
+        assert ((dense > 0).sum(1) == 1).all()
+        assert dense @ dense == pytest.approx(0.81 * np.eye(256))
+    assert np.flatnonzero(matrix("mirror")[0]).tolist() == [15]
+
+
+def test_caustics_are_few_and_strong():
+    dense, plain = matrix("caustics"), reference_scene("IV", (16, 16), channels=1).dense()
+    changed = dense != plain
+    assert changed.sum() == 32
+    assert (dense[changed] > 4 * plain.diagonal().mean()).all()
+
+
+def test_dark_channel_reflects_nothing():
+    scene = CASES["dark_channel"]()
+    assert scene.channels == 3
+    assert not scene.apply(np.ones((1, 256)))[..., 2].any()
+    assert (scene.apply(np.ones((1, 256)))[..., :2] > 0).all()
+
+
+def test_occluder_and_starved_case_have_less_light():
+    plain = reference_scene("IV", (16, 16), channels=1).dense()
+    assert matrix("occluder").sum() < plain.sum()
+    assert matrix("photon_starved") == pytest.approx(1e-4 * plain)
+
+
+def test_perturbations_of_a_matrix():
+    dense = np.arange(36.0).reshape(6, 6)
+    flared = with_flare(dense, 0.1)
+    assert flared.sum(0) == pytest.approx(dense.sum(0))  # light is only spread
+    assert flared - 0.9 * dense == pytest.approx(np.tile(0.1 * dense.mean(0), (6, 1)))
+    shifted = with_misalignment(dense, (2, 3), 0.5)
+    assert shifted[[0, 3]] == pytest.approx(dense[[0, 3]])
+    assert shifted[1] == pytest.approx((dense[0] + dense[1]) / 2)
+    assert shifted[4] == pytest.approx((dense[3] + dense[4]) / 2)
+    gains = with_unequal_gains(dense, [1, 2, 1, 1, 1, 0.5])
+    assert gains[1] == pytest.approx(2 * dense[1])
+    assert gains[5] == pytest.approx(0.5 * dense[5])
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        (np.zeros((3, 4)), "expected"),
+        (np.full((4, 4), -1.0), "at least 0"),
+        (np.full((4, 4), np.nan), "finite"),
+    ],
+)
+def test_matrices_that_are_no_transport_are_refused(bad, message):
+    with pytest.raises(InputError, match=message):
+        DenseScene("bad", bad, (2, 2))

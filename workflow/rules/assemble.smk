@@ -1,0 +1,17 @@
+rule assemble:
+    """The transport, from what all levels added."""
+    input:
+        refined,
+    output:
+        "results/{scene}/{method}/transport.json",
+    params:
+        plan=plan,
+        code=stage_code("assemble"),
+    log:
+        "results/{scene}/{method}/transport.log",
+    benchmark:
+        "results/{scene}/{method}/transport.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    script:
+        "../scripts/assemble.py"

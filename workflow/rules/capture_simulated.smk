@@ -1,0 +1,25 @@
+rule capture_simulated:
+    """The brackets of a level's patterns, taken of a simulated scene.
+
+    Simulated captures may run side by side; each goes on at the pattern where it stopped.
+    """
+    input:
+        LEVEL + "schedule.json",
+    output:
+        LEVEL + "capture.json",
+    params:
+        scene=lambda wildcards: plain(SETTINGS.scenes[wildcards.scene]),
+        camera=SETTINGS.camera and plain(SETTINGS.camera),
+        seed=SETTINGS.seed,
+        seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
+        references=references,
+        batch_patterns=SETTINGS.capture.batch_patterns,
+        when_patterns_change=SETTINGS.capture.when_patterns_change,
+    log:
+        LEVEL + "capture.log",
+    benchmark:
+        LEVEL + "capture.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    script:
+        "../scripts/capture_simulated.py"

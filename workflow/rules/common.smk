@@ -1,0 +1,82 @@
+# What the rules share: the checked settings, and functions that give each rule its part of them.
+
+from rfpipe.config import parse_config
+from rfpipe.errors import RfpipeError
+from rfpipe.provenance import code_fingerprint
+from rfpipe.stages.plan import Plan
+
+SETTINGS = parse_config(config, "configuration")
+
+LEVEL = "results/{scene}/{method}/L{level}/"
+
+# The code that shapes a stage's result. Captures aren't among them: what a rig took is never
+# thrown away by an edit of the code.
+CODE = {
+    "schedule": ["blocks", "conflicts", "methods", "patterns", "transport"],
+    "merge": ["photometry", "stages.merging"],
+    "normalize": ["methods", "photometry", "stages.images", "transport"],
+    "refine": ["blocks", "methods", "photometry", "stages.images", "transport"],
+    "assemble": ["blocks", "methods", "transport"],
+}
+
+
+wildcard_constraints:
+    scene="|".join(SETTINGS.scenes),
+    method="|".join(SETTINGS.methods),
+    level=r"\d\d",
+
+
+def stage_code(stage):
+    """Fingerprint of a stage's code: Snakemake sees no change inside the library."""
+    modules = [*CODE[stage], "stages.plan", "stages.results", f"stages.{stage}", "store"]
+    return code_fingerprint(*(f"rfpipe.{module}" for module in modules))
+
+
+def plain(settings):
+    """Settings as plain data, which is all that a rule's params should hold."""
+    return settings.model_dump(mode="json")
+
+
+def plan(wildcards):
+    """Arguments of the Plan that the stages of an acquisition follow."""
+    scene = SETTINGS.scenes[wildcards.scene]
+    return {
+        "method": wildcards.method,
+        "camera_shape": list(scene.shape),
+        "projector_shape": list(scene.shape),
+        "channels": scene.channels,
+        **plain(SETTINGS.acquisition),
+    }
+
+
+def n_levels(wildcards):
+    return Plan(**plan(wildcards)).n_levels
+
+
+def refined_above(wildcards):
+    """What the levels above a level found."""
+    folder = f"results/{wildcards.scene}/{wildcards.method}"
+    return [f"{folder}/L{above:02d}/refine.json" for above in range(int(wildcards.level))]
+
+
+def refined(wildcards):
+    """What all levels found."""
+    folder = f"results/{wildcards.scene}/{wildcards.method}"
+    return [f"{folder}/L{level:02d}/refine.json" for level in range(n_levels(wildcards))]
+
+
+def every_acquisition(name):
+    """A file of each scene and method."""
+    return expand(f"results/{{scene}}/{{method}}/{name}", scene=SETTINGS.scenes, method=SETTINGS.methods)
+
+
+def calibration(wildcards):
+    """The merge of level 0, on which those of the other levels build."""
+    above = f"results/{wildcards.scene}/{wildcards.method}/L00/merge.json"
+    return [] if wildcards.level == "00" else [above]
+
+
+def references(wildcards):
+    """All-off and all-on brackets to take: with level 0, none with the others."""
+    capture = SETTINGS.capture
+    return [capture.black_frames, capture.floodlit_frames] if wildcards.level == "00" else [0, 0]

@@ -1,0 +1,24 @@
+from rfpipe.config import CameraConfig, SceneConfig
+from rfpipe.photometry import sensor_from_config
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes.reference import scene_from_config
+from rfpipe.stages import capture
+from rfpipe.stages.job import start
+from rfpipe.stages.plan import AcquisitionFolder
+
+params = snakemake.params
+start(snakemake.log[0])
+rig = SimulatedRig(
+    scene_from_config(SceneConfig(**params.scene)),
+    sensor_from_config(CameraConfig(**params.camera) if params.camera else None),
+    params.seed,
+    params.seconds_per_pattern,
+)
+capture.run(
+    rig,
+    AcquisitionFolder.of_manifest(snakemake.output[0]),
+    int(snakemake.wildcards.level),
+    references=tuple(params.references),
+    batch_patterns=params.batch_patterns,
+    when_patterns_change=params.when_patterns_change,
+)
