@@ -62,12 +62,14 @@ def acquire_matrix(
     tolerance: float = 1e-3,
     sigma: float = 0.0,
     seed: int = 0,
+    subtract_stored: bool = False,
 ) -> Acquisition:
     """Acquire a matrix (M, N) or (C, M, N) level by level."""
     matrix = np.asarray(matrix)
     matrix = (matrix[None] if matrix.ndim == 2 else matrix).astype(np.float64)
     camera, projector = RayDomain(camera_shape), RayDomain(projector_shape)
-    state = method.start(camera, projector, len(matrix), Settings(tolerance))
+    settings = Settings(tolerance, subtract_stored=subtract_stored)
+    state = method.start(camera, projector, len(matrix), settings)
     schedules, states, packs = [], [state], []
     for _ in range(method.n_levels(camera, projector)):
         schedule = method.schedule(state)

@@ -116,8 +116,8 @@ def test_mosaic_samples_each_photosite_in_its_colour(pattern: str) -> None:
 
 def test_frames_under_a_mosaic_have_no_channels() -> None:
     camera = CameraModel(bayer="RGGB")
-    assert camera.frame_shape((2, 4, 5), 3) == (3, 2, 4, 5)
-    assert camera.expose(flat(0.1, (2, 4, 5, 3)), 0, (0, 0)).shape == (3, 2, 4, 5)
+    assert camera.frame_shape((2, 4, 5), 3) == (4, 2, 4, 5)
+    assert camera.expose(flat(0.1, (2, 4, 5, 3)), 0, (0, 0)).shape == (4, 2, 4, 5)
     with pytest.raises(InputError, match="needs 3 channels, not 1"):
         camera.frame_shape((4, 5), 1)
     with pytest.raises(InputError, match="at least 2 x 2 pixels"):

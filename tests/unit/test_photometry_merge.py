@@ -87,7 +87,7 @@ def test_noise_of_the_black_level_is_in_the_variance() -> None:
 def test_black_level_is_subtracted_before_the_merge() -> None:
     """A pedestal that differs from pixel to pixel and exposure to exposure leaves no trace."""
     image = flat(0.004)
-    pedestal = np.random.default_rng(0).integers(0, 200, (3, *image.shape)).astype(np.uint16)
+    pedestal = np.random.default_rng(0).integers(0, 200, (4, *image.shape)).astype(np.uint16)
     frames = CAMERA.expose(image, 0, (1, 1)) + pedestal
     shifted = CAMERA.merge(frames[None], black(CAMERA, image) + pedestal, MergeOptions(8))
     plain = CAMERA.merge((frames - pedestal)[None], black(CAMERA, image), MergeOptions(8))
@@ -187,7 +187,7 @@ def test_wrong_frames_are_refused() -> None:
     options = MergeOptions(first_index=32)
     with pytest.raises(CaptureError, match=r"pattern 32: frames have the shape \(1, 2, 4, 5, 3\)"):
         CAMERA.merge(bracket[:, :2], off, options)
-    with pytest.raises(CaptureError, match=r"pattern 32: brackets have the shape \(3, 4, 4, 3\)"):
+    with pytest.raises(CaptureError, match=r"pattern 32: brackets have the shape \(4, 4, 4, 3\)"):
         CAMERA.merge(bracket[:, :, :, :4], off, options)
     with pytest.raises(CaptureError, match="dtype float64"):
         CAMERA.merge(bracket.astype(float), off, options)

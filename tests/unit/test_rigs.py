@@ -103,7 +103,7 @@ def test_noise_settings() -> None:
     rig = rig_of(matrix, noise=camera, seed=4)
     assert rig.sensor is camera
     frames = rig.capture(PATTERNS, KEYS)
-    assert (frames.shape, frames.dtype) == ((5, 3, 4, 5, 1), np.uint16)
+    assert (frames.shape, frames.dtype) == ((5, 4, 4, 5, 1), np.uint16)
     other = rig_of(matrix, noise=camera, seed=5).capture(PATTERNS, KEYS)
     assert (other != frames).any()
     with pytest.raises(InputError, match="noise is a float; expected None, a Sensor"):

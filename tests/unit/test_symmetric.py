@@ -114,22 +114,11 @@ def test_a_channel_without_light_stays_dark():
 def test_camera_noise_does_not_make_it_subdivide_noise():
     albedo = np.random.default_rng(6).uniform(0.1, 1, 32 * 32)
     rig = rfpipe.OperatorRig(
-        np.diag(albedo), camera_shape=(32, 32), projector_shape=(32, 32), noise=_camera()
+        np.diag(albedo), camera_shape=(32, 32), projector_shape=(32, 32), noise=CameraModel()
     )
     result = rfpipe.acquire(rig, "symmetric", tolerance=1e-6, progress=False)
     assert result.patterns < 60
     assert relative_error(result.transport, np.diag(albedo)) < 0.02
-
-
-def _camera():
-    return CameraModel(
-        exposures=(1 / 64, 1 / 8, 1.0),
-        electrons_per_radiance=640_000.0,
-        full_well_electrons=20_000.0,
-        read_noise_electrons=5.0,
-        black_level_counts=64,
-        bits=12,
-    )
 
 
 def test_the_transport_is_exactly_symmetric_and_not_negative():

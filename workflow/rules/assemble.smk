@@ -4,14 +4,14 @@ rule assemble:
         refined,
     output:
         "results/{scene}/{method}/transport.json",
-    params:
-        plan=plan,
-        code=stage_code("assemble"),
     log:
         "results/{scene}/{method}/transport.log",
     benchmark:
         "results/{scene}/{method}/transport.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
+    params:
+        plan=plan,
+        code=stage_code("assemble"),
     script:
         "../scripts/assemble.py"

@@ -4,9 +4,15 @@ rule capture_simulated:
     Simulated captures may run side by side; each goes on at the pattern where it stopped.
     """
     input:
-        LEVEL + "schedule.json",
+        "results/{scene}/{method}/L{level}/schedule.json",
     output:
-        LEVEL + "capture.json",
+        "results/{scene}/{method}/L{level}/capture.json",
+    log:
+        "results/{scene}/{method}/L{level}/capture.log",
+    benchmark:
+        "results/{scene}/{method}/L{level}/capture.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
     params:
         scene=lambda wildcards: plain(SETTINGS.scenes[wildcards.scene]),
         camera=SETTINGS.camera and plain(SETTINGS.camera),
@@ -15,11 +21,5 @@ rule capture_simulated:
         references=references,
         batch_patterns=SETTINGS.capture.batch_patterns,
         when_patterns_change=SETTINGS.capture.when_patterns_change,
-    log:
-        LEVEL + "capture.log",
-    benchmark:
-        LEVEL + "capture.benchmark.tsv"
-    conda:
-        "../envs/rfpipe.yaml"
     script:
         "../scripts/capture_simulated.py"

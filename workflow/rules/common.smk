@@ -1,13 +1,12 @@
 # What the rules share: the checked settings, and functions that give each rule its part of them.
 
-from rfpipe.config import parse_config
-from rfpipe.errors import RfpipeError
+from rfpipe.config import load_config, parse_config
 from rfpipe.provenance import code_fingerprint
 from rfpipe.stages.plan import Plan
 
-SETTINGS = parse_config(config, "configuration")
-
-LEVEL = "results/{scene}/{method}/L{level}/"
+if len(workflow.configfiles) == 1:
+    load_config(workflow.configfiles[0])  # finds keys that stand twice, too
+SETTINGS = parse_config(config, "the configuration")
 
 # The code that shapes a stage's result. Captures aren't among them: what a rig took is never
 # thrown away by an edit of the code.
@@ -28,7 +27,13 @@ wildcard_constraints:
 
 def stage_code(stage):
     """Fingerprint of a stage's code: Snakemake sees no change inside the library."""
-    modules = [*CODE[stage], "stages.plan", "stages.results", f"stages.{stage}", "store"]
+    modules = [
+        *CODE[stage],
+        "stages.plan",
+        "stages.results",
+        f"stages.{stage}",
+        "store",
+    ]
     return code_fingerprint(*(f"rfpipe.{module}" for module in modules))
 
 
@@ -56,18 +61,26 @@ def n_levels(wildcards):
 def refined_above(wildcards):
     """What the levels above a level found."""
     folder = f"results/{wildcards.scene}/{wildcards.method}"
-    return [f"{folder}/L{above:02d}/refine.json" for above in range(int(wildcards.level))]
+    return [
+        f"{folder}/L{above:02d}/refine.json" for above in range(int(wildcards.level))
+    ]
 
 
 def refined(wildcards):
     """What all levels found."""
     folder = f"results/{wildcards.scene}/{wildcards.method}"
-    return [f"{folder}/L{level:02d}/refine.json" for level in range(n_levels(wildcards))]
+    return [
+        f"{folder}/L{level:02d}/refine.json" for level in range(n_levels(wildcards))
+    ]
 
 
 def every_acquisition(name):
     """A file of each scene and method."""
-    return expand(f"results/{{scene}}/{{method}}/{name}", scene=SETTINGS.scenes, method=SETTINGS.methods)
+    return expand(
+        f"results/{{scene}}/{{method}}/{name}",
+        scene=SETTINGS.scenes,
+        method=SETTINGS.methods,
+    )
 
 
 def calibration(wildcards):
@@ -79,4 +92,8 @@ def calibration(wildcards):
 def references(wildcards):
     """All-off and all-on brackets to take: with level 0, none with the others."""
     capture = SETTINGS.capture
-    return [capture.black_frames, capture.floodlit_frames] if wildcards.level == "00" else [0, 0]
+    return (
+        [capture.black_frames, capture.floodlit_frames]
+        if wildcards.level == "00"
+        else [0, 0]
+    )

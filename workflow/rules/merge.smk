@@ -1,19 +1,19 @@
 rule merge:
     """Radiance images with their variance; level 0 calibrates the merge of every level."""
     input:
-        captured=LEVEL + "capture.json",
+        captured="results/{scene}/{method}/L{level}/capture.json",
         calibration=calibration,
     output:
-        LEVEL + "merge.json",
+        "results/{scene}/{method}/L{level}/merge.json",
+    log:
+        "results/{scene}/{method}/L{level}/merge.log",
+    benchmark:
+        "results/{scene}/{method}/L{level}/merge.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
     params:
         camera=SETTINGS.camera and plain(SETTINGS.camera),
         merge=plain(SETTINGS.merge),
         code=stage_code("merge"),
-    log:
-        LEVEL + "merge.log",
-    benchmark:
-        LEVEL + "merge.benchmark.tsv"
-    conda:
-        "../envs/rfpipe.yaml"
     script:
         "../scripts/merge.py"

@@ -1,20 +1,20 @@
 rule refine:
     """What a level's images tell about the transport, and what is left to ask."""
     input:
-        schedule=LEVEL + "schedule.json",
-        merged=LEVEL + "merge.json",
-        normalized=LEVEL + "normalize.json",
+        schedule="results/{scene}/{method}/L{level}/schedule.json",
+        merged="results/{scene}/{method}/L{level}/merge.json",
+        normalized="results/{scene}/{method}/L{level}/normalize.json",
         known=refined_above,
     output:
-        LEVEL + "refine.json",
+        "results/{scene}/{method}/L{level}/refine.json",
+    log:
+        "results/{scene}/{method}/L{level}/refine.log",
+    benchmark:
+        "results/{scene}/{method}/L{level}/refine.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
     params:
         plan=plan,
         code=stage_code("refine"),
-    log:
-        LEVEL + "refine.log",
-    benchmark:
-        LEVEL + "refine.benchmark.tsv"
-    conda:
-        "../envs/rfpipe.yaml"
     script:
         "../scripts/refine.py"

@@ -3,15 +3,15 @@ rule schedule:
     input:
         refined_above,
     output:
-        LEVEL + "schedule.json",
+        "results/{scene}/{method}/L{level}/schedule.json",
+    log:
+        "results/{scene}/{method}/L{level}/schedule.log",
+    benchmark:
+        "results/{scene}/{method}/L{level}/schedule.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
     params:
         plan=plan,
         code=stage_code("schedule"),
-    log:
-        LEVEL + "schedule.log",
-    benchmark:
-        LEVEL + "schedule.benchmark.tsv"
-    conda:
-        "../envs/rfpipe.yaml"
     script:
         "../scripts/schedule.py"

@@ -119,7 +119,7 @@ class CameraConfig(_Settings):
     """The simulated camera [App. B]; radiance is in units of the coaxial transport matrix."""
 
     exposures: tuple[Exposure, ...] = Field(
-        (1 / 64, 1 / 8, 1.0),
+        (1 / 64, 1 / 16, 1 / 4, 1.0),
         min_length=1,
         description="Exposure times of a bracket in seconds, ascending, above 0 and at most 60.",
     )
@@ -203,6 +203,11 @@ class AcquisitionConfig(_Settings):
         description="Light counts as measured above this many standard deviations of its noise, "
         "0 to 100.",
     )
+    subtract_stored: bool = Field(
+        False,
+        description="Dual photography: take the light stored at coarser levels off finer images, "
+        "true or false. The thesis [C.1] doesn't, and counts some of it twice.",
+    )
 
 
 class CaptureConfig(_Settings):
@@ -220,7 +225,7 @@ class CaptureConfig(_Settings):
         8, ge=1, le=1024, description="Brackets of the all-off pattern, averaged: 1 to 1024."
     )
     floodlit_frames: int = Field(
-        16,
+        64,
         ge=1,
         le=1024,
         description="Brackets of the all-on pattern, averaged: 1 to 1024. A level's images are "

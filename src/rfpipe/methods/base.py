@@ -27,10 +27,14 @@ class Settings:
         Error allowed in an image, as a fraction of the floodlit image's maximum; above 0.
     noise_significance : float
         How many standard deviations make a measured energy significant; at least 0.
+    subtract_stored : bool
+        Dual photography: whether to take the light stored at coarser levels off finer images.
+        The thesis does not.
     """
 
     tolerance: float = 1e-3
     noise_significance: float = 3.0
+    subtract_stored: bool = False
 
 
 class LevelImages(Protocol):

@@ -66,19 +66,12 @@ class DualState:
 class Dual:
     """Dual photography as a `Method`.
 
-    Parameters
-    ----------
-    subtract_stored : bool
-        Whether to subtract from each image what the responses stored so far predict for it. The
-        thesis doesn't: the light that reaches a pixel from a block stored for it is still in the
-        images of finer levels, and where the pixel reads such an image for another of its blocks
-        it counts again.
+    The thesis subtracts nothing from an image: the light that reaches a pixel from a block stored
+    for it is still in the images of finer levels, and where the pixel reads such an image for
+    another of its blocks it counts again. `Settings.subtract_stored` takes it off first.
     """
 
     name = "dual"
-
-    def __init__(self, subtract_stored: bool = False) -> None:
-        self.subtract_stored = subtract_stored
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
         """Return the depth of the projector's block tree; any camera will do."""
@@ -122,7 +115,7 @@ class Dual:
         values = np.empty((state.channels, total), np.float32)
         outcome = np.empty(total, np.uint8)
         maximum = state.floodlit_maximum
-        known = self._known(state) if self.subtract_stored else None
+        known = self._known(state) if state.settings.subtract_stored else None
         planar = (-1, state.camera.size, state.channels)
         for first, last in _batches(schedule.count, state.camera.size * state.channels):
             radiance, variance = (part.reshape(planar) for part in images.read(first, last))

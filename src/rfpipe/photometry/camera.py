@@ -82,7 +82,7 @@ class CameraModel:
         When a setting is out of range.
     """
 
-    exposures: tuple[float, ...] = (1 / 64, 1 / 8, 1.0)
+    exposures: tuple[float, ...] = (1 / 64, 1 / 16, 1 / 4, 1.0)
     electrons_per_radiance: float = 640_000.0
     full_well_electrons: float = 20_000.0
     read_noise_electrons: float = 5.0

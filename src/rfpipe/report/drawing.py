@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -111,4 +112,4 @@ def chunks(items: Sequence[Any], longest: int) -> list[Sequence[Any]]:
         return []
     count = -(-len(items) // longest)
     bounds = np.linspace(0, len(items), count + 1).round().astype(int)
-    return [items[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return [items[a:b] for a, b in pairwise(bounds)]

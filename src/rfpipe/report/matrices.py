@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.report.drawing import label_below, label_left, new_figure, show_radiance
 from rfpipe.report.inputs import Run
+from rfpipe.report.text import TIMES
 from rfpipe.stages.metrics import relative_rms, unlit_rms
 from rfpipe.stages.slices import NO_LEAF
 
@@ -17,13 +18,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["DECADES", "DIFFERENCE", "matrices_figure"]
+__all__ = ["DECADES", "DIFFERENCE", "UNLIT_GAIN", "matrices_figure"]
 
 DECADES = 7
 """Decades of the matrix' entries that are shown, from the largest of a scene down."""
 
-DIFFERENCE = 0.02
+DIFFERENCE = 0.01
 """Ends of the difference's colours, as a fraction of the radiance shown as white."""
+
+UNLIT_GAIN = 4
+"""Factor on the radiance of the pixels that the vertical bar leaves dark, to show them."""
 
 _PANEL = 2.25  # inches
 _EMPTY_COLOUR = "#d3e3f3"
@@ -45,9 +49,9 @@ def matrices_figure(runs: Sequence[Run]) -> Figure:
     figure, axes = new_figure(n_rows, len(runs), size, height_ratios=heights)
     for column, run in zip(axes.T, runs, strict=True):
         _draw_column(column, run, with_levels)
-    names = ["(a)  albedo", "(b)  T × floodlight", "(c)  T along the line", "true T"]
+    names = ["(a)  albedo", f"(b)  T {TIMES} floodlight", "(c)  T along the line", "true T"]
     names += ["(d)  level of the leaf"] if with_levels else []
-    names += ["(e)  T × vertical bar", "true radiance", "difference"]
+    names += [f"(e)  T {TIMES} vertical bar", "true radiance", "difference"]
     for axis, name in zip(axes[:, 0], names, strict=True):
         label_left(axis, name)
     _add_scales(figure, axes, runs, with_levels)
@@ -70,10 +74,11 @@ def _draw_column(column: NDArray[Any], run: Run, with_levels: bool) -> None:
     if with_levels:
         _show_levels(next(panels), run)
     pattern, relit, truth = (run.read(name)[0] for name in ("patterns", "relit", "truth"))
+    gain = np.where(pattern == 0, UNLIT_GAIN, 1)[..., None]
     axis = next(panels)
-    show_radiance(axis, relit, run.white)
+    show_radiance(axis, relit * gain, run.white)
     label_below(axis, _errors(relit, truth, pattern))
-    show_radiance(next(panels), truth, run.white)
+    show_radiance(next(panels), truth * gain, run.white)
     axis = next(panels)
     difference = (relit - truth).mean(axis=-1) / run.white
     axis.imshow(difference, cmap="RdBu_r", vmin=-DIFFERENCE, vmax=DIFFERENCE,
@@ -125,12 +130,10 @@ def _add_scales(figure: Figure, axes: NDArray[Any], runs: Sequence[Run], with_le
     from matplotlib.colors import LogNorm, Normalize
 
     def add(rows: slice, mappable: ScalarMappable, label: str, **options: Any) -> None:
-        bar = figure.colorbar(
-            mappable, ax=list(axes[rows, -1]), fraction=0.06, pad=0.03, **options
-        )
+        bar = figure.colorbar(mappable, ax=list(axes[rows, -1]), fraction=0.06, pad=0.03, **options)
         bar.set_label(label, fontsize=8)
         bar.ax.tick_params(labelsize=7.5, width=0.5, length=2.5)
-        bar.outline.set_linewidth(0.5)  # type: ignore[operator]
+        bar.outline.set_linewidth(0.5)
 
     add(slice(2, 4), ScalarMappable(LogNorm(10.0**-DECADES, 1), "magma"),
         "entry of T over the largest", aspect=32)  # fmt: skip

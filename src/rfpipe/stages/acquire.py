@@ -67,9 +67,10 @@ def acquire(
     progress: bool = True,
     *,
     noise_significance: float = 3.0,
+    subtract_stored: bool = False,
     normalization: Mode = "per_channel",
     black_frames: int = 8,
-    floodlit_frames: int = 16,
+    floodlit_frames: int = 64,
     repair_defects: bool = True,
     saturation_fraction: float = 0.98,
 ) -> AcquisitionResult:
@@ -86,6 +87,9 @@ def acquire(
         Whether to show a progress bar a level on stderr.
     noise_significance : float
         Standard deviations that make a measured energy significant; at least 0.
+    subtract_stored : bool
+        Dual photography: whether to take the light stored at coarser levels off finer images.
+        The thesis does not, and counts some of it twice.
     normalization : {"per_channel", "none", "total_energy"}
         How a level's images are made to add up to the floodlit image (thesis B.2).
     black_frames : int
@@ -120,7 +124,8 @@ def acquire(
     camera, projector = RayDomain(rig.camera_shape), RayDomain(rig.projector_shape)
     plan = get_method(method)
     n_levels = plan.n_levels(camera, projector)
-    state = plan.start(camera, projector, rig.channels, Settings(tolerance, noise_significance))
+    settings = Settings(tolerance, noise_significance, subtract_stored)
+    state = plan.start(camera, projector, rig.channels, settings)
     session = _Session(
         rig,
         progress,

@@ -15,6 +15,9 @@ from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY
 
 Frames = NDArray[Any]
 
+# Brackets merged at a time.
+_BATCH = 16
+
 
 @dataclass(frozen=True)
 class Merger:
@@ -79,12 +82,21 @@ class Merger:
             defects = find_defects(black_frames, floodlit_frames[0], sensor)
         nothing = np.zeros(0, np.float32)
         merger = cls(sensor, black, options, defects, nothing, nothing)
-        merged = merger.merge(floodlit_frames, 0)
+        count = len(floodlit_frames)
+        total: Any = 0.0
+        total_variance: Any = 0.0
+        for first in range(0, count, _BATCH):
+            merged = merger.merge(floodlit_frames[first : first + _BATCH], first)
+            total = total + merged.radiance.sum(axis=0, dtype=np.float64)
+            total_variance = total_variance + merged.variance.sum(axis=0, dtype=np.float64)
         if is_camera:
-            check_floodlit(merged.radiance, merged.variance)
-        floodlit = merged.radiance.mean(axis=0, dtype=np.float64).astype(np.float32)
-        variance = merged.variance.mean(axis=0, dtype=np.float64) / len(floodlit_frames)
-        return replace(merger, floodlit=floodlit, floodlit_variance=variance.astype(np.float32))
+            check_floodlit(total, total_variance)
+        floodlit, variance = total / count, total_variance / count**2
+        return replace(
+            merger,
+            floodlit=floodlit.astype(np.float32),
+            floodlit_variance=variance.astype(np.float32),
+        )
 
     def merge(self, frames: Frames, first_index: int) -> Merged:
         """Merge brackets ``(B, E, ...)``, the first of them that of pattern `first_index`."""

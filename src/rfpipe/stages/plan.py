@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +27,8 @@ class Plan:
         (H, W) or (V, H, W).
     channels : int
         Colour channels, 1 or 3.
-    tolerance, noise_significance : float
-        See `rfpipe.methods.Settings`.
+    **settings
+        Those of `rfpipe.methods.Settings`.
     """
 
     def __init__(
@@ -37,14 +37,13 @@ class Plan:
         camera_shape: Sequence[int],
         projector_shape: Sequence[int],
         channels: int,
-        tolerance: float,
-        noise_significance: float,
+        **settings: Any,
     ) -> None:
         self.method: Method[Any] = get_method(method)
         self.camera = RayDomain(tuple(camera_shape))
         self.projector = RayDomain(tuple(projector_shape))
         self.channels = channels
-        self.settings = Settings(tolerance, noise_significance)
+        self.settings = Settings(**settings)
 
     @property
     def n_levels(self) -> int:
@@ -58,8 +57,7 @@ class Plan:
             "camera_shape": list(self.camera.shape),
             "projector_shape": list(self.projector.shape),
             "channels": self.channels,
-            "tolerance": self.settings.tolerance,
-            "noise_significance": self.settings.noise_significance,
+            **asdict(self.settings),
         }
 
 

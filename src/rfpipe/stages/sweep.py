@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.stages.settings import acquire_options
 from rfpipe.store.files import write_atomically
 from rfpipe.units import RADIANCE_UNIT
 
@@ -85,7 +86,7 @@ def sweep_tolerances(config: Config, scene: str, method: str) -> Sweep:
     rows: list[dict[str, Any]] = []
     times: list[dict[str, float]] = []
     for tolerance in config.report.tolerances:
-        result = acquire(rig, method, tolerance, progress=False, **_acquisition(config))
+        result = acquire(rig, method, tolerance, progress=False, **acquire_options(config))
         relit.append(result.transport.relight_batch(patterns))
         nbytes = stored_bytes(result.transport)
         row = {"tolerance": tolerance, "patterns": result.patterns, "bytes": nbytes}
@@ -128,7 +129,7 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
             "camera": config.camera,
             "seed": config.seed,
             "tolerances": config.report.tolerances,
-            "acquisition": _acquisition(config),
+            "acquisition": acquire_options(config),
             "code": code,
         }
     )
@@ -148,14 +149,3 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
         "units": RADIANCE_UNIT,
     }
     write_bundle(store, manifest, made_from, {"relit": found.relit}, facts)
-
-
-def _acquisition(config: Config) -> dict[str, Any]:
-    """Return the settings that `acquire` takes, besides the tolerance."""
-    return {
-        "noise_significance": config.acquisition.noise_significance,
-        "normalization": config.normalization,
-        "black_frames": config.capture.black_frames,
-        "repair_defects": config.merge.repair_defects,
-        "saturation_fraction": config.merge.saturation_fraction,
-    }

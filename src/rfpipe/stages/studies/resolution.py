@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from rfpipe.scenes.reference import reference_scene
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.stages.metrics import relative_rms
+from rfpipe.stages.settings import acquire_options
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
@@ -41,7 +42,8 @@ def resolution_study(config: Config) -> list[dict[str, Any]]:
         truth = scene.apply(bar[None])[0].reshape(*shape, 1)
         for method in methods:
             rig = SimulatedRig(scene)
-            result = acquire(rig, method, config.acquisition.tolerance, progress=False)
+            tolerance = config.acquisition.tolerance
+            result = acquire(rig, method, tolerance, progress=False, **acquire_options(config))
             error = relative_rms(result.transport.relight(bar), truth)
             rows.append({"method": method, **row, "patterns": result.patterns, "rms_total": error})
     return rows

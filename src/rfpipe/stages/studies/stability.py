@@ -11,6 +11,7 @@ from rfpipe.scenes.base import Scene
 from rfpipe.scenes.hard import hard_cases
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.stages.metrics import relative_rms
+from rfpipe.stages.settings import acquire_options
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig, Config
@@ -67,7 +68,7 @@ def stability_row(
     camera : CameraConfig or None
         None for exact radiance.
     config : Config
-        For tolerance, significance and seed.
+        For the seed and the settings of the acquisition.
 
     Returns
     -------
@@ -97,15 +98,8 @@ def stability_row(
     }
     rig = SimulatedRig(scene, sensor_from_config(camera), config.seed)
     try:
-        result = acquire(
-            rig,
-            method,
-            config.acquisition.tolerance,
-            progress=False,
-            noise_significance=config.acquisition.noise_significance,
-            normalization=config.normalization,
-            black_frames=config.capture.black_frames,
-        )
+        tolerance = config.acquisition.tolerance
+        result = acquire(rig, method, tolerance, progress=False, **acquire_options(config))
     except RfpipeError as error:
         return {**row, "refused": str(error)}
     return {**row, "patterns": result.patterns, **_errors(result.transport, scene)}

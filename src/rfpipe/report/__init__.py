@@ -1,0 +1,5 @@
+"""The report of a run: the thesis' figures and tables for the acquired scenes."""
+
+from rfpipe.report.page import build_report
+
+__all__ = ["build_report"]

@@ -1,0 +1,189 @@
+"""The sections on studies beside the scenes, on processing time and on the set-up."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rfpipe.provenance import versions
+from rfpipe.report import charts, pictures, study_tables, tables
+from rfpipe.report.blocks import Illustration, Section, Tabulation
+from rfpipe.report.inputs import Inputs
+from rfpipe.report.tables import Table
+from rfpipe.report.text import size
+
+__all__ = [
+    "mosaic_section",
+    "resolution_section",
+    "setup_section",
+    "stability_section",
+    "times_section",
+]
+
+
+def resolution_section(inputs: Inputs) -> Section | None:
+    """Fig. 3.8."""
+    study = inputs.studies.get("resolution")
+    if study is None:
+        return None
+    caption = (
+        "Patterns for scene IV (two textured planes at an angle, grey, exact radiance, tolerance "
+        f"{inputs.config.acquisition.tolerance:g}) against the projector's resolution; the "
+        "texture is as fine as the pixels at each. Left on a linear scale, where growth as "
+        "O(log pq) is a straight line; right with brute force, which takes one pattern a pixel."
+    )
+    table, numbers = study_tables.resolution_table(study)
+    return Section(
+        "resolution",
+        "Patterns against resolution (Fig. 3.8)",
+        [],
+        [
+            Illustration("Fig. 3.8", caption, "fig_3_8", charts.resolution_figure(study)),
+            Tabulation("Patterns", "By method and resolution.", table, numbers),
+        ],
+    )
+
+
+def mosaic_section(inputs: Inputs) -> Section | None:
+    """Fig. B.1."""
+    study = inputs.studies.get("mosaic")
+    if study is None:
+        return None
+    caption = (
+        "Colour bars on two planes, lit one pixel at a time before a camera with a Bayer mosaic; "
+        "the images' sum against the floodlit image, before and after normalization. Above: this "
+        "project's way, the whole bracket and a linear interpolation of the mosaic, loses "
+        "nothing. Below: one short exposure, medians of colour differences and a threshold at the "
+        "noise, as cameras had it, give the dim and pale sum that the thesis shows; "
+        "normalization restores it."
+    )
+    table, numbers = study_tables.mosaic_table(study)
+    about = (
+        "Light and colour contrast of the sum relative to the floodlit image; relative RMS error "
+        "of the sum against the floodlit image, and of the single-pixel images against the truth."
+    )
+    return Section(
+        "normalization",
+        "Colour normalization (Fig. B.1)",
+        [f"The runs above use the normalization {_shown(inputs.config.normalization)}."],
+        [
+            Illustration("Fig. B.1", caption, "fig_b_1", pictures.mosaic_figure(study)),
+            Tabulation("Normalization", about, table, numbers),
+        ],
+    )
+
+
+def stability_section(inputs: Inputs) -> Section | None:
+    """Numerically hard cases."""
+    study = inputs.studies.get("stability")
+    if study is None:
+        return None
+    caption = (
+        "Small scenes that are hard to acquire, at the run's tolerance. Errors: relative "
+        "Frobenius error of the whole matrix; the largest relative RMS error of a relit image; "
+        "and the floodlit image summed in float32 by relighting against a sum in float64. The "
+        "camera is the run's without its mosaic, its aperture set to the scene's brightness, "
+        "except for the photon-starved scene. Misalignment by half a pixel breaks the symmetry "
+        "that symmetric photography builds on; dual photography doesn't need it."
+    )
+    table, numbers = study_tables.stability_table(study)
+    return Section(
+        "stability",
+        "Numerical stability",
+        [],
+        [Tabulation("Hard cases", caption, table, numbers)],
+    )
+
+
+def times_section(inputs: Inputs) -> Section:
+    """Where the time goes."""
+    blocks: list[Illustration | Tabulation] = []
+    if len(inputs.times):
+        caption = (
+            "Wall-clock seconds of the workflow's jobs, added over the levels of a run. Each job "
+            "starts a Python process and imports what it needs, some tenths of a second that "
+            "dominate at this size; jobs may run side by side."
+        )
+        figure = charts.times_figure(inputs.times)
+        blocks.append(Illustration("Time by stage", caption, "processing_time", figure))
+    table, numbers = tables.processing_table(inputs)
+    about = (
+        "Processing (everything but the simulated capture) of each run, and for each HDR image: "
+        "of the workflow's jobs, and of the same acquisition in one process, as measured in the "
+        "sweep of tolerances."
+    )
+    blocks.append(Tabulation("Processing time", about, table, numbers))
+    return Section("time", "Where the processing time goes", [], blocks)
+
+
+def setup_section(inputs: Inputs) -> Section:
+    """Camera, scenes and versions."""
+    config = inputs.config
+    blocks: list[Illustration | Tabulation] = []
+    if config.camera is None:
+        text = ["The camera is ideal: exact radiance, no noise."]
+    else:
+        text = [_CAMERA]
+        blocks.append(_settings("Noise model", _UNITS, config.camera.model_dump(mode="json")))
+    scenes = Table(
+        [],
+        ["scene", "geometry", "surfaces", "rays", "channels", "bounces", "occluders", "seed"],
+        [
+            [
+                name, scene.geometry, ", ".join(scene.surfaces),
+                size(*scene.shape), str(scene.channels), str(scene.bounces),
+                str(len(scene.occluders)), str(scene.seed),
+            ]
+            for name, scene in config.scenes.items()
+        ],
+        text_columns=3,
+    )  # fmt: skip
+    about = "Radiosity of planes seen by a coaxial pinhole rig; ground truth by exact transport."
+    acquisition = {
+        "seed": config.seed,
+        **config.acquisition.model_dump(mode="json"),
+        **config.capture.model_dump(mode="json"),
+        **config.merge.model_dump(mode="json"),
+        "normalization": config.normalization,
+    }
+    blocks += [
+        Tabulation("Scenes", about, scenes),
+        _settings("Acquisition", {"seconds_per_pattern": "s"}, acquisition),
+        _settings("Versions", {}, versions()),
+    ]
+    return Section("setup", "Camera, scenes and versions", text, blocks)
+
+
+_CAMERA = (
+    "The simulated camera takes a bracket of each pattern. Photon shot noise, dark current, read "
+    "noise and the converter's rounding enter each exposure; brackets are merged by maximum "
+    "likelihood, with the variance that every later decision uses."
+)
+
+_UNITS = {
+    "exposures": "s",
+    "electrons_per_radiance": "electrons a second at radiance 1",
+    "full_well_electrons": "electrons",
+    "read_noise_electrons": "electrons RMS",
+    "dark_current_electrons": "electrons a second",
+    "black_level_counts": "counts",
+    "psf_sigma": "pixels",
+}
+
+
+def _settings(name: str, units: dict[str, str], values: dict[str, Any]) -> Tabulation:
+    """Show settings as names and values with their units."""
+    rows = [
+        [key.replace("_", " "), f"{_shown(value)} {units.get(key, '')}".rstrip()]
+        for key, value in values.items()
+    ]
+    return Tabulation(name, "", Table([], ["", "value"], rows, text_columns=2))
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ", ".join(_shown(item) for item in value)
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "none" if value is None else str(value).replace("_", " ")

@@ -1,0 +1,215 @@
+"""Plots: leaves a level, patterns against resolution, speed against error, processing time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rfpipe.report.drawing import METHOD_COLOURS, label_left, new_figure
+from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run, Study
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["STAGES", "leaves_figure", "resolution_figure", "speed_error_figure", "times_figure"]
+
+STAGES = ("schedule", "capture", "merge", "normalize", "refine", "assemble")
+"""Stages of an acquisition in order; all but the capture are processing."""
+
+_KINDS = (
+    ("rank1", "rank-1 leaves", "#3a6fb0"),
+    ("scalar", "scalar leaves", "#9dc0e6"),
+    ("empty", "empty", "#b9b9b9"),
+    ("subdivided", "subdivided at the next level", "#ffffff"),
+)
+_STAGE_COLOURS = ("#8fb3d9", "#d9d9d9", "#3a6fb0", "#9aca8c", "#e0914a", "#7d5ba6")
+
+
+def leaves_figure(rows: Sequence[Sequence[Run]]) -> Figure:
+    """Draw what became of each level's nodes, in per cent [Fig. 5.10].
+
+    Parameters
+    ----------
+    rows : sequence of sequences of Run
+        A row of panels for each method, a panel for each scene.
+    """
+    columns = max(len(runs) for runs in rows)
+    figure, axes = new_figure(len(rows), columns, (2.45 * columns + 0.4, 2.35 * len(rows) + 0.35))
+    for panels, runs in zip(axes, rows, strict=True):
+        for axis in panels[len(runs) :]:
+            axis.set_axis_off()
+        for axis, run in zip(panels, runs, strict=False):
+            _stack_levels(axis, run)
+            axis.set_title(f"{run.title}, {run.method}", fontsize=8.5, pad=4)
+        label_left(panels[0], "nodes, %")
+    for axis in axes[-1]:
+        axis.set_xlabel("level", fontsize=8)
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=8.5, frameon=False)
+    return figure
+
+
+def _stack_levels(axis: Axes, run: Run) -> None:
+    levels = [row for row in run.facts["levels"] if row["nodes"]]
+    x = [row["level"] for row in levels]
+    nodes = np.array([row["nodes"] for row in levels], float)
+    bottom = np.zeros(len(levels))
+    for key, label, colour in _KINDS:
+        share = 100 * np.array([row[key] for row in levels], float) / nodes
+        axis.bar(x, share, 0.82, bottom=bottom, color=colour, edgecolor="#444444", linewidth=0.5,
+                 label=label)  # fmt: skip
+        bottom += share
+    axis.set_xticks(x)
+    axis.set_ylim(0, 100)
+    axis.set_yticks([0, 50, 100])
+
+
+def resolution_figure(study: Study) -> Figure:
+    """Draw patterns against the projector's resolution [Fig. 3.8]."""
+    figure, axes = new_figure(1, 2, (8.6, 3.3))
+    methods = list(dict.fromkeys(row["method"] for row in study.rows))
+    for axis, logarithmic in zip(axes[0], (False, True), strict=True):
+        for method in methods:
+            if method == "brute_force" and not logarithmic:
+                continue
+            rows = [row for row in study.rows if row["method"] == method]
+            axis.plot(
+                [row["rays"] for row in rows],
+                [row["patterns"] for row in rows],
+                "--" if method == "brute_force" else "o-",
+                color=METHOD_COLOURS[method],
+                markersize=4,
+                linewidth=1.4,
+                label=METHOD_TITLES[method],
+            )
+        sides = sorted({(row["rays"], row["side"]) for row in study.rows})
+        axis.set_xscale("log", base=2)
+        axis.set_xticks([rays for rays, _ in sides], [f"{side}²" for _, side in sides])
+        axis.set_xlabel("projector pixels", fontsize=8.5)
+        axis.set_ylabel("patterns", fontsize=8.5)
+        axis.grid(True, linewidth=0.4, color="#dddddd")
+        if logarithmic:
+            axis.set_yscale("log")
+        else:
+            axis.set_ylim(bottom=0)
+        axis.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def speed_error_figure(inputs: Inputs, scenes: Sequence[str]) -> Figure:
+    """Draw the errors against the patterns, a column for each scene.
+
+    Parameters
+    ----------
+    inputs : Inputs
+    scenes : sequence of str
+        Names, four at most to stay legible.
+    """
+    figure, axes = new_figure(
+        2, len(scenes), (2.55 * len(scenes) + 0.5, 5.4), sharex="col", sharey="row"
+    )
+    per_pattern = inputs.config.capture.seconds_per_pattern
+    table = inputs.speed_error
+    for column, scene in zip(axes.T, scenes, strict=True):
+        own = table[table["scene"] == scene]
+        run = inputs.of_scene(scene)[0]
+        for axis, name in zip(column, ("rms_unlit", "rms_total"), strict=True):
+            _draw_errors(axis, own, name)
+            axis.axvline(run.rays, color="#5c5c5c", linewidth=0.9, linestyle=":",
+                         label="Brute force")  # fmt: skip
+            axis.set_xscale("log")
+            axis.set_yscale("log")
+            axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
+        _number_axes(column, run.title, per_pattern)
+        if own["rms_unlit"].isna().all():
+            column[0].text(0.5, 0.5, "no indirect light", ha="center", va="center", fontsize=8.5,
+                           transform=column[0].transAxes, color="#555555")  # fmt: skip
+    label_left(axes[0, 0], "error on the unlit pixels")
+    label_left(axes[1, 0], "total error")
+    handles: dict[str, Any] = {}
+    for axis in axes.flat:
+        found, labels = axis.get_legend_handles_labels()
+        handles |= dict(zip(labels, found, strict=True))
+    figure.legend(
+        handles=list(handles.values()), loc="outside lower center", ncols=len(handles),
+        fontsize=8.5, frameon=False,
+    )  # fmt: skip
+    return figure
+
+
+def _number_axes(column: Sequence[Axes], title: str, seconds_per_pattern: float) -> None:
+    """Number patterns below and capture time above a column of panels."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    plain = FuncFormatter(lambda value, _: f"{value:g}")
+    for axis in column:
+        axis.xaxis.set_major_locator(LogLocator(10, (1, 3)))
+        axis.xaxis.set_major_formatter(plain)
+        axis.xaxis.set_minor_formatter(NullFormatter())
+    column[-1].set_xlabel("patterns", fontsize=8)
+    minutes = seconds_per_pattern / 60
+
+    def to_minutes(patterns: Any) -> Any:
+        return patterns * minutes
+
+    def to_patterns(time: Any) -> Any:
+        return time / minutes
+
+    above = column[0].secondary_xaxis("top", (to_minutes, to_patterns))
+    above.xaxis.set_major_locator(LogLocator(10, (1, 3)))
+    above.xaxis.set_major_formatter(plain)
+    above.xaxis.set_minor_formatter(NullFormatter())
+    above.tick_params(labelsize=8, width=0.6, length=3)
+    above.set_xlabel("capture, min", fontsize=8)
+    column[0].set_title(title, fontsize=9.5, pad=8)
+
+
+def _draw_errors(axis: Axes, table: pd.DataFrame, name: str) -> None:
+    """Draw each method's mean over the relighting patterns, and their range as a band."""
+    for method, rows in table.dropna(subset=[name]).groupby("method"):
+        by_tolerance = rows.groupby("tolerance")
+        shown = by_tolerance["patterns"].first()
+        mean, low, high = (by_tolerance[name].agg(f) for f in ("mean", "min", "max"))
+        colour = METHOD_COLOURS[str(method)]
+        axis.fill_between(shown, low, high, color=colour, alpha=0.14, linewidth=0)
+        is_main = method == "symmetric"
+        axis.plot(
+            shown, mean, "o-" if is_main else "s-", color=colour, linewidth=1.4,
+            markersize=3.5 if is_main else 6, markerfacecolor=colour if is_main else "none",
+            label=METHOD_TITLES[str(method)], zorder=3 if is_main else 2,
+        )  # fmt: skip
+
+
+def times_figure(times: pd.DataFrame) -> Figure:
+    """Draw the seconds of each run's jobs, stacked by stage.
+
+    Parameters
+    ----------
+    times : DataFrame
+        As `Inputs.times`, not empty.
+    """
+    totals: Any = times.pivot_table(
+        index=["scene", "method"], columns="stage", values="seconds", aggfunc="sum", sort=False
+    ).fillna(0.0)
+    figure, axes = new_figure(1, 1, (8.6, 0.36 * len(totals) + 1.2))
+    axis = axes[0, 0]
+    left = np.zeros(len(totals))
+    y = np.arange(len(totals))
+    for stage, colour in zip(STAGES, _STAGE_COLOURS, strict=True):
+        if stage in totals:
+            seconds = totals[stage].to_numpy()
+            hatch = "////" if stage == "capture" else None
+            name = "capture (simulated)" if stage == "capture" else stage
+            axis.barh(y, seconds, 0.7, left=left, color=colour, label=name, hatch=hatch,
+                      edgecolor="white", linewidth=0.4)  # fmt: skip
+            left += seconds
+    axis.set_yticks(y, [f"{scene}, {method}" for scene, method in totals.index])
+    axis.invert_yaxis()
+    axis.set_xlabel("seconds, all levels", fontsize=8.5)
+    axis.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside upper center", ncols=len(STAGES), fontsize=8.5, frameon=False)
+    return figure

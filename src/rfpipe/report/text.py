@@ -1,0 +1,29 @@
+"""Numbers and sizes as text."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+__all__ = ["DASH", "TIMES", "number", "percent", "size"]
+
+DASH = "\N{EN DASH}"
+TIMES = "\N{MULTIPLICATION SIGN}"
+
+
+def number(value: Any, form: str = ",.0f", scale: float = 1.0) -> str:
+    """Return a number, scaled, as text; a dash for none."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    return format(value * scale, form)
+
+
+def percent(value: Any) -> str:
+    """Return a fraction in per cent, to a hundredth below ten; a dash for none."""
+    small = value is not None and value < 0.1
+    return number(value, ".2f" if small else ".0f", 100)
+
+
+def size(*lengths: int) -> str:
+    """Return the size of an image: height, width."""
+    return f" {TIMES} ".join(map(str, lengths))

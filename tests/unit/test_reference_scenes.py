@@ -1,0 +1,79 @@
+"""Scenes I to IV of Fig. 2.1 through the whole acquisition: patterns against error."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import rfpipe
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import reference_scene, relighting_patterns
+
+SHAPE = (64, 64)
+HARD_PATTERNS = ("vertical_bar", "horizontal_bar", "binary")
+
+
+@cache
+def scene(which, seed):
+    return reference_scene(which, SHAPE, channels=1, seed=seed)
+
+
+@cache
+def acquire(which, method="symmetric", tolerance=1e-3, noisy=False, seed=0):
+    rig = SimulatedRig(scene(which, seed), CameraModel() if noisy else None, seed=1)
+    return rfpipe.acquire(rig, method, tolerance=tolerance, progress=False)
+
+
+@cache
+def errors(which, method="symmetric", tolerance=1e-3, noisy=False, seed=0):
+    """Return relative errors {pattern: (in total, on the unlit pixels)}."""
+    transport = acquire(which, method, tolerance, noisy, seed).transport
+    found = {}
+    for name, pattern in relighting_patterns(SHAPE).items():
+        truth = scene(which, seed).apply(pattern.reshape(1, -1)).reshape(*SHAPE, 1)
+        error = transport.relight(pattern) - truth
+        assert np.isfinite(error).all()
+        unlit = pattern == 0
+        dark = np.linalg.norm(truth[unlit])
+        found[name] = (
+            np.linalg.norm(error) / np.linalg.norm(truth),
+            np.linalg.norm(error[unlit]) / dark if dark else 0.0,
+        )
+    return found
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("which", "tolerance", "most_patterns", "most_unlit"),
+    [("IV", 1e-3, 350, 0.07), ("IV", 1e-4, 520, 0.04), ("I", 1e-3, 120, 0.07)],
+)
+def test_symmetric_on_exact_radiance(which, tolerance, most_patterns, most_unlit, seed):
+    assert acquire(which, "symmetric", tolerance, seed=seed).patterns <= most_patterns
+    found = errors(which, "symmetric", tolerance, seed=seed)
+    assert max(total for total, _ in found.values()) <= 0.005
+    assert max(found[name][1] for name in HARD_PATTERNS) <= most_unlit
+
+
+@pytest.mark.parametrize("which", ["II", "III", "IV"])
+def test_a_12_bit_camera_hardly_adds_to_the_indirect_light_error(which):
+    exact, noisy = errors(which), errors(which, noisy=True)
+    for name in (*HARD_PATTERNS, "spot"):
+        assert noisy[name][1] <= 1.5 * exact[name][1]
+    assert max(total for total, _ in noisy.values()) <= 0.005
+
+
+def test_a_12_bit_camera_on_direct_light_alone():
+    assert acquire("I", noisy=True).patterns <= 120
+    assert max(total for total, _ in errors("I", noisy=True).values()) <= 0.01
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_symmetric_against_dual_photography(noisy):
+    symmetric, dual = (acquire("IV", method, noisy=noisy) for method in ("symmetric", "dual"))
+    assert symmetric.patterns < dual.patterns
+    assert symmetric.transport.nbytes < dual.transport.nbytes
+    ours, theirs = (errors("IV", method, noisy=noisy) for method in ("symmetric", "dual"))
+    for name in (*HARD_PATTERNS, "spot"):
+        assert ours[name][1] < theirs[name][1]
+        assert ours[name][0] < theirs[name][0]

@@ -1,0 +1,37 @@
+"""Undisturbed runs, made once and shared by all workers."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.workflow.harness import DUAL, LONG, TINY, Workflow
+
+
+@pytest.fixture(scope="session")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Workflow:
+    """Run `tiny` by symmetric and dual photography and `long` by brute force; leave it as it is."""
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if base.name.startswith("popen-") else base
+    folder = shared / "undisturbed"
+    with (shared / "undisturbed.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / "complete").exists():
+            workflow = Workflow(folder)
+            (folder / "output").write_text(workflow.run(TINY, DUAL, LONG))
+            (folder / "complete").touch()
+    return Workflow(folder)
+
+
+@pytest.fixture
+def copy(undisturbed: Workflow, tmp_path: Path) -> Workflow:
+    """A complete run to disturb."""
+    return undisturbed.copy_to(tmp_path / "copy")
+
+
+@pytest.fixture
+def fresh(tmp_path: Path) -> Callable[[], Workflow]:
+    """Make runs that have done nothing yet."""
+    return lambda: Workflow(tmp_path / "fresh")

@@ -1,0 +1,145 @@
+"""Running the real workflow on small scenes, and disturbing it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+ROOT = Path(__file__).parents[2]
+
+CONFIG: dict[str, Any] = {
+    "scenes": {
+        "tiny": {"geometry": "wedge", "surfaces": ["white", "texture"], "shape": [8, 8]},
+        "long": {"geometry": "wedge", "surfaces": ["white", "texture"], "shape": [16, 18]},
+    },
+    "methods": ["symmetric", "dual", "brute_force"],
+    # one pattern at a time, for captures that can be stopped anywhere
+    "capture": {"batch_patterns": 1, "black_frames": 4, "floodlit_frames": 4},
+}
+"""`tiny` has 5 stages on each of its levels; `long` by brute force captures 288 patterns."""
+
+TINY = "results/tiny/symmetric/transport.json"
+DUAL = "results/tiny/dual/transport.json"
+LONG = "results/long/brute_force/transport.json"
+
+STAGES = ("schedule", "capture", "merge", "normalize", "refine")
+
+_PATIENCE_SECONDS = 60.0
+
+
+class Workflow:
+    """The workflow in a folder of its own."""
+
+    def __init__(self, folder: Path, config: dict[str, Any] | None = None) -> None:
+        self.folder = folder
+        self.config = folder / "config.yaml"
+        folder.mkdir(parents=True, exist_ok=True)
+        self.configure(**({} if config is None else config))
+
+    def configure(self, **changes: Any) -> None:
+        """Write the settings: CONFIG, its groups updated by `changes`."""
+        settings = dict(CONFIG)
+        for name, value in changes.items():
+            settings[name] = {**settings.get(name, {}), **value} if name != "methods" else value
+        self.config.write_text(yaml.safe_dump(settings))
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        """Start Snakemake as the leader of a process group of its own."""
+        return subprocess.Popen(
+            [
+                str(Path(sys.executable).with_name("snakemake")),
+                *("--snakefile", str(ROOT / "Snakefile"), "--directory", str(self.folder)),
+                *("--configfile", str(self.config), "--cores", "2"),
+                *arguments,
+            ],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            cwd=self.folder,
+            start_new_session=True,
+        )
+
+    def run(self, *arguments: str, succeeds: bool = True) -> str:
+        """Run Snakemake to its end and return what it said."""
+        output = self.end(self.start(*arguments), succeeds=succeeds)
+        return output
+
+    def end(self, process: subprocess.Popen[str], *, succeeds: bool = True) -> str:
+        """Wait for Snakemake and check its exit status."""
+        output, _ = process.communicate(timeout=4 * _PATIENCE_SECONDS)
+        assert (process.returncode == 0) == succeeds, output
+        return output
+
+    def path(self, name: str) -> Path:
+        return self.folder / "results" / name
+
+    def contents(self, name: str) -> dict[str, bytes]:
+        """All bytes that the stages left of an acquisition: manifests, stores and journals."""
+        folder = self.path(name)
+        return {
+            str(path.relative_to(folder)): path.read_bytes()
+            for path in sorted(folder.rglob("*"))
+            if path.is_file() and path.suffix != ".log" and not path.name.endswith("benchmark.tsv")
+        }
+
+    def copy_to(self, folder: Path) -> Workflow:
+        """Copy the whole run, Snakemake's records and times included."""
+        shutil.copytree(self.folder, folder, dirs_exist_ok=True)
+        return Workflow(folder)
+
+
+def journal(store: Path) -> list[str]:
+    """Whole lines of a store's journal; none while there is no journal."""
+    try:
+        return (store / "journal.jsonl").read_text().splitlines()
+    except FileNotFoundError:
+        return []
+
+
+def wait_until(condition: Callable[[], Any], what: str) -> Any:
+    """Wait for something to become true, and return it."""
+    end = time.monotonic() + _PATIENCE_SECONDS
+    while time.monotonic() < end:
+        found = condition()
+        if found:
+            return found
+        time.sleep(0.001)
+    raise AssertionError(f"{what}: not within {_PATIENCE_SECONDS} s")
+
+
+def freeze_writer(store: Path, items: int) -> int:
+    """Stop the process that writes a store after some items, in whatever it does; its id."""
+    lock = store.with_name(f".{store.name}.lock")
+
+    def writer() -> int | None:
+        if len(journal(store)) < items:
+            return None
+        return int(lock.read_text())
+
+    process = int(wait_until(writer, f"{items} items in {store}"))
+    os.kill(process, signal.SIGSTOP)
+    return process
+
+
+def kill_group(process: subprocess.Popen[str], number: int) -> None:
+    """Send a signal to Snakemake and all its jobs, as a terminal does with Ctrl-C."""
+    os.killpg(process.pid, number)
+
+
+def undo(workflow: Workflow, level: int, stage: str) -> Path:
+    """Take a run back to before a stage of a level of `tiny`; return that stage's log."""
+    folder = workflow.path("tiny/symmetric")
+    for name in STAGES[STAGES.index(stage) :]:
+        for path in folder.glob(f"L{level:02d}/{name}.*"):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    (folder / "transport.json").unlink(missing_ok=True)
+    return folder / f"L{level:02d}" / f"{stage}.log"

@@ -1,0 +1,105 @@
+"""Runs that are stopped in the middle of a stage, and what the next run makes of them."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+from tests.workflow.harness import (
+    LONG,
+    STAGES,
+    TINY,
+    Workflow,
+    freeze_writer,
+    journal,
+    kill_group,
+    undo,
+    wait_until,
+)
+
+BRUTE = "long/brute_force"
+
+
+def test_a_capture_killed_in_the_middle_goes_on_at_its_pattern(
+    tmp_path: Path, undisturbed: Workflow
+) -> None:
+    workflow = Workflow(tmp_path)
+    store = workflow.path(f"{BRUTE}/L00/capture.zarr")
+    process = workflow.start(LONG)
+    freeze_writer(store, 20)
+    kill_group(process, signal.SIGKILL)
+    process.communicate()
+    before = journal(store)
+    assert 20 <= len(before) < 288
+    assert not workflow.path(f"{BRUTE}/L00/capture.json").exists()
+
+    assert "locked" in workflow.run(LONG, succeeds=False)
+    workflow.run("--unlock")
+    output = workflow.run(LONG)
+
+    assert (
+        f"{len(before)} of 288 patterns are captured; going on at pattern {len(before)}" in output
+    )
+    assert f"level 0: {288 - len(before)} patterns in" in output
+    assert journal(store)[: len(before)] == before
+    assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
+
+
+def test_an_orphaned_capture_keeps_a_second_writer_out(
+    tmp_path: Path, undisturbed: Workflow
+) -> None:
+    workflow = Workflow(tmp_path)
+    store = workflow.path(f"{BRUTE}/L00/capture.zarr")
+    process = workflow.start(LONG)
+    orphan = freeze_writer(store, 20)
+    try:
+        assert "locked" in workflow.run(LONG, succeeds=False)  # two runs in one folder
+        os.kill(process.pid, signal.SIGKILL)
+        workflow.run("--unlock")
+        output = workflow.run(LONG, succeeds=False)
+        assert f"process {orphan} is writing this store" in output
+        assert len(journal(store)) < 288
+    finally:
+        os.kill(orphan, signal.SIGKILL)
+    workflow.run(LONG)
+    assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
+    process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_capture_closes_its_store_and_goes_on(
+    tmp_path: Path, undisturbed: Workflow, number: signal.Signals
+) -> None:
+    workflow = Workflow(tmp_path)
+    store = workflow.path(f"{BRUTE}/L00/capture.zarr")
+    process = workflow.start(LONG)
+    writer = freeze_writer(store, 20)
+    kill_group(process, number)
+    os.kill(writer, signal.SIGCONT)
+    output = workflow.end(process, succeeds=False)
+    assert "stopped; what is done is kept" in output
+    captured = len(journal(store))
+    assert 20 <= captured < 288
+    assert not store.with_name(".capture.zarr.lock").exists()
+
+    output = workflow.run(LONG)  # with nothing to unlock
+    assert f"{captured} of 288 patterns are captured" in output
+    assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_a_stage_killed_in_the_middle_is_done_again(
+    copy: Workflow, undisturbed: Workflow, stage: str
+) -> None:
+    log = undo(copy, 3, stage)
+    process = copy.start(TINY)
+    wait_until(log.exists, f"the {stage} of level 3")
+    kill_group(process, signal.SIGKILL)
+    process.communicate()
+    assert not log.with_suffix(".json").exists()
+
+    copy.run("--unlock")
+    copy.run(TINY)
+    assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")

@@ -1,0 +1,154 @@
+"""Whole runs: what they leave, what changed settings make again, and damaged stores."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.workflow.harness import DUAL, LONG, STAGES, TINY, Workflow, journal, undo
+
+from rfpipe import acquire, open_transport
+from rfpipe.config import load_config
+from rfpipe.photometry import sensor_from_config
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import scene_from_config
+from rfpipe.store import read_manifest
+
+
+def test_every_stage_of_every_level_leaves_a_manifest(undisturbed: Workflow) -> None:
+    for method in ("symmetric", "dual"):
+        for level in range(4):
+            for stage in STAGES:
+                manifest = read_manifest(
+                    undisturbed.path(f"tiny/{method}/L{level:02d}/{stage}.json")
+                )
+                assert {"digest", "fingerprint", "stage", "level", "units"} <= set(manifest)
+                log = undisturbed.path(f"tiny/{method}/L{level:02d}/{stage}.benchmark.tsv")
+                assert log.exists()
+        assert open_transport(undisturbed.path(f"tiny/{method}/transport.zarr")).channels == 3
+
+
+@pytest.mark.parametrize(
+    ("scene", "method"), [("tiny", "symmetric"), ("tiny", "dual"), ("long", "brute_force")]
+)
+def test_the_files_hold_what_an_acquisition_in_process_finds(
+    undisturbed: Workflow, scene: str, method: str
+) -> None:
+    config = load_config(undisturbed.config)
+    rig = SimulatedRig(
+        scene_from_config(config.scenes[scene]), sensor_from_config(config.camera), config.seed
+    )
+    result = acquire(
+        rig,
+        method,
+        progress=False,
+        black_frames=config.capture.black_frames,
+        floodlit_frames=config.capture.floodlit_frames,
+    )
+    stored = open_transport(undisturbed.path(f"{scene}/{method}/transport.zarr"))
+    expected, attributes = result.transport.pack()
+    found, stored_attributes = stored.pack()
+    assert stored_attributes == attributes
+    assert set(found) == set(expected)
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+
+
+def test_a_second_run_has_nothing_to_do(copy: Workflow) -> None:
+    began = time.monotonic()
+    assert "Nothing to be done" in copy.run(TINY, DUAL, LONG)
+    assert time.monotonic() - began < 10
+
+
+def test_a_looser_tolerance_captures_only_changed_patterns_anew(copy: Workflow) -> None:
+    folder = copy.path("tiny/symmetric")
+    before = copy.contents("tiny/symmetric")
+    shown = {level: patterns_shown(folder, level) for level in range(4)}
+    captured = {level: (folder / f"L{level:02d}/capture.zarr").stat().st_ino for level in range(4)}
+
+    copy.configure(acquisition={"tolerance": 0.05})
+    output = copy.run(TINY)
+    for level in range(4):
+        changed = patterns_shown(folder, level) != shown[level]
+        again = (folder / f"L{level:02d}/capture.zarr").stat().st_ino != captured[level]
+        assert again == changed
+        said = re.search(rf"L{level:02d}/capture: .*CAPTURING ANEW.*patterns ", output)
+        assert bool(said) == changed
+    assert patterns_shown(folder, 0) == shown[0]
+    assert patterns_shown(folder, 3) != shown[3]  # or the test shows nothing
+
+    copy.configure(acquisition={"tolerance": 1e-3})
+    output = copy.run(TINY)  # the old pictures are found again: no pattern is shown
+    assert "patterns in" not in output
+    assert "captured with these settings before" in output
+    after = copy.contents("tiny/symmetric")
+    assert {name: after[name] for name in before} == before
+
+
+def patterns_shown(folder: Path, level: int) -> tuple[int, str]:
+    manifest = read_manifest(folder / f"L{level:02d}/schedule.json")
+    return manifest["patterns"], manifest["shown"]
+
+
+def test_changed_patterns_can_be_refused(copy: Workflow) -> None:
+    copy.configure(acquisition={"tolerance": 0.05}, capture={"when_patterns_change": "refuse"})
+    kept = journal(copy.path("tiny/symmetric/L03/capture.zarr"))
+    output = copy.run(TINY, succeeds=False)
+    assert re.search(r"holds \d+ captured patterns of other settings \(patterns \d+ -> \d+", output)
+    assert "capture.when_patterns_change" in output
+    assert journal(copy.path("tiny/symmetric/L03/capture.zarr")) == kept
+
+
+def test_merge_options_run_the_stages_behind_the_capture_alone(copy: Workflow) -> None:
+    copy.configure(merge={"saturation_fraction": 0.9})
+    jobs = copy.run("--dry-run", TINY)
+    assert not re.search(r"^capture_simulated +\d+$", jobs.split("Job stats")[1], re.MULTILINE)
+    assert re.search(r"^merge +4$", jobs.split("Job stats")[1], re.MULTILINE)
+
+
+@pytest.mark.parametrize("harm", ["alter", "truncate", "remove"])
+def test_a_damaged_chunk_is_found_by_the_next_stage_and_can_be_made_again(
+    copy: Workflow, undisturbed: Workflow, harm: str
+) -> None:
+    level = copy.path("tiny/symmetric/L03")
+    undo(copy, 3, "merge")
+    chunk = level / "capture.zarr" / "c.1.0.0.0.0"
+    content = bytearray(chunk.read_bytes())
+    if harm == "remove":
+        chunk.unlink()
+    elif harm == "truncate":
+        chunk.write_bytes(content[: len(content) // 2])
+    else:
+        content[-3] ^= 1
+        chunk.write_bytes(content)
+
+    output = copy.run(TINY, succeeds=False)
+    assert f"{chunk.relative_to(copy.folder)}: item 1 is missing, truncated or altered" in output
+    manifest = level / "capture.json"
+    assert f"remove {manifest.relative_to(copy.folder)} and run again" in output
+    manifest.unlink()
+    output = copy.run(TINY)
+    assert "1 items are damaged and will be written again (1)" in output
+    assert "level 3: 1 patterns in" in output
+    assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ("acquisition: {tolerence: 1e-3}", "acquisition.tolerence is unknown; did you mean"),
+        ("acquisition: {tolerance: 2}", "acquisition.tolerance is 2"),
+        ("seed: 1\nseed: 2", "the key 'seed' stands twice"),
+    ],
+)
+def test_a_mistake_in_the_settings_ends_the_run_before_it_begins(
+    tmp_path: Path, settings: str, message: str
+) -> None:
+    workflow = Workflow(tmp_path)
+    workflow.config.write_text(settings)
+    output = workflow.run("--dry-run", succeeds=False)
+    assert message in output
+    assert not (tmp_path / "results").exists()

@@ -1,0 +1,63 @@
+CODE |= {
+    "relight": ["scenes", "stages.slices", "transport"],
+    "sweep": [
+        "blocks",
+        "conflicts",
+        "methods",
+        "patterns",
+        "photometry",
+        "rigs",
+        "scenes",
+        "stages.acquire",
+        "stages.images",
+        "stages.merging",
+        "stages.settings",
+        "transport",
+    ],
+}
+
+
+def sweep_settings(wildcards):
+    """The settings of one scene and method's sweep."""
+    return {
+        **plain(SETTINGS),
+        "scenes": {wildcards.scene: plain(SETTINGS.scenes[wildcards.scene])},
+        "methods": [wildcards.method],
+        "report": {"tolerances": list(SETTINGS.report.tolerances)},
+    }
+
+
+rule relight:
+    """The transport under the reference patterns, beside what is true of the scene."""
+    input:
+        "results/{scene}/{method}/transport.json",
+    output:
+        "results/{scene}/{method}/relight.json",
+    log:
+        "results/{scene}/{method}/relight.log",
+    benchmark:
+        "results/{scene}/{method}/relight.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    params:
+        scene=lambda wildcards: plain(SETTINGS.scenes[wildcards.scene]),
+        code=stage_code("relight"),
+    script:
+        "../scripts/relight.py"
+
+
+rule sweep:
+    """Speed against error: the same acquisition at other tolerances, in one process."""
+    output:
+        "results/{scene}/{method}/sweep.json",
+    log:
+        "results/{scene}/{method}/sweep.log",
+    benchmark:
+        "results/{scene}/{method}/sweep.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    params:
+        settings=sweep_settings,
+        code=stage_code("sweep"),
+    script:
+        "../scripts/sweep.py"

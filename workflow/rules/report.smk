@@ -1,0 +1,88 @@
+import rfpipe
+from rfpipe.provenance import fingerprint
+from rfpipe.stages.studies import STUDIES
+
+CODE |= {
+    "studies": [*CODE["sweep"], "stages.metrics"],
+    "evaluate": ["stages.metrics"],
+}
+
+PAGE_TEMPLATE = Path(rfpipe.__file__).parent / "report" / "page.html.j2"
+
+
+def study_settings(wildcards):
+    """The settings of the studies, which have scenes of their own."""
+    settings = {
+        **plain(SETTINGS),
+        "report": {"resolutions": list(SETTINGS.report.resolutions)},
+    }
+    del settings["scenes"]
+    return settings
+
+
+rule studies:
+    """What the report shows beside the acquired scenes."""
+    output:
+        "results/studies/{study}.json",
+    log:
+        "results/studies/{study}.log",
+    benchmark:
+        "results/studies/{study}.benchmark.tsv"
+    wildcard_constraints:
+        study="|".join(STUDIES),
+    conda:
+        "../envs/rfpipe.yaml"
+    params:
+        settings=study_settings,
+        code=stage_code("studies"),
+    script:
+        "../scripts/studies.py"
+
+
+rule evaluate:
+    """All error figures, in one job since the colour library takes long to load."""
+    input:
+        relit=every_acquisition("relight.json"),
+        swept=every_acquisition("sweep.json"),
+    output:
+        errors=report(
+            "results/report/tables/errors.csv", caption="../report/errors.rst"
+        ),
+        speed_error=report(
+            "results/report/tables/speed_error.csv",
+            caption="../report/speed_error.rst",
+        ),
+    log:
+        "results/report/evaluate.log",
+    benchmark:
+        "results/report/evaluate.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    params:
+        seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
+        code=stage_code("evaluate"),
+    script:
+        "../scripts/evaluate.py"
+
+
+rule report:
+    """The thesis' figures and tables for the acquired scenes, on one page."""
+    input:
+        relit=every_acquisition("relight.json"),
+        studies=expand("results/studies/{study}.json", study=STUDIES),
+        errors="results/report/tables/errors.csv",
+        speed_error="results/report/tables/speed_error.csv",
+    output:
+        report("results/report/index.html", caption="../report/report.rst"),
+    log:
+        "results/report/report.log",
+    benchmark:
+        "results/report/report.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    params:
+        settings=plain(SETTINGS),
+        code=code_fingerprint("rfpipe.report"),
+        template=fingerprint(PAGE_TEMPLATE.read_text(encoding="utf-8")),
+    script:
+        "../scripts/report.py"

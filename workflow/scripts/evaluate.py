@@ -1,0 +1,13 @@
+from pathlib import Path
+
+from rfpipe.stages import evaluate
+from rfpipe.stages.job import start
+
+start(snakemake.log[0])
+evaluate.run(
+    [Path(path) for path in snakemake.input.relit],
+    [Path(path) for path in snakemake.input.swept],
+    Path(snakemake.output.errors),
+    Path(snakemake.output.speed_error),
+    snakemake.params.seconds_per_pattern,
+)

@@ -1,0 +1,13 @@
+from pathlib import Path
+
+from rfpipe.config import Config
+from rfpipe.stages import studies
+from rfpipe.stages.job import start
+
+start(snakemake.log[0])
+studies.run(
+    snakemake.wildcards.study,
+    Config(**snakemake.params.settings),
+    Path(snakemake.output[0]),
+    snakemake.params.code,
+)

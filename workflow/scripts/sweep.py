@@ -1,0 +1,14 @@
+from pathlib import Path
+
+from rfpipe.config import Config
+from rfpipe.stages import sweep
+from rfpipe.stages.job import start
+
+start(snakemake.log[0])
+sweep.run(
+    Config(**snakemake.params.settings),
+    snakemake.wildcards.scene,
+    snakemake.wildcards.method,
+    Path(snakemake.output[0]).parent,
+    snakemake.params.code,
+)
