@@ -29,16 +29,19 @@ include: "workflow/rules/merge.smk"
 include: "workflow/rules/normalize.smk"
 include: "workflow/rules/refine.smk"
 include: "workflow/rules/assemble.smk"
+include: "workflow/rules/relight.smk"
+include: "workflow/rules/report.smk"
 
 
 rule all:
     default_target: True
     input:
         every_acquisition("transport.json"),
+        "results/report/index.html",
 
 
 onsuccess:
-    print("rfpipe: done.")
+    print("rfpipe: done; the report is results/report/index.html")
 
 
 onerror:

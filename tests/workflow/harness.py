@@ -70,8 +70,7 @@ class Workflow:
 
     def run(self, *arguments: str, succeeds: bool = True) -> str:
         """Run Snakemake to its end and return what it said."""
-        output = self.end(self.start(*arguments), succeeds=succeeds)
-        return output
+        return self.end(self.start(*arguments), succeeds=succeeds)
 
     def end(self, process: subprocess.Popen[str], *, succeeds: bool = True) -> str:
         """Wait for Snakemake and check its exit status."""

@@ -35,6 +35,8 @@ from rfpipe.transport.hierarchical import (
 _BATCH = 16
 # The mean of n squared normal deviates stays within 1 +- 3 sqrt(2 / n) of its expectation.
 _SPREAD = 3.0
+# Outcomes of the rank test, the better the higher.
+_DIFFERS, _AGREES, _CLOSE = range(3)
 
 
 @dataclass(frozen=True)
@@ -139,13 +141,16 @@ class Symmetric:
         if not images.schedule.count:
             row = _row(level, patterns=0)
             return replace(state, level=level + 1, added=(), rows=(*state.rows, row))
-        passed = _passes_rank_test(state, measured)
-        kept = as_leaves(tree, level - 1, select(tree, level - 1, state.frontier, passed))
-        open_nodes = select(tree, level - 1, state.frontier, ~passed)
-        _, first, second = child_pairs(tree, level - 1, open_nodes)
+        verdict = _rank_test(state, measured)
+        kept = as_leaves(
+            tree, level - 1, select(tree, level - 1, state.frontier, verdict == _CLOSE)
+        )
+        divided = select(tree, level - 1, state.frontier, verdict < _CLOSE)
+        node, first, second = child_pairs(tree, level - 1, divided)
         before = state.rows[-1]
-        outcome = {"rank1": before["rank1"] + len(kept), "subdivided": len(open_nodes)}
-        found = _classify(state, first, second, measured)
+        outcome = {"rank1": before["rank1"] + len(kept), "subdivided": len(divided)}
+        settled = verdict[verdict < _CLOSE][node] == _AGREES
+        found = _classify(state, first, second, measured, settled)
         row = _row(level, patterns=images.schedule.count, nodes=len(first), **found.counts)
         return replace(
             state,
@@ -166,7 +171,7 @@ class Symmetric:
             dark=~significant.any(axis=0),
         )
         root = np.zeros(1, np.int32)
-        found = _classify(state, root, root, measured)
+        found = _classify(state, root, root, measured, np.zeros(1, np.bool_))
         return replace(
             state,
             level=1,
@@ -295,12 +300,18 @@ def _allowed(asked: float, noise: Double, samples: Double) -> Double:
     return allowed
 
 
-def _passes_rank_test(state: SymmetricState, measured: Measured) -> NDArray[np.bool_]:
-    """Tell which unknown nodes predict their children's images (thesis §5.1).
+def _rank_test(state: SymmetricState, measured: Measured) -> NDArray[np.int8]:
+    """Tell how well each unknown node predicts its children's images (thesis §5.1).
 
     A node passes only on evidence: where a single child on either side has nearly all the energy,
-    its image is the node's own again, whatever lies underneath. On the last level the children
-    are measured already, so that only noise is a reason to keep the parent instead.
+    its image is the node's own again, whatever lies underneath.
+
+    Returns
+    -------
+    ndarray of int8, shape (n,)
+        `_DIFFERS`: its children are unknown. `_AGREES`: they are leaves, made of the images that
+        are there now; the error of a rank-1 leaf falls with the sides of both its blocks, so that
+        it is some four times less than the node's own. `_CLOSE`: nothing is gained by that.
     """
     from rfpipe.methods import kernels
 
@@ -316,15 +327,17 @@ def _passes_rank_test(state: SymmetricState, measured: Measured) -> NDArray[np.b
         measured.residuals, measured.variances, ssd, noise, shares,
     )  # fmt: skip
     samples = compared_pixels(tree, level, nodes)
-    asked = 0.0 if state.level == tree.n_levels - 1 else _asked(state)
-    agrees = ssd / samples <= _allowed(asked, noise / samples, samples)
     children = np.diff(tree.child_starts[level])
     # Two of four children with half the energy each are evidence enough, or three quarters and
     # one quarter where there are only two children.
     enough = 3.0 / (children[np.stack([nodes.block_b, nodes.block_a])] + 2.0)
     evident = (shares <= enough).any(axis=1)
-    passed: NDArray[np.bool_] = (agrees & (evident | (nodes.energy == 0))).all(axis=0)
-    return passed
+    evident |= nodes.energy == 0
+    verdict = np.full(len(nodes), _DIFFERS, np.int8)
+    for outcome, share in ((_AGREES, 1.0), (_CLOSE, 1.0 / 16)):
+        allowed = _allowed(_asked(state) * share, noise / samples, samples)
+        verdict[((ssd / samples <= allowed) & evident).all(axis=0)] = outcome
+    return verdict
 
 
 def _asked(state: SymmetricState) -> float:
@@ -336,9 +349,16 @@ def _asked(state: SymmetricState) -> float:
 
 
 def _classify(
-    state: SymmetricState, block_a: Blocks, block_b: Blocks, measured: Measured
+    state: SymmetricState,
+    block_a: Blocks,
+    block_b: Blocks,
+    measured: Measured,
+    settled: NDArray[np.bool_],
 ) -> _Found:
-    """Sort the nodes that a level measured into empty ones, leaves and unknown ones."""
+    """Sort the nodes that a level measured into empty ones, leaves and unknown ones.
+
+    The `settled` ones are no longer unknown in any case.
+    """
     from rfpipe.methods import kernels
 
     tree, channels, level = state.tree, state.channels, state.level
@@ -382,7 +402,7 @@ def _classify(
     # over a single ray is of rank 1 whatever it holds.
     mean_worst = worst / np.maximum(lit, 1.0)
     certain = (mean_worst <= _allowed(_asked(state), noise, np.maximum(lit, 1.0))).all(axis=0)
-    certain |= (sizes[block_a] == 1) | (sizes[block_b] == 1)
+    certain |= (sizes[block_a] == 1) | (sizes[block_b] == 1) | settled[full]
     leaves = as_leaves(tree, level, select(tree, level, nodes, certain))
     frontier = select(tree, level, nodes, ~certain)
     return _Found(leaves, frontier, {"empty": empty, "rank1": len(leaves)})

@@ -9,6 +9,7 @@ __all__ = ["DASH", "TIMES", "number", "percent", "size"]
 
 DASH = "\N{EN DASH}"
 TIMES = "\N{MULTIPLICATION SIGN}"
+_JOINT = "\N{NO-BREAK SPACE}"
 
 
 def number(value: Any, form: str = ",.0f", scale: float = 1.0) -> str:
@@ -26,4 +27,4 @@ def percent(value: Any) -> str:
 
 def size(*lengths: int) -> str:
     """Return the size of an image: height, width."""
-    return f" {TIMES} ".join(map(str, lengths))
+    return f"{_JOINT}{TIMES}{_JOINT}".join(map(str, lengths))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,17 +25,13 @@ __all__ = ["images_of", "relit_arrays", "right_half", "run"]
 
 Float = NDArray[np.float32]
 
-_AT_A_TIME = 64
+_AT_A_TIME = 32
 
 
 def images_of(scene: Scene, patterns: Float) -> Float:
-    """Return a scene's exact images ``(P, H, W, C)`` under patterns ``(P, H, W)``."""
-    flat = patterns.reshape(len(patterns), -1)
-    parts = [
-        scene.apply(flat[first : first + _AT_A_TIME]) for first in range(0, len(flat), _AT_A_TIME)
-    ]
-    radiance = np.concatenate(parts)
-    return radiance.reshape(len(patterns), *scene.shape, radiance.shape[-1])
+    """Return a scene's exact images ``(P, *shape, C)`` under patterns ``(P, *shape)``."""
+    radiance = scene.apply(patterns.reshape(len(patterns), -1))
+    return radiance.reshape(len(patterns), *scene.shape, scene.channels)
 
 
 def right_half(shape: tuple[int, ...]) -> Float:
@@ -82,9 +79,12 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     patterns = np.stack(list(relighting_patterns(shape).values()))
     more = np.stack([np.ones(shape, np.float32), right_half(shape)])
     every = np.concatenate([patterns, more])
-    relit, truth = transport.relight_batch(every), images_of(scene, every)
+
+    def truth_of(patterns: Float) -> Float:
+        return images_of(scene, patterns)
+
+    relit, truth = transport.relight_batch(every), truth_of(every)
     row = shape[0] // 2
-    line = line_patterns(shape, row)
     n_levels = 1 + max((int(entry["level"]) for entry in transport.level_rows), default=0)
     bar = patterns[0]
     arrays: dict[str, NDArray[Any]] = {
@@ -96,14 +96,27 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
         "half_relit": relit[-1],
         "half_truth": truth[-1],
         "albedo": scene.albedo,
-        "line_relit": transport.relight_batch(line)[:, row].swapaxes(0, 1),
-        "line_truth": images_of(scene, line)[:, row].swapaxes(0, 1),
+        "line_relit": _entries(transport.relight_batch, shape, row),
+        "line_truth": _entries(truth_of, shape, row),
         "levels_relit": np.stack([transport.truncate(n).relight(bar) for n in range(n_levels)]),
     }
     levels = leaf_levels(transport, row)
     if levels is not None:
         arrays["line_levels"] = levels
     return arrays
+
+
+def _entries(light: Callable[[Float], Float], shape: tuple[int, ...], row: int) -> Float:
+    """Return the entries (W, W, C) of T between the rays of a row: camera down, projector across.
+
+    `light` turns patterns (P, H, W) into images (P, H, W, C).
+    """
+    width = shape[-1]
+    columns = [
+        light(line_patterns(shape, row, range(first, min(first + _AT_A_TIME, width))))[:, row]
+        for first in range(0, width, _AT_A_TIME)
+    ]
+    return np.concatenate(columns).swapaxes(0, 1)
 
 
 def run(folder: Path, scene: SceneConfig, code: str) -> None:

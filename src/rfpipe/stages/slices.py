@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,11 +18,10 @@ NO_LEAF = -1
 """Level of an entry that no leaf holds: it was measured as empty."""
 
 
-def line_patterns(shape: tuple[int, ...], row: int) -> NDArray[np.float32]:
-    """Return a single-pixel pattern for each pixel of a row of an image (H, W): (W, H, W)."""
-    height, width = shape
-    patterns = np.zeros((width, height, width), np.float32)
-    patterns[np.arange(width), row, np.arange(width)] = 1
+def line_patterns(shape: tuple[int, ...], row: int, columns: Sequence[int]) -> NDArray[np.float32]:
+    """Return a single-pixel pattern for each of some pixels of an image's row, ``(P, H, W)``."""
+    patterns = np.zeros((len(columns), *shape), np.float32)
+    patterns[np.arange(len(columns)), row, columns] = 1
     return patterns
 
 
