@@ -41,11 +41,12 @@ rule all:
 
 
 onsuccess:
-    print("rfpipe: done; the report is results/report/index.html")
+    print("rfpipe: done.")
 
 
 onerror:
     print(
-        "rfpipe: a stage failed; its message stands above and, with more detail, in the .log file "
-        "beside its results. What was captured is kept: the next run goes on from there."
+        "rfpipe: the run ended early. If a stage failed, its message stands above and, with more "
+        "detail, in the .log file beside its results. What was captured is kept: the next run goes "
+        "on from there."
     )

@@ -99,9 +99,7 @@ def test_truncation_keeps_every_row_and_column_sum(shape, channels, seed):
     for level in range(transport.tree.n_levels):
         truncated = transport.truncate(level)
         assert max(leaves.level for leaves in truncated.leaf_sets) <= level
-        np.testing.assert_allclose(
-            truncated.relight(on), transport.relight(on), atol=1e-5 * scale
-        )
+        np.testing.assert_allclose(truncated.relight(on), transport.relight(on), atol=1e-5 * scale)
 
 
 def test_the_whole_tensor_is_kept_by_the_store(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 
 import rfpipe
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError
+from rfpipe.errors import CaptureError, InputError
 from rfpipe.methods.base import Pack, Settings
 from rfpipe.methods.symmetric import Symmetric
 from rfpipe.photometry import CameraModel
@@ -119,6 +119,27 @@ def test_camera_noise_does_not_make_it_subdivide_noise():
     result = rfpipe.acquire(rig, "symmetric", tolerance=1e-6, progress=False)
     assert result.patterns < 60
     assert relative_error(result.transport, np.diag(albedo)) < 0.02
+
+
+def test_a_glint_that_saturates_the_camera_spoils_its_own_pixel_alone():
+    albedo = np.random.default_rng(8).uniform(0.1, 1, 32 * 32)
+    albedo[500] = 50  # full scale is at 2
+    rig = rfpipe.OperatorRig(
+        np.diag(albedo), camera_shape=(32, 32), projector_shape=(32, 32), noise=CameraModel()
+    )
+    result = rfpipe.acquire(rig, "symmetric", progress=False)
+    assert result.saturated > 0
+    found = np.diag(dense(result.transport))
+    assert 1.9 < found[500] < 2.1
+    np.testing.assert_allclose(np.delete(found, 500), np.delete(albedo, 500), rtol=0.03)
+
+
+def test_a_floodlit_image_that_is_saturated_is_refused_before_the_night_begins():
+    rig = rfpipe.OperatorRig(
+        np.diag(np.full(64, 5.0)), camera_shape=(8, 8), projector_shape=(8, 8), noise=CameraModel()
+    )
+    with pytest.raises(CaptureError, match="saturated"):
+        rfpipe.acquire(rig, "symmetric", progress=False)
 
 
 def test_the_transport_is_exactly_symmetric_and_not_negative():

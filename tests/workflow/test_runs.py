@@ -106,7 +106,7 @@ def test_merge_options_show_no_pattern_again(copy: Workflow) -> None:
     copy.configure(merge={"repair_defects": False})
     before = copy.path("tiny/symmetric/L03/merge.json").read_bytes()
     output = copy.run(TINY)
-    assert "all 1 patterns are captured" in output
+    assert "patterns are captured" in output
     assert "patterns in" not in output  # what a capture says that shows any
     assert copy.path("tiny/symmetric/L03/merge.json").read_bytes() != before
 
@@ -124,7 +124,7 @@ def test_a_damaged_chunk_is_found_by_the_next_stage_and_can_be_made_again(
     elif harm == "truncate":
         chunk.write_bytes(content[: len(content) // 2])
     else:
-        content[-3] ^= 1
+        content[len(content) // 2] ^= 255
         chunk.write_bytes(content)
 
     output = copy.run(TINY, succeeds=False)

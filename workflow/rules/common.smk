@@ -97,3 +97,23 @@ def references(wildcards):
         if wildcards.level == "00"
         else [0, 0]
     )
+
+
+def sweep_settings(wildcards):
+    """The settings of one scene and method's sweep."""
+    return {
+        **plain(SETTINGS),
+        "scenes": {wildcards.scene: plain(SETTINGS.scenes[wildcards.scene])},
+        "methods": [wildcards.method],
+        "report": {"tolerances": list(SETTINGS.report.tolerances)},
+    }
+
+
+def study_settings(wildcards):
+    """The settings of the studies, which have scenes of their own."""
+    settings = {
+        **plain(SETTINGS),
+        "report": {"resolutions": list(SETTINGS.report.resolutions)},
+    }
+    del settings["scenes"]
+    return settings

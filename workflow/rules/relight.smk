@@ -17,16 +17,6 @@ CODE |= {
 }
 
 
-def sweep_settings(wildcards):
-    """The settings of one scene and method's sweep."""
-    return {
-        **plain(SETTINGS),
-        "scenes": {wildcards.scene: plain(SETTINGS.scenes[wildcards.scene])},
-        "methods": [wildcards.method],
-        "report": {"tolerances": list(SETTINGS.report.tolerances)},
-    }
-
-
 rule relight:
     """The transport under the reference patterns, beside what is true of the scene."""
     input:

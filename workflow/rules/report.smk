@@ -10,16 +10,6 @@ CODE |= {
 PAGE_TEMPLATE = Path(rfpipe.__file__).parent / "report" / "page.html.j2"
 
 
-def study_settings(wildcards):
-    """The settings of the studies, which have scenes of their own."""
-    settings = {
-        **plain(SETTINGS),
-        "report": {"resolutions": list(SETTINGS.report.resolutions)},
-    }
-    del settings["scenes"]
-    return settings
-
-
 rule studies:
     """What the report shows beside the acquired scenes."""
     output:

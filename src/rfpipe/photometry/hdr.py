@@ -15,8 +15,9 @@ ROUNDS = 2
 """Rounds of weights from the pooled estimate; a third changes the result by less than a thousandth
 of its standard deviation (RMS), a hundredth at most."""
 
-UNKNOWN_DEVIATION = 1e3
-"""Standard deviation of a sample saturated in every exposure, in units of the full scale."""
+UNKNOWN_DEVIATION = 0.25
+"""Standard deviation of a sample saturated in every exposure, in units of the full scale. The sample
+is known to be light, and not known how much: the value is significant, and the weight is small."""
 
 
 def merge_bracket(

@@ -42,7 +42,8 @@ class Merged:
         Variance of `radiance`; finite, not negative, 0 for exact radiance.
     saturated : int
         Samples (photosites under a mosaic, else pixels times channels) of the batch that were
-        saturated in every exposure. Their radiance is a lower bound, their variance huge.
+        saturated in every exposure. Their radiance is a lower bound, their deviation a quarter of
+        full scale.
     """
 
     radiance: Float

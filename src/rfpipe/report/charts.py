@@ -120,7 +120,7 @@ def speed_error_figure(inputs: Inputs, scenes: Sequence[str]) -> Figure:
         for axis, name in zip(column, ("rms_unlit", "rms_total"), strict=True):
             _draw_errors(axis, own, name)
             axis.axvline(run.rays, color="#5c5c5c", linewidth=0.9, linestyle=":",
-                         label="Brute force")  # fmt: skip
+                         label="patterns of brute force")  # fmt: skip
             axis.set_xscale("log")
             axis.set_yscale("log")
             axis.grid(True, which="major", linewidth=0.4, color="#dddddd")

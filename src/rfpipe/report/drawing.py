@@ -20,6 +20,7 @@ __all__ = [
     "label_below",
     "label_left",
     "new_figure",
+    "panel_ratio",
     "png",
     "show_radiance",
     "srgb",
@@ -29,6 +30,7 @@ METHOD_COLOURS = {"symmetric": "#1f5a9e", "dual": "#c4611a", "brute_force": "#5c
 
 _DPI = 110
 _SMALL = 8.0
+_RATIOS = (0.25, 1.4)
 
 
 def new_figure(
@@ -94,6 +96,15 @@ def show_radiance(axis: Axes, radiance: NDArray[Any], white: float) -> None:
     axis.imshow(srgb(radiance, white), interpolation="nearest")
     axis.set_xticks([])
     axis.set_yticks([])
+
+
+def panel_ratio(shapes: Sequence[tuple[int, ...]]) -> float:
+    """Return height over width of panels that show images of these shapes (H, W).
+
+    As the tallest of them needs, within reason: an image that is longer or thinner is shown
+    smaller in its panel.
+    """
+    return float(np.clip(max(height / width for height, width, *_ in shapes), *_RATIOS))
 
 
 def label_left(axis: Axes, text: str) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.report.drawing import label_below, label_left, new_figure, show_radiance
+from rfpipe.report.drawing import label_below, label_left, new_figure, panel_ratio, show_radiance
 from rfpipe.report.inputs import Run
 from rfpipe.report.text import TIMES
 from rfpipe.stages.metrics import relative_rms, unlit_rms
@@ -43,8 +43,8 @@ def matrices_figure(runs: Sequence[Run]) -> Figure:
     """
     with_levels = all("line_levels" in run.images.names for run in runs)
     n_rows = 8 if with_levels else 7
-    height, width = runs[0].settings.shape
-    heights = [height / width] * 2 + [1.0] * (n_rows - 5) + [height / width] * 3
+    ratio = panel_ratio([run.settings.shape for run in runs])
+    heights = [ratio] * 2 + [1.0] * (n_rows - 5) + [ratio] * 3
     size = (_PANEL * len(runs) + 0.9, _PANEL * sum(heights) + 0.32 * n_rows)
     figure, axes = new_figure(n_rows, len(runs), size, height_ratios=heights)
     for column, run in zip(axes.T, runs, strict=True):

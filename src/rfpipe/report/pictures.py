@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rfpipe.report.drawing import label_below, label_left, new_figure, show_radiance
+from rfpipe.report.drawing import label_below, label_left, new_figure, panel_ratio, show_radiance
 from rfpipe.report.inputs import Run, Study
 from rfpipe.report.text import TIMES
 from rfpipe.stages.metrics import relative_rms, unlit_rms
@@ -39,9 +39,9 @@ def methods_figure(scenes: Sequence[Sequence[Run]]) -> Figure:
     scenes : sequence of sequences of Run
         For each scene with indirect light, its runs, the methods in the same order.
     """
-    height, width = scenes[0][0].settings.shape
+    ratio = panel_ratio([runs[0].settings.shape for runs in scenes])
     columns = len(scenes[0]) + 1
-    size = (_PANEL * 1.25 * columns + 0.5, (_PANEL * 1.25 * height / width + 0.42) * len(scenes))
+    size = (_PANEL * 1.25 * columns + 0.5, (_PANEL * 1.25 * ratio + 0.42) * len(scenes))
     figure, axes = new_figure(len(scenes), columns, size)
     for row, runs in zip(axes, scenes, strict=True):
         gain = amplification(runs[0])
@@ -52,7 +52,7 @@ def methods_figure(scenes: Sequence[Sequence[Run]]) -> Figure:
             relit = run.read("half_relit")
             show_radiance(axis, relit * scale, run.white)
             error = unlit_rms(relit, truth, pattern)
-            label_below(axis, f"{run.patterns:,} patterns, error on the left half {error:.1%}")
+            label_below(axis, f"patterns {run.patterns:,}, error on the left half {error:.1%}")
         show_radiance(row[-1], truth * scale, runs[0].white)
         label_below(row[-1], f"left half {TIMES} {gain:g}")
         label_left(row[0], runs[0].title)
@@ -70,12 +70,12 @@ def levels_figure(runs: Sequence[Run]) -> Figure:
     runs : sequence of Run
         Of one scene, the methods that have levels.
     """
-    height, width = runs[0].settings.shape
+    ratio = panel_ratio([runs[0].settings.shape])
     per_row = 5
     n_levels = max(len(run.read("levels_relit")) for run in runs)
     rows_each = -(-(n_levels + 1) // per_row)
     panel = 2.05
-    size = (panel * per_row + 0.5, (panel * height / width + 0.42) * rows_each * len(runs))
+    size = (panel * per_row + 0.5, (panel * ratio + 0.42) * rows_each * len(runs))
     figure, axes = new_figure(rows_each * len(runs), per_row, size)
     for index, run in enumerate(runs):
         own = axes[index * rows_each : (index + 1) * rows_each]
@@ -100,9 +100,9 @@ def mosaic_figure(study: Study) -> Figure:
     """Show the sum of single-pixel images before and after normalization [Fig. B.1]."""
     chains = list(dict.fromkeys(row["chain"] for row in study.rows))
     modes = list(dict.fromkeys(row["normalization"] for row in study.rows))
-    height, width = study.images.shape(f"floodlit_{chains[0]}")[:2]
+    ratio = panel_ratio([study.images.shape(f"floodlit_{chains[0]}")])
     panel = 2.4
-    size = (panel * (len(modes) + 1) + 0.5, (panel * height / width + 0.62) * len(chains))
+    size = (panel * (len(modes) + 1) + 0.5, (panel * ratio + 0.62) * len(chains))
     figure, axes = new_figure(len(chains), len(modes) + 1, size)
     names = {
         "none": "sum of all images",

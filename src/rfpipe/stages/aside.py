@@ -100,6 +100,9 @@ def _differences(old: dict[str, Any], new: dict[str, Any]) -> str:
 
 
 def _flat(value: Any, name: str = "") -> dict[str, str]:
+    """Name each setting by its place, such as ``rig.sensor.bits``."""
+    if isinstance(value, list | tuple) and any(isinstance(item, dict) for item in value):
+        value = {str(index): item for index, item in enumerate(value)}
     if isinstance(value, dict):
         parts = [_flat(item, f"{name}.{key}" if name else key) for key, item in value.items()]
         return {key: text for part in parts for key, text in part.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 from pathlib import Path
@@ -16,7 +17,7 @@ _log = logging.getLogger("rfpipe")
 
 
 def start(log_file: str) -> None:
-    """Log to a file and to stderr; say why the job ends when it ends early.
+    """Log to a file and to stderr; say why the job ends when it ends early; bound its threads.
 
     An `RfpipeError` is reported by its message, with the traceback in the file alone. SIGTERM
     interrupts like Ctrl-C, so that stores are closed before the process ends.
@@ -26,6 +27,8 @@ def start(log_file: str) -> None:
     log_file : str
         Replaced when it exists.
     """
+    # Snakemake tells a job how many threads it has; numba doesn't listen by itself.
+    os.environ.setdefault("NUMBA_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
     path = Path(log_file)
     path.parent.mkdir(parents=True, exist_ok=True)
     to_file = logging.FileHandler(path, mode="w")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.errors import CaptureError
 from rfpipe.photometry.checks import check_floodlit
 from rfpipe.photometry.defects import DefectMap, find_defects, repair
 from rfpipe.photometry.sensor import ExactSensor, Merged, MergeOptions, Sensor
@@ -17,6 +19,10 @@ Frames = NDArray[Any]
 
 # Brackets merged at a time.
 _BATCH = 16
+# Share of the floodlit image that may be saturated at every exposure: glints, but no surfaces.
+_MOST_SATURATED = 0.01
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -72,7 +78,8 @@ class Merger:
         ------
         CaptureError
             If a camera sees no light under the all-on pattern, or less than under the all-off
-            one. Exact radiance may be zero.
+            one, or if more than a hundredth of the floodlit image is saturated at every
+            exposure. Exact radiance may be zero.
         """
         black = black_frames.mean(axis=0, dtype=np.float64).astype(np.float32)
         options = MergeOptions(len(black_frames), saturation_fraction)
@@ -85,10 +92,25 @@ class Merger:
         count = len(floodlit_frames)
         total: Any = 0.0
         total_variance: Any = 0.0
+        saturated = 0
         for first in range(0, count, _BATCH):
             merged = merger.merge(floodlit_frames[first : first + _BATCH], first)
             total = total + merged.radiance.sum(axis=0, dtype=np.float64)
             total_variance = total_variance + merged.variance.sum(axis=0, dtype=np.float64)
+            saturated += merged.saturated
+        share = saturated / floodlit_frames[:, 0].size
+        if share > _MOST_SATURATED:
+            raise CaptureError(
+                f"{share:.1%} of the floodlit image is saturated even at the shortest exposure, "
+                f"{sensor.exposures[0]:.3g} s: its light would come out too dark. Add a shorter "
+                "exposure, close the aperture, or dim the projector"
+            )
+        if saturated:
+            _log.warning(
+                "%.2g%% of the floodlit image is saturated even at the shortest exposure; these "
+                "pixels are clipped",
+                100 * share,
+            )
         if is_camera:
             check_floodlit(total, total_variance)
         floodlit, variance = total / count, total_variance / count**2

@@ -14,6 +14,10 @@ from rfpipe.stages.results import accept_bundle, write_bundle
 __all__ = ["read_schedule", "run"]
 
 
+_UNITS = "number of the pattern that lights a ray, -1 for none"
+_WEIGHT_UNITS = "fraction of full light"
+
+
 def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
     """Make the schedule of a level and write it with its manifest.
 
@@ -48,7 +52,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
         "complete": schedule.complete,
         "shown": schedule.digest(),
         "shape": list(schedule.shape),
-        "units": {"pattern_of_ray": "pattern, -1 for none", "weights": "fraction of full light"},
+        "units": _UNITS if schedule.weights is None else _WEIGHT_UNITS,
     }
     write_bundle(store, manifest, made_from, arrays, facts)
 

@@ -1,0 +1,84 @@
+"""The error figures, against values worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import InputError
+from rfpipe.stages.metrics import colour_difference, psnr, relative_rms, unlit_rms
+
+
+def image(*values: float) -> np.ndarray:
+    """One row of grey pixels, (1, n, 1)."""
+    return np.array(values, np.float32).reshape(1, -1, 1)
+
+
+def test_relative_rms_is_the_norm_of_the_difference_over_that_of_the_truth():
+    assert relative_rms(image(3, 0), image(0, 4)) == pytest.approx(5 / 4)
+    assert relative_rms(image(1, 2), image(1, 2)) == 0
+
+
+def test_relative_rms_counts_the_chosen_pixels_alone():
+    where = np.array([[True, False]])
+    assert relative_rms(image(1, 100), image(2, 1), where) == pytest.approx(0.5)
+
+
+def test_relative_rms_is_undefined_without_light():
+    assert math.isnan(relative_rms(image(1, 2), image(0, 0)))
+
+
+def test_unlit_rms_takes_the_pixels_that_the_pattern_leaves_dark():
+    pattern = np.array([[1.0, 0.0, 0.0]])
+    assert unlit_rms(image(9, 3, 4), image(1, 3, 0), pattern) == pytest.approx(4 / 3)
+
+
+def test_unlit_rms_is_undefined_where_every_pixel_is_lit():
+    assert math.isnan(unlit_rms(image(1, 2), image(1, 1), np.full((1, 2), 0.25)))
+
+
+def test_psnr_has_the_truths_maximum_as_its_peak():
+    # peak 2, mean squared error 0.04 / 2
+    assert psnr(image(2.2, 1), image(2, 1)) == pytest.approx(10 * math.log10(4 / 0.02), rel=1e-5)
+
+
+def test_psnr_of_equal_images_is_infinite_and_of_darkness_undefined():
+    assert psnr(image(1, 2), image(1, 2)) == math.inf
+    assert math.isnan(psnr(image(1, 2), image(0, 0)))
+
+
+def test_float32_images_are_compared_in_float64():
+    truth = np.full((64, 64, 1), 1e-30, np.float32)  # its squares underflow in float32
+    assert relative_rms(2 * truth, truth) == pytest.approx(1)
+
+
+def test_images_of_different_shape_are_refused():
+    with pytest.raises(InputError, match="can't be compared"):
+        relative_rms(image(1, 2), image(1))
+
+
+def test_colour_difference_of_greys_follows_lightness():
+    # Between white and the grey of half its light L* falls from 100 to 76.07; CIEDE2000 divides
+    # the fall by S_L = 1 + 0.015 (L - 50)^2 / sqrt(20 + (L - 50)^2) at the mean L of 88.03.
+    lightness = 116 * 0.5 ** (1 / 3) - 16
+    middle = (100 + lightness) / 2 - 50
+    expected = (100 - lightness) / (1 + 0.015 * middle**2 / math.sqrt(20 + middle**2))
+    assert colour_difference(image(2.0), image(4.0), white=4.0) == pytest.approx(expected, rel=1e-3)
+
+
+def test_colour_difference_is_the_mean_over_pixels():
+    both = colour_difference(image(2.0, 4.0), image(4.0, 4.0), white=4.0)
+    assert both == pytest.approx(colour_difference(image(2.0), image(4.0), white=4.0) / 2)
+
+
+def test_colour_difference_of_rgb_sees_hue_and_takes_negative_light_as_none():
+    red, dark = np.array([[[1.0, 0.0, 0.0]]]), np.array([[[0.0, 0.0, 0.0]]])
+    assert colour_difference(red, red[..., ::-1], white=1.0) > 20
+    assert colour_difference(dark - 1e-3, dark, white=1.0) == 0
+
+
+def test_colour_difference_refuses_other_channels_and_has_no_value_without_white():
+    two = np.zeros((1, 1, 2))
+    with pytest.raises(InputError, match="2 channels"):
+        colour_difference(two, two, white=1.0)
+    assert math.isnan(colour_difference(image(1.0), image(1.0), white=0.0))

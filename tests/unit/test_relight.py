@@ -1,0 +1,116 @@
+"""Relighting beside the truth, and where along a line the leaves are."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rfpipe.config import SceneConfig
+from rfpipe.errors import InputError
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import relighting_patterns, scene_from_config
+from rfpipe.stages import relight
+from rfpipe.stages.acquire import acquire
+from rfpipe.stages.metrics import relative_rms
+from rfpipe.stages.relight import relit_arrays, right_half
+from rfpipe.stages.slices import NO_LEAF, leaf_levels
+from rfpipe.store import open_arrays, read_manifest, write_manifest
+from rfpipe.transport import Transport, save_transport
+
+SCENE = SceneConfig(geometry="wedge", surfaces=("white", "texture"), shape=(9, 12), channels=3)
+
+
+@pytest.fixture(scope="module")
+def transports() -> dict[str, Transport]:
+    rig = SimulatedRig(scene_from_config(SCENE))
+    methods = ("symmetric", "dual", "brute_force")
+    return {method: acquire(rig, method, 1e-3, progress=False).transport for method in methods}
+
+
+@pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force"])
+def test_all_images_agree_with_the_scenes_matrix(transports, method):
+    scene = scene_from_config(SCENE)
+    arrays = relit_arrays(transports[method], scene)
+    patterns = relighting_patterns(SCENE.shape)
+    assert np.array_equal(arrays["patterns"], np.stack(list(patterns.values())))
+    matrix = np.stack([scene.dense(channel) for channel in range(3)], axis=-1)
+    for image, pattern in zip(arrays["truth"], arrays["patterns"], strict=True):
+        expected = np.einsum("mnc,n->mc", matrix, pattern.ravel()).reshape(image.shape)
+        np.testing.assert_allclose(image, expected, rtol=1e-5)
+    line = slice(4 * 12, 5 * 12)  # row 4 of 9
+    np.testing.assert_allclose(arrays["line_truth"], matrix[line, line], rtol=1e-5, atol=1e-9)
+    np.testing.assert_allclose(arrays["half_truth"], arrays["half_relit"], atol=2e-2)
+    assert relative_rms(arrays["relit"], arrays["truth"]) < 0.05
+    assert relative_rms(arrays["line_relit"], arrays["line_truth"]) < 0.05
+    np.testing.assert_allclose(arrays["levels_relit"][-1], arrays["relit"][0], atol=1e-6)
+    assert all(np.isfinite(array).all() for array in arrays.values())
+
+
+def test_right_half_leaves_the_middle_column_dark():
+    assert right_half((1, 5)).tolist() == [[0, 0, 0, 1, 1]]
+    assert right_half((1, 4)).tolist() == [[0, 0, 1, 1]]
+
+
+def test_a_transport_of_another_shape_or_colour_is_refused(transports):
+    other = SCENE.model_copy(update={"shape": (8, 12)})
+    with pytest.raises(InputError, match="isn't of a coaxial scene"):
+        relit_arrays(transports["symmetric"], scene_from_config(other))
+    grey = SCENE.model_copy(update={"channels": 1})
+    with pytest.raises(InputError, match="3 channels, a scene of 1"):
+        relit_arrays(transports["symmetric"], scene_from_config(grey))
+
+
+@pytest.mark.parametrize("method", ["symmetric", "dual"])
+@pytest.mark.parametrize("row", [0, 4, 8])
+def test_the_level_map_says_where_entries_are_held(transports, method, row):
+    transport = transports[method]
+    levels = leaf_levels(transport, row)
+    rays = slice(row * 12, (row + 1) * 12)
+    impulses = np.eye(108, dtype=np.float32).reshape(108, 9, 12)[rays]
+    entries = transport.relight_batch(impulses)[:, row].swapaxes(0, 1).max(axis=-1)
+    assert (entries[levels == NO_LEAF] == 0).all()
+    assert (levels >= 0).sum() >= (entries > 0).sum()
+    held = {int(name.split("_")[1]) for name in transport.pack()[0]}
+    assert set(np.unique(levels)) - {NO_LEAF} <= held
+    # What is held at a level stays there when the acquisition stops later, or else moves up.
+    stopped = leaf_levels(transport.truncate(2), row)
+    assert (stopped[(levels >= 0) & (levels < 2)] == levels[(levels >= 0) & (levels < 2)]).all()
+    assert (stopped[levels >= 2] == 2).all()
+
+
+def test_the_level_map_of_a_symmetric_transport_is_symmetric(transports):
+    levels = leaf_levels(transports["symmetric"], 4)
+    assert np.array_equal(levels, levels.T)
+
+
+def test_a_transport_without_leaves_has_no_level_map(transports):
+    assert leaf_levels(transports["brute_force"], 4) is None
+
+
+def acquired(folder: Path, transport: Transport) -> Path:
+    """Write a transport as the assemble stage does."""
+    digest = save_transport(transport, folder / "transport.zarr")
+    manifest = {"scene": "corner", "method": "symmetric", "digest": digest, "patterns": 7}
+    write_manifest(folder / "transport.json", {**manifest, "tolerance": 1e-3})
+    return folder
+
+
+def test_the_stage_leaves_images_and_a_manifest_and_works_once(transports, tmp_path):
+    folder = acquired(tmp_path / "corner" / "symmetric", transports["symmetric"])
+    relight.run(folder, SCENE, "code 1")
+    manifest = read_manifest(folder / "relight.json")
+    bundle = open_arrays(folder / "relight.zarr")
+    assert manifest["digest"] == bundle.digest
+    assert manifest["names"] == list(relighting_patterns((9, 12)))
+    assert manifest["patterns"] == 7
+    assert manifest["bytes"] == sum(
+        path.stat().st_size for path in (folder / "transport.zarr").rglob("*") if path.is_file()
+    )
+    first = (folder / "relight.json").read_bytes()
+    (folder / "relight.json").unlink()
+    written = (folder / "relight.zarr" / "zarr.json").stat().st_mtime_ns
+    relight.run(folder, SCENE, "code 1")
+    assert (folder / "relight.json").read_bytes() == first
+    assert (folder / "relight.zarr" / "zarr.json").stat().st_mtime_ns == written
+    relight.run(folder, SCENE, "code 2")
+    assert (folder / "relight.zarr" / "zarr.json").stat().st_mtime_ns != written

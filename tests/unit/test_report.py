@@ -1,0 +1,305 @@
+"""The report of small results folders: everything that exists is shown, and nothing else."""
+
+import base64
+import re
+from collections.abc import Iterable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from rfpipe.config import Config
+from rfpipe.errors import StoreError
+from rfpipe.photometry import sensor_from_config
+from rfpipe.report import build_report
+from rfpipe.report.drawing import chunks, srgb
+from rfpipe.report.inputs import load_inputs
+from rfpipe.report.pictures import amplification
+from rfpipe.report.tables import costs, table_5_1
+from rfpipe.report.text import number, percent, size
+from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1, numeral_of
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import scene_from_config
+from rfpipe.stages import evaluate, relight, sweep
+from rfpipe.stages.acquire import acquire
+from rfpipe.store import write_arrays, write_manifest
+from rfpipe.transport import save_transport
+
+PLANE = {"geometry": "plane", "surfaces": ["texture"], "shape": [8, 10]}
+WEDGE = {"geometry": "wedge", "surfaces": ["texture", "texture"], "shape": [8, 10]}
+
+BOTH = Config.model_validate(
+    {
+        "scenes": {"flat": PLANE, "corner": WEDGE},
+        "methods": ["symmetric", "dual"],
+        "report": {"title": "Two <small> scenes", "tolerances": [0.03, 0.001]},
+    }
+)
+GREY = Config.model_validate(
+    {
+        "scenes": {"grey": {**WEDGE, "channels": 1, "shape": [5, 6]}},
+        "methods": ["brute_force"],
+        "camera": None,
+        "report": {"tolerances": [0.01]},
+    }
+)
+
+
+class Page(HTMLParser):
+    """The parts of a page: its headings, anchors, links, images, tables and text."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.anchors: list[str] = []
+        self.links: list[str] = []
+        self.images: list[bytes] = []
+        self.words = ""
+        source = path.read_text(encoding="utf-8")
+        self.feed(source)
+        self.source = source
+
+    def handle_starttag(self, tag, attrs):
+        values = dict(attrs)
+        if "id" in values:
+            self.anchors.append(values["id"])
+        if "href" in values:
+            self.links.append(values["href"])
+        if tag == "img":
+            kind, data = values["src"].split(",", 1)
+            assert kind == "data:image/png;base64"
+            self.images.append(base64.b64decode(data))
+
+    def handle_data(self, data):
+        self.words += f" {data.strip()}"
+
+
+def acquired(results: Path, config: Config) -> None:
+    """Fill a results folder as the workflow's stages do."""
+    manifests = []
+    for scene, settings in config.scenes.items():
+        for method in config.methods:
+            folder = results / scene / method
+            rig = SimulatedRig(scene_from_config(settings), sensor_from_config(config.camera), 1)
+            tolerance = config.acquisition.tolerance
+            result = acquire(rig, method, tolerance, progress=False)
+            digest = save_transport(result.transport, folder / "transport.zarr")
+            about = {"scene": scene, "method": method, "tolerance": tolerance}
+            manifest = {**about, "digest": digest, "patterns": result.patterns}
+            write_manifest(folder / "transport.json", manifest)
+            relight.run(folder, settings, "code")
+            sweep.run(config, scene, method, folder, "code")
+            manifests.append(folder)
+    evaluate.run(
+        [folder / "relight.json" for folder in manifests],
+        [folder / "sweep.json" for folder in manifests],
+        *tables_of(results),
+        2.0,
+    )
+
+
+def tables_of(results: Path) -> tuple[Path, Path]:
+    tables = results / "report" / "tables"
+    return tables / "errors.csv", tables / "speed_error.csv"
+
+
+def studied(results: Path) -> None:
+    """Write studies of made-up numbers."""
+    resolution = [
+        {"method": method, "side": side, "rays": side**2, "patterns": patterns, "rms_total": None}
+        for side in (4, 8)
+        for method, patterns in (("brute_force", side**2), ("symmetric", 4 * side))
+    ]
+    hard = {
+        "case": "zero_transport", "scene": "zero transport", "rays": 256, "method": "symmetric",
+        "camera": "12 bits", "patterns": None, "matrix_error": None, "relight_error": None,
+        "accumulation": None, "refused": "the floodlit image is all black: radiance 0",
+    }  # fmt: skip
+    mosaic = [
+        {"chain": chain, "normalization": mode, "energy": 0.9, "colour_contrast": 0.5, "rms": 0.2,
+         "image_error": 0.5}
+        for chain in ("linear", "median")
+        for mode in ("none", "per_channel", "total_energy")
+    ]  # fmt: skip
+    images = {
+        f"{part}_{chain}{mode}": np.full((4, 6, 3), 0.5, np.float32)
+        for chain in ("linear", "median")
+        for part, modes in (("floodlit", [""]), ("sum", ["_none", "_per_channel", "_total_energy"]))
+        for mode in modes
+    }
+    for name, rows, arrays in (
+        ("resolution", resolution, {}), ("stability", [hard], {}), ("mosaic", mosaic, images),
+    ):  # fmt: skip
+        write_arrays(results / "studies" / f"{name}.zarr", arrays, {})
+        write_manifest(results / "studies" / f"{name}.json", {"study": name, "rows": rows})
+
+
+def benchmarked(results: Path, scenes: Iterable[str], methods: Iterable[str]) -> None:
+    """Write files as Snakemake's `benchmark:` does: one second a job."""
+    for scene in scenes:
+        for method in methods:
+            folder = results / scene / method
+            for stage in ("schedule", "capture", "merge", "normalize", "refine"):
+                for level in ("L00", "L01"):
+                    (folder / level).mkdir(exist_ok=True)
+                    path = folder / level / f"{stage}.benchmark.tsv"
+                    path.write_text("s\th:m:s\tmax_rss\n1.0\t0:00:01\t50\n")
+            (folder / "transport.benchmark.tsv").write_text("s\th:m:s\n1.0\t0:00:01\n")
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("both") / "results"
+    acquired(folder, BOTH)
+    studied(folder)
+    benchmarked(folder, BOTH.scenes, BOTH.methods)
+    build_report(BOTH, folder, folder / "report" / "index.html", *tables_of(folder))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(results):
+    return Page(results / "report" / "index.html")
+
+
+def test_every_figure_is_embedded_and_lies_beside_the_page(results, page):
+    figures = results / "report" / "figures"
+    names = {path.stem for path in figures.glob("*.png")}
+    assert names == {
+        "fig_2_1_symmetric", "fig_2_1_dual", "fig_5_9", "fig_5_7", "fig_5_10", "speed_error",
+        "fig_3_8", "fig_b_1", "processing_time",
+    }  # fmt: skip
+    assert sorted(page.images) == sorted(path.read_bytes() for path in figures.glob("*.png"))
+    assert all(image.startswith(b"\x89PNG") for image in page.images)
+    assert len(set(page.images)) == len(names)
+
+
+def test_every_table_lies_beside_the_page(results):
+    names = {path.name for path in (results / "report" / "tables").glob("*.csv")}
+    assert names == {
+        "errors.csv", "speed_error.csv", "table_5_1.csv", "table_3_1.csv", "levels.csv",
+        "resolution.csv", "stability.csv", "mosaic.csv", "processing.csv",
+    }  # fmt: skip
+
+
+def test_the_page_needs_nothing_from_elsewhere(results, page):
+    markup = re.sub(r"base64,[^\"]*", "", page.source)
+    assert not re.search(r"https?:|//[a-z]|@import|<script|<link", markup)
+    for link in page.links:
+        if link.startswith("#"):
+            assert link[1:] in page.anchors
+        else:
+            assert (results / "report" / link).is_file()
+
+
+def test_the_page_names_the_thesis_figures_and_its_numbers(page):
+    for name in ("Fig. 2.1", "Fig. 3.8", "Fig. 5.7", "Fig. 5.9", "Fig. 5.10", "Fig. B.1",
+                 "Table 3.1", "Table 5.1", "Speed against error", "Noise model"):  # fmt: skip
+        assert name in page.words
+    for result in TABLE_5_1.values():
+        assert f"{result.patterns:,}" in page.words
+    for result in TABLE_3_1.values():
+        assert f"{result.patterns:,}" in page.words
+    assert "7,382" in page.words
+    assert "310\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}350" in page.words
+    assert "refused: the floodlit image is all black" in page.words
+
+
+def test_the_title_is_text_and_not_markup(page):
+    assert "Two <small> scenes" in page.words
+    assert "<small>" not in page.source
+
+
+def test_the_same_results_give_the_same_page(results, page):
+    build_report(BOTH, results, results / "report" / "index.html", *tables_of(results))
+    assert (results / "report" / "index.html").read_text(encoding="utf-8") == page.source
+
+
+def test_costs_count_patterns_bytes_and_seconds(results):
+    inputs = load_inputs(BOTH, results, *tables_of(results))
+    rows = costs(inputs)
+    assert [(row["scene"], row["method"]) for row in rows] == [
+        ("flat", "symmetric"), ("flat", "dual"), ("corner", "symmetric"), ("corner", "dual"),
+    ]  # fmt: skip
+    assert all(row["rays"] == 80 for row in rows)
+    assert all(row["capture_s"] == 2 * row["patterns"] for row in rows)
+    # eight processing jobs in two levels, and the assembly; captures are not processing
+    assert all(row["processing_s"] == 9 for row in rows)
+    stored = (results / "corner" / "dual" / "transport.zarr").rglob("*")
+    nbytes = sum(path.stat().st_size for path in stored if path.is_file())
+    assert rows[3]["megabytes"] == pytest.approx(nbytes / 1e6)
+
+
+def test_without_benchmarks_the_sweeps_processing_time_stands_in(results):
+    inputs = load_inputs(BOTH, results, *tables_of(results))
+    alone = type(inputs)(**{**vars(inputs), "times": inputs.times.iloc[:0]})
+    times = pd.read_csv(results / "corner" / "dual" / "sweep.csv").set_index("tolerance")
+    assert costs(alone)[3]["processing_s"] == pytest.approx(
+        times.loc[BOTH.acquisition.tolerance, "processing_s"], rel=1e-4
+    )
+
+
+def test_scenes_of_the_thesis_stand_beside_its_numbers(results):
+    inputs = load_inputs(BOTH, results, *tables_of(results))
+    table, numbers = table_5_1(inputs)
+    assert [row[0] for row in table.rows[:2]] == ["flat (I)", "corner (IV)"]
+    assert list(numbers["thesis_patterns"][:2]) == [809, 841]
+    assert {"Fig. 2.1 (II)", "Fig. 2.1 (III)"} <= {row[0] for row in table.rows}
+
+
+def test_indirect_light_is_amplified_by_a_round_factor(results):
+    inputs = load_inputs(BOTH, results, *tables_of(results))
+    flat, corner = inputs.of_method("symmetric")
+    assert not flat.has_indirect_light
+    assert corner.has_indirect_light
+    gain = amplification(corner)
+    assert gain / 10 ** np.floor(np.log10(gain)) in (1, 2, 5)
+    assert 0.2 < gain * np.percentile(corner.read("half_truth")[:, :5], 99) / corner.white < 0.75
+
+
+def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
+    acquired(tmp_path, GREY)
+    build_report(GREY, tmp_path, tmp_path / "report" / "index.html", *tables_of(tmp_path))
+    page = Page(tmp_path / "report" / "index.html")
+    assert "exact radiance, no noise" in page.words
+    for missing in ("Fig. 5.9", "Fig. 5.7", "Fig. 5.10", "Fig. 3.8", "Fig. B.1", "Table 5.1"):
+        assert missing not in page.words
+    figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
+    assert figures == {"fig_2_1_brute_force", "speed_error"}
+    assert len(page.images) == 2
+
+
+def test_without_anything_relit_there_is_no_report(tmp_path):
+    for table in tables_of(tmp_path):
+        table.parent.mkdir(parents=True, exist_ok=True)
+        table.write_text("scene,method\n")
+    with pytest.raises(StoreError, match="no relit acquisition of the scenes grey"):
+        build_report(GREY, tmp_path, tmp_path / "report" / "index.html", *tables_of(tmp_path))
+
+
+def test_scenes_are_known_by_what_they_are_and_not_by_their_names():
+    assert numeral_of(BOTH.scenes["flat"]) == "I"
+    assert numeral_of(BOTH.scenes["corner"]) == "IV"
+    plate = {"centre": [0, 0, 2], "edge_u": [1, 0, 0], "edge_v": [0, 1, 0]}
+    blocked = Config.model_validate({"scenes": {"x": {**WEDGE, "occluders": [plate]}}})
+    assert numeral_of(blocked.scenes["x"]) is None
+
+
+def test_srgb_follows_the_standards_curve():
+    shown = srgb(np.array([[[0.0], [0.002], [0.5], [2.0], [-1.0]]]), white=1.0)
+    assert shown.shape == (1, 5, 3)
+    np.testing.assert_allclose(shown[0, :, 1], [0, 12.92 * 0.002, 0.7353570, 1, 0], rtol=1e-5)
+
+
+def test_chunks_are_even_and_never_too_long():
+    assert [list(part) for part in chunks(range(5), 4)] == [[0, 1], [2, 3, 4]]
+    assert [len(part) for part in chunks(range(4), 4)] == [4]
+    assert chunks([], 4) == []
+
+
+def test_numbers_as_text():
+    dash = "\N{EN DASH}"
+    assert [number(1234.5), number(None), number(float("nan"))] == ["1,234", dash, dash]
+    assert [percent(0.01234), percent(0.5), percent(None)] == ["1.23", "50", dash]
+    assert size(3, 4) == "3\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}4"

@@ -1,0 +1,322 @@
+"""The stages on files, called as functions: rigs that fail, stores that are stale or damaged."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rfpipe.config import CameraConfig
+from rfpipe.errors import CaptureError, IntegrityError, StaleStoreError
+from rfpipe.photometry import CameraModel, Sensor
+from rfpipe.provenance import generator
+from rfpipe.rigs import OperatorRig
+from rfpipe.stages import assemble, capture, merge, normalize, progress, refine, schedule
+from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.store import FrameStore, read_manifest
+from rfpipe.transport import open_transport
+
+SHAPE = (4, 5)
+RAYS = 20
+CODE = "some code"
+
+CAMERA = CameraModel(**CameraConfig().model_dump())
+
+
+def symmetric_matrix() -> np.ndarray:
+    half = generator(3).random((RAYS, RAYS)) / RAYS
+    return half + half.T  # radiance 1 under floodlight, half of what the camera can see
+
+
+class Acquisition:
+    """One acquisition by symmetric photography of a matrix, stage by stage."""
+
+    def __init__(self, path: Path, rig: Any, tolerance: float = 1e-3) -> None:
+        self.rig = rig
+        self.folder = AcquisitionFolder(path)
+        self.plan = Plan("symmetric", SHAPE, SHAPE, 1, tolerance=tolerance)
+
+    def schedule(self, level: int) -> None:
+        schedule.run(self.plan, self.folder, level, CODE)
+
+    def capture(self, level: int, **options: Any) -> None:
+        capture.run(self.rig, self.folder, level, references=(2, 2), **options)
+
+    def merge(self, level: int, repair_defects: bool = True) -> None:
+        merge.run(
+            self.rig.sensor, self.folder, level,
+            saturation_fraction=0.98, repair_defects=repair_defects, code=CODE,
+        )  # fmt: skip
+
+    def normalize(self, level: int) -> None:
+        normalize.run(self.plan, self.folder, level, mode="per_channel", code=CODE)
+
+    def refine(self, level: int) -> None:
+        refine.run(self.plan, self.folder, level, CODE)
+
+    def level(self, level: int) -> None:
+        for stage in (self.schedule, self.capture, self.merge, self.normalize, self.refine):
+            stage(level)
+
+    def assemble(self) -> Any:
+        assemble.run(self.plan, self.folder, self.folder.path / "transport.json", "matrix", CODE)
+        return open_transport(self.folder.path / "transport.zarr")
+
+
+def matrix_rig(matrix: np.ndarray | None = None, noise: Sensor | None = None) -> OperatorRig:
+    return OperatorRig(symmetric_matrix() if matrix is None else matrix, SHAPE, SHAPE, noise)
+
+
+class FaultyRig:
+    """A rig whose frames of some patterns come out differently."""
+
+    def __init__(self, rig: OperatorRig, fault: Callable[[tuple[int, ...], Any], Any]) -> None:
+        self._rig = rig
+        self._fault = fault
+        self.shown: list[tuple[int, ...]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rig, name)
+
+    def capture(self, patterns: Any, keys: Any) -> Any:
+        frames = [
+            self._fault(key, self._rig.capture(patterns[i : i + 1], [key])[0])
+            for i, key in enumerate(keys)
+        ]
+        self.shown += keys
+        return np.stack(frames)
+
+
+def test_a_matrix_is_recovered_from_files(tmp_path: Path) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig())
+    for level in range(acquisition.plan.n_levels):
+        acquisition.level(level)
+    transport = acquisition.assemble()
+    pattern = generator(5).random(SHAPE).astype(np.float32)
+    expected = (symmetric_matrix() @ pattern.ravel()).reshape(*SHAPE, 1)
+    np.testing.assert_allclose(transport.relight(pattern), expected, rtol=1e-4)
+    manifest = read_manifest(tmp_path / "transport.json")
+    assert manifest["patterns"] == sum(
+        read_manifest(tmp_path / f"L{level:02d}/capture.json")["patterns"]
+        for level in range(acquisition.plan.n_levels)
+    )
+
+
+def test_levels_with_nothing_left_to_ask_show_no_pattern(tmp_path: Path) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig(np.full((RAYS, RAYS), 0.25)))
+    for level in range(acquisition.plan.n_levels):
+        acquisition.level(level)
+    patterns = [row["patterns"] for row in acquisition.assemble().level_rows]
+    assert patterns == [1, 4, 0, 0]
+    assert FrameStore.open(tmp_path / "L03/merge.zarr").shape[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (lambda frame: np.full_like(frame, np.nan), "pattern 3: the rig returned NaN"),
+        (lambda frame: frame[:, :-1], r"pattern 3: the rig returned .*\(1, 3, 5, 1\)"),
+        (lambda frame: frame.astype(np.float64), "pattern 3: the rig returned float64"),
+    ],
+    ids=["nan", "size", "dtype"],
+)
+def test_frames_that_are_none_are_refused_and_what_is_captured_stays(
+    tmp_path: Path, fault: Callable[[Any], Any], message: str
+) -> None:
+    broken = FaultyRig(matrix_rig(), lambda key, frame: fault(frame) if key == (1, 3) else frame)
+    acquisition = Acquisition(tmp_path, broken)
+    acquisition.level(0)
+    acquisition.schedule(1)
+    with pytest.raises(CaptureError, match=message):
+        acquisition.capture(1, batch_patterns=1)
+    assert not (tmp_path / "L01/capture.json").exists()
+
+    mended = FaultyRig(matrix_rig(), lambda key, frame: frame)
+    acquisition.rig = mended
+    acquisition.capture(1)
+    assert mended.shown == [(1, 3)]  # 0 to 2 are there
+
+
+def test_negative_frames_are_refused_by_the_merge(tmp_path: Path) -> None:
+    rig = FaultyRig(matrix_rig(), lambda key, frame: -frame if key == (1, 2) else frame)
+    acquisition = Acquisition(tmp_path, rig)
+    acquisition.level(0)
+    acquisition.schedule(1)
+    acquisition.capture(1)
+    with pytest.raises(CaptureError, match="pattern 2 holds -"):
+        acquisition.merge(1)
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (lambda key, frame: np.full_like(frame, 64), "all black"),
+        (
+            lambda key, frame: np.full_like(frame, 200) if key[0] == 1_000_000 else frame,
+            "black level is above the signal",
+        ),
+        (
+            lambda key, frame: np.full_like(frame, 4095) if key[0] == 1_000_001 else frame,
+            "saturated in every exposure, all over",
+        ),
+    ],
+    ids=["black", "dark", "saturated"],
+)
+def test_a_floodlit_image_without_light_stops_the_run(
+    tmp_path: Path, fault: Callable[[tuple[int, ...], Any], Any], message: str
+) -> None:
+    dim = matrix_rig(1e-6 * symmetric_matrix(), CAMERA)
+    acquisition = Acquisition(tmp_path, FaultyRig(dim, fault))
+    acquisition.schedule(0)
+    acquisition.capture(0)
+    with pytest.raises(CaptureError, match=message):
+        acquisition.merge(0)
+
+
+def test_saturated_samples_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    matrix = symmetric_matrix()
+    matrix[:3] *= 100
+    acquisition = Acquisition(tmp_path, matrix_rig(matrix, CAMERA))
+    acquisition.schedule(0)
+    acquisition.capture(0)
+    with caplog.at_level(logging.WARNING, logger="rfpipe"):
+        acquisition.merge(0)
+    manifest = read_manifest(tmp_path / "L00/merge.json")
+    assert (manifest["saturated"], manifest["samples"]) == (3, RAYS)
+    assert "3 of 20 samples are saturated in every exposure" in caplog.text
+
+
+def test_a_changed_rig_is_refused_or_captured_anew_after_saying_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
+    acquisition.level(0)
+    first = read_manifest(tmp_path / "L00/capture.json")
+    acquisition.rig = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, CAMERA, seed=7)
+    with pytest.raises(StaleStoreError, match=r"4 captured patterns.*\(rig\.seed 0 -> 7\)"):
+        acquisition.capture(0, when_patterns_change="refuse")
+
+    with caplog.at_level(logging.INFO, logger="rfpipe"):
+        acquisition.capture(0)
+    messages = [record.getMessage() for record in caplog.records]
+    anew = next(i for i, text in enumerate(messages) if "CAPTURING ANEW" in text)
+    assert "rig.seed 0 -> 7" in messages[anew]
+    assert all("patterns in" not in text for text in messages[:anew])  # before, not afterwards
+    assert read_manifest(tmp_path / "L00/capture.json")["digest"] != first["digest"]
+
+    acquisition.rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
+    acquisition.capture(0, when_patterns_change="refuse")
+    assert acquisition.rig.shown == []  # the old pictures were found again
+    assert read_manifest(tmp_path / "L00/capture.json") == first
+
+
+def test_the_time_a_rig_takes_changes_no_frame(tmp_path: Path) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig())
+    acquisition.level(0)
+    slow = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, seconds_per_pattern=9.0)
+    acquisition.rig = FaultyRig(slow, lambda key, frame: frame)
+    acquisition.capture(0, when_patterns_change="refuse")
+    assert acquisition.rig.shown == []
+
+
+@pytest.mark.parametrize("stage", ["schedule", "merge", "normalize", "refine"])
+def test_a_stage_with_nothing_new_keeps_its_store(tmp_path: Path, stage: str) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
+    acquisition.level(0)
+    acquisition.level(1)
+    manifest, store = tmp_path / f"L01/{stage}.json", tmp_path / f"L01/{stage}.zarr"
+    before = manifest.read_bytes()
+    made = times(store)
+    manifest.unlink()
+    getattr(acquisition, stage)(1)
+    assert manifest.read_bytes() == before
+    assert times(store) == made
+
+
+def times(store: Path) -> dict[str, int]:
+    return {str(path): path.stat().st_mtime_ns for path in store.rglob("*")}
+
+
+@pytest.mark.parametrize("stage", ["schedule", "merge", "normalize", "refine"])
+def test_a_stage_makes_a_damaged_store_anew(tmp_path: Path, stage: str) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
+    acquisition.level(0)
+    acquisition.level(1)
+    store, manifest = tmp_path / f"L01/{stage}.zarr", tmp_path / f"L01/{stage}.json"
+    before, files = manifest.read_bytes(), contents(store)
+    damage(store)
+    manifest.unlink()
+    getattr(acquisition, stage)(1)
+    assert manifest.read_bytes() == before
+    assert contents(store) == files
+
+
+def contents(store: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in store.rglob("*") if path.is_file()}
+
+
+def damage(store: Path) -> Path:
+    chunk = max((path for path in store.rglob("c*") if path.is_file()), key=lambda p: p.name)
+    content = chunk.read_bytes()
+    chunk.write_bytes(content[: len(content) // 2])
+    return chunk
+
+
+@pytest.mark.parametrize(
+    ("damaged", "found_by"),
+    [
+        ("schedule", "capture"),
+        ("capture", "merge"),
+        ("merge", "normalize"),
+        ("merge", "refine"),
+        ("normalize", "refine"),
+    ],
+)
+def test_the_next_stage_finds_damage_and_says_what_to_do(
+    tmp_path: Path, damaged: str, found_by: str
+) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
+    acquisition.level(0)
+    stages = ["schedule", "capture", "merge", "normalize", "refine"]
+    for stage in stages[: stages.index(found_by)]:
+        getattr(acquisition, stage)(1)
+    chunk = damage(tmp_path / f"L01/{damaged}.zarr")
+    manifest = tmp_path / f"L01/{damaged}.json"
+    with pytest.raises(IntegrityError, match=f"remove {manifest} and run again") as error:
+        getattr(acquisition, found_by)(1)
+    assert str(chunk.parent) in str(error.value)
+
+
+def test_a_store_of_another_run_is_found_out(tmp_path: Path) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig())
+    acquisition.level(0)
+    manifest = tmp_path / "L00/refine.json"
+    data = json.loads(manifest.read_text())
+    other = Acquisition(tmp_path / "other", matrix_rig(2 * symmetric_matrix()))
+    other.level(0)
+    (tmp_path / "L00/refine.zarr").rename(tmp_path / "L00/mine")
+    (tmp_path / "other/L00/refine.zarr").rename(tmp_path / "L00/refine.zarr")
+    with pytest.raises(IntegrityError, match=f"its manifest says {data['digest']}"):
+        acquisition.schedule(1)
+
+
+def test_progress_says_how_long_it_will_take(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = iter([0.0, 5.0, 20.0, 30.0])
+    monkeypatch.setattr(progress, "monotonic", lambda: next(clock))
+    with (
+        caplog.at_level(logging.INFO, logger="rfpipe"),
+        progress.Progress("level 2", 1100, 100) as bar,
+    ):
+        bar.advance(1)
+        bar.advance(4)
+    assert [record.getMessage() for record in caplog.records] == [
+        "level 2: 105 of 1100 patterns, 1 h 06 min to go",
+        "level 2: 5 patterns in 30.0 s",
+    ]
