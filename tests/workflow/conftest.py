@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -29,9 +28,3 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Workflow:
 def copy(undisturbed: Workflow, tmp_path: Path) -> Workflow:
     """A complete run to disturb."""
     return undisturbed.copy_to(tmp_path / "copy")
-
-
-@pytest.fixture
-def fresh(tmp_path: Path) -> Callable[[], Workflow]:
-    """Make runs that have done nothing yet."""
-    return lambda: Workflow(tmp_path / "fresh")

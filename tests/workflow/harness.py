@@ -46,10 +46,11 @@ class Workflow:
         self.configure(**({} if config is None else config))
 
     def configure(self, **changes: Any) -> None:
-        """Write the settings: CONFIG, its groups updated by `changes`."""
+        """Write the settings: CONFIG, its groups updated, its scenes and methods replaced."""
         settings = dict(CONFIG)
         for name, value in changes.items():
-            settings[name] = {**settings.get(name, {}), **value} if name != "methods" else value
+            is_whole = name in ("scenes", "methods")
+            settings[name] = value if is_whole else {**settings.get(name, {}), **value}
         self.config.write_text(yaml.safe_dump(settings))
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:

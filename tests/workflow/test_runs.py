@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.workflow.harness import DUAL, LONG, STAGES, TINY, Workflow, journal, undo
+from tests.workflow.harness import CONFIG, STAGES, TINY, Workflow, journal, undo
 
 from rfpipe import acquire, open_transport
 from rfpipe.config import load_config
@@ -57,10 +57,20 @@ def test_the_files_hold_what_an_acquisition_in_process_finds(
         np.testing.assert_array_equal(found[name], array, err_msg=name)
 
 
-def test_a_second_run_has_nothing_to_do(copy: Workflow) -> None:
+def test_the_whole_run_ends_in_a_report_and_then_has_nothing_to_do(copy: Workflow) -> None:
+    copy.configure(scenes=ONE_SCENE, methods=["symmetric", "dual"], report=SMALL_REPORT)
+    copy.run()  # goes on from the acquisitions that stand there
+    page = copy.path("report/index.html").read_text(encoding="utf-8")
+    assert "<html" in page
+    assert 'src="http' not in page
+    assert len(copy.path("report/tables/errors.csv").read_text().splitlines()) == 1 + 2 * 5
     began = time.monotonic()
-    assert "Nothing to be done" in copy.run(TINY, DUAL, LONG)
+    assert "Nothing to be done" in copy.run()
     assert time.monotonic() - began < 10
+
+
+ONE_SCENE = {"tiny": CONFIG["scenes"]["tiny"]}
+SMALL_REPORT = {"tolerances": [1e-2], "resolutions": [4, 8]}
 
 
 def test_a_looser_tolerance_captures_only_changed_patterns_anew(copy: Workflow) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -162,7 +164,7 @@ def test_negative_frames_are_refused_by_the_merge(tmp_path: Path) -> None:
         ),
         (
             lambda key, frame: np.full_like(frame, 4095) if key[0] == 1_000_001 else frame,
-            "saturated in every exposure, all over",
+            "100.0% of the floodlit image is saturated",
         ),
     ],
     ids=["black", "dark", "saturated"],
@@ -179,9 +181,12 @@ def test_a_floodlit_image_without_light_stops_the_run(
 
 
 def test_saturated_samples_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    matrix = symmetric_matrix()
-    matrix[:3] *= 100
-    acquisition = Acquisition(tmp_path, matrix_rig(matrix, CAMERA))
+    def glint(key: tuple[int, ...], frame: Any) -> Any:
+        if key == (0, 0):
+            frame[:, 0, :3] = 4095
+        return frame
+
+    acquisition = Acquisition(tmp_path, FaultyRig(matrix_rig(noise=CAMERA), glint))
     acquisition.schedule(0)
     acquisition.capture(0)
     with caplog.at_level(logging.WARNING, logger="rfpipe"):
@@ -303,6 +308,38 @@ def test_a_store_of_another_run_is_found_out(tmp_path: Path) -> None:
     (tmp_path / "other/L00/refine.zarr").rename(tmp_path / "L00/refine.zarr")
     with pytest.raises(IntegrityError, match=f"its manifest says {data['digest']}"):
         acquisition.schedule(1)
+
+
+@pytest.mark.parametrize(
+    ("failure", "said", "shows_where"),
+    [
+        ("raise CaptureError('no light; switch it on')", "no light; switch it on", False),
+        ("signal.raise_signal(signal.SIGTERM)", "stopped; what is done is kept", False),
+        ("signal.raise_signal(signal.SIGINT)", "stopped; what is done is kept", False),
+        ("1 / 0", "ZeroDivisionError", True),
+    ],
+)
+def test_a_job_says_why_it_ends_early(
+    tmp_path: Path, failure: str, said: str, shows_where: bool
+) -> None:
+    log = tmp_path / "planes_i" / "dual" / "L02" / "merge.log"
+    lines = [
+        "import signal",
+        "from rfpipe.errors import CaptureError",
+        "from rfpipe.stages.job import start",
+        f"start({str(log)!r})",
+        failure,
+    ]
+    ended = subprocess.run(
+        [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode != 0
+    assert said in ended.stderr
+    assert ("Traceback" in ended.stderr) == shows_where
+    assert said in log.read_text()
+    if "CaptureError" in failure:
+        assert ended.stderr == f"planes_i/dual/L02/merge: {said}\n"
+        assert "Traceback" in log.read_text()
 
 
 def test_progress_says_how_long_it_will_take(

@@ -16,8 +16,8 @@ ROUNDS = 2
 of its standard deviation (RMS), a hundredth at most."""
 
 UNKNOWN_DEVIATION = 0.25
-"""Standard deviation of a sample saturated in every exposure, in units of the full scale. The sample
-is known to be light, and not known how much: the value is significant, and the weight is small."""
+"""Standard deviation of a sample saturated in every exposure, in units of the full scale. That
+it is light is known, how much is not: the value is significant, and its weight small."""
 
 
 def merge_bracket(

@@ -124,13 +124,16 @@ def reference_scene(
     return planes_scene(geometry, surfaces, shape, channels=channels, bounces=bounces, seed=seed)
 
 
-def scene_from_config(config: SceneConfig) -> RadiosityScene:
+def scene_from_config(config: SceneConfig, compress: bool | None = None) -> RadiosityScene:
     """Build the scene that a configuration describes.
 
     Parameters
     ----------
     config
         A scene's settings.
+    compress
+        Whether to compress its form factors; by their number where None. Thousands of patterns
+        pay for it at any size.
 
     Returns
     -------
@@ -147,4 +150,5 @@ def scene_from_config(config: SceneConfig) -> RadiosityScene:
             for occluder in config.occluders
         ],
         seed=config.seed,
+        compress=compress,
     )

@@ -134,7 +134,7 @@ def acquire(
         repair_defects=repair_defects,
     )
     patterns = 0
-    for level in range(n_levels):
+    for _ in range(n_levels):
         schedule = plan.schedule(state)
         patterns += schedule.count
         merged = session.capture(schedule)

@@ -30,6 +30,8 @@ REFERENCE = "reference"
 
 _log = logging.getLogger(__name__)
 
+_TIME = "seconds_per_pattern"
+
 Show = Callable[[int, int], NDArray[Any]]
 
 
@@ -67,7 +69,7 @@ def run(
         When another process captures into this folder.
     """
     schedule = read_schedule(folder, level)
-    # How long a real rig takes shapes the reports' times, but no frame.
+    # How long a real rig takes shapes no frame.
     described = {name: value for name, value in rig.describe().items() if name != _TIME}
     entry: dict[str, Any] = {}
     if level == 0:
@@ -107,9 +109,6 @@ def run(
             **entry,
         },
     )
-
-
-_TIME = "seconds_per_pattern"
 
 
 def _show(rig: Rig, schedule: Schedule, first: int, last: int) -> NDArray[Any]:

@@ -78,7 +78,7 @@ def sweep_tolerances(config: Config, scene: str, method: str) -> Sweep:
     from rfpipe.scenes import relighting_patterns, scene_from_config
     from rfpipe.stages.acquire import acquire
 
-    exact = scene_from_config(config.scenes[scene])
+    exact = scene_from_config(config.scenes[scene], compress=True)
     rig = SimulatedRig(exact, sensor_from_config(config.camera), config.seed)
     _warm_up(method)
     patterns = np.stack(list(relighting_patterns(exact.shape).values()))
