@@ -34,6 +34,8 @@ $(INSTALLED): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) install --quiet --require-hashes --requirement requirements.lock
 	$(PIP) install --quiet --no-deps --no-build-isolation --editable .
+	@# each of a run's hundreds of jobs would compile the sources anew where writing bytecode is off
+	$(VENV)/bin/python -m compileall -q src
 	@touch $@
 
 run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the report's path
