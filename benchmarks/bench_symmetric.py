@@ -25,8 +25,8 @@ STEPS = {
     "merge the brackets": ("merging.py", "merge"),
     "normalize": ("images.py", "normalize_level"),
     "predict known light": ("hierarchical.py", "apply_leaf_sets"),
-    "prediction, residual, reordering": ("symmetric.py", "measure"),
-    "rank test": ("symmetric.py", "_passes_rank_test"),
+    "residual, reordering to the tree": ("residuals.py", "measure"),
+    "rank test": ("symmetric.py", "_rank_test"),
     "sort the new nodes": ("symmetric.py", "_classify"),
     "schedule (conflict graph and colouring)": ("symmetric.py", "schedule"),
     "simulated capture": ("operator.py", "capture"),
@@ -72,7 +72,9 @@ def _steps(profile: cProfile.Profile, processing: float) -> pd.DataFrame:
         for step, (module, function) in STEPS.items():
             if Path(file).name == module and name == function:
                 seconds[step] += cumulative
-    seconds["prediction, residual, reordering"] -= seconds["predict known light"]
+    if missing := [step for step, spent in seconds.items() if not spent]:
+        raise SystemExit(f"no such function was called: {missing}; has it another name now?")
+    seconds["residual, reordering to the tree"] -= seconds["predict known light"]
     rows = [
         {"step": step, "seconds": spent, "share_of_processing": spent / processing}
         for step, spent in seconds.items()

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["COUNTS", "COUNT_UNIT", "RADIANCE", "RADIANCE_UNIT", "SECOND_UNIT"]
+__all__ = ["COUNTS", "COUNT_UNIT", "RADIANCE", "RADIANCE_UNIT"]
 
 RADIANCE = np.float32
 """Dtype of stored radiance, and of its variance (radiance squared)."""
@@ -15,6 +15,3 @@ RADIANCE_UNIT = "radiance"
 
 COUNT_UNIT = "count"
 """One step of the camera's analogue-to-digital converter."""
-
-SECOND_UNIT = "s"
-"""Seconds: exposures and times."""

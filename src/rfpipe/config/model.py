@@ -57,7 +57,7 @@ class _Settings(BaseModel):
 
 
 class OccluderConfig(_Settings):
-    """A parallelogram that blocks light between surface points, itself unseen."""
+    """A black parallelogram that blocks light between surface points, and the camera's view."""
 
     centre: Vector = Field(
         description="Centre (x, y, z) in scene units; the camera is at the origin and looks "

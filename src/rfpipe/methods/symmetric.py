@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.conflicts import colour, conflict_graph, square
 from rfpipe.errors import InputError
-from rfpipe.methods.base import Float, LevelImages, Pack, Settings
+from rfpipe.methods.base import LevelImages, Pack, Settings
 from rfpipe.methods.nodes import (
     Blocks,
     Double,
@@ -23,16 +23,14 @@ from rfpipe.methods.nodes import (
     no_nodes,
     select,
 )
+from rfpipe.methods.residuals import Measured, measure
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical import (
     HierarchicalTransport,
     LeafSet,
-    apply_leaf_sets,
     factor_offsets,
 )
 
-# Images predicted and subtracted at a time.
-_BATCH = 16
 # The mean of n squared normal deviates stays within 1 +- 3 sqrt(2 / n) of its expectation.
 _SPREAD = 3.0
 # Outcomes of the rank test, the better the higher.
@@ -76,23 +74,6 @@ class SymmetricState:
     rows: tuple[dict[str, int], ...] = field(default=())
 
 
-@dataclass(frozen=True)
-class Measured:
-    """What a level measured: images with the known light taken out, in tree order.
-
-    Attributes
-    ----------
-    residuals, variances : ndarray of float32, shape (P, C, N)
-        The variance includes the rounding of the images to float32.
-    pattern_of_block : ndarray of int32
-        Pattern that lit each block of the level, -1 for none.
-    """
-
-    residuals: Float
-    variances: Float
-    pattern_of_block: Blocks
-
-
 class Symmetric:
     """Symmetric photography as a `Method`."""
 
@@ -134,7 +115,7 @@ class Symmetric:
 
     def refine(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
         """Test the unknown nodes against the level's images; keep, or subdivide."""
-        measured = measure(state, images)
+        measured = measure(state.tree, state.known, state.channels, images)
         if state.level == 0:
             return self._begin(state, measured)
         tree, level = state.tree, state.level
@@ -262,32 +243,6 @@ def _row(
         "scalar": scalar,
         "subdivided": 0,
     }
-
-
-def measure(state: SymmetricState, images: LevelImages) -> Measured:
-    """Subtract the known leaves' prediction from a level's images."""
-    tree, schedule = state.tree, images.schedule
-    shape = (schedule.count, state.channels, tree.domain.size)
-    residuals, variances = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    for first in range(0, schedule.count, _BATCH):
-        last = min(first + _BATCH, schedule.count)
-        radiance, variance = (
-            _planar(part, tree, state.channels) for part in images.read(first, last)
-        )
-        lit = schedule.batch(first, last).reshape(last - first, 1, -1)[..., tree.order]
-        patterns = np.broadcast_to(lit, radiance.shape)
-        predicted = apply_leaf_sets(tree, state.known, patterns, range(state.channels))
-        residuals[first:last] = radiance - predicted
-        rounding = np.finfo(np.float32).eps * radiance
-        variances[first:last] = variance + rounding * rounding
-    assert schedule.pattern_of_ray is not None
-    in_order = schedule.pattern_of_ray.ravel()[tree.order]
-    return Measured(residuals, variances, in_order[tree.starts[state.level][:-1]])
-
-
-def _planar(image: Float, tree: BlockTree, channels: int) -> Float:
-    rays = image.reshape(len(image), tree.domain.size, channels)[:, tree.order]
-    return np.ascontiguousarray(np.moveaxis(rays, 2, 1))
 
 
 def _allowed(asked: float, noise: Double, samples: Double) -> Double:
