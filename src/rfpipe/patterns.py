@@ -81,6 +81,19 @@ class Schedule:
         lit: NDArray[np.float32] = (self.pattern_of_ray[None] == index).astype(np.float32)
         return lit
 
+    def pattern_of_block(self, tree: BlockTree) -> NDArray[np.int32]:
+        """Return the pattern that lights each block of the level, -1 for none; undoes `of_blocks`.
+
+        Raises
+        ------
+        InputError
+            If the schedule holds explicit weights, which light no whole blocks.
+        """
+        if self.pattern_of_ray is None:
+            raise InputError("a schedule of explicit weights has no pattern for a block")
+        first_ray = tree.order[tree.starts[self.level][:-1]]
+        return self.pattern_of_ray.ravel()[first_ray]
+
     def digest(self) -> str:
         """Fingerprint of what is shown, and of nothing else."""
         shown = self.pattern_of_ray if self.weights is None else self.weights

@@ -108,7 +108,7 @@ class Dual:
         """Drop, store or subdivide each response that the level measured (ProcessResults, C.1)."""
         tree, level, schedule = state.tree, state.level, images.schedule
         asked = _candidates(state)
-        pattern = _pattern_of_block(schedule, tree)[asked.block]
+        pattern = schedule.pattern_of_block(tree)[asked.block]
         divisible = _divisible_into(tree, level)[asked.block]
         begin = np.cumsum(asked.count) - asked.count
         total = int(asked.count.sum())
@@ -245,13 +245,6 @@ def _candidates(state: DualState) -> _Candidates:
         np.repeat(count, children),
         frontier.pixel,
     )
-
-
-def _pattern_of_block(schedule: Schedule, tree: BlockTree) -> NDArray[np.int32]:
-    """Return the pattern that lights each block of a schedule's level."""
-    assert schedule.pattern_of_ray is not None
-    first_ray = tree.order[tree.starts[schedule.level][:-1]]
-    return schedule.pattern_of_ray.ravel()[first_ray]
 
 
 def _divisible_into(tree: BlockTree, level: int) -> Index:

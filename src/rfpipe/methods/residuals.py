@@ -59,9 +59,7 @@ def measure(
         residuals[first:last] = radiance - predicted
         rounding = np.finfo(np.float32).eps * radiance
         variances[first:last] = variance + rounding * rounding
-    assert schedule.pattern_of_ray is not None
-    in_order = schedule.pattern_of_ray.ravel()[tree.order]
-    return Measured(residuals, variances, in_order[tree.starts[schedule.level][:-1]])
+    return Measured(residuals, variances, schedule.pattern_of_block(tree))
 
 
 def _planar(image: Float, tree: BlockTree, channels: int) -> Float:

@@ -26,6 +26,7 @@ from rfpipe.methods.nodes import (
 from rfpipe.methods.residuals import Measured, measure
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical import (
+    LEAF_PARTS,
     HierarchicalTransport,
     LeafSet,
     factor_offsets,
@@ -174,9 +175,7 @@ class Symmetric:
         arrays: dict[str, NDArray[Any]] = {"dark": state.dark.astype(np.uint8)}
         for leaves in state.added:
             prefix = f"leaves_{leaves.level:02d}"
-            arrays[f"{prefix}_block_a"] = leaves.block_a
-            arrays[f"{prefix}_block_b"] = leaves.block_b
-            arrays[f"{prefix}_values"] = leaves.values
+            arrays |= {f"{prefix}_{part}": getattr(leaves, part) for part in LEAF_PARTS}
         for name in _FRONTIER:
             arrays[f"frontier_{name}"] = getattr(state.frontier, name)
         attributes = {
@@ -195,13 +194,7 @@ class Symmetric:
         added: list[LeafSet] = []
         for pack in packs:
             added = [
-                LeafSet(
-                    level,
-                    *(
-                        pack.arrays[f"leaves_{level:02d}_{part}"]
-                        for part in ("block_a", "block_b", "values")
-                    ),
-                )
+                LeafSet(level, *(pack.arrays[f"leaves_{level:02d}_{part}"] for part in LEAF_PARTS))
                 for level in pack.attributes["leaf_levels"]
             ]
             known += added

@@ -142,7 +142,7 @@ def acquire(
             schedule,
             merged,
             (session.merger.floodlit, session.merger.floodlit_variance),
-            known_light(plan, state, schedule),
+            None if normalization == "none" else known_light(plan, state, schedule),
             normalization,
             noise_significance,
         )

@@ -43,7 +43,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     if not planned["complete"] and mode != "none":
         made_of |= {
             "plan": plan.describe(),
-            "refine": [folder.read_manifest(above, "refine")["digest"] for above in range(level)],
+            "refine": folder.refined_above(level),
         }
     made_from = fingerprint(made_of)
     if accept_bundle(store, manifest, made_from):

@@ -90,6 +90,10 @@ class AcquisitionFolder:
         """Read the manifest of a stage of a level; see `rfpipe.store.read_manifest`."""
         return read_manifest(self.manifest(level, stage))
 
+    def refined_above(self, level: int) -> list[str]:
+        """Digests of what the levels above a level found: all that its schedule rests on."""
+        return [self.read_manifest(above, "refine")["digest"] for above in range(level)]
+
     def bundle(self, level: int, stage: str, part: str | None = None) -> ArrayBundle:
         """Open what a stage wrote, checked against its manifest.
 

@@ -30,7 +30,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
     made_from = fingerprint(
         {
             "plan": plan.describe(),
-            "refine": [folder.read_manifest(above, "refine")["digest"] for above in range(level)],
+            "refine": folder.refined_above(level),
             "schedule": [planned["shown"], planned["complete"]],
             "merge": folder.read_manifest(level, "merge")["digest"],
             "normalize": folder.read_manifest(level, "normalize")["digest"],

@@ -33,7 +33,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
     made_from = fingerprint(
         {
             "plan": plan.describe(),
-            "refine": [folder.read_manifest(above, "refine")["digest"] for above in range(level)],
+            "refine": folder.refined_above(level),
             "code": code,
         }
     )

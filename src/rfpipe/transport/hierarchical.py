@@ -21,6 +21,10 @@ _SHARES = 16
 _BATCH = 16
 
 
+LEAF_PARTS = ("block_a", "block_b", "values")
+"""The arrays of a `LeafSet`, by which stores name them."""
+
+
 @dataclass(frozen=True)
 class LeafSet:
     """Rank-1 leaves of one level: ``T_ab = factor_a x factor_b`` and, by symmetry, ``T_ba``.
@@ -188,9 +192,7 @@ class HierarchicalTransport(Transport):
         arrays: dict[str, NDArray[Any]] = {}
         for leaves in merge_leaf_sets(leaf_sets, tree):
             prefix = f"level_{leaves.level:02d}"
-            arrays[f"{prefix}_block_a"] = leaves.block_a
-            arrays[f"{prefix}_block_b"] = leaves.block_b
-            arrays[f"{prefix}_values"] = leaves.values
+            arrays |= {f"{prefix}_{part}": getattr(leaves, part) for part in LEAF_PARTS}
         return cls(tree.domain.shape, channels, level_rows, arrays)
 
     @cached_property
@@ -203,7 +205,7 @@ class HierarchicalTransport(Transport):
         """The leaves, one set a level, coarsest first."""
         levels = sorted({int(name.split("_")[1]) for name in self._arrays})
         return [
-            LeafSet(level, *(self._arrays[f"level_{level:02d}_{part}"] for part in _PARTS))
+            LeafSet(level, *(self._arrays[f"level_{level:02d}_{part}"] for part in LEAF_PARTS))
             for level in levels
         ]
 
@@ -262,9 +264,6 @@ class HierarchicalTransport(Transport):
             kept.append(_collapse(self.tree, deeper, level, self.channels))
         rows = [row for row in self._rows if row["level"] <= level]
         return self.from_leaf_sets(self.tree, self.channels, rows, kept)
-
-
-_PARTS = ("block_a", "block_b", "values")
 
 
 def _collapse(tree: BlockTree, leaf_sets: Sequence[LeafSet], level: int, channels: int) -> LeafSet:
