@@ -12,9 +12,11 @@ from rfpipe.config.model import (
     MergeConfig,
     MethodName,
     Normalization,
+    NumberFormat,
     OccluderConfig,
     ReportConfig,
     SceneConfig,
+    StorageConfig,
     Surface,
 )
 
@@ -26,9 +28,11 @@ __all__ = [
     "MergeConfig",
     "MethodName",
     "Normalization",
+    "NumberFormat",
     "OccluderConfig",
     "ReportConfig",
     "SceneConfig",
+    "StorageConfig",
     "Surface",
     "default_yaml",
     "json_schema",
