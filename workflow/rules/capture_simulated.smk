@@ -14,7 +14,7 @@ rule capture_simulated:
     conda:
         "../envs/rfpipe.yaml"
     params:
-        scene=lambda wildcards: plain(SETTINGS.scenes[wildcards.scene]),
+        scene=scene_settings,
         camera=SETTINGS.camera and plain(SETTINGS.camera),
         seed=SETTINGS.seed,
         seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,

@@ -21,7 +21,7 @@ CODE = {
 
 wildcard_constraints:
     scene="|".join(SETTINGS.scenes),
-    method="|".join(SETTINGS.methods),
+    method="|".join(sorted({method for _, method in SETTINGS.acquisitions})),
     level=r"\d\d",
 
 
@@ -42,13 +42,19 @@ def plain(settings):
     return settings.model_dump(mode="json")
 
 
+def scene_settings(wildcards):
+    """What is true of a scene, however often and by whatever method it is acquired."""
+    scene = SETTINGS.scenes[wildcards.scene]
+    return scene.model_dump(mode="json", exclude={"methods", "sweep"})
+
+
 def plan(wildcards):
     """Arguments of the Plan that the stages of an acquisition follow."""
     scene = SETTINGS.scenes[wildcards.scene]
     return {
         "method": wildcards.method,
-        "camera_shape": list(scene.shape),
-        "projector_shape": list(scene.shape),
+        "camera_shape": list(scene.ray_shape),
+        "projector_shape": list(scene.ray_shape),
         "channels": scene.channels,
         **plain(SETTINGS.acquisition),
     }
@@ -76,11 +82,18 @@ def refined(wildcards):
 
 def every_acquisition(name):
     """A file of each scene and method."""
-    return expand(
-        f"results/{{scene}}/{{method}}/{name}",
-        scene=SETTINGS.scenes,
-        method=SETTINGS.methods,
-    )
+    return [
+        f"results/{scene}/{method}/{name}" for scene, method in SETTINGS.acquisitions
+    ]
+
+
+def every_sweep(name):
+    """A file of each scene and method that is acquired at several tolerances."""
+    return [
+        f"results/{scene}/{method}/{name}"
+        for scene, method in SETTINGS.acquisitions
+        if SETTINGS.scenes[scene].sweep
+    ]
 
 
 def calibration(wildcards):
@@ -103,7 +116,7 @@ def sweep_settings(wildcards):
     """The settings of one scene and method's sweep."""
     return {
         **plain(SETTINGS),
-        "scenes": {wildcards.scene: plain(SETTINGS.scenes[wildcards.scene])},
+        "scenes": {wildcards.scene: scene_settings(wildcards)},
         "methods": [wildcards.method],
         "report": {"tolerances": list(SETTINGS.report.tolerances)},
     }

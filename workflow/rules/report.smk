@@ -33,7 +33,7 @@ rule evaluate:
     """All error figures, in one job since the colour library takes long to load."""
     input:
         relit=every_acquisition("relight.json"),
-        swept=every_acquisition("sweep.json"),
+        swept=every_sweep("sweep.json"),
     output:
         errors=report(
             "results/report/tables/errors.csv", caption="../report/errors.rst"

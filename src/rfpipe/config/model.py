@@ -5,6 +5,7 @@ Plain data only: the layers above build cameras, scenes and methods from it.
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
@@ -37,6 +38,8 @@ Normalization = Literal["none", "per_channel", "total_energy"]
 Exposure = Annotated[float, Field(gt=0, le=60)]
 Extent = Annotated[int, Field(ge=1, le=4096)]
 Tolerance = Annotated[float, Field(gt=0, lt=1)]
+ViewCount = Annotated[int, Field(ge=1, le=16)]
+SpanDegrees = Annotated[float, Field(ge=0, le=45)]
 Vector = tuple[float, float, float]
 SceneName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 
@@ -82,36 +85,78 @@ class OccluderConfig(_Settings):
 class SceneConfig(_Settings):
     """A simulated scene seen by a coaxial rig."""
 
-    geometry: Literal["plane", "wedge"] = Field(
+    geometry: Literal["plane", "wedge", "room"] = Field(
         description="plane: one plane across the line of sight; wedge: two planes that meet in "
-        "a concave edge, farthest from the camera."
+        "a concave edge, farthest from the camera; room: the corner of a room with a box, a "
+        "poster and a card in it."
     )
     surfaces: tuple[Surface, ...] = Field(
         min_length=1,
-        max_length=2,
-        description="Albedo of each surface: one for a plane, left and right for a wedge. "
-        "white: albedo 0.8; texture: text-like strokes of albedo 0.15 and 0.85.",
+        max_length=3,
+        description="Albedo of each surface: one for a plane, left and right for a wedge, left "
+        "wall, right wall and floor for a room. white: albedo 0.8; texture: text-like strokes of "
+        "albedo 0.15 and 0.85. A room's surfaces are tinted, too.",
     )
     shape: tuple[Extent, Extent] = Field(
-        (62, 70), description="Rays of the rig: height and width in pixels, 1 to 4096 each."
+        (62, 70),
+        description="Rays of the rig, or of each of its views: height and width in pixels, 1 to "
+        "4096 each.",
+    )
+    views: tuple[ViewCount, ViewCount] | None = Field(
+        None,
+        description="A room's rig as a planar array of coaxial projectors and cameras, a light "
+        "field [5.2]: rows and columns, 1 to 16 each; null for a single pair.",
+    )
+    span_degrees: tuple[SpanDegrees, SpanDegrees] = Field(
+        (37.0, 29.0),
+        description="Angles under which the outermost columns and rows of the array appear from "
+        "the scene's centre, horizontally and vertically, in degrees, 0 to 45 each.",
     )
     channels: Literal[1, 3] = Field(3, description="Colour channels: 1 (grey) or 3 (RGB).")
     bounces: Literal[1, 2, 3] = Field(
         3, description="Light simulated: 1 is direct light alone, 2 and 3 add inter-reflection."
     )
     occluders: tuple[OccluderConfig, ...] = Field(
-        (), description="Parallelograms that block light between the surfaces."
+        (),
+        description="Parallelograms that block light between the surfaces of a plane or wedge.",
     )
     seed: int = Field(0, ge=0, description="Seed of the texture's strokes, at least 0.")
+    methods: tuple[MethodName, ...] | None = Field(
+        None,
+        min_length=1,
+        description="Methods to acquire this scene with, or null for those of the whole run.",
+    )
+    sweep: bool = Field(
+        True,
+        description="Whether to acquire the scene again at each of report.tolerances, for the "
+        "plot of speed against error: true or false.",
+    )
+
+    @property
+    def ray_shape(self) -> tuple[int, ...]:
+        """Shape of the ray domain: (H, W), or (V, H, W) for an array of views."""
+        return self.shape if self.views is None else (math.prod(self.views), *self.shape)
+
+    @field_validator("methods", mode="after")
+    @classmethod
+    def _no_method_twice(cls, methods: tuple[MethodName, ...] | None) -> Any:
+        return methods and _each_once(methods)
 
     @model_validator(mode="after")
-    def _one_surface_a_plane(self) -> Self:
-        expected = {"plane": 1, "wedge": 2}[self.geometry]
+    def _fits_the_geometry(self) -> Self:
+        expected = {"plane": 1, "wedge": 2, "room": 3}[self.geometry]
         if len(self.surfaces) != expected:
             raise ValueError(
                 f"geometry {self.geometry} should have {expected} surfaces, "
                 f"not {len(self.surfaces)} ({', '.join(self.surfaces)})"
             )
+        if self.views is not None and self.geometry != "room":
+            raise ValueError(
+                f"views should be null with geometry {self.geometry}, not {self.views}: only a "
+                "room is seen by an array of views"
+            )
+        if self.occluders and self.geometry == "room":
+            raise ValueError("occluders should be empty with geometry room, which has its own")
         return self
 
 
@@ -276,6 +321,12 @@ class ReportConfig(_Settings):
     )
 
 
+def _each_once(methods: tuple[MethodName, ...]) -> tuple[MethodName, ...]:
+    if len(set(methods)) < len(methods):
+        raise ValueError("should name each method once")
+    return methods
+
+
 def _thesis_scenes() -> dict[str, SceneConfig]:
     """Scenes I to IV of [Fig. 2.1], at a fifth of their size."""
     return {
@@ -322,12 +373,19 @@ class Config(_Settings):
     )
     report: ReportConfig = Field(default_factory=ReportConfig, description="What the report shows.")
 
+    def methods_of(self, scene: str) -> tuple[MethodName, ...]:
+        """Methods to acquire a scene with: its own, or those of the run."""
+        return self.scenes[scene].methods or self.methods
+
+    @property
+    def acquisitions(self) -> list[tuple[str, MethodName]]:
+        """Scene and method of every acquisition."""
+        return [(scene, method) for scene in self.scenes for method in self.methods_of(scene)]
+
     @field_validator("methods", mode="after")
     @classmethod
-    def _no_method_twice(cls, methods: tuple[Any, ...]) -> tuple[Any, ...]:
-        if len(set(methods)) < len(methods):
-            raise ValueError("should name each method once")
-        return methods
+    def _no_method_twice(cls, methods: tuple[MethodName, ...]) -> tuple[MethodName, ...]:
+        return _each_once(methods)
 
     @model_validator(mode="after")
     def _mosaic_has_colour(self) -> Self:
