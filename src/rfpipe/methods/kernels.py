@@ -205,6 +205,95 @@ def disagreement(first_pair, pair_a, pair_b, sums, spread, excess):  # type: ign
 
 
 @numba.njit(cache=True)
+def _reconcile_block(size, offsets, values, variances, whole, noise):  # type: ignore[no-untyped-def]
+    """Distribute what the pieces of one block lack to their sum, by their variances."""
+    for k in range(size):
+        total, variance = np.float64(0.0), noise
+        for at in offsets:
+            total += values[at + k]
+            variance += variances[at + k]
+        if variance <= 0.0:
+            continue
+        lacking = np.float32((whole[k] - total) / variance)
+        for at in offsets:
+            own = variances[at + k]
+            values[at + k] += lacking * own
+            variances[at + k] = own * np.float32(1.0 - own / variance)
+
+
+@numba.njit(cache=True, parallel=True)
+def reconcile(  # type: ignore[no-untyped-def]
+    child_starts, children, block_a, block_b, offset_a, offset_b, pieces, piece_variance,
+    first_pair, pair_a, pair_b, pair_offset_a, pair_offset_b, values, variances,
+):  # fmt: skip
+    """Make the children's pieces agree with the node's own, which measured their sum before.
+
+    Each pixel's light is then known from all levels' images together. Arguments as in `rank_test`;
+    `values` and their `variances` are changed in place.
+    """
+    for n in numba.prange(block_a.shape[0]):
+        a, b = block_a[n], block_b[n]
+        offsets = np.empty(2 * (first_pair[n + 1] - first_pair[n]), np.int64)
+        for side in range(1 if a == b else 2):
+            seen, at = (a, offset_a[n]) if side == 0 else (b, offset_b[n])
+            start = child_starts[children[seen]]
+            pixels = child_starts[children[seen + 1]] - start
+            for child in range(children[seen], children[seen + 1]):
+                count = 0
+                for pair in range(first_pair[n], first_pair[n + 1]):
+                    if pair_a[pair] == child and (side == 0 or a == b):
+                        offsets[count] = pair_offset_a[pair]
+                        count += 1
+                    elif pair_b[pair] == child and (side == 1 or a == b):
+                        offsets[count] = pair_offset_b[pair]
+                        count += 1
+                begin, end = child_starts[child] - start, child_starts[child + 1] - start
+                for c in range(values.shape[0]):
+                    _reconcile_block(
+                        end - begin, offsets[:count], values[c], variances[c],
+                        pieces[c, at + begin : at + end], piece_variance[c, side, n] / pixels,
+                    )  # fmt: skip
+
+
+@numba.njit(cache=True, parallel=True)
+def weigh_pairs(  # type: ignore[no-untyped-def]
+    pair_a, pair_b, sums, spread, chosen, wrong, node, significant, energy
+):
+    """Combine the two sums of pairs by their variances, and tell light from noise.
+
+    On the diagonal both are the same one. What exceeds the noise is shrunk by how wrong its
+    siblings are found to be, `disagreement`.
+
+    Parameters
+    ----------
+    pair_a, pair_b, sums, spread
+        As in `disagreement`.
+    chosen : int64 (n,)
+        The pairs to weigh.
+    wrong : float64 (C, n_nodes)
+        Variance of a node's children's energies beyond noise.
+    node : int64 (n,)
+        Each chosen pair's node.
+    significant : float
+        Squared standard deviations above which a sum is light.
+    energy : float64 (C, n)
+        Written: 0 where there is no light.
+    """
+    for n in numba.prange(chosen.shape[0]):
+        pair = chosen[n]
+        for c in range(energy.shape[0]):
+            first, second = spread[c, 0, pair], spread[c, 1, pair]
+            share = second / (first + second) if first + second > 0.0 else 0.5
+            if pair_a[pair] == pair_b[pair]:
+                share, second = 1.0, 0.0
+            light = share * sums[c, 0, pair] + (1.0 - share) * sums[c, 1, pair]
+            variance = share * share * first + (1.0 - share) * (1.0 - share) * second
+            error = wrong[c, node[n]]
+            clear = light > 0.0 and light * light > significant * variance + error
+            energy[c, n] = light * (1.0 - error / (light * light)) if clear else 0.0
+
+
+@numba.njit(cache=True)
 def _take_piece(source, spread, profile, significance, energy, target):  # type: ignore[no-untyped-def]
     """Copy a piece with less noise, not negative, scaled to the node's energy.
 

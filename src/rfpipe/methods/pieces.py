@@ -15,14 +15,20 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree
 from rfpipe.methods.base import LevelImages
 from rfpipe.methods.nodes import Blocks, Double, Float, Frontier, compared_pixels
-from rfpipe.transport.hierarchical import LeafSet, apply_leaf_sets, factor_offsets
+from rfpipe.transport.hierarchical import LeafSet, factor_offsets
+from rfpipe.transport.partition import predict
 
-# Images predicted and subtracted at a time; a fixed number, so that sums are always the same.
-_BATCH = 16
-# Bytes of a pixel of a piece, its variance included; and how much of the memory pieces may take:
-# the nodes and leaves made of them take as much again, twice while they are sorted.
+# Bytes that a pixel of a piece takes, its variance included, and a pair of blocks in each channel:
+# sums, variances, energy.
 _PIXEL_BYTES = 2 * np.dtype(np.float32).itemsize
+_PAIR_BYTES = 8 * np.dtype(np.float64).itemsize
+# How much of the memory pieces may take: the nodes and leaves made of them take as much again,
+# twice while they are sorted. And how much the images that are read at a time may take, of which
+# there are five copies: as read and in tree order with their variance, and predicted.
 _SHARE = 4
+_BATCH_SHARE = 8
+_IMAGE_COPIES = 5
+_MOST_AT_A_TIME = 64
 
 
 @dataclass(frozen=True)
@@ -59,7 +65,10 @@ def affordable(tree: BlockTree, level: int, nodes: Frontier, memory_bytes: int) 
     Each run costs a pass over the level's images; there is one where memory is sufficient.
     """
     channels = len(nodes.pieces)
-    taken = np.cumsum(compared_pixels(tree, level, nodes)) * (channels * _PIXEL_BYTES)
+    children = np.diff(tree.child_starts[level])
+    pairs = children[nodes.block_a] * children[nodes.block_b]
+    pixels = compared_pixels(tree, level, nodes)
+    taken = np.cumsum(pixels * _PIXEL_BYTES + pairs * _PAIR_BYTES) * channels
     first, before = 0, 0.0
     while first < len(nodes):
         last = int(np.searchsorted(taken, before + memory_bytes / _SHARE, side="right"))
@@ -75,6 +84,7 @@ def collect(
     known: Sequence[LeafSet],
     channels: int,
     images: LevelImages,
+    memory_bytes: int,
 ) -> Pieces:
     """Subtract the known leaves' prediction from a level's images and take the pairs' pieces.
 
@@ -88,6 +98,8 @@ def collect(
     channels : int
     images : LevelImages
         Of a schedule that is a partition of the rays.
+    memory_bytes : int
+        Memory to work in; the pieces don't depend on it.
     """
     from rfpipe.methods import kernels
 
@@ -97,14 +109,14 @@ def collect(
     values = np.zeros((channels, n_values), np.float32)
     variances = np.zeros_like(values)
     pattern_of_block = schedule.pattern_of_block(tree)
-    for first in range(0, schedule.count, _BATCH):
-        last = min(first + _BATCH, schedule.count)
+    image_bytes = channels * tree.domain.size * np.dtype(np.float32).itemsize * _IMAGE_COPIES
+    batch = min(max(1, memory_bytes // (_BATCH_SHARE * image_bytes)), _MOST_AT_A_TIME)
+    for first in range(0, schedule.count, batch):
+        last = min(first + batch, schedule.count)
         radiance, variance = (_planar(part, tree, channels) for part in images.read(first, last))
-        lit = schedule.batch(first, last).reshape(last - first, 1, -1)[..., tree.order]
-        patterns = np.broadcast_to(lit, radiance.shape)
         rounding = np.finfo(np.float32).eps * radiance
         variance += rounding * rounding
-        radiance -= apply_leaf_sets(tree, known, patterns, range(channels))
+        radiance -= predict(tree, known, schedule.level, pattern_of_block, first, last, channels)
         kernels.collect_pieces(
             starts, block_a, block_b, offset_a, offset_b, pattern_of_block, first, radiance,
             variance, values, variances,

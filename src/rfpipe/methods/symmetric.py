@@ -24,7 +24,16 @@ from rfpipe.methods.nodes import (
     select,
 )
 from rfpipe.methods.pieces import affordable, collect
-from rfpipe.methods.verdicts import AGREES, CLOSE, Found, Limits, classify, disagreement, rank_test
+from rfpipe.methods.verdicts import (
+    AGREES,
+    CLOSE,
+    Found,
+    Limits,
+    classify,
+    disagreement,
+    rank_test,
+    reconcile,
+)
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical import LEAF_PARTS, HierarchicalTransport, LeafSet
 
@@ -117,7 +126,7 @@ class Symmetric:
             return replace(state, level=level + 1, added=(), rows=(*state.rows, row))
         limits = _limits(state, tests=len(child_pairs(tree, level - 1, nodes)[0]))
         refined = [
-            _refine_nodes(state, cut(tree, level - 1, nodes, run), images, limits)
+            _refine_nodes(state, cut(tree, level - 1, nodes, run), images, limits, memory_bytes)
             for run in affordable(tree, level - 1, nodes, memory_bytes)
         ]
         added = (
@@ -147,17 +156,17 @@ class Symmetric:
     def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
         """Make the root node from the floodlit image."""
         root, channels = np.zeros(1, np.int32), state.channels
-        pieces = collect(state.tree, root, root, (), channels, images)
+        pieces = collect(state.tree, root, root, (), channels, images, MEMORY_BYTES)
         significant = pieces.values > state.settings.noise_significance * np.sqrt(pieces.variances)
         state = replace(
             state,
             floodlit_maximum=float(pieces.values.max(initial=0.0)),
             dark=np.logical_not(significant.any(axis=0)),
         )
-        found = classify(
-            state.tree, 0, pieces, np.zeros(1, np.int64), np.zeros(1, np.bool_),
-            np.zeros((channels, 1)), no_nodes(channels), np.zeros(1, np.int64), _limits(state, 1),
-        )  # fmt: skip
+        first, nothing, unsettled = np.zeros(1, np.int64), no_nodes(channels), np.zeros(1, np.bool_)
+        exact = np.zeros((channels, 1))
+        limits = _limits(state, tests=1)
+        found = classify(state.tree, 0, pieces, first, unsettled, nothing, first, exact, limits)
         return replace(
             state,
             level=1,
@@ -250,19 +259,23 @@ class _Refined:
 
 
 def _refine_nodes(
-    state: SymmetricState, nodes: Frontier, images: LevelImages, limits: Limits
+    state: SymmetricState,
+    nodes: Frontier,
+    images: LevelImages,
+    limits: Limits,
+    memory_bytes: int,
 ) -> _Refined:
     """Test nodes of the level above the images'; keep them as leaves or sort their children."""
     tree, level = state.tree, state.level
     node, first, second = child_pairs(tree, level - 1, nodes)
-    pieces = collect(tree, first, second, state.known, state.channels, images)
+    pieces = collect(tree, first, second, state.known, state.channels, images, memory_bytes)
     first_pair = np.searchsorted(node, np.arange(len(nodes) + 1))
     verdict = rank_test(tree, level - 1, nodes, first_pair, pieces, limits)
     kept = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
     divided = np.flatnonzero(verdict[node] < CLOSE)
     above = node[divided]
-    found = classify(
-        tree, level, pieces, divided, verdict[above] == AGREES,
-        disagreement(first_pair, pieces)[:, above], nodes, above, limits,
-    )  # fmt: skip
+    wrong = disagreement(first_pair, pieces)
+    settled = verdict[above] == AGREES
+    reconcile(tree, level - 1, nodes, first_pair, pieces)
+    found = classify(tree, level, pieces, divided, settled, nodes, above, wrong, limits)
     return _Refined(kept, found, len(divided), int(np.count_nonzero(verdict < CLOSE)))

@@ -152,15 +152,32 @@ def disagreement(first_pair: NDArray[np.int64], pieces: Pieces) -> Double:
     return excess / 4
 
 
+def reconcile(
+    tree: BlockTree, level: int, nodes: Frontier, first_pair: NDArray[np.int64], pieces: Pieces
+) -> None:
+    """Make the pieces of the children of nodes of `level` agree with the nodes', in place.
+
+    Their sums stay as they were measured.
+    """
+    from rfpipe.methods import kernels
+
+    offset_a, offset_b, _ = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
+    kernels.reconcile(
+        tree.starts[level + 1], tree.child_starts[level], nodes.block_a, nodes.block_b,
+        offset_a, offset_b, nodes.pieces, nodes.variance, first_pair, pieces.block_a,
+        pieces.block_b, pieces.offset_a, pieces.offset_b, pieces.values, pieces.variances,
+    )  # fmt: skip
+
+
 def classify(
     tree: BlockTree,
     level: int,
     pieces: Pieces,
     chosen: NDArray[np.int64],
     settled: NDArray[np.bool_],
-    wrong: Double,
     above: Frontier,
     node: NDArray[np.int64],
+    wrong: Double,
     limits: Limits,
 ) -> Found:
     """Sort pairs that a level measured into empty ones, leaves and unknown ones.
@@ -175,27 +192,26 @@ def classify(
         Which of the pairs to sort.
     settled : ndarray of bool, shape (n,)
         Those that are no longer unknown in any case.
-    wrong : ndarray of float64, shape (C, n)
-        Variance of their energies beyond camera noise; energies are shrunk by it.
     above : Frontier
         Nodes of the level above, none at level 0.
     node : ndarray of int64, shape (n,)
         Each pair's node among them.
+    wrong : ndarray of float64, shape (C, nodes)
+        Variance of the energies of a node's children beyond camera noise; they are shrunk by it.
     limits : Limits
     """
     from rfpipe.methods import kernels
 
-    block_a, block_b = pieces.block_a[chosen], pieces.block_b[chosen]
-    spread = pieces.spread[..., chosen]
-    energy, variance = _combine(pieces.sums[..., chosen], spread, block_a == block_b)
-    squared = np.square(energy)
-    significant = (energy > 0) & (squared > limits.significant * variance + wrong)
-    kept = 1.0 - np.divide(wrong, squared, where=significant, out=np.zeros_like(squared))
-    energy = np.where(significant, energy * kept, 0.0)
-    full = np.any(significant, axis=0)
+    energy = np.empty((len(pieces.values), len(chosen)))
+    kernels.weigh_pairs(
+        pieces.block_a, pieces.block_b, pieces.sums, pieces.spread, chosen, wrong, node,
+        limits.significant, energy,
+    )  # fmt: skip
+    full: NDArray[np.bool_] = np.any(energy, axis=0)
     empty = len(full) - int(np.count_nonzero(full))
-    block_a, block_b, chosen = block_a[full], block_b[full], chosen[full]
-    energy, spread = np.ascontiguousarray(energy[:, full]), spread[..., full]
+    chosen, node, settled = chosen[full], node[full], settled[full]
+    energy = np.ascontiguousarray(energy[:, full])
+    block_a, block_b = pieces.block_a[chosen], pieces.block_b[chosen]
     channels = len(energy)
     if level == tree.n_levels - 1:
         leaves = LeafSet(level, block_a, block_b, energy.astype(np.float32))
@@ -205,14 +221,19 @@ def classify(
     factors = np.empty((channels, n_values), np.float32)
     worst = np.empty((channels, len(block_a)))
     lit = np.empty_like(worst)
-    profile_a, profile_b = _profiles(tree, level, block_a, block_b, above, node[full])
+    profile_a, profile_b = _profiles(tree, level, block_a, block_b, above, node)
     kernels.take_pieces(
         starts, tree.child_starts[level], tree.starts[level + 1], block_a, block_b,
         pieces.offset_a[chosen], pieces.offset_b[chosen], pieces.values, pieces.variances,
         profile_a, profile_b, above.pieces, limits.significance, energy,
         offset_a, offset_b, factors, worst, lit,
     )  # fmt: skip
-    nodes = Frontier(block_a, block_b, factors, energy, np.ascontiguousarray(spread))
+    spread = np.empty((channels, 2, len(chosen)))
+    kernels.sum_pieces(
+        starts, block_a, block_b, pieces.offset_a[chosen], pieces.offset_b[chosen],
+        pieces.variances, spread,
+    )  # fmt: skip
+    nodes = Frontier(block_a, block_b, factors, energy, spread)
     sizes = np.diff(starts)
     pixels = np.where(block_a == block_b, sizes[block_a], sizes[block_a] + sizes[block_b])
     noise = np.where(block_a == block_b, spread[:, 0], spread.sum(axis=1)) / pixels
@@ -221,7 +242,7 @@ def classify(
     # over a single ray is of rank 1 whatever it holds.
     lit = np.maximum(lit, 1.0)
     certain = (worst / lit <= limits.allowed(noise, lit)).all(axis=0)
-    certain |= (sizes[block_a] == 1) | (sizes[block_b] == 1) | settled[full]
+    certain |= (sizes[block_a] == 1) | (sizes[block_b] == 1) | settled
     leaves = as_leaves(tree, level, select(tree, level, nodes, certain))
     frontier = select(tree, level, nodes, ~certain)
     return Found(leaves, frontier, {"empty": empty, "rank1": len(leaves)})
@@ -245,15 +266,3 @@ def _profiles(
         offset_a[node] + own[block_a] - starts[above.block_a[node]],
         offset_b[node] + own[block_b] - starts[above.block_b[node]],
     )
-
-
-def _combine(sums: Double, spread: Double, diagonal: NDArray[np.bool_]) -> tuple[Double, Double]:
-    """Combine the two measurements of a node's energy by their variances.
-
-    On the diagonal both are the same one.
-    """
-    weight = np.where(spread.sum(axis=1, keepdims=True) > 0, spread[:, ::-1], 1.0)
-    weight = weight / weight.sum(axis=1, keepdims=True)
-    energy = (weight * sums).sum(axis=1)
-    variance = (weight * weight * spread).sum(axis=1)
-    return np.where(diagonal, sums[:, 0], energy), np.where(diagonal, spread[:, 0], variance)
