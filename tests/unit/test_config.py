@@ -57,7 +57,8 @@ def test_thesis_file_is_the_default_run_at_full_size_and_a_light_field() -> None
         for name, scene in default.scenes.items()
     }
     full_size["light_field"] = thesis.scenes["light_field"]
-    assert thesis == default.model_copy(update={"scenes": full_size})
+    report = default.report.model_copy(update={"title": thesis.report.title})
+    assert thesis == default.model_copy(update={"scenes": full_size, "report": report})
     assert thesis.scenes["light_field"].ray_shape == (9, 130, 200)
     assert thesis.methods_of("light_field") == ("symmetric",)
     assert thesis.acquisitions[-2:] == [("planes_iv", "dual"), ("light_field", "symmetric")]

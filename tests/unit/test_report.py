@@ -16,8 +16,9 @@ from rfpipe.photometry import sensor_from_config
 from rfpipe.report import build_report
 from rfpipe.report.drawing import chunks, srgb
 from rfpipe.report.inputs import load_inputs
+from rfpipe.report.light_fields import view_errors
 from rfpipe.report.pictures import amplification
-from rfpipe.report.tables import costs, table_5_1
+from rfpipe.report.tables import costs, levels_table, table_5_1
 from rfpipe.report.text import number, percent, size
 from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1, numeral_of
 from rfpipe.rigs import SimulatedRig
@@ -45,6 +46,19 @@ GREY = Config.model_validate(
         "report": {"tolerances": [0.01]},
     }
 )
+FIELD = Config.model_validate(
+    {
+        "scenes": {
+            "corner": WEDGE,
+            "field": {
+                "geometry": "room", "surfaces": ["texture", "white", "white"], "shape": [6, 9],
+                "views": [2, 3], "methods": ["symmetric"], "sweep": False,
+            },
+        },
+        "methods": ["symmetric", "dual"],
+        "report": {"tolerances": [0.01]},
+    }
+)  # fmt: skip
 
 
 class Page(HTMLParser):
@@ -77,26 +91,22 @@ class Page(HTMLParser):
 
 def acquired(results: Path, config: Config) -> None:
     """Fill a results folder as the workflow's stages do."""
-    manifests = []
-    for scene, settings in config.scenes.items():
-        for method in config.methods:
-            folder = results / scene / method
-            rig = SimulatedRig(scene_from_config(settings), sensor_from_config(config.camera), 1)
-            tolerance = config.acquisition.tolerance
-            result = acquire(rig, method, tolerance, progress=False)
-            digest = save_transport(result.transport, folder / "transport.zarr")
-            about = {"scene": scene, "method": method, "tolerance": tolerance}
-            manifest = {**about, "digest": digest, "patterns": result.patterns}
-            write_manifest(folder / "transport.json", manifest)
-            relight.run(folder, settings, "code")
+    relit, swept = [], []
+    for scene, method in config.acquisitions:
+        settings, folder = config.scenes[scene], results / scene / method
+        rig = SimulatedRig(scene_from_config(settings), sensor_from_config(config.camera), 1)
+        tolerance = config.acquisition.tolerance
+        result = acquire(rig, method, tolerance, progress=False)
+        digest = save_transport(result.transport, folder / "transport.zarr")
+        about = {"scene": scene, "method": method, "tolerance": tolerance}
+        manifest = {**about, "digest": digest, "patterns": result.patterns}
+        write_manifest(folder / "transport.json", manifest)
+        relight.run(folder, settings, "code")
+        relit.append(folder / "relight.json")
+        if settings.sweep:
             sweep.run(config, scene, method, folder, "code")
-            manifests.append(folder)
-    evaluate.run(
-        [folder / "relight.json" for folder in manifests],
-        [folder / "sweep.json" for folder in manifests],
-        *tables_of(results),
-        2.0,
-    )
+            swept.append(folder / "sweep.json")
+    evaluate.run(relit, swept, *tables_of(results), 2.0)
 
 
 def tables_of(results: Path) -> tuple[Path, Path]:
@@ -268,6 +278,73 @@ def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
     figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
     assert figures == {"fig_2_1_brute_force", "speed_error"}
     assert len(page.images) == 2
+
+
+@pytest.fixture(scope="module")
+def with_field(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("field") / "results"
+    acquired(folder, FIELD)
+    benchmarked(folder, ["corner"], ["symmetric"])
+    build_report(FIELD, folder, folder / "report" / "index.html", *tables_of(folder))
+    return folder
+
+
+def test_a_light_field_has_its_own_pictures_and_leaves_the_others_alone(with_field):
+    figures = {path.stem for path in (with_field / "report" / "figures").glob("*.png")}
+    assert figures == {
+        "fig_5_8_a_field_symmetric", "fig_5_8_b_field_symmetric",
+        "fig_2_1_symmetric", "fig_2_1_dual", "fig_5_9", "fig_5_7", "fig_5_10", "speed_error",
+        "processing_time",
+    }  # fmt: skip
+    page = Page(with_field / "report" / "index.html")
+    times = "\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}"
+    assert f"8{times}10 and 2{times}3{times}6{times}9 rays" in page.words
+    assert "Fig. 5.8 (a), the light moves" in page.words
+    assert "corner (IV) relit with the vertical bar" in page.words  # Fig. 5.7
+    assert "37° by 29°" in page.words
+
+
+def test_a_light_field_stands_beside_the_thesis_own(with_field):
+    inputs = load_inputs(FIELD, with_field, *tables_of(with_field))
+    (field,) = inputs.light_fields
+    assert (field.rays, field.middle_view) == (2 * 3 * 6 * 9, 4)
+    assert not field.has_indirect_light
+    table, numbers = table_5_1(inputs)
+    row = table.rows[1]
+    assert row[0] == "field"
+    assert row[-2:] == ["3,368", "233,657"]
+    assert numbers["thesis_patterns"][1] == 3368
+    assert sum("8D" in cell[0] for cell in table.rows) == 0  # not named again below
+    levels, _ = levels_table(inputs)
+    assert {row[0] for row in levels.rows} == {
+        "Symmetric photography", "Symmetric photography, light fields", "Dual photography",
+    }  # fmt: skip
+
+
+def test_errors_between_views_are_those_of_their_pictures(with_field):
+    inputs = load_inputs(FIELD, with_field, *tables_of(with_field))
+    (field,) = inputs.light_fields
+    table, numbers = view_errors(inputs.light_fields)
+    assert len(numbers) == 36
+    assert [row[2] for row in table.rows] == ["1, 1", "1, 2", "1, 3", "2, 1", "2, 2", "2, 3"]
+    relit, truth = field.read("views_relit"), field.read("views_truth")
+    error = np.linalg.norm(relit[4, 2] - truth[4, 2]) / np.linalg.norm(truth[4, 2])
+    assert numbers.set_index(["light", "view"]).loc[(4, 2), "rms"] == pytest.approx(error)
+    assert (numbers["rms"] < 0.05).all()
+    written = pd.read_csv(with_field / "report" / "tables" / "view_errors.csv")
+    assert len(written) == 36
+
+
+def test_a_light_field_alone_makes_a_report(tmp_path):
+    alone = FIELD.model_copy(update={"scenes": {"field": FIELD.scenes["field"]}, "camera": None})
+    acquired(tmp_path, alone)
+    build_report(alone, tmp_path, tmp_path / "report" / "index.html", *tables_of(tmp_path))
+    page = Page(tmp_path / "report" / "index.html")
+    assert "the middle view, relit with the vertical bar" in page.words
+    figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
+    assert figures == {
+        "fig_5_8_a_field_symmetric", "fig_5_8_b_field_symmetric", "fig_5_7", "fig_5_10",
+    }  # fmt: skip
 
 
 def test_without_anything_relit_there_is_no_report(tmp_path):

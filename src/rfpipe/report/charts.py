@@ -26,6 +26,7 @@ _KINDS = (
     ("empty", "empty", "#b9b9b9"),
     ("subdivided", "subdivided at the next level", "#ffffff"),
 )
+_LEGEND_WIDTH = 6.6  # inches, of the kinds of leaves in one row
 _STAGE_COLOURS = ("#8fb3d9", "#d9d9d9", "#3a6fb0", "#9aca8c", "#e0914a", "#7d5ba6")
 
 
@@ -38,7 +39,8 @@ def leaves_figure(rows: Sequence[Sequence[Run]]) -> Figure:
         A row of panels for each method, a panel for each scene.
     """
     columns = max(len(runs) for runs in rows)
-    figure, axes = new_figure(len(rows), columns, (2.45 * columns + 0.4, 2.35 * len(rows) + 0.35))
+    width = max(2.45 * columns + 0.4, _LEGEND_WIDTH)
+    figure, axes = new_figure(len(rows), columns, (width, 2.35 * len(rows) + 0.35))
     for panels, runs in zip(axes, rows, strict=True):
         for axis in panels[len(runs) :]:
             axis.set_axis_off()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -66,8 +67,18 @@ class Run:
     @property
     def rays(self) -> int:
         """Rays of the domain, and so the patterns of brute force."""
-        height, width = self.settings.shape
-        return height * width
+        return math.prod(self.settings.ray_shape)
+
+    @property
+    def is_light_field(self) -> bool:
+        """Whether its images are stacks of views."""
+        return self.settings.views is not None
+
+    @property
+    def middle_view(self) -> int:
+        """Number of the view in the middle of a light field's array."""
+        rows, columns = self.settings.views or (1, 1)
+        return rows // 2 * columns + columns // 2
 
     @property
     def white(self) -> float:
@@ -76,13 +87,23 @@ class Run:
 
     @property
     def has_indirect_light(self) -> bool:
-        """Whether the scene's left half gets any light when the right one is lit."""
+        """Whether the left half of an image gets any light when the right one is lit.
+
+        Of a light field that says nothing: light comes to a view's left half from other views.
+        """
+        if self.is_light_field:
+            return False
         dark = right_half(self.settings.shape) == 0
         return bool(dark.any() and self.read("half_truth")[dark].max() > 0)
 
     def read(self, name: str) -> NDArray[Any]:
         """Read one of the arrays."""
         return self.images.read(name)
+
+    def read_shown(self, name: str) -> NDArray[Any]:
+        """Read an array of radiance images (..., H, W, C): of a light field the middle view's."""
+        images = self.read(name)
+        return images[..., self.middle_view, :, :, :] if self.is_light_field else images
 
 
 @dataclass(frozen=True)
@@ -117,6 +138,16 @@ class Inputs:
     speed_error: pd.DataFrame
     times: pd.DataFrame
 
+    @property
+    def methods(self) -> list[str]:
+        """The methods of the runs."""
+        return list(dict.fromkeys(run.method for run in self.runs))
+
+    @property
+    def light_fields(self) -> list[Run]:
+        """The runs of light fields."""
+        return [run for run in self.runs if run.is_light_field]
+
     def of_method(self, method: str) -> list[Run]:
         """Return the runs of a method."""
         return [run for run in self.runs if run.method == method]
@@ -147,15 +178,14 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
     import pandas as pd
 
     runs, times = [], []
-    for scene, settings in config.scenes.items():
-        for method in config.methods:
-            folder = results / scene / method
-            manifest = folder / "relight.json"
-            if not manifest.exists():
-                continue
-            images = open_arrays(manifest.with_suffix(".zarr"))
-            runs.append(Run(scene, method, settings, read_manifest(manifest), images))
-            times += [{"scene": scene, "method": method, **row} for row in _job_times(folder)]
+    for scene, method in config.acquisitions:
+        folder = results / scene / method
+        manifest = folder / "relight.json"
+        if not manifest.exists():
+            continue
+        images = open_arrays(manifest.with_suffix(".zarr"))
+        runs.append(Run(scene, method, config.scenes[scene], read_manifest(manifest), images))
+        times += [{"scene": scene, "method": method, **row} for row in _job_times(folder)]
     studies = {
         path.stem: Study(read_manifest(path)["rows"], open_arrays(path.with_suffix(".zarr")))
         for path in sorted((results / "studies").glob("*.json"))

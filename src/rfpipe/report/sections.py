@@ -44,6 +44,12 @@ def summary_section(inputs: Inputs) -> Section:
         "spot. Noise lights every pixel, so that none is unlit; a scene without indirect light "
         "has nothing to compare there either."
     )
+    if inputs.light_fields:
+        detail += (
+            " In a light field each view's projector shows the pattern. Surfaces behind its unlit "
+            "pixels may be lit from other views; one view lights the first view's pixels alone, so "
+            "that the unlit ones are those of all other views."
+        )
     return Section(
         "summary",
         "At a glance",
@@ -58,8 +64,9 @@ def summary_section(inputs: Inputs) -> Section:
 def matrices_section(inputs: Inputs) -> Section:
     """Fig. 2.1 for each method."""
     blocks: list[Illustration | Tabulation] = []
-    for method in inputs.config.methods:
-        parts = chunks(inputs.of_method(method), _ABREAST)
+    for method in inputs.methods:
+        images = [run for run in inputs.of_method(method) if not run.is_light_field]
+        parts = chunks(images, _ABREAST)
         for index, runs in enumerate(parts):
             suffix = f"_{index + 1}" if len(parts) > 1 else ""
             caption = (
@@ -176,13 +183,16 @@ def levels_section(inputs: Inputs) -> Section | None:
     with_levels = [run for run in inputs.runs if len(run.facts["levels"]) > 1]
     if not with_levels:
         return None
-    indirect = [run for run in with_levels if run.has_indirect_light] or with_levels
-    runs = [run for run in with_levels if run.scene == indirect[-1].scene]
+    indirect = [run for run in with_levels if run.has_indirect_light]
+    images = [run for run in with_levels if not run.is_light_field]
+    last = (indirect or images or with_levels)[-1]
+    runs = [run for run in with_levels if run.scene == last.scene]
+    where = ", the middle view," if last.is_light_field else ""
     caption = (
-        f"{runs[0].title} relit with the vertical bar, as if the acquisition had stopped at each "
-        "level; patterns shown up to there, and the relative RMS error in total. A picture has "
-        "full resolution at every level, since a leaf is a product of two images, but the light "
-        "of a lit pixel is spread over its whole block."
+        f"{last.title}{where} relit with the vertical bar, as if the acquisition had stopped at "
+        "each level; patterns shown up to there, and the relative RMS error in total. A picture "
+        "has full resolution at every level, since a leaf is a product of two images, but the "
+        "light of a lit pixel is spread over its whole block."
     )
     return Section(
         "levels",
@@ -197,12 +207,12 @@ def leaves_section(inputs: Inputs) -> Section | None:
     runs = [run for run in inputs.runs if len(run.facts["levels"]) > 1]
     if not runs:
         return None
-    by_method = {
-        method: [run for run in runs if run.method == method] for method in inputs.config.methods
-    }
-    rows: list[list[Run]] = [
-        list(part) for own in by_method.values() for part in chunks(own, _ABREAST)
+    groups = [
+        [run for run in runs if run.method == method and run.is_light_field == is_field]
+        for method in inputs.methods
+        for is_field in (False, True)
     ]
+    rows: list[list[Run]] = [list(part) for own in groups for part in chunks(own, _ABREAST)]
     caption = (
         "What becomes of the nodes of each level, in per cent of the nodes measured at it. With "
         "symmetric photography a node is a pair of blocks; empty ones are the sparse part of T, "

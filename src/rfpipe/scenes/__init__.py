@@ -13,10 +13,11 @@ from rfpipe.scenes.reference import (
     room_scene,
     scene_from_config,
 )
-from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
+from rfpipe.scenes.relighting import ONE_VIEW, RELIGHTING_PATTERNS, relighting_patterns
 
 __all__ = [
     "GEOMETRIES",
+    "ONE_VIEW",
     "REFERENCE_SCENES",
     "RELIGHTING_PATTERNS",
     "DenseScene",
