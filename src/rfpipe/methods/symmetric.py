@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.conflicts import colour, conflict_graph, square
+from rfpipe.conflicts import colour, conflict_graph
 from rfpipe.errors import InputError
 from rfpipe.methods.base import MEMORY_BYTES, LevelImages, Pack, Settings
 from rfpipe.methods.nodes import (
@@ -110,7 +110,7 @@ class Symmetric:
         pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
         if len(blocks):
             graph = conflict_graph(len(blocks), index[: len(first)], index[len(first) :])
-            pattern_of_block[blocks] = colour(square(graph))
+            pattern_of_block[blocks] = colour(graph, apart=2)
         lit = pattern_of_block[tree.block_of_position(level)] >= 0
         return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | state.dark).all()))
 
