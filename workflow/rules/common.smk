@@ -45,7 +45,7 @@ def plain(settings):
 def scene_settings(wildcards):
     """What is true of a scene, however often and by whatever method it is acquired."""
     scene = SETTINGS.scenes[wildcards.scene]
-    return scene.model_dump(mode="json", exclude={"methods", "sweep"})
+    return scene.model_dump(mode="json", exclude={"methods", "sweep", "tolerance"})
 
 
 def plan(wildcards):
@@ -57,6 +57,7 @@ def plan(wildcards):
         "projector_shape": list(scene.ray_shape),
         "channels": scene.channels,
         **plain(SETTINGS.acquisition),
+        "tolerance": SETTINGS.tolerance_of(wildcards.scene),
     }
 
 

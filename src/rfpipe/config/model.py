@@ -126,6 +126,10 @@ class SceneConfig(_Settings):
         min_length=1,
         description="Methods to acquire this scene with, or null for those of the whole run.",
     )
+    tolerance: Tolerance | None = Field(
+        None,
+        description="Tolerance of this scene, as acquisition.tolerance, or null for that one.",
+    )
     sweep: bool = Field(
         True,
         description="Whether to acquire the scene again at each of report.tolerances, for the "
@@ -376,6 +380,10 @@ class Config(_Settings):
     def methods_of(self, scene: str) -> tuple[MethodName, ...]:
         """Methods to acquire a scene with: its own, or those of the run."""
         return self.scenes[scene].methods or self.methods
+
+    def tolerance_of(self, scene: str) -> float:
+        """Tolerance to acquire a scene with: its own, or that of the run."""
+        return self.scenes[scene].tolerance or self.acquisition.tolerance
 
     @property
     def acquisitions(self) -> list[tuple[str, MethodName]]:

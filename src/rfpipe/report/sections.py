@@ -26,7 +26,14 @@ _ABREAST = 4
 def summary_section(inputs: Inputs) -> Section:
     """Every run on one line."""
     per_pattern = inputs.config.capture.seconds_per_pattern
-    tolerance = inputs.config.acquisition.tolerance
+    config = inputs.config
+    tolerances = sorted({config.tolerance_of(scene) for scene in config.scenes})
+    if len(tolerances) == 1:
+        asked = f"Every scene was acquired with a tolerance of {tolerances[0]:g}"
+    else:
+        asked = "The scenes were acquired with tolerances of " + ", ".join(
+            f"{config.tolerance_of(scene):g} ({scene.replace('_', ' ')})" for scene in config.scenes
+        )
     caption = (
         f"Patterns shown and the time to capture them at {per_pattern:g} s a pattern; bytes on "
         "disk; and the largest errors over the relighting patterns. Errors are relative RMS "
@@ -36,7 +43,7 @@ def summary_section(inputs: Inputs) -> Section:
         "the true floodlit image's maximum shown as white."
     )
     about = (
-        f"Every scene was acquired with a tolerance of {tolerance:g} of the floodlit image's "
+        f"{asked} of the floodlit image's "
         "maximum. Brute force, one pattern for each projector pixel, is the yardstick."
     )
     detail = (

@@ -102,7 +102,7 @@ def in_process_seconds(inputs: Inputs, scene: str, method: str) -> float:
     """Return the processing seconds of a run's acquisition within the sweep; NaN without one."""
     table = inputs.speed_error
     own = table[(table["scene"] == scene) & (table["method"] == method)]
-    at = own[own["tolerance"] == inputs.config.acquisition.tolerance]
+    at = own[own["tolerance"] == inputs.config.tolerance_of(scene)]
     return float(at["processing_s"].iloc[0]) if len(at) else float("nan")
 
 
