@@ -18,8 +18,18 @@ from rfpipe.errors import CaptureError, IntegrityError, StaleStoreError
 from rfpipe.photometry import CameraModel, Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import assemble, capture, merge, normalize, progress, refine, schedule
+from rfpipe.stages import (
+    assemble,
+    capture,
+    merge,
+    merging,
+    normalize,
+    progress,
+    refine,
+    schedule,
+)
 from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.workers import Resources
 from rfpipe.store import FrameStore, read_manifest
 from rfpipe.transport import open_transport
 
@@ -42,6 +52,7 @@ class Acquisition:
         self.rig = rig
         self.folder = AcquisitionFolder(path)
         self.plan = Plan("symmetric", SHAPE, SHAPE, 1, tolerance=tolerance)
+        self.resources = Resources()
 
     def schedule(self, level: int) -> None:
         schedule.run(self.plan, self.folder, level, CODE)
@@ -53,6 +64,7 @@ class Acquisition:
         merge.run(
             self.rig.sensor, self.folder, level,
             saturation_fraction=0.98, repair_defects=repair_defects, code=CODE,
+            resources=self.resources,
         )  # fmt: skip
 
     def normalize(self, level: int) -> None:
@@ -247,12 +259,13 @@ def times(store: Path) -> dict[str, int]:
     return {str(path): path.stat().st_mtime_ns for path in store.rglob("*")}
 
 
-@pytest.mark.parametrize("stage", ["schedule", "merge", "normalize", "refine"])
-def test_a_stage_makes_a_damaged_store_anew(tmp_path: Path, stage: str) -> None:
+@pytest.mark.parametrize("damaged", ["schedule", "merge", "sums", "normalize", "refine"])
+def test_a_stage_makes_a_damaged_store_anew(tmp_path: Path, damaged: str) -> None:
     acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
     acquisition.level(0)
     acquisition.level(1)
-    store, manifest = tmp_path / f"L01/{stage}.zarr", tmp_path / f"L01/{stage}.json"
+    stage = "merge" if damaged == "sums" else damaged
+    store, manifest = tmp_path / f"L01/{damaged}.zarr", tmp_path / f"L01/{stage}.json"
     before, files = manifest.read_bytes(), contents(store)
     damage(store)
     manifest.unlink()
@@ -262,7 +275,11 @@ def test_a_stage_makes_a_damaged_store_anew(tmp_path: Path, stage: str) -> None:
 
 
 def contents(store: Path) -> dict[str, bytes]:
-    return {str(path): path.read_bytes() for path in store.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(store)): path.read_bytes()
+        for path in (store.rglob("*") if store.is_dir() else [store])
+        if path.is_file()
+    }
 
 
 def damage(store: Path) -> Path:
@@ -272,12 +289,42 @@ def damage(store: Path) -> Path:
     return chunk
 
 
+def test_the_sum_of_a_level_is_that_of_its_images(tmp_path: Path) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
+    acquisition.level(0)
+    acquisition.level(1)
+    with merge.merged_frames(acquisition.folder, 1) as merged:
+        radiance, variance = merged.read(0, 4)
+    total = merge.read_level_sum(acquisition.folder, 1)
+    np.testing.assert_array_equal(total.radiance, radiance.sum(axis=0, dtype=np.float64))
+    np.testing.assert_array_equal(total.variance, variance.sum(axis=0, dtype=np.float64))
+
+
+def test_no_byte_depends_on_memory_and_threads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(merging, "_CHUNK_BYTES", 2 * 2 * 4 * RAYS)  # 2 patterns a file, 16 a run
+    left = []
+    for name, resources in {
+        "plain": Resources(),
+        "threads": Resources(threads=3),
+        "small": Resources(memory_gib=1e-6, threads=3),
+    }.items():
+        acquisition = Acquisition(tmp_path / name, matrix_rig(noise=CAMERA))
+        acquisition.resources = resources
+        acquisition.plan = Plan("brute_force", SHAPE, SHAPE, 1)
+        acquisition.level(0)
+        left.append({path.name: contents(path) for path in (tmp_path / name / "L00").iterdir()})
+    assert len(read_manifest(tmp_path / "plain/L00/merge.json")["shape"]) == 5
+    assert left[0] == left[1] == left[2]
+
+
 @pytest.mark.parametrize(
     ("damaged", "found_by"),
     [
         ("schedule", "capture"),
         ("capture", "merge"),
-        ("merge", "normalize"),
+        ("sums", "normalize"),
         ("merge", "refine"),
         ("normalize", "refine"),
     ],
@@ -291,7 +338,7 @@ def test_the_next_stage_finds_damage_and_says_what_to_do(
     for stage in stages[: stages.index(found_by)]:
         getattr(acquisition, stage)(1)
     chunk = damage(tmp_path / f"L01/{damaged}.zarr")
-    manifest = tmp_path / f"L01/{damaged}.json"
+    manifest = tmp_path / "L01" / f"{'merge' if damaged == 'sums' else damaged}.json"
     with pytest.raises(IntegrityError, match=f"remove {manifest} and run again") as error:
         getattr(acquisition, found_by)(1)
     assert str(chunk.parent) in str(error.value)

@@ -74,15 +74,16 @@ def run(
     entry: dict[str, Any] = {}
     if level == 0:
         counts = (1, 1) if isinstance(rig.sensor, ExactSensor) else references
-        patterns, keys = reference_patterns(rig.projector_shape, *counts)
         shown = {"black_frames": counts[0], "floodlit_frames": counts[1], "rig": described}
         frames = _Frames(
-            folder.store(level, REFERENCE), "reference brackets", len(keys), shown, batch_patterns
+            folder.store(level, REFERENCE), "reference brackets", sum(counts), shown, batch_patterns
         )
         entry[REFERENCE] = {
             **frames.capture(
                 rig,
-                lambda first, last: rig.capture(patterns[first:last], keys[first:last]),
+                lambda first, last: rig.capture(
+                    *reference_patterns(rig.projector_shape, counts[0], first, last)
+                ),
                 when_patterns_change,
             ),
             "black_frames": counts[0],
@@ -136,7 +137,13 @@ class _Frames:
         made_for = fingerprint(self.shown)
         settle(self.path, made_for, self.shown, when_changed)
         with FrameStore.create(
-            self.path, (self.count, *shape), rig.sensor.frame_dtype, made_for, self.shown
+            self.path,
+            (self.count, *shape),
+            rig.sensor.frame_dtype,
+            made_for,
+            self.shown,
+            # a twelfth more bytes than by zstd, written and read in half the time
+            compression="lz4",
         ) as frames:
             done = int(np.count_nonzero(frames.done))
             if frames.complete:

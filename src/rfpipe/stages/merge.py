@@ -6,6 +6,8 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -16,22 +18,38 @@ from rfpipe.photometry.defects import DefectMap
 from rfpipe.photometry.sensor import MergeOptions, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.capture import REFERENCE
-from rfpipe.stages.merging import Merger
+from rfpipe.stages.merging import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.plan import AcquisitionFolder, advice_on_damage
-from rfpipe.stages.results import bundle_entry
-from rfpipe.store import FrameStore, open_arrays, read_manifest, write_arrays, write_manifest
+from rfpipe.stages.results import bundle_entry, intact_bundle
+from rfpipe.stages.workers import Resources
+from rfpipe.store import (
+    FrameStore,
+    ItemWriter,
+    open_arrays,
+    read_manifest,
+    write_arrays,
+    write_manifest,
+)
 from rfpipe.units import RADIANCE, RADIANCE_UNIT
 
-__all__ = ["CALIBRATION", "MergedFrames", "merged_frames", "read_floodlit", "run"]
+__all__ = [
+    "CALIBRATION",
+    "SUMS",
+    "MergedFrames",
+    "merged_frames",
+    "read_floodlit",
+    "read_level_sum",
+    "run",
+]
 
 Float = NDArray[np.float32]
 
 CALIBRATION = "calibration"
 """Black level, defects and floodlit image, learnt at level 0: their store and manifest's key."""
 
-# Both read and written at a time; two images of 62 x 70 RGB rays make 100 kB.
-_CHUNK_BYTES = 2 * 2**20
-_BATCH_BYTES = 16 * 2**20
+SUMS = "sums"
+"""Sum of the level's images and of their variance: their store and manifest's key."""
+
 _COPY = "manifest.json"
 
 _log = logging.getLogger(__name__)
@@ -45,6 +63,7 @@ def run(
     saturation_fraction: float,
     repair_defects: bool,
     code: str,
+    resources: Resources | None = None,
 ) -> None:
     """Merge the brackets of a level and write the manifest.
 
@@ -61,6 +80,8 @@ def run(
         Whether dead and hot pixels are filled in from their neighbours.
     code : str
         Fingerprint of the code behind the stage.
+    resources : Resources, optional
+        Memory and threads; nothing that is written depends on them.
 
     Raises
     ------
@@ -70,6 +91,7 @@ def run(
     IntegrityError
         When captured frames are damaged.
     """
+    resources = resources or Resources()
     captured = folder.read_manifest(level, "capture")
     settings: dict[str, Any] = {
         "sensor": sensor.describe(),
@@ -79,13 +101,13 @@ def run(
     }
     calibration: dict[str, Any]
     if level == 0:
-        merger, calibration = _calibrate(sensor, folder, settings)
+        merger, calibration = _calibrate(sensor, folder, settings, resources)
     else:
         calibration = folder.read_manifest(0, "merge")[CALIBRATION]
         merger = _read_merger(sensor, folder, saturation_fraction)
     made_from = fingerprint([settings, calibration["digest"], captured["digest"]])
     store = folder.store(level, "merge")
-    facts = _kept(store, made_from)
+    facts = _kept(folder, level, made_from)
     if facts is None:
         # A merge is quick beside its capture, so that one that was interrupted starts anew.
         FrameStore.discard(store)
@@ -94,7 +116,7 @@ def run(
             "level": level,
             "units": RADIANCE_UNIT,
             **({CALIBRATION: calibration} if level == 0 else {}),
-            **_merge(merger, folder, level, made_from),
+            **_merge(merger, folder, level, made_from, resources),
             "fingerprint": made_from,
             "versions": versions(),
         }
@@ -102,52 +124,120 @@ def run(
     write_manifest(folder.manifest(level, "merge"), facts)
 
 
-def _merge(merger: Merger, folder: AcquisitionFolder, level: int, made_from: str) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class _MergeRun:
+    """Merges runs of a level's brackets and writes their images; any thread or process may."""
+
+    merger: Merger
+    captured: Path
+    merged: Path
+    made_from: str
+
+    def __call__(self, first: int, last: int) -> _Run:
+        image_shape = self.merger.floodlit.shape
+        step = chunk_patterns(image_shape)
+        run = _Run(first, [], LevelSum.zero(image_shape), 0)
+        for start in range(first, last, step):
+            stop = min(start + step, last)
+            merged = self.merger.merge(self._frames.read(start, stop), start)
+            run.total.add(merged)
+            images = np.stack([merged.radiance, merged.variance], axis=1)
+            run.digests.extend(self._images.write(start, images))
+            run.saturated += merged.saturated
+        return run
+
+    @property
+    def bytes_in_hand(self) -> int:
+        """Memory that a run takes while it is worked on."""
+        image = 2 * self.merger.floodlit.nbytes
+        # The merge by NumPy has up to five float32 copies of a bracket; images exist as such, as
+        # a block and compressed.
+        brackets = self.merger.black.nbytes * 5
+        patterns = chunk_patterns(self.merger.floodlit.shape)
+        return brackets + patterns * (self.merger.black.nbytes + 3 * image) + 2 * image
+
+    @cached_property
+    def _frames(self) -> FrameStore:
+        return FrameStore.open(self.captured)
+
+    @cached_property
+    def _images(self) -> ItemWriter:
+        return ItemWriter(self.merged, self.made_from)
+
+
+@dataclass
+class _Run:
+    """What the merge of a run of patterns returns."""
+
+    first: int
+    digests: list[str]
+    total: LevelSum
+    saturated: int
+
+
+def _merge(
+    merger: Merger, folder: AcquisitionFolder, level: int, made_from: str, resources: Resources
+) -> dict[str, Any]:
+    image_shape = merger.floodlit.shape
+    store = folder.store(level, "merge")
     with folder.frames(level, "capture") as frames:
         count = frames.shape[0]
-        image = (2, *merger.floodlit.shape)  # radiance, variance
-        nbytes = int(np.prod(image)) * np.dtype(RADIANCE).itemsize
-        chunk = max(1, _CHUNK_BYTES // nbytes)
-        batch = max(1, _BATCH_BYTES // nbytes)
-        saturated = 0
-        with FrameStore.create(
-            folder.store(level, "merge"),
-            (count, *image),
+    shape = (count, 2, *image_shape)  # radiance, variance
+    total = LevelSum.zero(image_shape)
+    saturated = 0
+    work = _MergeRun(merger, folder.store(level, "capture"), store, made_from)
+    with (
+        FrameStore.create(
+            store,
+            shape,
             RADIANCE,
             made_from,
             {"axis 1": ["radiance", "variance"], "units": RADIANCE_UNIT},
-            items_per_chunk=chunk,
-        ) as images:
-            for first, last in images.missing(batch):
-                merged = merger.merge(frames.read(first, last), first)
-                images.write(first, np.stack([merged.radiance, merged.variance], axis=1))
-                saturated += merged.saturated
-            digest = images.digest()
-    samples = count * int(np.prod(image[1:]))
+            items_per_chunk=chunk_patterns(image_shape),
+        ) as images,
+        advice_on_damage(folder.manifest(level, "capture")),
+        resources.workers(work.bytes_in_hand) as workers,
+    ):
+        for run in workers.results(work, runs(count, image_shape)):
+            images.enter(run.first, run.digests)
+            total.join(run.total)
+            saturated += run.saturated
+        digest = images.digest()
+    samples = count * int(np.prod(image_shape))
     if saturated:
         _log.warning(
             "level %d: %d of %d samples are saturated in every exposure; their radiance is a "
             "lower bound. Add a shorter exposure",
             level, saturated, samples,
         )  # fmt: skip
+    sums = folder.store(level, SUMS)
+    write_arrays(
+        sums,
+        {"radiance": total.radiance, "variance": total.variance},
+        {"fingerprint": made_from, "units": RADIANCE_UNIT},
+    )
     return {
         "patterns": count,
         "digest": digest,
         "dtype": np.dtype(RADIANCE).str,
-        "shape": [count, *image],
+        "shape": list(shape),
         "saturated": saturated,
         "samples": samples,
+        SUMS: bundle_entry(open_arrays(sums)),
     }
 
 
-def _kept(store: Path, made_from: str) -> dict[str, Any] | None:
-    """Return the manifest of a store that was made from the same things and is undamaged."""
+def _kept(folder: AcquisitionFolder, level: int, made_from: str) -> dict[str, Any] | None:
+    """Return the manifest of stores that were made from the same things and are undamaged."""
+    store = folder.store(level, "merge")
     copy = store / _COPY
     if not copy.exists():
         return None
     with advice_on_damage(copy):
         facts = read_manifest(copy)
     if facts["fingerprint"] != made_from:
+        return None
+    if intact_bundle(folder.store(level, SUMS), made_from) is None:
         return None
     with FrameStore.create(store, tuple(facts["shape"]), facts["dtype"], made_from, {}) as images:
         if not images.complete:  # a damaged chunk
@@ -157,22 +247,31 @@ def _kept(store: Path, made_from: str) -> dict[str, Any] | None:
 
 
 def _calibrate(
-    sensor: Sensor, folder: AcquisitionFolder, settings: dict[str, Any]
+    sensor: Sensor, folder: AcquisitionFolder, settings: dict[str, Any], resources: Resources
 ) -> tuple[Merger, dict[str, Any]]:
     """Learn from the reference brackets and write what was learnt; also its manifest entry."""
     captured = folder.read_manifest(0, "capture")[REFERENCE]
+    off, on = captured["black_frames"], captured["floodlit_frames"]
     with folder.frames(0, "capture", REFERENCE) as frames:
-        brackets = frames.read(0, frames.shape[0])
-    off, on = np.split(brackets, [captured["black_frames"]])
-    merger = Merger.calibrate(
-        sensor, off, on, settings["saturation_fraction"], settings["repair_defects"]
-    )
+        bracket = prod(frames.shape[1:]) * frames.dtype.itemsize
+        with resources.workers(bracket) as workers:
+
+            def read(first: int, last: int) -> Iterator[NDArray[Any]]:
+                return workers.results(frames.read, [(i, i + 1) for i in range(first, last)])
+
+            merger = Merger.calibrate(
+                sensor,
+                read(0, off),
+                read(off, off + on),
+                settings["saturation_fraction"],
+                settings["repair_defects"],
+            )
     arrays: dict[str, NDArray[Any]] = {
         "black": merger.black,
         "floodlit": merger.floodlit,
         "floodlit_variance": merger.floodlit_variance,
     }
-    counted = {"black_frames": len(off), "floodlit_frames": len(on)}
+    counted = {"black_frames": off, "floodlit_frames": on}
     if merger.defects is not None:
         arrays["defects"] = merger.defects.mask
         counted |= {"hot": merger.defects.hot, "dead": merger.defects.dead}
@@ -204,6 +303,13 @@ def read_floodlit(folder: AcquisitionFolder) -> tuple[Float, Float]:
     bundle = folder.bundle(0, "merge", CALIBRATION)
     with advice_on_damage(folder.manifest(0, "merge")):
         return bundle.read("floodlit"), bundle.read("floodlit_variance")
+
+
+def read_level_sum(folder: AcquisitionFolder, level: int) -> LevelSum:
+    """Read the sum of a level's images and of their variance."""
+    bundle = folder.bundle(level, "merge", SUMS)
+    with advice_on_damage(folder.manifest(level, "merge")):
+        return LevelSum(bundle.read("radiance"), bundle.read("variance"))
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,14 @@ and locks do without it.
 
 from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays
 from rfpipe.store.frames import FrameStore
+from rfpipe.store.items import ItemWriter
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import read_manifest, write_manifest
 
 __all__ = [
     "ArrayBundle",
     "FrameStore",
+    "ItemWriter",
     "StoreLock",
     "open_arrays",
     "read_manifest",
