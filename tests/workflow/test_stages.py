@@ -58,6 +58,7 @@ class Acquisition:
         schedule.run(self.plan, self.folder, level, CODE)
 
     def capture(self, level: int, **options: Any) -> None:
+        options = {"resources": self.resources, **options}
         capture.run(self.rig, self.folder, level, references=(2, 2), **options)
 
     def merge(self, level: int, repair_defects: bool = True) -> None:
@@ -287,6 +288,30 @@ def damage(store: Path) -> Path:
     content = chunk.read_bytes()
     chunk.write_bytes(content[: len(content) // 2])
     return chunk
+
+
+def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> None:
+    batches = []
+
+    class Counting(OperatorRig):
+        def capture(self, patterns: Any, keys: Any) -> Any:
+            batches.append(len(keys))
+            return super().capture(patterns, keys)
+
+    rig = Counting(symmetric_matrix(), SHAPE, SHAPE, CAMERA)
+    acquisition = Acquisition(tmp_path, rig)
+    acquisition.plan = Plan("brute_force", SHAPE, SHAPE, 1)
+    acquisition.schedule(0)
+    acquisition.capture(0, batch_patterns=3)
+    assert max(batches) == 3
+    before = contents(tmp_path / "L00/capture.zarr")
+    batches.clear()
+    again = Acquisition(tmp_path / "again", rig)
+    again.plan, again.resources = acquisition.plan, Resources(memory_gib=1e-6)
+    again.schedule(0)
+    again.capture(0, batch_patterns=3)
+    assert batches == [1] * (2 + 2 + RAYS)
+    assert contents(tmp_path / "again/L00/capture.zarr") == before
 
 
 def test_the_sum_of_a_level_is_that_of_its_images(tmp_path: Path) -> None:

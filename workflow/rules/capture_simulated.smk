@@ -13,6 +13,9 @@ rule capture_simulated:
         "results/{scene}/{method}/L{level}/capture.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        mem_mib=MEMORY_MIB,
     params:
         scene=lambda wildcards: plain(SETTINGS.scenes[wildcards.scene]),
         camera=SETTINGS.camera and plain(SETTINGS.camera),

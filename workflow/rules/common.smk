@@ -42,6 +42,20 @@ def plain(settings):
     return settings.model_dump(mode="json")
 
 
+# All settings but those that shape no result: changing these runs nothing again.
+SHAPING = {
+    name: value for name, value in plain(SETTINGS).items() if name != "resources"
+}
+
+MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
+
+
+def threads(wildcards):
+    """A job's share of the cores: as many acquisitions as there are run side by side."""
+    acquisitions = len(SETTINGS.scenes) * len(SETTINGS.methods)
+    return max(1, (workflow.cores or 1) // acquisitions)
+
+
 def plan(wildcards):
     """Arguments of the Plan that the stages of an acquisition follow."""
     scene = SETTINGS.scenes[wildcards.scene]
@@ -102,7 +116,7 @@ def references(wildcards):
 def sweep_settings(wildcards):
     """The settings of one scene and method's sweep."""
     return {
-        **plain(SETTINGS),
+        **SHAPING,
         "scenes": {wildcards.scene: plain(SETTINGS.scenes[wildcards.scene])},
         "methods": [wildcards.method],
         "report": {"tolerances": list(SETTINGS.report.tolerances)},
@@ -112,7 +126,7 @@ def sweep_settings(wildcards):
 def study_settings(wildcards):
     """The settings of the studies, which have scenes of their own."""
     settings = {
-        **plain(SETTINGS),
+        **SHAPING,
         "report": {"resolutions": list(SETTINGS.report.resolutions)},
     }
     del settings["scenes"]

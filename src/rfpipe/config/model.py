@@ -26,6 +26,7 @@ __all__ = [
     "Normalization",
     "OccluderConfig",
     "ReportConfig",
+    "ResourcesConfig",
     "SceneConfig",
     "Surface",
 ]
@@ -256,6 +257,18 @@ class MergeConfig(_Settings):
     )
 
 
+class ResourcesConfig(_Settings):
+    """What a job may use; none of it changes a result."""
+
+    memory_gib: float = Field(
+        4.0,
+        ge=0.5,
+        le=1024,
+        description="Memory that a job may take, in GiB, 0.5 to 1024. As many jobs as there are "
+        "cores run side by side.",
+    )
+
+
 class ReportConfig(_Settings):
     """What the report shows."""
 
@@ -319,6 +332,9 @@ class Config(_Settings):
         description="Scaling of a level's images to add up to the floodlit image [B.2]: none, "
         "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
         "to each image's energy, for the colours that a mosaic loses).",
+    )
+    resources: ResourcesConfig = Field(
+        default_factory=ResourcesConfig, description="What a job may use; no result depends on it."
     )
     report: ReportConfig = Field(default_factory=ReportConfig, description="What the report shows.")
 

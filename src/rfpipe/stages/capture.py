@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from math import prod
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +21,7 @@ from rfpipe.stages.merging import reference_patterns
 from rfpipe.stages.plan import AcquisitionFolder
 from rfpipe.stages.progress import Progress
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.stages.workers import Resources
 from rfpipe.store import FrameStore, write_manifest
 from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
 
@@ -43,6 +45,7 @@ def run(
     references: tuple[int, int],
     batch_patterns: int = 16,
     when_patterns_change: Literal["recapture", "refuse"] = "recapture",
+    resources: Resources | None = None,
 ) -> None:
     """Capture what isn't captured yet of a level, and write its manifest.
 
@@ -55,9 +58,11 @@ def run(
     references : (int, int)
         All-off and all-on brackets; exact radiance takes one of each whatever stands here.
     batch_patterns : int
-        Patterns shown, then stored, at a time.
+        Patterns shown, then stored, at a time; fewer where memory is short.
     when_patterns_change : {"recapture", "refuse"}
         What to do when pictures of other patterns, or of another rig, stand there.
+    resources : Resources, optional
+        Memory for the patterns in hand. What the rig itself takes comes on top.
 
     Raises
     ------
@@ -69,6 +74,7 @@ def run(
         When another process captures into this folder.
     """
     schedule = read_schedule(folder, level)
+    batch = (resources or Resources()).fitting(_bytes_in_hand(rig), batch_patterns)
     # How long a real rig takes shapes no frame.
     described = {name: value for name, value in rig.describe().items() if name != _TIME}
     entry: dict[str, Any] = {}
@@ -76,7 +82,7 @@ def run(
         counts = (1, 1) if isinstance(rig.sensor, ExactSensor) else references
         shown = {"black_frames": counts[0], "floodlit_frames": counts[1], "rig": described}
         frames = _Frames(
-            folder.store(level, REFERENCE), "reference brackets", sum(counts), shown, batch_patterns
+            folder.store(level, REFERENCE), "reference brackets", sum(counts), shown, batch
         )
         entry[REFERENCE] = {
             **frames.capture(
@@ -92,7 +98,7 @@ def run(
 
     shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
     name = f"level {level}"
-    frames = _Frames(folder.store(level, "capture"), name, schedule.count, shown, batch_patterns)
+    frames = _Frames(folder.store(level, "capture"), name, schedule.count, shown, batch)
     captured = frames.capture(
         rig, lambda first, last: _show(rig, schedule, first, last), when_patterns_change
     )
@@ -110,6 +116,15 @@ def run(
             **entry,
         },
     )
+
+
+def _bytes_in_hand(rig: Rig) -> int:
+    """Memory that a pattern takes while it is shown and stored."""
+    bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
+    # The pattern and its picture may pass through a float64 operator; a simulated sensor draws
+    # the noise of an exposure from some float32 images.
+    doubles = 2 * prod(rig.projector_shape) + 4 * prod(rig.camera_shape) * rig.channels
+    return 2 * bracket * rig.sensor.frame_dtype.itemsize + 8 * doubles
 
 
 def _show(rig: Rig, schedule: Schedule, first: int, last: int) -> NDArray[Any]:

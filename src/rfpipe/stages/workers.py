@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 __all__ = ["Resources", "Workers"]
 
@@ -33,6 +33,11 @@ class Resources:
 
     memory_gib: float = 4.0
     threads: int = 1
+
+    @classmethod
+    def of_job(cls, snakemake: Any) -> Resources:
+        """Return those of a job of the workflow, as Snakemake tells its script."""
+        return cls(snakemake.resources.mem_mib / 1024, snakemake.threads)
 
     @property
     def data_bytes(self) -> int:
