@@ -12,99 +12,29 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.workflow.stagewise import (
+    CAMERA,
+    RAYS,
+    SHAPE,
+    Acquisition,
+    FaultyRig,
+    contents,
+    damage,
+    matrix_rig,
+    symmetric_matrix,
+)
 
-from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError, IntegrityError, StaleStoreError
-from rfpipe.photometry import CameraModel, Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import (
-    assemble,
-    capture,
     merge,
     merging,
-    normalize,
     progress,
-    refine,
-    schedule,
 )
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.plan import Plan
 from rfpipe.stages.workers import Resources
 from rfpipe.store import FrameStore, read_manifest
-from rfpipe.transport import open_transport
-
-SHAPE = (4, 5)
-RAYS = 20
-CODE = "some code"
-
-CAMERA = CameraModel(**CameraConfig().model_dump())
-
-
-def symmetric_matrix() -> np.ndarray:
-    half = generator(3).random((RAYS, RAYS)) / RAYS
-    return half + half.T  # radiance 1 under floodlight, half of what the camera can see
-
-
-class Acquisition:
-    """One acquisition by symmetric photography of a matrix, stage by stage."""
-
-    def __init__(self, path: Path, rig: Any, tolerance: float = 1e-3) -> None:
-        self.rig = rig
-        self.folder = AcquisitionFolder(path)
-        self.plan = Plan("symmetric", SHAPE, SHAPE, 1, tolerance=tolerance)
-        self.resources = Resources()
-
-    def schedule(self, level: int) -> None:
-        schedule.run(self.plan, self.folder, level, CODE)
-
-    def capture(self, level: int, **options: Any) -> None:
-        options = {"resources": self.resources, **options}
-        capture.run(self.rig, self.folder, level, references=(2, 2), **options)
-
-    def merge(self, level: int, repair_defects: bool = True) -> None:
-        merge.run(
-            self.rig.sensor, self.folder, level,
-            saturation_fraction=0.98, repair_defects=repair_defects, code=CODE,
-            resources=self.resources,
-        )  # fmt: skip
-
-    def normalize(self, level: int) -> None:
-        normalize.run(self.plan, self.folder, level, mode="per_channel", code=CODE)
-
-    def refine(self, level: int) -> None:
-        refine.run(self.plan, self.folder, level, CODE)
-
-    def level(self, level: int) -> None:
-        for stage in (self.schedule, self.capture, self.merge, self.normalize, self.refine):
-            stage(level)
-
-    def assemble(self) -> Any:
-        assemble.run(self.plan, self.folder, self.folder.path / "transport.json", "matrix", CODE)
-        return open_transport(self.folder.path / "transport.zarr")
-
-
-def matrix_rig(matrix: np.ndarray | None = None, noise: Sensor | None = None) -> OperatorRig:
-    return OperatorRig(symmetric_matrix() if matrix is None else matrix, SHAPE, SHAPE, noise)
-
-
-class FaultyRig:
-    """A rig whose frames of some patterns come out differently."""
-
-    def __init__(self, rig: OperatorRig, fault: Callable[[tuple[int, ...], Any], Any]) -> None:
-        self._rig = rig
-        self._fault = fault
-        self.shown: list[tuple[int, ...]] = []
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._rig, name)
-
-    def capture(self, patterns: Any, keys: Any) -> Any:
-        frames = [
-            self._fault(key, self._rig.capture(patterns[i : i + 1], [key])[0])
-            for i, key in enumerate(keys)
-        ]
-        self.shown += keys
-        return np.stack(frames)
 
 
 def test_a_matrix_is_recovered_from_files(tmp_path: Path) -> None:
@@ -273,21 +203,6 @@ def test_a_stage_makes_a_damaged_store_anew(tmp_path: Path, damaged: str) -> Non
     getattr(acquisition, stage)(1)
     assert manifest.read_bytes() == before
     assert contents(store) == files
-
-
-def contents(store: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(store)): path.read_bytes()
-        for path in (store.rglob("*") if store.is_dir() else [store])
-        if path.is_file()
-    }
-
-
-def damage(store: Path) -> Path:
-    chunk = max((path for path in store.rglob("c*") if path.is_file()), key=lambda p: p.name)
-    content = chunk.read_bytes()
-    chunk.write_bytes(content[: len(content) // 2])
-    return chunk
 
 
 def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> None:

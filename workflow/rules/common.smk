@@ -12,7 +12,7 @@ SETTINGS = parse_config(config, "the configuration")
 # thrown away by an edit of the code.
 CODE = {
     "schedule": ["blocks", "conflicts", "methods", "patterns", "transport"],
-    "merge": ["photometry", "stages.merging"],
+    "merge": ["photometry", "stages.calibration", "stages.merging"],
     "normalize": ["methods", "photometry", "stages.images", "transport"],
     "refine": ["blocks", "methods", "photometry", "stages.images", "transport"],
     "assemble": ["blocks", "methods", "transport"],
@@ -42,10 +42,10 @@ def plain(settings):
     return settings.model_dump(mode="json")
 
 
-# All settings but those that shape no result: changing these runs nothing again.
-SHAPING = {
-    name: value for name, value in plain(SETTINGS).items() if name != "resources"
-}
+# All settings but those that shape no result: changing these does nothing anew.
+SHAPING = SETTINGS.model_dump(
+    mode="json", exclude={"resources": True, "capture": {"keep_raw"}}
+)
 
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
 

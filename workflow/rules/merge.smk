@@ -17,6 +17,7 @@ rule merge:
     params:
         camera=SETTINGS.camera and plain(SETTINGS.camera),
         merge=plain(SETTINGS.merge),
+        keep_raw=SETTINGS.capture.keep_raw,
         code=stage_code("merge"),
     script:
         "../scripts/merge.py"

@@ -13,5 +13,6 @@ merge.run(
     int(snakemake.wildcards.level),
     **params.merge,
     code=params.code,
+    keep_raw=params.keep_raw,
     resources=Resources.of_job(snakemake),
 )

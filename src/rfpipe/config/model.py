@@ -235,6 +235,11 @@ class CaptureConfig(_Settings):
     batch_patterns: int = Field(
         16, ge=1, le=1024, description="Patterns captured and stored at a time, 1 to 1024."
     )
+    keep_raw: bool = Field(
+        True,
+        description="Whether a level's raw exposures stay after their merge: true or false. "
+        "Without them, other merge settings mean to capture again.",
+    )
     when_patterns_change: Literal["recapture", "refuse"] = Field(
         "recapture",
         description="What to do with a level's pictures when a changed setting changes its "

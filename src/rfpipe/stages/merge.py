@@ -7,45 +7,36 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
-from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.photometry.defects import DefectMap
-from rfpipe.photometry.sensor import MergeOptions, Sensor
+from rfpipe.photometry.sensor import Sensor
 from rfpipe.provenance import fingerprint, versions
+from rfpipe.stages.calibration import CALIBRATION, calibrate, read_merger
 from rfpipe.stages.capture import REFERENCE
 from rfpipe.stages.merging import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.plan import AcquisitionFolder, advice_on_damage
+from rfpipe.stages.raw import RawFrames
 from rfpipe.stages.results import bundle_entry, intact_bundle
 from rfpipe.stages.workers import Resources
 from rfpipe.store import (
     FrameStore,
     ItemWriter,
+    drop,
     open_arrays,
     read_manifest,
+    to_disk,
     write_arrays,
     write_manifest,
 )
 from rfpipe.units import RADIANCE, RADIANCE_UNIT
 
-__all__ = [
-    "CALIBRATION",
-    "SUMS",
-    "MergedFrames",
-    "merged_frames",
-    "read_floodlit",
-    "read_level_sum",
-    "run",
-]
+__all__ = ["SUMS", "MergedFrames", "merged_frames", "read_level_sum", "run"]
 
 Float = NDArray[np.float32]
-
-CALIBRATION = "calibration"
-"""Black level, defects and floodlit image, learnt at level 0: their store and manifest's key."""
 
 SUMS = "sums"
 """Sum of the level's images and of their variance: their store and manifest's key."""
@@ -63,6 +54,7 @@ def run(
     saturation_fraction: float,
     repair_defects: bool,
     code: str,
+    keep_raw: bool = True,
     resources: Resources | None = None,
 ) -> None:
     """Merge the brackets of a level and write the manifest.
@@ -80,11 +72,16 @@ def run(
         Whether dead and hot pixels are filled in from their neighbours.
     code : str
         Fingerprint of the code behind the stage.
+    keep_raw : bool
+        Whether the brackets stay when they are merged. Where they don't, merged images that other
+        code made are kept.
     resources : Resources, optional
         Memory and threads; nothing that is written depends on them.
 
     Raises
     ------
+    StaleStoreError
+        When settings changed and the brackets to merge anew were dropped.
     CaptureError
         When the floodlit image is black or below the black level, or a frame can't be one of the
         sensor's; names the pattern.
@@ -92,22 +89,25 @@ def run(
         When captured frames are damaged.
     """
     resources = resources or Resources()
-    captured = folder.read_manifest(level, "capture")
     settings: dict[str, Any] = {
         "sensor": sensor.describe(),
         "saturation_fraction": saturation_fraction,
         "repair_defects": repair_defects,
-        "code": code,
     }
     calibration: dict[str, Any]
     if level == 0:
-        merger, calibration = _calibrate(sensor, folder, settings, resources)
+        merger, calibration = calibrate(sensor, folder, settings, code, resources)
     else:
         calibration = folder.read_manifest(0, "merge")[CALIBRATION]
-        merger = _read_merger(sensor, folder, saturation_fraction)
-    made_from = fingerprint([settings, calibration["digest"], captured["digest"]])
+        merger = read_merger(sensor, folder, saturation_fraction)
+    made_of = {
+        "settings": settings,
+        "captured": folder.read_manifest(level, "capture")["digest"],
+        "calibration": calibration["digest"],
+    }
+    made_from = fingerprint([made_of, code])
     store = folder.store(level, "merge")
-    facts = _kept(folder, level, made_from)
+    facts = _kept(folder, level, made_of, made_from)
     if facts is None:
         # A merge is quick beside its capture, so that one that was interrupted starts anew.
         FrameStore.discard(store)
@@ -117,11 +117,14 @@ def run(
             "units": RADIANCE_UNIT,
             **({CALIBRATION: calibration} if level == 0 else {}),
             **_merge(merger, folder, level, made_from, resources),
+            "made_of": made_of,
             "fingerprint": made_from,
             "versions": versions(),
         }
         write_manifest(store / _COPY, facts)
     write_manifest(folder.manifest(level, "merge"), facts)
+    if not keep_raw:
+        _drop_raw(folder, level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,82 +230,56 @@ def _merge(
     }
 
 
-def _kept(folder: AcquisitionFolder, level: int, made_from: str) -> dict[str, Any] | None:
-    """Return the manifest of stores that were made from the same things and are undamaged."""
-    store = folder.store(level, "merge")
+def _kept(
+    folder: AcquisitionFolder, level: int, made_of: dict[str, Any], made_from: str
+) -> dict[str, Any] | None:
+    """Return the manifest of stores that were made from the same things and are undamaged.
+
+    Raises StaleStoreError where there are none and the frames to make them from were dropped.
+    """
+    raw = RawFrames(folder, level, "capture")
+    facts = _manifest_of(folder.store(level, "merge"))
+    if facts is None:
+        raw.must_be_there("there are no merged images of them")
+        return None
+    if facts["fingerprint"] != made_from:
+        if not raw.dropped:
+            return None
+        raw.must_be_unchanged(facts["made_of"], made_of)
+    if not _is_intact(folder, level, facts):
+        raw.must_be_there("the merged images are damaged")
+        return None
+    _log.info("%s: made from the same things before; kept", folder.store(level, "merge"))
+    return facts
+
+
+def _manifest_of(store: Path) -> dict[str, Any] | None:
+    """Return the manifest that lies in a store of merged images, if it is complete."""
     copy = store / _COPY
     if not copy.exists():
         return None
     with advice_on_damage(copy):
-        facts = read_manifest(copy)
-    if facts["fingerprint"] != made_from:
-        return None
+        return read_manifest(copy)
+
+
+def _is_intact(folder: AcquisitionFolder, level: int, facts: dict[str, Any]) -> bool:
+    made_from = facts["fingerprint"]
     if intact_bundle(folder.store(level, SUMS), made_from) is None:
-        return None
+        return False
+    store = folder.store(level, "merge")
     with FrameStore.create(store, tuple(facts["shape"]), facts["dtype"], made_from, {}) as images:
-        if not images.complete:  # a damaged chunk
-            return None
-    _log.info("%s: made from the same things before; kept", store)
-    return facts
+        return images.complete
 
 
-def _calibrate(
-    sensor: Sensor, folder: AcquisitionFolder, settings: dict[str, Any], resources: Resources
-) -> tuple[Merger, dict[str, Any]]:
-    """Learn from the reference brackets and write what was learnt; also its manifest entry."""
-    captured = folder.read_manifest(0, "capture")[REFERENCE]
-    off, on = captured["black_frames"], captured["floodlit_frames"]
-    with folder.frames(0, "capture", REFERENCE) as frames:
-        bracket = prod(frames.shape[1:]) * frames.dtype.itemsize
-        with resources.workers(bracket) as workers:
-
-            def read(first: int, last: int) -> Iterator[NDArray[Any]]:
-                return workers.results(frames.read, [(i, i + 1) for i in range(first, last)])
-
-            merger = Merger.calibrate(
-                sensor,
-                read(0, off),
-                read(off, off + on),
-                settings["saturation_fraction"],
-                settings["repair_defects"],
-            )
-    arrays: dict[str, NDArray[Any]] = {
-        "black": merger.black,
-        "floodlit": merger.floodlit,
-        "floodlit_variance": merger.floodlit_variance,
-    }
-    counted = {"black_frames": off, "floodlit_frames": on}
-    if merger.defects is not None:
-        arrays["defects"] = merger.defects.mask
-        counted |= {"hot": merger.defects.hot, "dead": merger.defects.dead}
-        if merger.defects.hot or merger.defects.dead:
-            _log.warning(
-                "%d hot and %d dead pixels are filled in from their neighbours",
-                merger.defects.hot, merger.defects.dead,
-            )  # fmt: skip
-    store = folder.store(0, CALIBRATION)
-    made_from = fingerprint([settings, captured["digest"]])
-    write_arrays(store, arrays, {"fingerprint": made_from, "counted": counted})
-    return merger, {**bundle_entry(open_arrays(store)), **counted}
-
-
-def _read_merger(sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float) -> Merger:
-    bundle = folder.bundle(0, "merge", CALIBRATION)
-    counted = bundle.attributes["counted"]
-    with advice_on_damage(folder.manifest(0, "merge")):
-        defects = None
-        if "defects" in bundle.names:
-            defects = DefectMap(bundle.read("defects"), counted["hot"], counted["dead"])
-        options = MergeOptions(counted["black_frames"], saturation_fraction)
-        black, *floodlit = (bundle.read(n) for n in ("black", "floodlit", "floodlit_variance"))
-        return Merger(sensor, black, options, defects, *floodlit)
-
-
-def read_floodlit(folder: AcquisitionFolder) -> tuple[Float, Float]:
-    """Read the floodlit image that level 0 measured, and its variance: (*camera_shape, C)."""
-    bundle = folder.bundle(0, "merge", CALIBRATION)
-    with advice_on_damage(folder.manifest(0, "merge")):
-        return bundle.read("floodlit"), bundle.read("floodlit_variance")
+def _drop_raw(folder: AcquisitionFolder, level: int) -> None:
+    """Remove the frames that were merged: last of all, so that it may be cut off anywhere."""
+    kept = ["merge", SUMS, *([CALIBRATION] if level == 0 else [])]
+    raw = ["capture", *([REFERENCE] if level == 0 else [])]
+    for part in kept:
+        to_disk(folder.store(level, part))
+    freed = sum(drop(folder.store(level, part)) for part in raw)
+    if freed:
+        _log.info("level %d: raw exposures dropped, %.3g MB", level, freed / 1e6)
 
 
 def read_level_sum(folder: AcquisitionFolder, level: int) -> LevelSum:

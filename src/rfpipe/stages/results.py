@@ -46,11 +46,14 @@ def accept_bundle(store: Path, manifest: Path, fingerprint: str) -> bool:
     return True
 
 
-def intact_bundle(store: Path, fingerprint: str) -> ArrayBundle | None:
-    """Return a bundle that was made from the same things, if there is one and it is undamaged."""
+def intact_bundle(store: Path, fingerprint: str | None) -> ArrayBundle | None:
+    """Return a bundle that was made from the same things, if there is one and it is undamaged.
+
+    `fingerprint` is None where it may be made from anything.
+    """
     try:
         bundle = open_arrays(store)
-        if bundle.attributes.get("fingerprint") != fingerprint:
+        if fingerprint not in (None, bundle.attributes.get("fingerprint")):
             return None
         for name in bundle.names:
             bundle.read(name)

@@ -5,6 +5,7 @@ and locks do without it.
 """
 
 from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays
+from rfpipe.store.dropping import drop, to_disk
 from rfpipe.store.frames import FrameStore
 from rfpipe.store.items import ItemWriter
 from rfpipe.store.lock import StoreLock
@@ -15,8 +16,10 @@ __all__ = [
     "FrameStore",
     "ItemWriter",
     "StoreLock",
+    "drop",
     "open_arrays",
     "read_manifest",
+    "to_disk",
     "write_arrays",
     "write_manifest",
 ]

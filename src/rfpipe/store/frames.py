@@ -27,7 +27,7 @@ from rfpipe.store.files import (
     remove_tree,
     write_atomically,
 )
-from rfpipe.store.items import KIND, ItemArray, item_digests, make_item_array, missing_runs
+from rfpipe.store.items import DROPPED, KIND, ItemArray, item_digests, make_item_array, missing_runs
 from rfpipe.store.journal import JournalWriter, journal_bytes, read_journal
 from rfpipe.store.lock import StoreLock
 
@@ -64,6 +64,8 @@ class FrameStore:
         The configuration that it was made with.
     attributes : dict
         Plain data that its maker left.
+    dropped : bool
+        Whether its items were removed on purpose (`drop`): it is complete, but can't be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -80,6 +82,12 @@ class FrameStore:
         self.items_per_chunk = self._array.items_per_chunk
         # Digest by captured item; a chunk with an item that the journal lost is written again.
         self._digests = self._array.whole_chunks(read_journal(path / _JOURNAL, self.shape[0]))
+        self.dropped = (path / DROPPED).exists()
+        if self.dropped and not self.complete:
+            raise IntegrityError(
+                f"{path / _JOURNAL}: damaged, and the items that it is about were dropped; remove "
+                f"{path} and run the stage that writes it again"
+            )
         self._journal: JournalWriter | None = None
         self._lock = StoreLock(path)
         self._thread_lock = threading.Lock()
@@ -157,7 +165,8 @@ class FrameStore:
                 )
             store = cls(path)
             store._refuse_other(shape, wanted, fingerprint)
-            store._repair()
+            if not store.dropped:
+                store._repair()
             store._journal = JournalWriter(path / _JOURNAL)
         except BaseException:
             lock.release()
@@ -278,7 +287,7 @@ class FrameStore:
         Raises
         ------
         StoreError
-            When an item isn't captured yet.
+            When an item isn't captured yet, or the items were dropped.
         IntegrityError
             When a chunk is missing, truncated or altered; names the file and what to do.
         InputError
@@ -290,6 +299,11 @@ class FrameStore:
             raise StoreError(
                 f"{self.path}: item {absent} isn't captured yet ({len(self._digests)} of "
                 f"{self.shape[0]} are); run the stage that writes it to the end"
+            )
+        if self.dropped and start < stop:
+            raise StoreError(
+                f"{self.path}: its {self.shape[0]} items were dropped once they had been used; "
+                "remove it and run the stage that writes it again"
             )
         block = self._array.read(start, stop, self._digests)
         if block is None:
@@ -350,17 +364,7 @@ class FrameStore:
     def _check_block(self, start: int, stop: int, block: NDArray[Any]) -> None:
         self._open_journal()
         self._check_range(start, stop)
-        if block.shape[1:] != self.shape[1:] or block.dtype != self.dtype:
-            raise InputError(
-                f"{self.path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
-                f"(items, {', '.join(map(str, self.shape[1:]))})"
-            )
-        step = self.items_per_chunk
-        if start % step or (stop % step and stop != self.shape[0]):
-            raise InputError(
-                f"{self.path}: items {start} to {stop} aren't whole chunks of {step}; write the "
-                "runs that missing() gives"
-            )
+        self._array.check(start, block)
         taken = next((item for item in range(start, stop) if item in self._digests), None)
         if taken is not None:
             raise StoreError(

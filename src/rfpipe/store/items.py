@@ -14,10 +14,21 @@ from rfpipe.store.chunks import DAMAGE, METADATA, Compression, layout, read_attr
 from rfpipe.store.codec import ChunkFiles
 from rfpipe.store.files import digest_of, hidden_sibling, remove_tree, storage_errors
 
-__all__ = ["KIND", "ItemArray", "ItemWriter", "item_digests", "make_item_array", "missing_runs"]
+__all__ = [
+    "DROPPED",
+    "KIND",
+    "ItemArray",
+    "ItemWriter",
+    "item_digests",
+    "make_item_array",
+    "missing_runs",
+]
 
 KIND = "frames"
 """What the stores of items call themselves."""
+
+DROPPED = "dropped.json"
+"""Says, in a store's folder, that its items were removed on purpose; see `rfpipe.store.drop`."""
 
 
 class ItemArray:
@@ -40,6 +51,20 @@ class ItemArray:
         self.shape = self._files.shape
         self.dtype = self._files.dtype
         self.items_per_chunk = self._files.items_per_chunk
+
+    def check(self, start: int, block: NDArray[Any]) -> None:
+        """Raise InputError unless a block fits and is of whole chunks."""
+        stop, step = start + len(block), self.items_per_chunk
+        if block.shape[1:] != self.shape[1:] or block.dtype != self.dtype:
+            raise InputError(
+                f"{self._path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
+                f"(items, {', '.join(map(str, self.shape[1:]))})"
+            )
+        if start % step or (stop % step and stop != self.shape[0]):
+            raise InputError(
+                f"{self._path}: items {start} to {stop} aren't whole chunks of {step}; write the "
+                "runs that missing() gives"
+            )
 
     def write(self, start: int, block: NDArray[Any]) -> None:
         """Store the items from `start` on; whole chunks."""
@@ -67,6 +92,10 @@ class ItemArray:
         if item_digests(block) != [digests[item] for item in range(start, stop)]:
             return None
         return block
+
+    def files(self) -> list[Path]:
+        """Files of all chunks that are there."""
+        return sorted(self._path.glob("c.*"))
 
     def damaged(self, start: int, stop: int, digests: Mapping[int, str]) -> list[int]:
         """Those of the items [start, stop) in `digests` that can't be read as they were written."""
@@ -131,7 +160,16 @@ class ItemWriter:
         self._array = ItemArray(path)
 
     def write(self, start: int, block: NDArray[Any]) -> list[str]:
-        """Store the items from `start` on, whole chunks; return their digests."""
+        """Store the items from `start` on; return their digests.
+
+        Raises
+        ------
+        InputError
+            When the block doesn't fit, or isn't of whole chunks.
+        StoreError
+            When the disk is full.
+        """
+        self._array.check(start, block)
         block = np.ascontiguousarray(block)
         digests = item_digests(block)
         self._array.write(start, block)
