@@ -2,6 +2,7 @@
 
 from rfpipe.config import load_config, parse_config
 from rfpipe.provenance import code_fingerprint
+from rfpipe.stages.disk import expected_patterns
 from rfpipe.stages.plan import Plan
 
 if len(workflow.configfiles) == 1:
@@ -111,6 +112,12 @@ def references(wildcards):
         if wildcards.level == "00"
         else [0, 0]
     )
+
+
+def expected(wildcards):
+    """Patterns that all levels may take, for level 0 to estimate the disk space."""
+    rays = plan(wildcards)["projector_shape"]
+    return expected_patterns(wildcards.method, rays, n_levels(wildcards))
 
 
 def sweep_settings(wildcards):

@@ -24,5 +24,7 @@ capture.run(
     references=tuple(params.references),
     batch_patterns=params.batch_patterns,
     when_patterns_change=params.when_patterns_change,
+    expected_patterns=params.expected_patterns,
+    keep_raw=params.keep_raw,
     resources=resources,
 )

@@ -6,6 +6,7 @@ and locks do without it.
 
 from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays
 from rfpipe.store.dropping import drop, to_disk
+from rfpipe.store.files import bytes_on_disk
 from rfpipe.store.frames import FrameStore
 from rfpipe.store.items import ItemWriter
 from rfpipe.store.lock import StoreLock
@@ -16,6 +17,7 @@ __all__ = [
     "FrameStore",
     "ItemWriter",
     "StoreLock",
+    "bytes_on_disk",
     "drop",
     "open_arrays",
     "read_manifest",
