@@ -10,6 +10,7 @@ from rfpipe.methods.base import Pack, Settings
 from rfpipe.methods.symmetric import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.stages.images import ImagesInMemory, NormalizedImages, normalize_level
+from rfpipe.stages.merging import LevelSum
 
 
 def dense(transport, channel=0):
@@ -208,8 +209,9 @@ def _images(matrix, schedule, shape):
     light = (patterns @ matrix.T).astype(np.float32).reshape(schedule.count, *shape, 1)
     merged = ImagesInMemory(light, np.zeros_like(light))
     floodlit = (matrix.sum(axis=1).astype(np.float32)).reshape(*shape, 1)
+    total = LevelSum.zero(floodlit.shape)
     return NormalizedImages(
-        schedule, merged, normalize_level(schedule, merged, (floodlit, floodlit), None, "none", 3.0)
+        schedule, merged, normalize_level(schedule, total, (floodlit, floodlit), None, "none", 3.0)
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.workflow.harness import CONFIG, STAGES, TINY, Workflow, journal, undo
+from tests.workflow.harness import CONFIG, DUAL, LONG, STAGES, TINY, Workflow, journal, undo
 
 from rfpipe import acquire, open_transport
 from rfpipe.config import load_config
@@ -114,6 +114,11 @@ def test_a_looser_tolerance_captures_only_changed_patterns_anew(copy: Workflow) 
 def patterns_shown(folder: Path, level: int) -> tuple[int, str]:
     manifest = read_manifest(folder / f"L{level:02d}/schedule.json")
     return manifest["patterns"], manifest["shown"]
+
+
+def test_other_resources_run_nothing_again(copy: Workflow) -> None:
+    copy.configure(resources={"memory_gib": 0.5})
+    assert "Nothing to be done" in copy.run(TINY, DUAL, LONG)
 
 
 def test_changed_patterns_can_be_refused(copy: Workflow) -> None:

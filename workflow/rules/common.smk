@@ -2,6 +2,7 @@
 
 from rfpipe.config import load_config, parse_config
 from rfpipe.provenance import code_fingerprint
+from rfpipe.stages.disk import expected_patterns
 from rfpipe.stages.plan import Plan
 
 if len(workflow.configfiles) == 1:
@@ -12,7 +13,7 @@ SETTINGS = parse_config(config, "the configuration")
 # thrown away by an edit of the code.
 CODE = {
     "schedule": ["blocks", "conflicts", "methods", "patterns", "transport"],
-    "merge": ["photometry", "stages.merging"],
+    "merge": ["photometry", "stages.calibration", "stages.merging"],
     "normalize": ["methods", "photometry", "stages.images", "transport"],
     "refine": ["blocks", "methods", "photometry", "stages.images", "transport"],
     "assemble": ["blocks", "methods", "transport"],
@@ -40,6 +41,19 @@ def stage_code(stage):
 def plain(settings):
     """Settings as plain data, which is all that a rule's params should hold."""
     return settings.model_dump(mode="json")
+
+
+# All settings but those that shape no result: changing these does nothing anew.
+SHAPING = SETTINGS.model_dump(
+    mode="json", exclude={"resources": True, "capture": {"keep_raw"}}
+)
+
+MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
+
+
+def threads(wildcards):
+    """A job's share of the cores: as many acquisitions as there are run side by side."""
+    return max(1, (workflow.cores or 1) // len(SETTINGS.acquisitions))
 
 
 def scene_settings(wildcards):
@@ -113,10 +127,16 @@ def references(wildcards):
     )
 
 
+def expected(wildcards):
+    """Patterns that all levels may take, for level 0 to estimate the disk space."""
+    rays = plan(wildcards)["projector_shape"]
+    return expected_patterns(wildcards.method, rays, n_levels(wildcards))
+
+
 def sweep_settings(wildcards):
     """The settings of one scene and method's sweep."""
     return {
-        **plain(SETTINGS),
+        **SHAPING,
         "scenes": {wildcards.scene: scene_settings(wildcards)},
         "methods": [wildcards.method],
         "report": {"tolerances": list(SETTINGS.report.tolerances)},
@@ -126,7 +146,7 @@ def sweep_settings(wildcards):
 def study_settings(wildcards):
     """The settings of the studies, which have scenes of their own."""
     settings = {
-        **plain(SETTINGS),
+        **SHAPING,
         "report": {"resolutions": list(SETTINGS.report.resolutions)},
     }
     del settings["scenes"]

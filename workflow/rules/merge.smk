@@ -11,9 +11,13 @@ rule merge:
         "results/{scene}/{method}/L{level}/merge.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        mem_mib=MEMORY_MIB,
     params:
         camera=SETTINGS.camera and plain(SETTINGS.camera),
         merge=plain(SETTINGS.merge),
+        keep_raw=SETTINGS.capture.keep_raw,
         code=stage_code("merge"),
     script:
         "../scripts/merge.py"

@@ -71,7 +71,7 @@ rule report:
     conda:
         "../envs/rfpipe.yaml"
     params:
-        settings=plain(SETTINGS),
+        settings=SHAPING,
         code=code_fingerprint("rfpipe.report"),
         template=fingerprint(PAGE_TEMPLATE.read_text(encoding="utf-8")),
     script:

@@ -14,6 +14,7 @@ from rfpipe.config.model import (
     Normalization,
     OccluderConfig,
     ReportConfig,
+    ResourcesConfig,
     SceneConfig,
     Surface,
 )
@@ -28,6 +29,7 @@ __all__ = [
     "Normalization",
     "OccluderConfig",
     "ReportConfig",
+    "ResourcesConfig",
     "SceneConfig",
     "Surface",
     "default_yaml",

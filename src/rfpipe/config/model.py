@@ -27,6 +27,7 @@ __all__ = [
     "Normalization",
     "OccluderConfig",
     "ReportConfig",
+    "ResourcesConfig",
     "SceneConfig",
     "Surface",
 ]
@@ -283,6 +284,11 @@ class CaptureConfig(_Settings):
     batch_patterns: int = Field(
         16, ge=1, le=1024, description="Patterns captured and stored at a time, 1 to 1024."
     )
+    keep_raw: bool = Field(
+        True,
+        description="Whether a level's raw exposures stay after their merge: true or false. "
+        "Without them, other merge settings mean to capture again.",
+    )
     when_patterns_change: Literal["recapture", "refuse"] = Field(
         "recapture",
         description="What to do with a level's pictures when a changed setting changes its "
@@ -302,6 +308,18 @@ class MergeConfig(_Settings):
     )
     repair_defects: bool = Field(
         True, description="Replace dead and hot pixels by their neighbours' median: true or false."
+    )
+
+
+class ResourcesConfig(_Settings):
+    """What a job may use; none of it changes a result."""
+
+    memory_gib: float = Field(
+        4.0,
+        ge=0.5,
+        le=1024,
+        description="Memory that a job may take, in GiB, 0.5 to 1024. As many jobs as there are "
+        "cores run side by side.",
     )
 
 
@@ -374,6 +392,9 @@ class Config(_Settings):
         description="Scaling of a level's images to add up to the floodlit image [B.2]: none, "
         "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
         "to each image's energy, for the colours that a mosaic loses).",
+    )
+    resources: ResourcesConfig = Field(
+        default_factory=ResourcesConfig, description="What a job may use; no result depends on it."
     )
     report: ReportConfig = Field(default_factory=ReportConfig, description="What the report shows.")
 

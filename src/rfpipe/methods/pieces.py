@@ -22,10 +22,10 @@ from rfpipe.transport.partition import predict
 # sums, variances, energy.
 _PIXEL_BYTES = 2 * np.dtype(np.float32).itemsize
 _PAIR_BYTES = 8 * np.dtype(np.float64).itemsize
-# How much of the memory pieces may take: the nodes and leaves made of them take as much again,
-# twice while they are sorted. And how much the images that are read at a time may take, of which
-# there are five copies: as read and in tree order with their variance, and predicted.
-_SHARE = 4
+# How much of the memory pieces may take: the nodes and leaves made of them take as much again at
+# most. And how much the images that are read at a time may take, of which there are five copies: as
+# read and in tree order with their variance, and predicted.
+_SHARE = 2
 _BATCH_SHARE = 8
 _IMAGE_COPIES = 5
 _MOST_AT_A_TIME = 64
