@@ -14,6 +14,7 @@ rule merge:
     threads: threads
     resources:
         mem_mib=MEMORY_MIB,
+        cluster=SETTINGS.resources.cluster or "",
     params:
         camera=SETTINGS.camera and plain(SETTINGS.camera),
         merge=plain(SETTINGS.merge),

@@ -321,6 +321,13 @@ class ResourcesConfig(_Settings):
         description="Memory that a job may take, in GiB, 0.5 to 1024. As many jobs as there are "
         "cores run side by side.",
     )
+    cluster: str | None = Field(
+        None,
+        pattern=r"^(tcp|tls|ucx)://\S+:\d+$",
+        description="Address of a dask scheduler whose workers merge brackets, such as "
+        "tcp://host:8786, or null to work here. They must see the results' folder under the same "
+        "path.",
+    )
 
 
 class ReportConfig(_Settings):

@@ -103,7 +103,7 @@ def _learn(
     off, on = captured["black_frames"], captured["floodlit_frames"]
     with folder.frames(0, "capture", REFERENCE) as frames:
         bracket = prod(frames.shape[1:]) * frames.dtype.itemsize
-        with resources.workers(bracket) as workers:
+        with resources.here.workers(bracket) as workers:
 
             def read(first: int, last: int) -> Iterator[NDArray[Any]]:
                 return workers.results(frames.read, [(i, i + 1) for i in range(first, last)])

@@ -135,13 +135,12 @@ class _MergeRun:
     captured: Path
     merged: Path
     made_from: str
+    chunk: int
 
     def __call__(self, first: int, last: int) -> _Run:
-        image_shape = self.merger.floodlit.shape
-        step = chunk_patterns(image_shape)
-        run = _Run(first, [], LevelSum.zero(image_shape), 0)
-        for start in range(first, last, step):
-            stop = min(start + step, last)
+        run = _Run(first, [], LevelSum.zero(self.merger.floodlit.shape), 0)
+        for start in range(first, last, self.chunk):
+            stop = min(start + self.chunk, last)
             merged = self.merger.merge(self._frames.read(start, stop), start)
             run.total.add(merged)
             images = np.stack([merged.radiance, merged.variance], axis=1)
@@ -156,8 +155,7 @@ class _MergeRun:
         # The merge by NumPy has up to five float32 copies of a bracket; images exist as such, as
         # a block and compressed.
         brackets = self.merger.black.nbytes * 5
-        patterns = chunk_patterns(self.merger.floodlit.shape)
-        return brackets + patterns * (self.merger.black.nbytes + 3 * image) + 2 * image
+        return brackets + self.chunk * (self.merger.black.nbytes + 3 * image) + 2 * image
 
     @cached_property
     def _frames(self) -> FrameStore:
@@ -188,7 +186,10 @@ def _merge(
     shape = (count, 2, *image_shape)  # radiance, variance
     total = LevelSum.zero(image_shape)
     saturated = 0
-    work = _MergeRun(merger, folder.store(level, "capture"), store, made_from)
+    # a cluster's workers have working folders of their own
+    captured = folder.store(level, "capture").absolute()
+    chunk = chunk_patterns(image_shape)
+    work = _MergeRun(merger, captured, store.absolute(), made_from, chunk)
     with (
         FrameStore.create(
             store,
@@ -196,7 +197,7 @@ def _merge(
             RADIANCE,
             made_from,
             {"axis 1": ["radiance", "variance"], "units": RADIANCE_UNIT},
-            items_per_chunk=chunk_patterns(image_shape),
+            items_per_chunk=chunk,
         ) as images,
         advice_on_damage(folder.manifest(level, "capture")),
         resources.workers(work.bytes_in_hand) as workers,
