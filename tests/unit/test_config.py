@@ -2,13 +2,16 @@
 
 import json
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from pydantic import BaseModel
 
+from rfpipe import units
 from rfpipe.config import (
     CameraConfig,
     Config,
+    NumberFormat,
     OccluderConfig,
     default_yaml,
     json_schema,
@@ -43,6 +46,10 @@ def test_generated_files_are_in_step_with_the_model() -> None:
     assert (FOLDER / "config.yaml").read_text(encoding="utf-8") == default_yaml()
     stored = json.loads((FOLDER / "config.schema.json").read_text(encoding="utf-8"))
     assert stored == json_schema()
+
+
+def test_number_formats_are_those_of_the_stores() -> None:
+    assert get_args(NumberFormat) == get_args(units.NumberFormat)
 
 
 def test_default_file_holds_the_defaults() -> None:
