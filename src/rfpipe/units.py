@@ -1,8 +1,13 @@
 """Dtypes and names of units, shared by stores, manifests and reports."""
 
+from typing import Literal
+
 import numpy as np
 
-__all__ = ["COUNTS", "COUNT_UNIT", "RADIANCE", "RADIANCE_UNIT"]
+__all__ = ["COUNTS", "COUNT_UNIT", "RADIANCE", "RADIANCE_UNIT", "NumberFormat"]
+
+NumberFormat = Literal["float32", "uint16", "uint8"]
+"""How a stored transport keeps its numbers: as they are, or rounded to 16 or 8 bits."""
 
 RADIANCE = np.float32
 """Dtype of stored radiance, and of its variance (radiance squared)."""

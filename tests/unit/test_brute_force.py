@@ -1,5 +1,7 @@
 """Brute force: the yardstick."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from tests.helpers import acquire_matrix, dense
@@ -8,7 +10,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods import Settings
 from rfpipe.methods.brute_force import BruteForce
-from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport import open_transport, save_transport
 
 
 @pytest.fixture
@@ -64,7 +66,7 @@ def test_truncation_changes_nothing(matrix: np.ndarray) -> None:
         transport.truncate(-1)
 
 
-def test_states_restore_and_transports_unpack(matrix: np.ndarray) -> None:
+def test_states_restore_and_transports_are_stored(matrix: np.ndarray, tmp_path: Path) -> None:
     method = BruteForce()
     run = acquire_matrix(method, matrix, (4, 5), (6, 7))
     before, after = run.states
@@ -72,11 +74,10 @@ def test_states_restore_and_transports_unpack(matrix: np.ndarray) -> None:
     restored = method.restore(before, run.packs)
     assert (restored.level, restored.rows) == (after.level, after.rows)
     np.testing.assert_array_equal(restored.matrix, after.matrix)
-    arrays, attributes = run.transport.pack()
-    unpacked = DenseTransport.unpack(arrays, attributes, 17)
-    np.testing.assert_array_equal(dense(unpacked), dense(run.transport))
-    assert unpacked.nbytes == 17
-    assert unpacked.level_rows == run.transport.level_rows
+    save_transport(run.transport, tmp_path / "transport.zarr", "uint8")  # never rounded
+    stored = open_transport(tmp_path / "transport.zarr")
+    np.testing.assert_array_equal(dense(stored), dense(run.transport))
+    assert stored.level_rows == run.transport.level_rows
 
 
 def test_nothing_is_known_before_the_scan() -> None:

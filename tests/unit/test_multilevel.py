@@ -1,10 +1,14 @@
 """The multilevel transport by hand, its dual images, its truncation."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
+from rfpipe.store.files import bytes_on_disk
+from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.multilevel import MultilevelTransport, PairSet, fold
 
 CAMERA = RayDomain((1, 2))
@@ -88,16 +92,17 @@ def test_an_empty_transport_is_dark() -> None:
     assert dark.truncate(1).pair_sets == []
 
 
-def test_pack_and_unpack(transport: MultilevelTransport) -> None:
-    arrays, attributes = transport.pack()
+def test_it_is_stored(transport: MultilevelTransport, tmp_path: Path) -> None:
+    arrays, _ = transport.pack()
     assert set(arrays) == {
         f"level_{level:02d}_{part}" for level in range(3) for part in ("block", "pixel", "values")
     }
     assert all(arrays[name].dtype in (np.int32, np.float32) for name in arrays)
-    unpacked = MultilevelTransport.unpack(arrays, attributes, None)
-    assert unpacked.nbytes == transport.nbytes == 4 * (4 + 4 + 4)
-    assert MultilevelTransport.unpack(arrays, attributes, 123).nbytes == 123
-    np.testing.assert_array_equal(unpacked.relight(np.eye(4)), transport.relight(np.eye(4)))
+    assert transport.nbytes == 4 * (4 + 4 + 4)
+    save_transport(transport, tmp_path / "transport.zarr")
+    stored = open_transport(tmp_path / "transport.zarr")
+    assert stored.nbytes == bytes_on_disk(tmp_path / "transport.zarr")
+    np.testing.assert_array_equal(stored.relight(np.eye(4)), transport.relight(np.eye(4)))
 
 
 def test_dual_image_of_one_block_is_even() -> None:

@@ -61,6 +61,18 @@ def test_bytes_and_digest_are_the_same_each_time_and_in_any_order(tmp_path: Path
     assert tree(tmp_path / "a") == tree(tmp_path / "b")
 
 
+def test_small_bundles_hold_the_same_in_fewer_bytes(tmp_path: Path) -> None:
+    arrays = example()
+    quick = write_arrays(tmp_path / "quick", arrays, ATTRIBUTES)
+    small = write_arrays(tmp_path / "small", arrays, ATTRIBUTES, small=True)
+    assert quick == small
+    bundles = open_arrays(tmp_path / "quick"), open_arrays(tmp_path / "small")
+    assert bundles[1].nbytes_stored < bundles[0].nbytes_stored
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(bundles[1].read(name), array)
+        assert bundles[1].nbytes(name) == array.nbytes
+
+
 def test_digest_tells_names_values_dtypes_shapes_and_attributes_apart(tmp_path: Path) -> None:
     zeros = np.zeros(4, np.int32)
     variants: list[tuple[dict[str, NDArray[Any]], dict[str, Any]]] = [

@@ -11,7 +11,7 @@ from rfpipe.config import Config
 from rfpipe.stages import evaluate, sweep
 from rfpipe.stages.evaluate import error_rows
 from rfpipe.stages.settings import acquire_options
-from rfpipe.stages.sweep import stored_bytes
+from rfpipe.stages.sweep import stored
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.dense import DenseTransport
@@ -69,11 +69,13 @@ def test_settings_of_the_acquisition_are_passed_on():
     assert "tolerance" not in options
 
 
-def test_stored_bytes_are_those_of_the_same_transport_on_disk(tmp_path):
+def test_bytes_and_numbers_are_those_of_the_same_transport_on_disk(tmp_path):
     matrix = np.arange(48, dtype=np.float32).reshape(1, 6, 8)
     transport = DenseTransport((2, 3), (2, 4), 1, [], {"matrix": matrix})
-    save_transport(transport, tmp_path / "transport.zarr")
-    assert stored_bytes(transport) == open_transport(tmp_path / "transport.zarr").nbytes
+    save_transport(transport, tmp_path / "transport.zarr", "uint8")
+    with stored(transport, "uint8") as kept:
+        assert kept.nbytes == open_transport(tmp_path / "transport.zarr").nbytes
+        np.testing.assert_array_equal(kept.relight(np.eye(2, 4)), transport.relight(np.eye(2, 4)))
 
 
 def test_errors_are_blank_where_they_are_undefined(swept, tmp_path):

@@ -65,7 +65,8 @@ class Acquisition:
             stage(level)
 
     def assemble(self) -> Any:
-        assemble.run(self.plan, self.folder, self.folder.path / "transport.json", "matrix", CODE)
+        manifest = self.folder.path / "transport.json"
+        assemble.run(self.plan, self.folder, manifest, "matrix", "float32", CODE)
         return open_transport(self.folder.path / "transport.zarr")
 
 

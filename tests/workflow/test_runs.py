@@ -49,8 +49,8 @@ def test_the_files_hold_what_an_acquisition_in_process_finds(
         floodlit_frames=config.capture.floodlit_frames,
     )
     stored = open_transport(undisturbed.path(f"{scene}/{method}/transport.zarr"))
-    expected, attributes = result.transport.pack()
-    found, stored_attributes = stored.pack()
+    expected, attributes = result.transport.pack(config.storage.number_format)
+    found, stored_attributes = stored.pack(config.storage.number_format)
     assert stored_attributes == attributes
     assert set(found) == set(expected)
     for name, array in expected.items():

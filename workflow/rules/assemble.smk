@@ -12,6 +12,7 @@ rule assemble:
         "../envs/rfpipe.yaml"
     params:
         plan=plan,
+        number_format=SETTINGS.storage.number_format,
         code=stage_code("assemble"),
     script:
         "../scripts/assemble.py"

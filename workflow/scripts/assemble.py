@@ -11,5 +11,6 @@ assemble.run(
     AcquisitionFolder(manifest.parent),
     manifest,
     snakemake.wildcards.scene,
+    snakemake.params.number_format,
     snakemake.params.code,
 )

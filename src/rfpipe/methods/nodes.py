@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
-from rfpipe.transport.hierarchical import LeafSet, factor_offsets, ragged_ranges
+from rfpipe.transport.leaves import LeafSet, factor_offsets, ragged_ranges
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]

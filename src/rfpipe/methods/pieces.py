@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree
 from rfpipe.methods.base import LevelImages
 from rfpipe.methods.nodes import Blocks, Double, Float, Frontier, compared_pixels
-from rfpipe.transport.hierarchical import LeafSet, factor_offsets
+from rfpipe.transport.leaves import LeafSet, factor_offsets
 from rfpipe.transport.partition import predict
 
 # Bytes that a pixel of a piece takes, its variance included, and a pair of blocks in each channel:

@@ -35,7 +35,8 @@ from rfpipe.methods.verdicts import (
     reconcile,
 )
 from rfpipe.patterns import Schedule
-from rfpipe.transport.hierarchical import LEAF_PARTS, HierarchicalTransport, LeafSet
+from rfpipe.transport.hierarchical import HierarchicalTransport
+from rfpipe.transport.leaves import LEAF_PARTS, LeafSet
 
 
 @dataclass(frozen=True)

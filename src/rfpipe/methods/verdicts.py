@@ -18,7 +18,7 @@ from rfpipe.methods.nodes import (
     select,
 )
 from rfpipe.methods.pieces import Pieces
-from rfpipe.transport.hierarchical import LeafSet, factor_offsets
+from rfpipe.transport.leaves import LeafSet, factor_offsets
 
 __all__ = ["AGREES", "CLOSE", "DIFFERS", "Found", "Limits", "classify", "disagreement", "rank_test"]
 

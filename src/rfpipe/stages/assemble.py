@@ -9,12 +9,19 @@ from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.plan import AcquisitionFolder, Plan, restore_state
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
-from rfpipe.units import RADIANCE_UNIT
+from rfpipe.units import RADIANCE_UNIT, NumberFormat
 
 __all__ = ["run"]
 
 
-def run(plan: Plan, folder: AcquisitionFolder, manifest: Path, scene: str, code: str) -> None:
+def run(
+    plan: Plan,
+    folder: AcquisitionFolder,
+    manifest: Path,
+    scene: str,
+    number_format: NumberFormat,
+    code: str,
+) -> None:
     """Write ``transport.zarr`` beside its manifest.
 
     Parameters
@@ -25,16 +32,25 @@ def run(plan: Plan, folder: AcquisitionFolder, manifest: Path, scene: str, code:
         Written last.
     scene : str
         Name, kept with the transport.
+    number_format : {"float32", "uint16", "uint8"}
+        How the store keeps its numbers, see `rfpipe.transport.save_transport`.
     code : str
         Fingerprint of the code behind the stage.
     """
     n_levels = plan.n_levels
     refined = [folder.read_manifest(level, "refine")["digest"] for level in range(n_levels)]
-    made_from = fingerprint({"plan": plan.describe(), "refine": refined, "code": code})
+    made_from = fingerprint(
+        {
+            "plan": plan.describe(),
+            "refine": refined,
+            "number_format": number_format,
+            "code": code,
+        }
+    )
     transport = plan.method.transport(restore_state(plan, folder, n_levels))
     about: dict[str, Any] = {"scene": scene, "method": plan.method.name, "fingerprint": made_from}
     store = manifest.with_suffix(".zarr")
-    digest = save_transport(transport, store, **about)
+    digest = save_transport(transport, store, number_format, **about)
     write_manifest(
         manifest,
         {

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,13 +19,13 @@ from rfpipe.provenance import fingerprint
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.settings import acquire_options
 from rfpipe.store.files import write_atomically
-from rfpipe.units import RADIANCE_UNIT
+from rfpipe.units import RADIANCE_UNIT, NumberFormat
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
     from rfpipe.transport import Transport
 
-__all__ = ["TIMES_COLUMNS", "Sweep", "run", "stored_bytes", "sweep_tolerances"]
+__all__ = ["TIMES_COLUMNS", "Sweep", "run", "stored", "sweep_tolerances"]
 
 TIMES_COLUMNS = ("tolerance", "processing_s", "simulation_s")
 """Wall seconds measured here, of processing and of simulating the pictures."""
@@ -50,14 +52,15 @@ class Sweep:
     times: list[dict[str, float]]
 
 
-def stored_bytes(transport: Transport) -> int:
-    """Return the bytes that a transport takes in a store."""
+@contextmanager
+def stored(transport: Transport, number_format: NumberFormat) -> Iterator[Transport]:
+    """Store a transport for a while, and open it: its bytes and numbers are those of a run."""
     from rfpipe.transport import open_transport, save_transport
 
     with TemporaryDirectory(prefix="rfpipe-") as folder:
         path = Path(folder) / "transport.zarr"
-        save_transport(transport, path)
-        return open_transport(path).nbytes
+        save_transport(transport, path, number_format)
+        yield open_transport(path)
 
 
 def sweep_tolerances(config: Config, scene: str, method: str) -> Sweep:
@@ -87,8 +90,9 @@ def sweep_tolerances(config: Config, scene: str, method: str) -> Sweep:
     times: list[dict[str, float]] = []
     for tolerance in config.report.tolerances:
         result = acquire(rig, method, tolerance, progress=False, **acquire_options(config))
-        relit.append(result.transport.relight_batch(patterns))
-        nbytes = stored_bytes(result.transport)
+        with stored(result.transport, config.storage.number_format) as transport:
+            relit.append(transport.relight_batch(patterns))
+            nbytes = transport.nbytes
         row = {"tolerance": tolerance, "patterns": result.patterns, "bytes": nbytes}
         rows.append(row)
         seconds = (tolerance, result.processing_seconds, result.capture_seconds)
@@ -130,6 +134,7 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
             "seed": config.seed,
             "tolerances": config.report.tolerances,
             "acquisition": acquire_options(config),
+            "storage": config.storage,
             "code": code,
         }
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 from collections.abc import Mapping
@@ -19,6 +20,7 @@ from rfpipe.store.chunks import (
     layout,
     open_array,
     read_attributes,
+    small_layout,
 )
 from rfpipe.store.files import (
     bytes_on_disk,
@@ -92,6 +94,16 @@ class ArrayBundle:
         dtype: np.dtype[Any] = np.dtype(self._entry(name)["dtype"])
         return dtype
 
+    def nbytes(self, name: str) -> int:
+        """Bytes of an array in memory, without reading it.
+
+        Raises
+        ------
+        InputError
+            When there is no array of this name.
+        """
+        return math.prod(self.shape(name)) * self.dtype(name).itemsize
+
     def read(self, name: str) -> NDArray[Any]:
         """Read a whole array and check it against its digest.
 
@@ -130,7 +142,13 @@ class ArrayBundle:
         return self._entries[name]
 
 
-def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], attributes: dict[str, Any]) -> str:
+def write_arrays(
+    path: Path,
+    arrays: Mapping[str, NDArray[Any]],
+    attributes: dict[str, Any],
+    *,
+    small: bool = False,
+) -> str:
     """Write a bundle, complete or not at all; takes the place of an older one.
 
     It is written beside its place and renamed, so that an interrupted write leaves nothing, or
@@ -146,6 +164,8 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], attributes: dic
         an array costs about 3 ms and two files.
     attributes
         Plain data: units, versions, fingerprints.
+    small
+        Whether to compress harder, see `rfpipe.store.chunks.small_layout`.
 
     Returns
     -------
@@ -180,7 +200,7 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], attributes: dic
             _refuse_foreign(path)
         remove_tree(new)
         try:
-            _write_group(new, contiguous, header)
+            _write_group(new, contiguous, header, small)
             remove_tree(path)
             new.rename(path)
         except OSError:
@@ -202,7 +222,9 @@ def open_arrays(path: Path) -> ArrayBundle:
     return ArrayBundle(path)
 
 
-def _write_group(path: Path, arrays: Mapping[str, NDArray[Any]], header: dict[str, Any]) -> None:
+def _write_group(
+    path: Path, arrays: Mapping[str, NDArray[Any]], header: dict[str, Any], small: bool
+) -> None:
     import zarr
 
     group = zarr.create_group(path, attributes=header)
@@ -212,7 +234,7 @@ def _write_group(path: Path, arrays: Mapping[str, NDArray[Any]], header: dict[st
             shape=array.shape,
             dtype=array.dtype,
             chunks=_chunks(array),
-            **layout(compression_for(array.dtype)),
+            **(small_layout(array.dtype) if small else layout(compression_for(array.dtype))),
         )
         if array.size:
             stored[...] = array

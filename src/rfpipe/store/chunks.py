@@ -23,9 +23,12 @@ __all__ = [
     "layout",
     "open_array",
     "read_attributes",
+    "small_layout",
 ]
 
 Compression = Literal["zstd", "lz4", "none"]
+Shuffle = Literal["bitshuffle", "shuffle"]
+Layout = dict[str, Any]
 
 METADATA = "zarr.json"
 
@@ -45,19 +48,28 @@ def compression_for(dtype: np.dtype[Any]) -> Compression:
     return "lz4" if dtype.kind == "f" else "zstd"
 
 
-def layout(compression: Compression) -> dict[str, Any]:
+def layout(compression: Compression, *, level: int = 1, shuffle: Shuffle = "bitshuffle") -> Layout:
     """Keyword arguments, for zarr's ``create_array``, that all arrays share."""
     from zarr.codecs import BloscCodec
 
     return {
         "compressors": None
         if compression == "none"
-        else BloscCodec(cname=compression, clevel=1, shuffle="bitshuffle"),
+        else BloscCodec(cname=compression, clevel=level, shuffle=shuffle),
         "fill_value": 0,
         # All chunks of an array in one folder: no folder a chunk.
         "chunk_key_encoding": {"name": "default", "separator": "."},
         "config": _CONFIG,
     }
+
+
+def small_layout(dtype: np.dtype[Any]) -> Layout:
+    """`layout` of arrays that are written once and kept: smaller, in three times the time.
+
+    Indices that mostly ascend pack four times as tightly by bytes as by bits, numbers don't.
+    """
+    is_index = dtype.kind in "iu" and dtype.itemsize >= 4
+    return layout("zstd", level=5, shuffle="shuffle" if is_index else "bitshuffle")
 
 
 def open_array(path: Path, mode: Literal["r", "r+"]) -> zarr.Array[Any]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.store import ArrayBundle
+from rfpipe.units import NumberFormat
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,8 +57,15 @@ class Transport(ABC):
         """The rows of `levels` as plain data."""
 
     @abstractmethod
-    def pack(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def pack(
+        self, number_format: NumberFormat = "float32"
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return the named arrays and the attributes that a store keeps."""
+
+    @classmethod
+    @abstractmethod
+    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
+        """Build a transport from a store; what fits into `memory_budget` bytes stays there."""
 
     @property
     def levels(self) -> pd.DataFrame:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.transport.base import Float, Transport
+from rfpipe.store import ArrayBundle
+from rfpipe.transport.base import Float, LazyArrays, Transport
+from rfpipe.units import NumberFormat
 
 
 class DenseTransport(Transport):
@@ -76,10 +78,13 @@ class DenseTransport(Transport):
             raise InputError(f"level {level} of a transport; levels count from 0")
         return self
 
-    def pack(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return the arrays and attributes that a store keeps."""
+    def pack(
+        self, number_format: NumberFormat = "float32"
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the arrays and attributes that a store keeps; a yardstick is never rounded."""
         attributes = {
             "kind": self.kind,
+            "number_format": number_format,
             "camera_shape": list(self.camera_shape),
             "projector_shape": list(self.projector_shape),
             "channels": self.channels,
@@ -88,15 +93,14 @@ class DenseTransport(Transport):
         return {"matrix": self.matrix}, attributes
 
     @classmethod
-    def unpack(
-        cls, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any], nbytes: int | None
-    ) -> DenseTransport:
-        """Build a transport from a store's arrays and attributes."""
+    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:  # noqa: ARG003
+        """Build a transport from a store; the matrix is read when first used, and kept."""
+        about = bundle.attributes
         return cls(
-            tuple(attributes["camera_shape"]),
-            tuple(attributes["projector_shape"]),
-            attributes["channels"],
-            attributes["levels"],
-            arrays,
-            nbytes,
+            tuple(about["camera_shape"]),
+            tuple(about["projector_shape"]),
+            about["channels"],
+            about["levels"],
+            LazyArrays(list(bundle.names), bundle.read),
+            bundle.nbytes_stored,
         )

@@ -2,149 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
+from rfpipe.store import ArrayBundle
+from rfpipe.transport.apply import apply_leaf_sets
 from rfpipe.transport.base import Float, Transport
+from rfpipe.transport.leaves import (
+    LEAF_PARTS,
+    LeafSet,
+    factor_offsets,
+    merge_leaf_sets,
+    ragged_ranges,
+)
+from rfpipe.transport.rounding import CODED_PARTS, pack_leaves, unpack_leaves
+from rfpipe.transport.stored import SetsOnDemand, by_prefix
+from rfpipe.units import NumberFormat
 
-# Leaves are summed in this many shares whatever the machine, so that results are the same
-# everywhere; enough to keep a dozen cores busy.
-_SHARES = 16
-# Patterns relit together: a leaf's factors are read once for all of them.
-_BATCH = 16
-
-
-LEAF_PARTS = ("block_a", "block_b", "values")
-"""The arrays of a `LeafSet`, by which stores name them."""
-
-
-@dataclass(frozen=True)
-class LeafSet:
-    """Rank-1 leaves of one level: ``T_ab = factor_a x factor_b`` and, by symmetry, ``T_ba``.
-
-    Attributes
-    ----------
-    level : int
-    block_a, block_b : ndarray of int32, shape (n,)
-        ``block_a <= block_b``. At the last level a leaf is a scalar.
-    values : ndarray of float32, shape (channels, n_values)
-        The factors one leaf after the other: over block a, then over block b unless it is the
-        same; one value a scalar.
-    """
-
-    level: int
-    block_a: NDArray[np.int32]
-    block_b: NDArray[np.int32]
-    values: Float
-
-    def __len__(self) -> int:
-        return len(self.block_a)
+__all__ = [
+    "LEAF_PARTS",
+    "HierarchicalTransport",
+    "LeafSet",
+    "apply_leaf_sets",
+    "factor_offsets",
+    "merge_leaf_sets",
+    "ragged_ranges",
+]
 
 
-def factor_offsets(
-    starts: NDArray[np.int64], block_a: NDArray[np.int32], block_b: NDArray[np.int32]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Return where each pair's two factors begin, and the number of values of all.
-
-    On the diagonal both factors are the same values.
-    """
-    sizes = np.diff(starts)
-    size_a = sizes[block_a]
-    size_b = np.where(block_a == block_b, 0, sizes[block_b])
-    ends = np.cumsum(size_a + size_b)
-    first = ends - size_a - size_b
-    second = np.where(block_a == block_b, first, first + size_a)
-    return first, second, int(ends[-1]) if len(ends) else 0
-
-
-def ragged_ranges(begin: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the indices of runs ``begin[i] : begin[i] + lengths[i]``, one after the other."""
-    ends = np.cumsum(lengths)
-    return np.arange(int(ends[-1]) if len(ends) else 0) + np.repeat(begin - ends + lengths, lengths)
-
-
-def _shares(work: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Cut items into runs of about equal work."""
-    total = np.cumsum(work)
-    aims = np.arange(1, _SHARES) * (total[-1] / _SHARES) if len(total) else np.zeros(_SHARES - 1)
-    inner = np.searchsorted(total, aims)
-    return np.concatenate([[0], inner, [len(work)]]).astype(np.int64)
-
-
-def apply_leaf_sets(
-    tree: BlockTree, leaf_sets: Sequence[LeafSet], patterns: Float, channels: Sequence[int]
-) -> Float:
-    """Return what the leaves make of patterns, all in tree order.
-
-    Parameters
-    ----------
-    tree : BlockTree
-    leaf_sets : sequence of LeafSet
-    patterns : ndarray of float32, shape (P, K, N)
-        One plane for each of `channels`.
-    channels : sequence of int
-        Which channels of the leaves to use.
-
-    Returns
-    -------
-    ndarray of float32, shape (P, K, N)
-    """
-    result = np.zeros(patterns.shape, np.float32)
-    filled = [leaves for leaves in leaf_sets if len(leaves)]
-    if not filled or not patterns.size:
-        return result
-    from rfpipe.transport import kernels
-
-    chosen = list(channels)
-    for first in range(0, len(patterns), _BATCH):
-        part = np.ascontiguousarray(patterns[first : first + _BATCH])
-        sums = np.zeros((_SHARES, *part.shape), np.float32)
-        for leaves in filled:
-            every = chosen == list(range(len(leaves.values)))
-            values = leaves.values if every else np.ascontiguousarray(leaves.values[chosen])
-            if leaves.level == tree.n_levels - 1:
-                bounds = _shares(np.ones(len(leaves), np.int64))
-                kernels.apply_scalars(leaves.block_a, leaves.block_b, values, bounds, part, sums)
-            else:
-                starts = tree.starts[leaves.level]
-                offset_a, offset_b, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
-                sizes = np.diff(starts)
-                bounds = _shares(sizes[leaves.block_a] + sizes[leaves.block_b])
-                kernels.apply_leaves(
-                    starts, leaves.block_a, leaves.block_b, offset_a, offset_b,
-                    values, bounds, part, sums,
-                )  # fmt: skip
-        result[first : first + _BATCH] = sums.sum(axis=0)
-    return result
-
-
-def merge_leaf_sets(leaf_sets: Sequence[LeafSet], tree: BlockTree) -> list[LeafSet]:
-    """Return one leaf set a level, ordered by block, from sets found one after the other."""
-    merged = []
-    for level in sorted({leaves.level for leaves in leaf_sets if len(leaves)}):
-        parts = [leaves for leaves in leaf_sets if leaves.level == level and len(leaves)]
-        if len(parts) == 1:
-            merged.append(parts[0])
-            continue
-        block_a = np.concatenate([leaves.block_a for leaves in parts])
-        block_b = np.concatenate([leaves.block_b for leaves in parts])
-        values = np.concatenate([leaves.values for leaves in parts], axis=1)
-        order = np.lexsort((block_b, block_a))
-        if level < tree.n_levels - 1:
-            first, _, _ = factor_offsets(tree.starts[level], block_a, block_b)
-            length = np.diff(np.append(first, values.shape[1]))
-            values = values[:, ragged_ranges(first[order], length[order])]
-        else:
-            values = values[:, order]
-        merged.append(LeafSet(level, block_a[order], block_b[order], np.ascontiguousarray(values)))
-    return merged
+_FLOAT_BYTES = np.dtype(np.float32).itemsize
 
 
 class HierarchicalTransport(Transport):
@@ -157,11 +50,10 @@ class HierarchicalTransport(Transport):
     channels : int
     level_rows : list of dict
         The rows of `levels`.
-    arrays : mapping of str to ndarray
-        ``level_{l:02d}_block_a``, ``..._block_b``, ``..._values`` of each level that has leaves;
-        may be read lazily.
+    leaf_sets : sequence of LeafSet
+        By level, the coarsest first; may be read when used.
     nbytes : int, optional
-        Bytes on disk; by default the bytes of the arrays.
+        Bytes on disk; by default the bytes of the leaves.
     """
 
     kind = "hierarchical"
@@ -171,13 +63,13 @@ class HierarchicalTransport(Transport):
         shape: tuple[int, ...],
         channels: int,
         level_rows: list[dict[str, Any]],
-        arrays: Mapping[str, NDArray[Any]],
+        leaf_sets: Sequence[LeafSet],
         nbytes: int | None = None,
     ) -> None:
         self.camera_shape = self.projector_shape = tuple(shape)
         self.channels = channels
+        self.leaf_sets = leaf_sets
         self._rows = level_rows
-        self._arrays = arrays
         self._nbytes = nbytes
 
     @classmethod
@@ -189,32 +81,20 @@ class HierarchicalTransport(Transport):
         leaf_sets: Sequence[LeafSet],
     ) -> HierarchicalTransport:
         """Build a transport from leaf sets in any order."""
-        arrays: dict[str, NDArray[Any]] = {}
-        for leaves in merge_leaf_sets(leaf_sets, tree):
-            prefix = f"level_{leaves.level:02d}"
-            arrays |= {f"{prefix}_{part}": getattr(leaves, part) for part in LEAF_PARTS}
-        return cls(tree.domain.shape, channels, level_rows, arrays)
+        merged = merge_leaf_sets(leaf_sets, tree)
+        return cls(tree.domain.shape, channels, level_rows, merged)
 
     @cached_property
     def tree(self) -> BlockTree:
         """The block tree of the ray domain."""
         return BlockTree(RayDomain(self.camera_shape))
 
-    @cached_property
-    def leaf_sets(self) -> list[LeafSet]:
-        """The leaves, one set a level, coarsest first."""
-        levels = sorted({int(name.split("_")[1]) for name in self._arrays})
-        return [
-            LeafSet(level, *(self._arrays[f"level_{level:02d}_{part}"] for part in LEAF_PARTS))
-            for level in levels
-        ]
-
     @property
     def nbytes(self) -> int:
         """Bytes on disk if opened from a store, else of the arrays in memory."""
         if self._nbytes is not None:
             return self._nbytes
-        return sum(self._arrays[name].nbytes for name in self._arrays)
+        return sum(leaves.nbytes for leaves in self.leaf_sets)
 
     @property
     def level_rows(self) -> list[dict[str, Any]]:
@@ -223,30 +103,55 @@ class HierarchicalTransport(Transport):
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)`` in image order."""
-        ordered = np.ascontiguousarray(patterns[..., self.tree.order])
-        return apply_leaf_sets(self.tree, self.leaf_sets, ordered, channels)[..., self.tree.inverse]
+        from rfpipe.transport.kernels import reorder
+
+        ordered = np.empty(patterns.shape, np.float32)
+        reorder(patterns, self.tree.order, ordered)
+        ordered = apply_leaf_sets(self.tree, self.leaf_sets, ordered, channels)
+        images = np.empty(patterns.shape, np.float32)
+        reorder(ordered, self.tree.inverse, images)
+        return images
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c``; the transport is symmetric."""
         return self.forward(images, channels)
 
-    def pack(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def pack(
+        self, number_format: NumberFormat = "float32"
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return the arrays and attributes that a store keeps."""
         attributes = {
             "kind": self.kind,
+            "number_format": number_format,
             "shape": list(self.camera_shape),
             "channels": self.channels,
             "levels": self._rows,
         }
-        return {name: self._arrays[name] for name in self._arrays}, attributes
+        arrays: dict[str, NDArray[Any]] = {}
+        for index, leaves in enumerate(self.leaf_sets):
+            packed = pack_leaves(self.tree, leaves, number_format)
+            prefix = f"level_{leaves.level:02d}_{index:04d}"
+            arrays |= {f"{prefix}_{part}": array for part, array in packed.items()}
+        return arrays, attributes
 
     @classmethod
-    def unpack(
-        cls, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any], nbytes: int | None
-    ) -> HierarchicalTransport:
-        """Build a transport from a store's arrays and attributes."""
-        shape = tuple(attributes["shape"])
-        return cls(shape, attributes["channels"], attributes["levels"], arrays, nbytes)
+    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
+        """Build a transport from a store; its leaves are read when first used."""
+        about = bundle.attributes
+        transport = cls(
+            tuple(about["shape"]), about["channels"], about["levels"], [], bundle.nbytes_stored
+        )
+        prefixes = by_prefix(bundle, (*LEAF_PARTS, *CODED_PARTS))
+
+        def read(prefix: str) -> LeafSet:
+            names = prefixes[prefix]
+            arrays = {part: bundle.read(name) for part, name in names.items()}
+            return unpack_leaves(transport.tree, int(prefix.split("_")[1]), arrays)
+
+        numbers = [names.get("values") or names["codes"] for names in prefixes.values()]
+        in_memory = sum(math.prod(bundle.shape(name)) for name in numbers) * _FLOAT_BYTES
+        transport.leaf_sets = SetsOnDemand(list(prefixes), read, keep=in_memory <= memory_budget)
+        return transport
 
     def truncate(self, level: int) -> HierarchicalTransport:
         """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7).

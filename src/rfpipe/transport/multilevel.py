@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
+from rfpipe.store import ArrayBundle
 from rfpipe.transport.base import Float, Transport, planar_patterns
+from rfpipe.transport.rounding import rounded
+from rfpipe.transport.stored import SetsOnDemand, by_prefix
+from rfpipe.units import NumberFormat
 
 Double = NDArray[np.float64]
 
 # Patterns relit together: bounds the memory of the planes that are summed in float64.
 _BATCH = 16
+
+PAIR_PARTS = ("block", "pixel", "values")
+"""The arrays of a `PairSet`, by which stores name them."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,11 @@ class PairSet:
 
     def __len__(self) -> int:
         return len(self.block)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        return self.block.nbytes + self.pixel.nbytes + self.values.nbytes
 
 
 def no_pairs(level: int, channels: int) -> PairSet:
@@ -76,11 +88,10 @@ class MultilevelTransport(Transport):
     channels : int
     level_rows : list of dict
         The rows of `levels`.
-    arrays : mapping of str to ndarray
-        ``level_{l:02d}_block``, ``..._pixel`` and ``..._values`` of each level that has pairs,
-        as in `PairSet`; may be read lazily.
+    pair_sets : sequence of PairSet
+        By level, the coarsest first; may be read when used.
     nbytes : int, optional
-        Bytes on disk; by default the bytes of the arrays.
+        Bytes on disk; by default the bytes of the pairs.
     """
 
     kind = "multilevel"
@@ -91,14 +102,14 @@ class MultilevelTransport(Transport):
         projector_shape: tuple[int, ...],
         channels: int,
         level_rows: list[dict[str, Any]],
-        arrays: Mapping[str, NDArray[Any]],
+        pair_sets: Sequence[PairSet],
         nbytes: int | None = None,
     ) -> None:
         self.camera_shape = tuple(camera_shape)
         self.projector_shape = tuple(projector_shape)
         self.channels = channels
+        self.pair_sets = pair_sets
         self._rows = level_rows
-        self._arrays = arrays
         self._nbytes = nbytes
 
     @classmethod
@@ -111,41 +122,20 @@ class MultilevelTransport(Transport):
         pair_sets: Sequence[PairSet],
     ) -> MultilevelTransport:
         """Build a transport from pair sets, at most one a level."""
-        arrays: dict[str, NDArray[Any]] = {}
-        for pairs in sorted(pair_sets, key=lambda pairs: pairs.level):
-            if len(pairs):
-                prefix = f"level_{pairs.level:02d}"
-                arrays[f"{prefix}_block"] = pairs.block
-                arrays[f"{prefix}_pixel"] = pairs.pixel
-                arrays[f"{prefix}_values"] = pairs.values
-        return cls(camera.shape, projector.shape, channels, level_rows, arrays)
+        filled = sorted(filter(len, pair_sets), key=lambda pairs: pairs.level)
+        return cls(camera.shape, projector.shape, channels, level_rows, filled)
 
     @cached_property
     def tree(self) -> BlockTree:
         """The block tree of the projector's rays."""
         return BlockTree(RayDomain(self.projector_shape))
 
-    @cached_property
-    def pair_sets(self) -> list[PairSet]:
-        """The stored responses, one set a level, coarsest first."""
-        levels = sorted({int(name.split("_")[1]) for name in self._arrays})
-        return [
-            PairSet(
-                level,
-                *(
-                    self._arrays[f"level_{level:02d}_{part}"]
-                    for part in ("block", "pixel", "values")
-                ),
-            )
-            for level in levels
-        ]
-
     @property
     def nbytes(self) -> int:
-        """Bytes on disk if opened from a store, else of the arrays in memory."""
+        """Bytes on disk if opened from a store, else of the pairs in memory."""
         if self._nbytes is not None:
             return self._nbytes
-        return sum(self._arrays[name].nbytes for name in self._arrays)
+        return sum(pairs.nbytes for pairs in self.pair_sets)
 
     @property
     def level_rows(self) -> list[dict[str, Any]]:
@@ -254,29 +244,46 @@ class MultilevelTransport(Transport):
         rows = [row for row in self._rows if row["level"] <= level]
         return self.from_pair_sets(camera, self.tree.domain, self.channels, rows, kept)
 
-    def pack(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    def pack(
+        self, number_format: NumberFormat = "float32"
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Return the arrays and attributes that a store keeps."""
         attributes = {
             "kind": self.kind,
+            "number_format": number_format,
             "camera_shape": list(self.camera_shape),
             "projector_shape": list(self.projector_shape),
             "channels": self.channels,
             "levels": self._rows,
         }
-        return {name: self._arrays[name] for name in self._arrays}, attributes
+        arrays: dict[str, NDArray[Any]] = {}
+        for pairs in self.pair_sets:
+            prefix = f"level_{pairs.level:02d}"
+            arrays[f"{prefix}_block"] = pairs.block
+            arrays[f"{prefix}_pixel"] = pairs.pixel
+            arrays[f"{prefix}_values"] = rounded(pairs.values, number_format)
+        return arrays, attributes
 
     @classmethod
-    def unpack(
-        cls, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any], nbytes: int | None
-    ) -> MultilevelTransport:
-        """Build a transport from a store's arrays and attributes."""
+    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
+        """Build a transport from a store; its pairs are read when first used."""
+        prefixes = by_prefix(bundle, PAIR_PARTS)
+
+        def read(prefix: str) -> PairSet:
+            names = prefixes[prefix]
+            return PairSet(
+                int(prefix.split("_")[1]), *(bundle.read(names[part]) for part in PAIR_PARTS)
+            )
+
+        fits = sum(bundle.nbytes(name) for name in bundle.names) <= memory_budget
+        about = bundle.attributes
         return cls(
-            tuple(attributes["camera_shape"]),
-            tuple(attributes["projector_shape"]),
-            attributes["channels"],
-            attributes["levels"],
-            arrays,
-            nbytes,
+            tuple(about["camera_shape"]),
+            tuple(about["projector_shape"]),
+            about["channels"],
+            about["levels"],
+            SetsOnDemand(list(prefixes), read, keep=fits),
+            bundle.nbytes_stored,
         )
 
 

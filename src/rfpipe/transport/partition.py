@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
 from rfpipe.transport.base import Float
-from rfpipe.transport.hierarchical import LeafSet, factor_offsets
+from rfpipe.transport.leaves import LeafSet, factor_offsets
 
 __all__ = ["predict"]
 

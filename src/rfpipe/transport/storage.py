@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import importlib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from rfpipe.errors import StoreError
-from rfpipe.transport.base import LazyArrays, Transport
+from rfpipe.errors import InputError, StoreError
+from rfpipe.transport.base import Transport
+from rfpipe.units import NumberFormat
 
 _CLASSES = {
     "dense": ("rfpipe.transport.dense", "DenseTransport"),
@@ -15,8 +16,18 @@ _CLASSES = {
     "multilevel": ("rfpipe.transport.multilevel", "MultilevelTransport"),
 }
 
+_FORMATS = get_args(NumberFormat)
 
-def save_transport(transport: Transport, path: str | Path, **attributes: Any) -> str:
+MEMORY_BUDGET = 4 * 2**30
+"""Bytes of a transport that stay in memory by default."""
+
+
+def save_transport(
+    transport: Transport,
+    path: str | Path,
+    number_format: NumberFormat = "float32",
+    **attributes: Any,
+) -> str:
     """Write a transport into a chunked, compressed store, complete or not at all.
 
     Parameters
@@ -24,6 +35,10 @@ def save_transport(transport: Transport, path: str | Path, **attributes: Any) ->
     transport : Transport
     path : path
         The store's folder; an older store there is replaced.
+    number_format : {"float32", "uint16", "uint8"}
+        "float32" keeps every bit. The others round (`rfpipe.transport.rounding`), factors of
+        leaves by about 1e-5 and 3e-3 of their values; "uint8" is the smallest, and the default of
+        runs (``storage.number_format``). The transport in memory is not changed.
     **attributes
         Plain data to keep beside the transport's own (scene, method, fingerprints).
 
@@ -31,20 +46,36 @@ def save_transport(transport: Transport, path: str | Path, **attributes: Any) ->
     -------
     str
         Digest of the contents.
+
+    Raises
+    ------
+    InputError
+        If the number format is none of the three.
     """
     from rfpipe.store.arrays import write_arrays
 
-    arrays, own = transport.pack()
-    return write_arrays(Path(path), arrays, {**attributes, **own})
+    if number_format not in _FORMATS:
+        raise InputError(f"number format {number_format!r}; expected one of {', '.join(_FORMATS)}")
+    arrays, own = transport.pack(number_format)
+    return write_arrays(Path(path), arrays, {**attributes, **own}, small=True)
 
 
-def open_transport(path: str | Path) -> Transport:
+def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Transport:
     """Open a stored transport; its arrays are read when first used.
+
+    Parameters
+    ----------
+    path : path
+        The ``transport.zarr`` that an acquisition wrote.
+    memory_budget : int
+        Bytes. A transport that is larger in memory, where numbers are float32, is read anew, part
+        by part, each time that it is used; the results are the same. A dense one always stays in
+        memory.
 
     Raises
     ------
     StoreError
-        If there is no transport at `path`.
+        If there is no transport at `path`, or a later version of rfpipe has written it.
     IntegrityError
         When an array that is read does not match its digest.
     """
@@ -57,9 +88,14 @@ def open_transport(path: str | Path) -> Transport:
             f"{path}: not a transport (kind {kind!r}, expected one of {sorted(_CLASSES)}); "
             "give the transport.zarr that an acquisition wrote"
         )
+    # the first stores didn't name their format
+    number_format = bundle.attributes.get("number_format", "float32")
+    if number_format not in _FORMATS:
+        raise StoreError(
+            f"{path}: number format {number_format!r}, which this version of rfpipe doesn't know; "
+            "open it with the version that wrote it, or run the stage that writes it again"
+        )
     module, name = _CLASSES[kind]
     cls = getattr(importlib.import_module(module), name)
-    transport: Transport = cls.unpack(
-        LazyArrays(list(bundle.names), bundle.read), bundle.attributes, bundle.nbytes_stored
-    )
+    transport: Transport = cls.unpack(bundle, memory_budget)
     return transport

@@ -1,0 +1,154 @@
+"""The leaves of the hierarchical tensor, side by side in flat arrays (thesis §4.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree
+from rfpipe.transport.base import Float
+
+# A set of leaves that is stored or read at a time has at most this many values a channel, unless
+# one leaf has more: some 25 MB of RGB, so that a transport beyond the memory budget streams.
+_SET_VALUES = 2**21
+
+LEAF_PARTS = ("block_a", "block_b", "values")
+"""The arrays of a `LeafSet`, by which stores name them."""
+
+
+Cut = tuple[NDArray[np.int64], NDArray[np.int64]]
+
+
+@dataclass(frozen=True, eq=False)
+class LeafSet:
+    """Rank-1 leaves of one level: ``T_ab = factor_a x factor_b`` and, by symmetry, ``T_ba``.
+
+    Attributes
+    ----------
+    level : int
+    block_a, block_b : ndarray of int32, shape (n,)
+        ``block_a <= block_b``. At the last level a leaf is a scalar.
+    values : ndarray of float32, shape (channels, n_values)
+        The factors one leaf after the other: over block a, then over block b unless it is the
+        same; one value a scalar.
+    cuts : dict
+    parts : list
+        What `rfpipe.transport.apply` keeps of its preparations.
+    """
+
+    level: int
+    block_a: NDArray[np.int32]
+    block_b: NDArray[np.int32]
+    values: Float
+    cuts: dict[int, Cut] = field(default_factory=dict, init=False, repr=False)
+    parts: list[LeafSet] = field(default_factory=list, init=False, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.block_a)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        return self.block_a.nbytes + self.block_b.nbytes + self.values.nbytes
+
+
+def factor_offsets(
+    starts: NDArray[np.int64], block_a: NDArray[np.int32], block_b: NDArray[np.int32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Return where each pair's two factors begin, and the number of values of all.
+
+    On the diagonal both factors are the same values.
+    """
+    sizes = np.diff(starts)
+    size_a = sizes[block_a]
+    size_b = np.where(block_a == block_b, 0, sizes[block_b])
+    ends = np.cumsum(size_a + size_b)
+    first = ends - size_a - size_b
+    second = np.where(block_a == block_b, first, first + size_a)
+    return first, second, int(ends[-1]) if len(ends) else 0
+
+
+def leaf_offsets(tree: BlockTree, leaves: LeafSet) -> NDArray[np.int64]:
+    """Return where each leaf's values begin, and the number of values at the end."""
+    if leaves.level == tree.n_levels - 1:
+        return np.arange(len(leaves) + 1)
+    first, _, n_values = factor_offsets(tree.starts[leaves.level], leaves.block_a, leaves.block_b)
+    return np.append(first, n_values)
+
+
+def ragged_ranges(begin: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the indices of runs ``begin[i] : begin[i] + lengths[i]``, one after the other."""
+    ends = np.cumsum(lengths)
+    return np.arange(int(ends[-1]) if len(ends) else 0) + np.repeat(begin - ends + lengths, lengths)
+
+
+def merge_leaf_sets(leaf_sets: Sequence[LeafSet], tree: BlockTree) -> list[LeafSet]:
+    """Return the leaves by level and block, from sets found one after the other.
+
+    A level is one set, or several where it has many values.
+    """
+    merged: list[LeafSet] = []
+    for level in sorted({leaves.level for leaves in leaf_sets if len(leaves)}):
+        parts = [leaves for leaves in leaf_sets if leaves.level == level and len(leaves)]
+        merged += _merge_level(parts, tree)
+    return merged
+
+
+def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]:
+    """Yield the leaves of one level in order, in sets of at most `_SET_VALUES`, or of one leaf."""
+    block_a = np.concatenate([leaves.block_a for leaves in parts])
+    block_b = np.concatenate([leaves.block_b for leaves in parts])
+    part = np.repeat(np.arange(len(parts)), [len(leaves) for leaves in parts])
+    offsets = [leaf_offsets(tree, leaves) for leaves in parts]
+    begin = np.concatenate([ends[:-1] for ends in offsets])
+    length = np.concatenate([np.diff(ends) for ends in offsets])
+    order = np.lexsort((block_b, block_a))
+    ends = np.cumsum(length[order])
+    first = 0
+    while first < len(order):
+        before = ends[first] - length[order[first]]
+        last = int(np.searchsorted(ends, before + _SET_VALUES, "right"))
+        last = max(last, first + 1)
+        chosen = order[first:last]
+        target = ends[first:last] - length[chosen] - before
+        values = np.empty((len(parts[0].values), int(ends[last - 1] - before)), np.float32)
+        for index, leaves in enumerate(parts):
+            own = part[chosen] == index
+            of_leaf = length[chosen[own]]
+            found = leaves.values[:, ragged_ranges(begin[chosen[own]], of_leaf)]
+            values[:, ragged_ranges(target[own], of_leaf)] = found
+        yield LeafSet(parts[0].level, block_a[chosen], block_b[chosen], values)
+        first = last
+
+
+def split_scalars(tree: BlockTree, leaves: LeafSet) -> list[LeafSet]:
+    """Return the same leaves, those apart, as scalars, that take no more numbers as scalars.
+
+    These are the leaves over few rays. They are most of the leaves of fine levels, and a leaf
+    takes longer to set out on than a scalar.
+    """
+    last = tree.n_levels - 1
+    starts = tree.starts[leaves.level]
+    sizes = np.diff(starts)
+    size_a, size_b = sizes[leaves.block_a], sizes[leaves.block_b]
+    numbers = np.where(leaves.block_a == leaves.block_b, size_a, size_a + size_b)
+    few = size_a * size_b <= numbers
+    if leaves.level == last or not few.any():
+        return [leaves]
+    first, second, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
+    count = (size_a * size_b)[few]
+    within = ragged_ranges(np.zeros_like(count), count)
+    row, column = np.divmod(within, np.repeat(size_b[few], count))
+    values = (
+        leaves.values[:, np.repeat(first[few], count) + row]
+        * leaves.values[:, np.repeat(second[few], count) + column]
+    )
+    ray_a = np.repeat(starts[leaves.block_a[few]], count) + row
+    ray_b = np.repeat(starts[leaves.block_b[few]], count) + column
+    scalars = LeafSet(last, ray_a.astype(np.int32), ray_b.astype(np.int32), values)
+    index = ragged_ranges(first[~few], numbers[~few])
+    block_a, block_b = leaves.block_a[~few], leaves.block_b[~few]
+    return [LeafSet(leaves.level, block_a, block_b, leaves.values[:, index]), scalars]

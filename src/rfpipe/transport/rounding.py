@@ -1,0 +1,128 @@
+"""The number formats of stored transports: factors rounded to square roots of 8 or 16 bits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree
+from rfpipe.transport.base import Float
+from rfpipe.transport.leaves import LeafSet, factor_offsets
+from rfpipe.units import NumberFormat
+
+CODED_PARTS = ("block_a", "block_b", "codes", "scales")
+"""The arrays of a rounded `LeafSet`, by which stores name them."""
+
+# Bits that are kept of single values, the leading one included.
+_SIGNIFICANT = {"uint8": 12, "uint16": 16}
+_FLOAT32_BITS = 24
+
+
+def pack_leaves(
+    tree: BlockTree, leaves: LeafSet, number_format: NumberFormat
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays that a store keeps of a set of leaves.
+
+    A factor is kept as ``(code / L)^2`` of its maximum, with L = 255 or 65,535, and each leaf and
+    channel has a scale, the geometric mean of its two maxima. The step is even in the square
+    root: as with shot noise, dim values are rounded less than bright ones, so that a glint
+    doesn't drown its surroundings. A maximum is kept to float32, and what is 0 stays 0.
+
+    Scalars stay as they are, for direct light is among them; so do factors that are negative or
+    not finite somewhere, and sets of which the scales would take more than the rounding saves.
+
+    Parameters
+    ----------
+    tree : BlockTree
+    leaves : LeafSet
+    number_format : {"float32", "uint16", "uint8"}
+
+    Returns
+    -------
+    dict
+        By `LEAF_PARTS`, or by `CODED_PARTS`: ``codes``, unsigned (channels, n_values), from the
+        second channel on as differences to the first; ``scales``, float32 (channels, n).
+    """
+    blocks = {"block_a": leaves.block_a, "block_b": leaves.block_b}
+    exact = {**blocks, "values": leaves.values}
+    if number_format == "float32" or leaves.level == tree.n_levels - 1:
+        return exact
+    dtype = np.dtype(number_format)
+    scales = np.empty((len(leaves.values), len(leaves)), np.float32)
+    if leaves.values.size * dtype.itemsize + scales.nbytes >= leaves.values.nbytes:
+        return exact
+    if not (leaves.values >= 0).all() or not np.isfinite(leaves.values).all():
+        return exact
+    from rfpipe.transport import rounding_kernels
+
+    starts = tree.starts[leaves.level]
+    codes = np.empty(leaves.values.shape, dtype)
+    rounding_kernels.encode(
+        starts, leaves.block_a, leaves.block_b, *_offsets(starts, leaves.block_a, leaves.block_b),
+        leaves.values, np.iinfo(dtype).max, codes, scales,
+    )  # fmt: skip
+    return {**blocks, "codes": _differences(codes), "scales": scales}
+
+
+def unpack_leaves(tree: BlockTree, level: int, arrays: Mapping[str, NDArray[Any]]) -> LeafSet:
+    """Return the leaves of which a store has kept these arrays; undoes `pack_leaves`."""
+    block_a, block_b = arrays["block_a"], arrays["block_b"]
+    if "values" in arrays:
+        return LeafSet(level, block_a, block_b, arrays["values"])
+    from rfpipe.transport import rounding_kernels
+
+    codes = _from_differences(arrays["codes"])
+    starts = tree.starts[level]
+    largest = np.iinfo(codes.dtype).max
+    squares = np.square(np.arange(largest + 1) / largest).astype(np.float32)
+    values = np.empty(codes.shape, np.float32)
+    rounding_kernels.decode(
+        starts, block_a, block_b, *_offsets(starts, block_a, block_b), codes, squares,
+        arrays["scales"], values,
+    )  # fmt: skip
+    return LeafSet(level, block_a, block_b, values)
+
+
+def rounded(values: Float, number_format: NumberFormat) -> Float:
+    """Round single values to 12 significant bits under "uint8", to 16 under "uint16".
+
+    They span too many decades for a common scale. The trailing bits, all 0, take no room in a
+    compressed store.
+    """
+    if number_format == "float32":
+        return values
+    dropped = _FLOAT32_BITS - _SIGNIFICANT[number_format]
+    bits = np.ascontiguousarray(values).view(np.uint32)
+    half = np.uint32(1 << (dropped - 1))
+    mask = np.uint32(2**32 - (1 << dropped))
+    found = ((bits + half) & mask).view(np.float32)
+    result: Float = np.where(np.isfinite(values) & np.isfinite(found), found, values)
+    return result
+
+
+def _offsets(
+    starts: NDArray[np.int64], block_a: NDArray[np.int32], block_b: NDArray[np.int32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    return factor_offsets(starts, block_a, block_b)[:2]
+
+
+def _differences(codes: NDArray[Any]) -> NDArray[Any]:
+    """Turn all channels but the first into differences to it, small ones into small numbers.
+
+    The channels of a scene are much alike, so that this compresses better. Differences wrap
+    around; 0, -1, 1, -2, 2 ... become 0, 1, 2, 3, 4 ...
+    """
+    signed = (codes[1:] - codes[:1]).view(codes.dtype.name.removeprefix("u"))
+    folded = (signed << 1) ^ (signed >> (8 * codes.itemsize - 1))
+    return np.concatenate([codes[:1], folded.view(codes.dtype)])
+
+
+def _from_differences(stored: NDArray[Any]) -> NDArray[Any]:
+    """Undo `_differences`."""
+    folded = stored[1:]
+    one = folded.dtype.type(1)
+    differences = (folded >> one) ^ (~(folded & one) + one)
+    return np.concatenate([stored[:1], differences + stored[:1]])

@@ -1,0 +1,134 @@
+"""The number formats of stored transports: how far a number may move."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.transport.leaves import LeafSet, factor_offsets
+from rfpipe.transport.rounding import pack_leaves, rounded, unpack_leaves
+
+FORMATS = {"uint16": 65535, "uint8": 255}
+TREE = BlockTree(RayDomain((5, 6)))
+TINIEST = np.finfo(np.float32).smallest_subnormal
+
+numbers = st.one_of(
+    st.just(0.0),
+    st.floats(0, 1, width=32),
+    st.floats(0, float(np.finfo(np.float32).max), width=32),
+    st.floats(0, float(np.finfo(np.float32).smallest_normal), width=32),
+)
+
+
+@st.composite
+def leaf_sets(draw: st.DrawFn) -> LeafSet:
+    """Leaves of one level, factors of any size side by side; also none at all."""
+    level = draw(st.integers(0, TREE.n_levels - 2))
+    count = TREE.n_blocks(level)
+    pairs = draw(st.lists(st.tuples(*[st.integers(0, count - 1)] * 2), max_size=4))
+    block_a, block_b = np.sort(np.array(pairs, np.int32).reshape(-1, 2), axis=1).T.copy()
+    size = factor_offsets(TREE.starts[level], block_a, block_b)[2]
+    channels = draw(st.sampled_from([1, 3]))
+    drawn = st.lists(numbers, min_size=channels * size, max_size=channels * size)
+    values = np.array(draw(drawn), np.float32).reshape(channels, size)
+    return LeafSet(level, block_a, block_b, values)
+
+
+def factors_of(leaves: LeafSet) -> list[list[np.ndarray]]:
+    """The two factors of each leaf, channels first."""
+    starts = TREE.starts[leaves.level]
+    offset_a, offset_b, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
+    sizes = np.diff(starts)
+    return [
+        [leaves.values[:, at : at + sizes[block]].astype(np.float64) for at, block in sides]
+        for sides in zip(
+            zip(offset_a, leaves.block_a, strict=True),
+            zip(offset_b, leaves.block_b, strict=True),
+            strict=True,
+        )
+    ]
+
+
+@pytest.mark.parametrize("number_format", FORMATS)
+@settings(max_examples=100, deadline=None)
+@given(leaves=leaf_sets())
+def test_a_factor_moves_by_half_a_step_of_its_root_at_most(number_format, leaves):
+    packed = pack_leaves(TREE, leaves, number_format)
+    if "codes" not in packed:  # it would not have been smaller
+        assert packed["values"] is leaves.values
+        return
+    found = unpack_leaves(TREE, leaves.level, packed)
+    half_a_step = 0.5 / FORMATS[number_format] + 1e-6
+    for before, after in zip(factors_of(leaves), factors_of(found), strict=True):
+        top = [side.max(axis=1, keepdims=True) for side in before]
+        is_zero = (top[0] == 0) | (top[1] == 0)
+        scale = np.sqrt(top[0]) * np.sqrt(top[1])
+        for side, maximum, stored in zip(before, top, after, strict=True):
+            with np.errstate(invalid="ignore", divide="ignore"):
+                expected = np.where(is_zero, 0.0, side / maximum)
+                shown = np.where(is_zero, stored, stored / scale)
+            precise = np.broadcast_to(scale > 1e4 * TINIEST, side.shape)
+            moved = np.abs(np.sqrt(shown) - np.sqrt(expected))
+            assert (moved <= half_a_step)[precise].all()
+            assert (stored[side == 0] == 0).all()
+            assert (stored.max(axis=1, keepdims=True) == scale.astype(np.float32))[~is_zero].all()
+    assert np.isfinite(found.values).all()
+
+
+@pytest.mark.parametrize("number_format", FORMATS)
+@settings(max_examples=50, deadline=None)
+@given(leaves=leaf_sets())
+def test_what_was_rounded_once_stays(number_format, leaves):
+    packed = pack_leaves(TREE, leaves, number_format)
+    again = pack_leaves(TREE, unpack_leaves(TREE, leaves.level, packed), number_format)
+    assert set(again) == set(packed)
+    if "scales" in packed and (packed["scales"] < 1e4 * TINIEST).any():
+        return  # such a scale has no room for fractions of it
+    for part, array in packed.items():
+        np.testing.assert_array_equal(again[part], array)
+
+
+@pytest.mark.parametrize("wrong", [-1e-3, np.nan, np.inf])
+def test_factors_that_have_no_root_are_kept_as_they_are(wrong):
+    whole = np.zeros(1, np.int32)
+    values = np.random.default_rng(0).random((3, 30), dtype=np.float32)
+    values[1, 7] = wrong
+    packed = pack_leaves(TREE, LeafSet(0, whole, whole, values), "uint8")
+    np.testing.assert_array_equal(packed["values"], values)
+
+
+def test_scalars_are_kept_as_they_are():
+    rays = np.arange(30, dtype=np.int32)
+    values = np.random.default_rng(0).random((3, 30), dtype=np.float32)
+    leaves = LeafSet(TREE.n_levels - 1, rays, rays, values)
+    np.testing.assert_array_equal(pack_leaves(TREE, leaves, "uint8")["values"], values)
+
+
+def test_a_glint_does_not_drown_its_surroundings():
+    """Light at 1/1000 of a block's maximum is there still; even steps would lose all of it."""
+    whole = np.zeros(1, np.int32)
+    values = np.linspace(0.9e-3, 1.1e-3, 30, dtype=np.float32)[None]
+    values[0, 4] = 1.0
+    leaves = LeafSet(0, whole, whole, values)
+    found = unpack_leaves(TREE, 0, pack_leaves(TREE, leaves, "uint8")).values
+    np.testing.assert_allclose(found, values, rtol=0.13)
+
+
+@pytest.mark.parametrize(("number_format", "bits"), [("uint8", 12), ("uint16", 16)])
+@settings(max_examples=200)
+@given(value=numbers, sign=st.sampled_from([1, -1]))
+def test_single_values_keep_their_leading_bits(number_format, bits, value, sign):
+    values = np.array([sign * value], np.float32)
+    found = rounded(values, number_format)
+    error = abs(float(found[0]) - float(values[0]))
+    # the numbers next to zero have fewer bits
+    least = float(np.finfo(np.float32).smallest_normal)
+    assert error <= 2.0**-bits * max(abs(float(values[0])), least)
+    np.testing.assert_array_equal(rounded(found, number_format), found)
+
+
+def test_single_values_that_are_no_numbers_stay():
+    values = np.array([np.nan, np.inf, -np.inf, np.finfo(np.float32).max], np.float32)
+    np.testing.assert_array_equal(rounded(values, "uint8"), values)
+    assert rounded(values, "float32") is values

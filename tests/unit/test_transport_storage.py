@@ -1,0 +1,166 @@
+"""Stored transports: their formats, old stores, the memory budget; and the number of threads."""
+
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+from tests.property.test_hierarchical import random_transport
+
+import rfpipe
+from rfpipe.errors import InputError, IntegrityError, StoreError
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import reference_scene, relighting_patterns
+from rfpipe.stages.metrics import relative_rms, unlit_rms
+from rfpipe.store import write_arrays
+from rfpipe.transport import Transport, leaves, open_transport, save_transport
+
+SHAPE = (24, 28)
+
+
+@pytest.fixture(scope="module")
+def transport() -> Transport:
+    rig = SimulatedRig(reference_scene("IV", SHAPE, channels=3))
+    return rfpipe.acquire(rig, tolerance=1e-4, progress=False).transport
+
+
+@pytest.fixture(scope="module")
+def dual() -> Transport:
+    rig = SimulatedRig(reference_scene("IV", SHAPE, channels=3))
+    return rfpipe.acquire(rig, "dual", tolerance=1e-3, progress=False).transport
+
+
+PATTERNS = np.stack(list(relighting_patterns(SHAPE).values()))
+
+
+@pytest.mark.parametrize(
+    ("number_format", "total", "unlit"),
+    [("float32", 0.0, 0.0), ("uint16", 1e-6, 2e-5), ("uint8", 1e-4, 4e-3)],
+)
+def test_a_format_costs_what_the_documentation_says(
+    transport: Transport, tmp_path: Path, number_format: str, total: float, unlit: float
+) -> None:
+    path = tmp_path / "transport.zarr"
+    save_transport(transport, path, number_format)
+    stored = open_transport(path)
+    for pattern in PATTERNS:
+        exact, found = transport.relight(pattern), stored.relight(pattern)
+        assert relative_rms(found, exact) <= total
+        if (pattern == 0).any():
+            assert unlit_rms(found, exact, pattern) <= unlit
+
+
+def test_the_fewer_bits_the_smaller(transport: Transport, dual: Transport, tmp_path: Path) -> None:
+    for acquired in (transport, dual):
+        sizes = []
+        for number_format in ("float32", "uint16", "uint8"):
+            save_transport(acquired, tmp_path / number_format, number_format)
+            sizes.append(open_transport(tmp_path / number_format).nbytes)
+        assert sizes == sorted(sizes, reverse=True)
+        assert sizes[2] < 0.65 * sizes[0]
+
+
+def test_dual_photography_is_rounded_to_twelve_bits(dual: Transport, tmp_path: Path) -> None:
+    save_transport(dual, tmp_path / "transport.zarr", "uint8")
+    stored = open_transport(tmp_path / "transport.zarr")
+    for pattern in PATTERNS:
+        error = relative_rms(stored.relight(pattern), dual.relight(pattern))
+        assert 0 < error <= 2.0**-12
+
+
+def test_stored_again_in_the_same_format_it_stays(transport: Transport, tmp_path: Path) -> None:
+    first = save_transport(transport, tmp_path / "first", "uint8")
+    assert save_transport(open_transport(tmp_path / "first"), tmp_path / "second", "uint8") == first
+
+
+def test_an_unknown_format_is_refused(transport: Transport, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="number format 'uint4'; expected one of float32, uint16"):
+        save_transport(transport, tmp_path / "transport.zarr", "uint4")  # type: ignore[arg-type]
+    arrays, attributes = transport.pack()
+    write_arrays(tmp_path / "later", arrays, {**attributes, "number_format": "uint4"})
+    with pytest.raises(StoreError, match="'uint4', which this version of rfpipe doesn't know; op"):
+        open_transport(tmp_path / "later")
+
+
+def test_stores_of_the_first_version_open(transport: Transport, tmp_path: Path) -> None:
+    """They held one set a level, without a number, and didn't name their format."""
+    arrays, attributes = transport.pack()
+    levels = [name[:8] for name in arrays]
+    assert levels == sorted(levels)
+    old = {f"{name[:8]}{name[13:]}": array for name, array in arrays.items()}
+    assert "level_02_block_a" in old
+    assert len(old) == len(arrays)
+    del attributes["number_format"]
+    write_arrays(tmp_path / "old", old, attributes)
+    opened = open_transport(tmp_path / "old")
+    np.testing.assert_array_equal(opened.relight(PATTERNS[0]), transport.relight(PATTERNS[0]))
+
+
+@pytest.mark.parametrize("number_format", ["float32", "uint8"])
+@pytest.mark.parametrize("method", ["symmetric", "dual"])
+def test_beyond_the_memory_budget_it_streams_with_the_same_results(
+    method: str,
+    number_format: str,
+    transport: Transport,
+    dual: Transport,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(leaves, "_SET_VALUES", 4000)
+    acquired = dual if method == "dual" else transport.truncate(4)  # cut anew, into small sets
+    path = tmp_path / "transport.zarr"
+    save_transport(acquired, path, number_format)
+    if method == "symmetric":
+        assert len(acquired.pack()[0]) > 20
+    held, streamed = open_transport(path), open_transport(path, memory_budget=10_000)
+    batch = np.concatenate([PATTERNS] * 4)  # more than are relit at a time
+    for light in (PATTERNS[:1], batch):
+        np.testing.assert_array_equal(streamed.relight_batch(light), held.relight_batch(light))
+    np.testing.assert_array_equal(
+        streamed.truncate(3).relight(PATTERNS[0]), held.truncate(3).relight(PATTERNS[0])
+    )
+    assert streamed.nbytes == held.nbytes
+    for chunk in path.glob("*/c.*"):
+        chunk.unlink()
+    held.relight(PATTERNS[0])
+    with pytest.raises(IntegrityError, match="missing, truncated or altered"):
+        streamed.relight(PATTERNS[0])
+
+
+def test_results_and_bytes_are_the_same_on_any_number_of_threads(
+    transport: Transport, tmp_path: Path
+) -> None:
+    found = []
+    threads = numba.config.NUMBA_NUM_THREADS
+    try:
+        for count in (1, threads):
+            numba.set_num_threads(count)
+            path = tmp_path / f"{count}.zarr"
+            save_transport(transport, path, "uint8")
+            opened = open_transport(path)
+            images = [opened.relight_batch(np.repeat(PATTERNS[:1], n, 0)) for n in (1, 3, 20)]
+            found.append((images, {p.relative_to(path): p.read_bytes() for p in _files(path)}))
+    finally:
+        numba.set_num_threads(threads)
+    for first, last in zip(found[0][0], found[-1][0], strict=True):
+        np.testing.assert_array_equal(first, last)
+    assert found[0][1] == found[-1][1]
+
+
+def _files(path: Path) -> list[Path]:
+    return [file for file in path.rglob("*") if file.is_file()]
+
+
+@pytest.mark.parametrize("shape", [(16, 16), (1, 40), (2, 7, 9)])
+@pytest.mark.parametrize("count", [1, 2, 20])
+def test_dark_blocks_are_left_out_and_change_nothing(shape: tuple[int, ...], count: int) -> None:
+    transport, matrices = random_transport(shape, 3, seed=count)
+    random = np.random.default_rng(0)
+    rays = matrices.shape[1]
+    for lit in (0, 1, 3):
+        patterns = np.zeros((count, rays))
+        for pattern in patterns:
+            pattern[random.choice(rays, lit, replace=False)] = random.standard_normal(lit)
+        expected = np.einsum("crn,pn->prc", matrices, patterns)
+        images = transport.relight_batch(patterns.reshape(count, *shape)).reshape(expected.shape)
+        np.testing.assert_allclose(images, expected, atol=1e-5 * np.abs(matrices).max())
