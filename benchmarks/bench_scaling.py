@@ -202,7 +202,8 @@ def acquire(config: Any, name: str, shape: tuple[int, int]) -> dict[str, Any]:
             with clock.during("refine"):
                 refine.run(plan, folder, level, "", resources)
         with clock.during("assemble"):
-            assemble.run(plan, folder, folder.path / "transport.json", name, "")
+            manifest = folder.path / "transport.json"
+            assemble.run(plan, folder, manifest, name, config.storage.number_format, "")
         levels = [folder.read_manifest(level, "schedule") for level in range(plan.n_levels)]
         stored = bytes_on_disk(folder.path / "transport.zarr")
     clock.seconds["store"] -= clock.seconds["simulation"]
