@@ -2,6 +2,7 @@
 
 import base64
 import re
+import shutil
 from collections.abc import Iterable
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,9 +15,11 @@ from rfpipe.config import Config
 from rfpipe.errors import StoreError
 from rfpipe.photometry import sensor_from_config
 from rfpipe.report import build_report
+from rfpipe.report.blocks import Section
 from rfpipe.report.drawing import chunks, srgb
 from rfpipe.report.inputs import load_inputs
 from rfpipe.report.light_fields import view_errors
+from rfpipe.report.page import make_sections
 from rfpipe.report.pictures import amplification
 from rfpipe.report.tables import costs, levels_table, table_5_1
 from rfpipe.report.text import number, percent, size
@@ -158,6 +161,43 @@ def benchmarked(results: Path, scenes: Iterable[str], methods: Iterable[str]) ->
             (folder / "transport.benchmark.tsv").write_text("s\th:m:s\n1.0\t0:00:01\n")
 
 
+BENCHES = {
+    "scaling": """\
+scene,views,height,width,rays,tolerance,patterns,processing_s_per_image,floor_s_per_image,\
+stored_mb,peak_mb
+planes_iv,1,32,32,1024,0.00015,293,0.00926,0.000003,0.56,755
+planes_iv,1,64,64,4096,0.00015,405,0.01159,0.000015,2.4,905
+light_field,9,26,40,9360,0.002,998,0.01715,0.000030,25.7,947
+""",
+    "relight": """\
+height,width,rays,relight_ms,batch_ms_per_pattern,copy_ms,csr_ms,dense_ms
+32,32,1024,0.4,0.06,0.08,2.6,0.45
+64,64,4096,0.6,0.17,0.14,,
+""",
+    "storage": "format,codec,bytes,error\nfloat16,zstd,1234567,1.25e-4\nfloat32,none,7654321,0\n",
+    "merge": "height,width,patterns,how,ms\n310,350,240,2 threads,23.5\n",
+    "patterns": """\
+method,side,rays,patterns,rms_total
+brute_force,8,64,64,
+symmetric,8,64,53,0.00066
+brute_force,16,256,256,
+symmetric,16,256,145,0.00092
+""",
+    "workflow": """\
+stage,jobs,job_s,process_s,loading_s,own_s,overhead_s
+capture_simulated,32,2.61,2.28,1.34,0.94,1.67
+whole run,173,2.61,1.85,1.42,0.43,2.18
+""",
+}
+
+
+def measured(results: Path, *names: str) -> None:
+    """Write what `make bench` does."""
+    (results / "bench").mkdir(parents=True, exist_ok=True)
+    for name in names or BENCHES:
+        (results / "bench" / f"{name}.csv").write_text(BENCHES[name])
+
+
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("both") / "results"
@@ -224,6 +264,71 @@ def test_the_title_is_text_and_not_markup(page):
 def test_the_same_results_give_the_same_page(results, page):
     build_report(BOTH, results, results / "report" / "index.html", *tables_of(results))
     assert (results / "report" / "index.html").read_text(encoding="utf-8") == page.source
+
+
+def sections_with(results: Path) -> dict[str, Section]:
+    inputs = load_inputs(BOTH, results, *tables_of(results))
+    return {section.anchor: section for section in make_sections(inputs)}
+
+
+def test_without_benchmarks_there_is_no_word_of_them(results, page):
+    assert "Speed and scale" not in page.words
+    assert "scale" not in sections_with(results)
+
+
+def test_what_the_benchmarks_left_is_shown(results, tmp_path):
+    folder = tmp_path / "results"
+    shutil.copytree(results, folder)
+    measured(folder)
+    build_report(BOTH, folder, folder / "report" / "index.html", *tables_of(folder))
+    page = Page(folder / "report" / "index.html")
+    assert "scale" in page.anchors
+    for shown in ("Time against rays", "Patterns against rays", "9,360", "1,234,567", "0.000125",
+                  "capture simulated", "2 threads"):  # fmt: skip
+        assert shown in page.words
+    figures = {path.stem for path in (folder / "report" / "figures").glob("*.png")}
+    assert {"time_by_rays", "patterns_by_rays"} <= figures
+    for name in ("scaling", "relight", "storage", "merge", "workflow"):
+        written = pd.read_csv(folder / "report" / "tables" / f"bench_{name}.csv")
+        assert len(written) == BENCHES[name].count("\n") - 1
+
+
+def test_time_is_drawn_against_rays_with_its_floor(results, tmp_path):
+    folder = tmp_path / "results"
+    shutil.copytree(results, folder)
+    measured(folder)
+    section = sections_with(folder)["scale"]
+    (figure,) = [block.figure for block in section.blocks if block.name == "Time against rays"]
+    processing, relighting = figure.axes
+    for axis in (processing, relighting):
+        assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
+    drawn = {line.get_label(): line.get_xydata() for line in processing.lines}
+    assert set(drawn) == {"planes iv", "light field", "floor: a copy"}
+    np.testing.assert_allclose(drawn["planes iv"], [[1024, 0.00926], [4096, 0.01159]])
+    np.testing.assert_allclose(drawn["floor: a copy"][-1], [9360, 3e-5])
+    drawn = {line.get_label(): line.get_xydata() for line in relighting.lines}
+    np.testing.assert_allclose(drawn["dense product, numpy"], [[1024, 0.45]])
+    np.testing.assert_allclose(drawn["floor: a copy"], [[1024, 0.08], [4096, 0.14]])
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_each_benchmark_is_shown_without_the_others(results, tmp_path, name):
+    folder = tmp_path / "results"
+    shutil.copytree(results, folder)
+    measured(folder, name)
+    assert sections_with(folder)["scale"].blocks
+
+
+def test_benchmarks_that_were_stopped_or_have_other_columns_are_left_out(results, tmp_path):
+    folder = tmp_path / "results"
+    shutil.copytree(results, folder)
+    measured(folder)
+    bench = folder / "bench"
+    (bench / "scaling.csv").write_text("")
+    (bench / "relight.csv").write_text("height,width\n32,32\n")
+    (bench / "storage.csv").write_text("format,bytes\n")
+    inputs = load_inputs(BOTH, folder, *tables_of(folder))
+    assert set(inputs.benchmarks) == {"merge", "patterns", "workflow"}
 
 
 def test_costs_count_patterns_bytes_and_seconds(results):

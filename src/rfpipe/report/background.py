@@ -37,7 +37,7 @@ def resolution_section(inputs: Inputs) -> Section | None:
         "Patterns against resolution (Fig. 3.8)",
         [],
         [
-            Illustration("Fig. 3.8", caption, "fig_3_8", charts.resolution_figure(study)),
+            Illustration("Fig. 3.8", caption, "fig_3_8", charts.resolution_figure(study.rows)),
             Tabulation("Patterns", "By method and resolution.", table, numbers),
         ],
     )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rfpipe.report.drawing import METHOD_COLOURS, label_left, new_figure
-from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run, Study
+from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -70,15 +70,21 @@ def _stack_levels(axis: Axes, run: Run) -> None:
     axis.set_yticks([0, 50, 100])
 
 
-def resolution_figure(study: Study) -> Figure:
-    """Draw patterns against the projector's resolution [Fig. 3.8]."""
+def resolution_figure(study: Sequence[Mapping[Any, Any]]) -> Figure:
+    """Draw patterns against the projector's resolution [Fig. 3.8].
+
+    Parameters
+    ----------
+    study : sequence of dict
+        Rows of `rfpipe.stages.studies.resolution.resolution_study`.
+    """
     figure, axes = new_figure(1, 2, (8.6, 3.3))
-    methods = list(dict.fromkeys(row["method"] for row in study.rows))
+    methods = list(dict.fromkeys(row["method"] for row in study))
     for axis, logarithmic in zip(axes[0], (False, True), strict=True):
         for method in methods:
             if method == "brute_force" and not logarithmic:
                 continue
-            rows = [row for row in study.rows if row["method"] == method]
+            rows = [row for row in study if row["method"] == method]
             axis.plot(
                 [row["rays"] for row in rows],
                 [row["patterns"] for row in rows],
@@ -88,7 +94,7 @@ def resolution_figure(study: Study) -> Figure:
                 linewidth=1.4,
                 label=METHOD_TITLES[method],
             )
-        sides = sorted({(row["rays"], row["side"]) for row in study.rows})
+        sides = sorted({(row["rays"], row["side"]) for row in study})
         axis.set_xscale("log", base=2)
         axis.set_xticks([rays for rays, _ in sides], [f"{side}²" for _, side in sides])
         axis.set_xlabel("projector pixels", fontsize=8.5)

@@ -18,7 +18,7 @@ from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Inputs", "Run", "Study", "load_inputs"]
+__all__ = ["BENCHMARKS", "Inputs", "Run", "Study", "load_inputs"]
 
 Image = NDArray[np.float32]
 
@@ -27,6 +27,19 @@ METHOD_TITLES = {
     "dual": "Dual photography",
     "brute_force": "Brute force",
 }
+
+BENCHMARKS = {
+    "scaling": {
+        "scene", "views", "height", "width", "rays", "tolerance", "patterns",
+        "processing_s_per_image", "floor_s_per_image", "stored_mb", "peak_mb",
+    },
+    "relight": {"rays", "relight_ms"},
+    "storage": set[str](),
+    "merge": set[str](),
+    "patterns": {"method", "side", "rays", "patterns"},
+    "workflow": {"stage", "jobs", "job_s", "own_s", "overhead_s"},
+}  # fmt: skip
+"""Benchmarks that the report shows, with the columns that it needs of each."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +142,8 @@ class Inputs:
     times : DataFrame
         ``scene``, ``method``, ``level`` (-1 for the transport's assembly), ``stage``,
         ``seconds`` of each job that left a benchmark file; may be empty.
+    benchmarks : dict of str to DataFrame
+        Tables that ``make bench`` left, by their names in `BENCHMARKS`; empty without any.
     """
 
     config: Config
@@ -137,6 +152,7 @@ class Inputs:
     errors: pd.DataFrame
     speed_error: pd.DataFrame
     times: pd.DataFrame
+    benchmarks: dict[str, pd.DataFrame]
 
     @property
     def methods(self) -> list[str]:
@@ -170,8 +186,8 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
     ----------
     config : Config
     results : Path
-        Holds ``{scene}/{method}/relight.json`` and ``studies/{study}.json``; what is missing is
-        not reported.
+        Holds ``{scene}/{method}/relight.json``, ``studies/{study}.json`` and
+        ``bench/{benchmark}.csv``; what is missing is not reported.
     errors, speed_error : Path
         The tables of the evaluate stage.
     """
@@ -197,7 +213,23 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         pd.read_csv(errors),
         pd.read_csv(speed_error),
         pd.DataFrame(times, columns=["scene", "method", "level", "stage", "seconds"]),
+        _benchmarks(results / "bench"),
     )
+
+
+def _benchmarks(folder: Path) -> dict[str, pd.DataFrame]:
+    """Read the tables of the benchmarks; one that was stopped before its first row is missing."""
+    import pandas as pd
+
+    found = {}
+    for name, needed in BENCHMARKS.items():
+        path = folder / f"{name}.csv"
+        if not path.exists() or not path.stat().st_size:
+            continue
+        table = pd.read_csv(path)
+        if len(table) and needed <= set(table.columns):
+            found[name] = table
+    return found
 
 
 def _job_times(folder: Path) -> list[dict[str, Any]]:
