@@ -69,7 +69,7 @@ format: $(INSTALLED) ## format the sources and the workflow
 	ruff format .
 	snakefmt Snakefile workflow/rules
 
-bench: $(INSTALLED) ## measure, into results/bench/*.csv
+bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 	@mkdir -p results/bench
 	@for script in benchmarks/bench_*.py; do echo "$$script"; python "$$script"; done
 

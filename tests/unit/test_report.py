@@ -304,8 +304,8 @@ def test_time_is_drawn_against_rays_with_its_floor(results, tmp_path):
         assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
     drawn = {line.get_label(): line.get_xydata() for line in processing.lines}
     assert set(drawn) == {"planes iv", "light field", "floor: a copy"}
-    np.testing.assert_allclose(drawn["planes iv"], [[1024, 0.00926], [4096, 0.01159]])
-    np.testing.assert_allclose(drawn["floor: a copy"][-1], [9360, 3e-5])
+    np.testing.assert_allclose(drawn["planes iv"], [[1024, 9.26], [4096, 11.59]])
+    np.testing.assert_allclose(drawn["floor: a copy"][-1], [9360, 0.03])
     drawn = {line.get_label(): line.get_xydata() for line in relighting.lines}
     np.testing.assert_allclose(drawn["dense product, numpy"], [[1024, 0.45]])
     np.testing.assert_allclose(drawn["floor: a copy"], [[1024, 0.08], [4096, 0.14]])

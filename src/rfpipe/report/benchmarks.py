@@ -27,6 +27,15 @@ _RELIT = {
     "dense_ms": "dense product, numpy",
     "csr_ms": "sparse product (CSR), scipy",
 }
+# Columns of the tables that are shown as they are, those that are there; None: all.
+_SHOWN = {
+    "relight": (
+        "rays", "leaves", "store_mb", "factors_mb", "first_relight_ms", "relight_ms",
+        "batch_ms_per_pattern", "spot_ms", "copy_ms", "relight_by_copy", "csr_ms", "dense_ms",
+    ),
+    "storage": None,
+    "merge": None,
+}  # fmt: skip
 _TABLES = {
     "relight": ("Relighting", "Milliseconds a pattern, and the floor."),
     "storage": ("Storage", "Ways to store the same transport; the error is what they add."),
@@ -63,7 +72,7 @@ def benchmarks_section(inputs: Inputs) -> Section | None:
 
 
 _PROCESSING = (
-    "Left: wall seconds of processing an HDR image, everything but the simulated capture, by "
+    "Processing: wall milliseconds an HDR image, everything but the simulated capture, by "
     "symmetric photography in RGB through a camera with noise; dashed the floor, one pass over the "
     "image's raw bracket, radiance and variance at the machine's copying speed."
 )
@@ -106,11 +115,11 @@ def _draw_processing(axis: Axes, found: dict[str, pd.DataFrame]) -> None:
     scenes = table.groupby("scene", sort=False)
     for (scene, rows), colour in zip(scenes, _COLOURS, strict=False):
         rays = rows["rays"]
-        axis.plot(rays, rows["processing_s_per_image"], "o-", color=colour, markersize=4,
+        axis.plot(rays, 1e3 * rows["processing_s_per_image"], "o-", color=colour, markersize=4,
                   linewidth=1.4, label=str(scene).replace("_", " "))  # fmt: skip
     floor = table.sort_values("rays")
-    axis.plot(floor["rays"], floor["floor_s_per_image"], **_FLOOR)
-    axis.set_ylabel("processing, s an HDR image", fontsize=8.5)
+    axis.plot(floor["rays"], 1e3 * floor["floor_s_per_image"], **_FLOOR)
+    axis.set_ylabel("processing, ms an HDR image", fontsize=8.5)
 
 
 def _draw_relighting(axis: Axes, found: dict[str, pd.DataFrame]) -> None:
@@ -184,9 +193,10 @@ def _overhead_table(found: pd.DataFrame) -> tuple[Table, pd.DataFrame]:
 
 
 def _plain_table(found: pd.DataFrame, name: str) -> Table:
-    """Show a table as it is, with its columns' own names."""
-    rows = [[_cell(value) for value in row] for row in found.itertuples(index=False)]
-    columns = [str(column).replace("_", " ") for column in found.columns]
+    """Show a table, or its most telling columns, with the names that they have."""
+    shown = [column for column in _SHOWN[name] or found.columns if column in found]
+    rows = [[_cell(value) for value in row] for row in found[shown].itertuples(index=False)]
+    columns = [str(column).replace("_", " ") for column in shown]
     return Table([], columns, rows, csv=f"bench_{name}.csv")
 
 
