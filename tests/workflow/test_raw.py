@@ -247,13 +247,6 @@ def test_a_run_without_raw_exposures(copy: Workflow, undisturbed: Workflow) -> N
     raw = re.compile(r"L\d\d/(capture|reference)\.zarr/c\.")
     assert {name for name in expected if name not in left} == set(filter(raw.match, expected))
     assert all(content == expected.get(name, content) for name, content in left.items())
-    assert "Nothing to be done" in copy.run(TINY)
-
-    output = copy.run(TINY, "--forcerun", "capture_simulated", "merge")
+    output = copy.run(TINY, "--forcerun", "capture_simulated")
     assert "patterns in" not in output
     assert "Nothing to be done" in copy.run(TINY)
-
-    copy.configure(capture={"keep_raw": False}, merge={"saturation_fraction": 0.9})
-    output = copy.run(TINY, succeeds=False)
-    assert "saturation_fraction 0.98 -> 0.9" in output
-    assert "To capture all levels again, remove the capture.json" in output

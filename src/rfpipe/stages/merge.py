@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -156,6 +156,10 @@ class _MergeRun:
         # a block and compressed.
         brackets = self.merger.black.nbytes * 5
         return brackets + self.chunk * (self.merger.black.nbytes + 3 * image) + 2 * image
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the open stores: a cluster's workers pass the work on among themselves."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @cached_property
     def _frames(self) -> FrameStore:
