@@ -48,8 +48,10 @@ thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the fo
 	@snakemake --directory thesis --configfile config/thesis.yaml $(ARGS)
 	@echo "report: thesis/$(REPORT)"
 
-unlock: $(INSTALLED) ## free the folder after a killed run; then: make unlock run
+unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock run (or thesis)
 	@snakemake --unlock
+	@if [ -d thesis ]; then \
+	  snakemake --directory thesis --configfile config/thesis.yaml --unlock; fi
 
 test: lint ## check everything: lint, types, layers, workflow, tests
 	pytest -n 2
@@ -67,7 +69,7 @@ format: $(INSTALLED) ## format the sources and the workflow
 	ruff format .
 	snakefmt Snakefile workflow/rules
 
-bench: $(INSTALLED) ## measure, into results/bench/*.csv
+bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 	@mkdir -p results/bench
 	@for script in benchmarks/bench_*.py; do echo "$$script"; python "$$script"; done
 

@@ -6,31 +6,76 @@ Usage: ``python benchmarks/bench_symmetric.py [HEIGHT WIDTH [SCENE]]``, by defau
 
 from __future__ import annotations
 
-import cProfile
-import pstats
 import sys
+import time
 from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any
 
 import pandas as pd
 
 import rfpipe
+from rfpipe.methods import nodes, pieces, symmetric, verdicts
+from rfpipe.patterns import Schedule
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene
+from rfpipe.stages import acquire, images
+from rfpipe.stages.merging import LevelSum, Merger
+from rfpipe.transport import partition
 
 OUTPUT = Path("results/bench")
 
-# The steps of the processing, by the functions that do them; the innermost one counts.
-STEPS = {
-    "merge the brackets": ("merging.py", "merge"),
-    "normalize": ("images.py", "normalize_level"),
-    "predict known light": ("hierarchical.py", "apply_leaf_sets"),
-    "residual, reordering to the tree": ("residuals.py", "measure"),
-    "rank test": ("symmetric.py", "_rank_test"),
-    "sort the new nodes": ("symmetric.py", "_classify"),
-    "schedule (conflict graph and colouring)": ("symmetric.py", "schedule"),
-    "simulated capture": ("operator.py", "capture"),
-}
+SIMULATION, REST = "simulated capture", "everything else"
+
+# The steps and the functions that do them, with all that these call but other steps.
+STEPS: dict[str, tuple[Any, ...]] = {
+    "make the patterns": (Schedule.batch,),
+    SIMULATION: (SimulatedRig.capture,),
+    "calibrate (black level, defects)": (Merger.calibrate,),
+    "merge the brackets": (Merger.merge,),
+    "add up the images": (LevelSum.add, LevelSum.join),
+    "keep the images": (acquire._Session.capture,),
+    "known light of the dark rays": (images.known_light,),
+    "normalize": (images.normalize_level, images.NormalizedImages.read),
+    "reorder to the tree": (pieces._planar,),
+    "predict known light": (partition.predict,),
+    "take the residual's pieces": (pieces.collect,),
+    "rank test": (verdicts.rank_test,),
+    "make the levels agree": (verdicts.disagreement, verdicts.reconcile),
+    "sort the new nodes": (verdicts.classify,),
+    "cut and join nodes": (
+        symmetric.Symmetric.refine, nodes.cut, nodes.select, nodes.as_leaves, nodes.join_nodes,
+        nodes.join_leaves,
+    ),
+    "schedule (conflict graph and colouring)": (symmetric.Symmetric.schedule,),
+    "assemble": (symmetric.Symmetric.transport,),
+}  # fmt: skip
+
+
+class Stopwatch:
+    """Seconds inside each step, for `sys.setprofile`; a step within a step counts for itself."""
+
+    def __init__(self) -> None:
+        self.step_of: dict[CodeType, str] = {
+            function.__code__: step for step, functions in STEPS.items() for function in functions
+        }
+        self.seconds = dict.fromkeys([*STEPS, REST], 0.0)
+        self._within = [REST]
+        self._since = time.perf_counter()
+
+    def __call__(self, frame: FrameType, event: str, _argument: Any) -> None:
+        """Note that a function begins or ends."""
+        step = self.step_of.get(frame.f_code)
+        if step is None or event not in ("call", "return"):
+            return
+        now = time.perf_counter()
+        self.seconds[self._within[-1]] += now - self._since
+        self._since = now
+        if event == "call":
+            self._within.append(step)
+        else:
+            self._within.pop()
 
 
 def main() -> None:
@@ -41,8 +86,12 @@ def main() -> None:
     # compile the kernels, which are then cached for good
     small = SimulatedRig(reference_scene(which, (12, 14), channels=3), CameraModel(), seed=1)
     rfpipe.acquire(small, progress=False)
-    profile = cProfile.Profile()
-    result = profile.runcall(rfpipe.acquire, rig, progress=True)
+    stopwatch = Stopwatch()
+    sys.setprofile(stopwatch)
+    try:
+        result = rfpipe.acquire(rig, progress=True)
+    finally:
+        sys.setprofile(None)
     total = pd.DataFrame(
         [
             {
@@ -57,28 +106,22 @@ def main() -> None:
             }
         ]
     )
-    steps = _steps(profile, result.processing_seconds)
+    steps = _steps(stopwatch.seconds, result.processing_seconds)
     OUTPUT.mkdir(parents=True, exist_ok=True)
-    total.to_csv(OUTPUT / "symmetric.csv", index=False)
-    steps.to_csv(OUTPUT / "symmetric_profile.csv", index=False)
+    total.to_csv(OUTPUT / "symmetric.csv", index=False, float_format="%.4g")
+    steps.to_csv(OUTPUT / "symmetric_profile.csv", index=False, float_format="%.4g")
     print(total.T.to_string(header=False))
     print(steps.to_string(index=False))
 
 
-def _steps(profile: cProfile.Profile, processing: float) -> pd.DataFrame:
-    """Sum the time inside each step."""
-    seconds = dict.fromkeys(STEPS, 0.0)
-    for (file, _, name), (_, _, _, cumulative, _) in pstats.Stats(profile).stats.items():
-        for step, (module, function) in STEPS.items():
-            if Path(file).name == module and name == function:
-                seconds[step] += cumulative
+def _steps(seconds: dict[str, float], processing: float) -> pd.DataFrame:
+    """Make the table of steps; they and the rest add up to all processing."""
     if missing := [step for step, spent in seconds.items() if not spent]:
-        raise SystemExit(f"no such function was called: {missing}; has it another name now?")
-    seconds["residual, reordering to the tree"] -= seconds["predict known light"]
+        raise SystemExit(f"no function was called for {missing}; has it another name now?")
     rows = [
         {"step": step, "seconds": spent, "share_of_processing": spent / processing}
         for step, spent in seconds.items()
-        if step != "simulated capture"
+        if step != SIMULATION
     ]
     rows.sort(key=lambda row: -row["seconds"])
     return pd.DataFrame(rows)

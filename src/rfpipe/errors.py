@@ -6,6 +6,7 @@ else that escapes the library is a bug.
 
 __all__ = [
     "CaptureError",
+    "ClusterError",
     "ConfigError",
     "InputError",
     "IntegrityError",
@@ -30,6 +31,10 @@ class InputError(RfpipeError, ValueError):
 
 class CaptureError(RfpipeError):
     """A rig failed, or what it returned can't be a picture of the pattern shown."""
+
+
+class ClusterError(RfpipeError):
+    """The cluster that was to do the work doesn't answer, isn't fit for it, or lost it."""
 
 
 class StoreError(RfpipeError):

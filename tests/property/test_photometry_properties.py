@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from rfpipe.photometry import CameraModel, MergeOptions, Response
-from rfpipe.photometry.defects import find_defects, repair
+from rfpipe.photometry.defects import DarkFrames, find_defects, repair
 from rfpipe.photometry.normalize import MAXIMUM_GAIN, apply, level_gain
 
 shapes = st.tuples(st.integers(1, 4), st.integers(1, 5), st.sampled_from([1, 3]))
@@ -122,7 +122,8 @@ def test_good_pixels_are_not_called_defective(seed: int, bayer: str | None) -> N
     camera = CameraModel(bayer=bayer)
     image = np.random.default_rng(seed).uniform(0.01, 2, (12, 14, 3)).astype(np.float32)
     off = np.stack([camera.expose(np.zeros_like(image), seed, (9, i)) for i in range(4)])
-    assert not find_defects(off, camera.expose(image, seed, (0, 0)), camera).mask.any()
+    lit = camera.expose(image, seed, (0, 0))
+    assert not find_defects(DarkFrames.of(off), lit, camera).mask.any()
 
 
 @given(

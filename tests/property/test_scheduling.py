@@ -82,7 +82,7 @@ def unknown_pairs(draw: st.DrawFn) -> tuple[int, np.ndarray]:
 
 
 def colours_of_square(n_blocks: int, unknown: np.ndarray) -> np.ndarray:
-    return colour(square(conflict_graph(n_blocks, *np.nonzero(unknown))))
+    return colour(conflict_graph(n_blocks, *np.nonzero(unknown)), apart=2)
 
 
 @settings(max_examples=200)

@@ -56,13 +56,18 @@ def test_default_file_holds_the_defaults() -> None:
     assert load_config(FOLDER / "config.yaml") == Config()
 
 
-def test_thesis_file_is_the_default_run_at_full_size() -> None:
+def test_thesis_file_has_the_default_scenes_at_full_size_and_a_light_field() -> None:
     default = Config()
-    full_size = {
-        name: scene.model_copy(update={"shape": (310, 350)})
-        for name, scene in default.scenes.items()
-    }
-    assert load_config(FOLDER / "thesis.yaml") == default.model_copy(update={"scenes": full_size})
+    thesis = load_config(FOLDER / "thesis.yaml")
+    for name, scene in default.scenes.items():
+        shown = thesis.scenes[name]
+        assert (shown.geometry, shown.surfaces) == (scene.geometry, scene.surfaces)
+        assert shown.ray_shape == (310, 350)
+    assert set(thesis.acquisitions) == {(name, "symmetric") for name in thesis.scenes}
+    assert thesis.camera == default.camera
+    assert thesis.scenes["light_field"].ray_shape == (9, 130, 200)
+    assert thesis.tolerance_of("light_field") == 2e-3
+    assert thesis.tolerance_of("planes_i") == thesis.acquisition.tolerance
 
 
 def test_empty_file_means_defaults(tmp_path: Path) -> None:
@@ -142,6 +147,36 @@ def test_exposures_in_milliseconds_are_refused_with_their_unit() -> None:
     text = message({"camera": {"exposures": [15.6, 125, 1000]}})
     assert "camera.exposures[2] is 1000; it should be less than or equal to 60" in text
     assert "seconds" in text
+
+
+ROOM = {"geometry": "room", "surfaces": ["texture", "white", "white"]}
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"surfaces": ["white"]}, "geometry room should have 3 surfaces, not 1 (white)"),
+        ({"views": [3, 0]}, "scenes.mine.views[1] is 0; it should be greater than or equal to 1"),
+        ({"views": 9}, "scenes.mine.views is 9"),
+        ({"span_degrees": [90, 29]}, "should be less than or equal to 45"),
+        ({"occluders": [{"centre": [0, 0, 2], "edge_u": [1, 0, 0], "edge_v": [0, 1, 0]}]},
+         "occluders should be empty"),
+        ({"methods": []}, "scenes.mine.methods is []"),
+        ({"methods": ["dual", "dual"]}, "each method once"),
+        ({"geometry": "plane", "surfaces": ["white"], "views": [3, 3]},
+         "views should be null with geometry plane"),
+    ],
+)  # fmt: skip
+def test_mistakes_in_a_light_field_are_explained(change: dict[str, object], expected: str) -> None:
+    assert expected in message({"scenes": {"mine": {**ROOM, "views": [3, 3], **change}}})
+
+
+def test_a_scene_has_the_methods_of_the_run_unless_it_names_its_own() -> None:
+    settings = parse_config(
+        {"scenes": {"one": ROOM, "other": {**ROOM, "methods": ["dual"]}}, "methods": ["symmetric"]},
+        "mine.yaml",
+    )
+    assert settings.acquisitions == [("one", "symmetric"), ("other", "dual")]
 
 
 def test_every_mistake_is_reported_once() -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import CaptureError, InputError
-from rfpipe.photometry import CameraModel, ExactSensor, MergeOptions
+from rfpipe.photometry import CameraModel, ExactSensor, MergeOptions, Sensor
 from rfpipe.photometry.checks import check_floodlit
-from rfpipe.photometry.defects import find_defects, repair
+from rfpipe.photometry.defects import DarkFrames, DefectMap, find_defects, repair
 
 CAMERA = CameraModel()
 
@@ -22,6 +22,10 @@ def capture(
     return off, camera.expose(image, 1, (0, 0))
 
 
+def defects_of(off: np.ndarray, lit: np.ndarray, sensor: Sensor) -> DefectMap:
+    return find_defects(DarkFrames.of(off), lit, sensor)
+
+
 def texture(shape: tuple[int, ...] = (40, 50, 3)) -> np.ndarray:
     """Strokes of albedo 0.15 and 0.85, one pixel wide."""
     return np.where(np.random.default_rng(0).random(shape) < 0.5, 0.15, 0.85).astype(np.float32)
@@ -31,7 +35,7 @@ def texture(shape: tuple[int, ...] = (40, 50, 3)) -> np.ndarray:
 @pytest.mark.parametrize("bayer", [None, "RGGB"])
 def test_a_good_camera_has_no_defects(count: int, bayer: str | None) -> None:
     camera = replace(CAMERA, bayer=bayer)
-    found = find_defects(*capture(camera, texture(), count), camera)
+    found = defects_of(*capture(camera, texture(), count), camera)
     assert found.mask.shape == (40, 50)
     assert not found.mask.any()
     assert (found.hot, found.dead) == (0, 0)
@@ -43,7 +47,7 @@ def test_surfaces_without_reflection_are_not_defects(bayer: str | None) -> None:
     image = texture()
     image[10:20, 10:20] = 0  # an occluder
     image[30:, :, 0] = 0  # a surface without red
-    assert not find_defects(*capture(camera, image), camera).mask.any()
+    assert not defects_of(*capture(camera, image), camera).mask.any()
 
 
 def test_hot_and_noisy_pixels() -> None:
@@ -51,7 +55,7 @@ def test_hot_and_noisy_pixels() -> None:
     off[:, 2, 5, 6, 1] += 30
     lit[2, 5, 6, 1] += 30
     off[:, 1, 7, 8, 0] += np.array([0, 40, 0, 0, 35, 0, 60, 0], np.uint16)
-    found = find_defects(off, lit, CAMERA)
+    found = defects_of(off, lit, CAMERA)
     assert sorted(map(tuple, np.argwhere(found.mask))) == [(5, 6), (7, 8)]
     assert (found.hot, found.dead) == (2, 0)
 
@@ -60,7 +64,7 @@ def test_noise_alone_makes_a_pixel_hot() -> None:
     off, lit = capture(CAMERA, texture(), 16)
     off = off.astype(np.int64)
     off[:, 1, 7, 8, 0] += 12 * np.tile([-1, 1], 8)
-    found = find_defects(off.astype(np.uint16), lit, CAMERA)
+    found = defects_of(off.astype(np.uint16), lit, CAMERA)
     assert np.argwhere(found.mask).tolist() == [[7, 8]]
 
 
@@ -70,7 +74,7 @@ def test_stuck_pixels(value: int, pixel: tuple[int, int]) -> None:
     off, lit = capture(CAMERA, texture())
     off[(..., *pixel, slice(None))] = value
     lit[(..., *pixel, slice(None))] = value
-    found = find_defects(off, lit, CAMERA)
+    found = defects_of(off, lit, CAMERA)
     assert [tuple(where) for where in np.argwhere(found.mask)] == [pixel]
     assert found.hot + found.dead == 1
 
@@ -78,7 +82,7 @@ def test_stuck_pixels(value: int, pixel: tuple[int, int]) -> None:
 def test_a_dead_channel_of_a_pixel() -> None:
     off, lit = capture(CAMERA, texture())
     lit[:, 8, 9, 2] = off[0, :, 8, 9, 2]
-    found = find_defects(off, lit, CAMERA)
+    found = defects_of(off, lit, CAMERA)
     assert np.argwhere(found.mask).tolist() == [[8, 9]]
     assert (found.hot, found.dead) == (0, 1)
 
@@ -87,7 +91,7 @@ def test_a_dead_photosite_takes_its_neighbours_with_it() -> None:
     camera = replace(CAMERA, bayer="RGGB")
     off, lit = capture(camera, texture())
     lit[:, 8, 9] = off[0, :, 8, 9]
-    found = find_defects(off, lit, camera)
+    found = defects_of(off, lit, camera)
     assert found.dead == 1
     rows, columns = np.nonzero(found.mask)
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (7, 9, 8, 10)
@@ -96,7 +100,7 @@ def test_a_dead_photosite_takes_its_neighbours_with_it() -> None:
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 7, 3), (2, 5, 6, 3)])
 def test_small_and_stacked_domains(shape: tuple[int, ...]) -> None:
-    found = find_defects(*capture(CAMERA, np.full(shape, 0.5, np.float32)), CAMERA)
+    found = defects_of(*capture(CAMERA, np.full(shape, 0.5, np.float32)), CAMERA)
     assert found.mask.shape == shape[:-1]
     assert not found.mask.any()
 
@@ -104,18 +108,32 @@ def test_small_and_stacked_domains(shape: tuple[int, ...]) -> None:
 def test_views_do_not_vouch_for_each_other() -> None:
     off, lit = capture(CAMERA, np.full((2, 9, 9, 3), 0.5, np.float32))
     lit[:, 1] = off[0, :, 1]  # one view sees nothing at all
-    assert not find_defects(off, lit, CAMERA).mask.any()
+    assert not defects_of(off, lit, CAMERA).mask.any()
 
 
 def test_exact_radiance_has_no_defects() -> None:
     frames = np.zeros((4, 1, 6, 7, 3), np.float32)
-    assert not find_defects(frames, texture((1, 6, 7, 3)), ExactSensor()).mask.any()
+    assert not defects_of(frames, texture((1, 6, 7, 3)), ExactSensor()).mask.any()
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
+def test_statistics_of_dark_frames_that_pass_by(dtype: type) -> None:
+    frames = (4000 + np.random.default_rng(0).integers(-9, 9, (7, 2, 4, 5, 3))).astype(dtype)
+    dark = DarkFrames()
+    for first, last in ((0, 1), (1, 4), (4, 7)):
+        dark.add(frames[first:last])
+    assert (dark.count, dark.shape, dark.dtype) == (7, frames.shape[1:], frames.dtype)
+    np.testing.assert_array_equal(dark.mean, frames.mean(axis=0, dtype=np.float64))
+    expected = frames.var(axis=0, ddof=1, dtype=np.float64)
+    np.testing.assert_allclose(dark.variance, expected, rtol=1e-12)
+    together = DarkFrames.of(frames)
+    np.testing.assert_array_equal(dark.variance, together.variance)
 
 
 def test_frames_that_do_not_belong_together() -> None:
     off, lit = capture(CAMERA, texture())
     with pytest.raises(CaptureError, match="don't belong together"):
-        find_defects(off, lit[:2], CAMERA)
+        defects_of(off, lit[:2], CAMERA)
 
 
 def test_repair_takes_the_median_neighbour_and_says_that_it_is_uncertain() -> None:

@@ -2,6 +2,7 @@
 
 import base64
 import re
+import shutil
 from collections.abc import Iterable
 from html.parser import HTMLParser
 from pathlib import Path
@@ -14,10 +15,13 @@ from rfpipe.config import Config
 from rfpipe.errors import StoreError
 from rfpipe.photometry import sensor_from_config
 from rfpipe.report import build_report
+from rfpipe.report.blocks import Section
 from rfpipe.report.drawing import chunks, srgb
 from rfpipe.report.inputs import load_inputs
+from rfpipe.report.light_fields import view_errors
+from rfpipe.report.page import make_sections
 from rfpipe.report.pictures import amplification
-from rfpipe.report.tables import costs, table_5_1
+from rfpipe.report.tables import costs, levels_table, table_5_1
 from rfpipe.report.text import number, percent, size
 from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1, numeral_of
 from rfpipe.rigs import SimulatedRig
@@ -45,6 +49,19 @@ GREY = Config.model_validate(
         "report": {"tolerances": [0.01]},
     }
 )
+FIELD = Config.model_validate(
+    {
+        "scenes": {
+            "corner": WEDGE,
+            "field": {
+                "geometry": "room", "surfaces": ["texture", "white", "white"], "shape": [6, 9],
+                "views": [2, 3], "methods": ["symmetric"], "sweep": False,
+            },
+        },
+        "methods": ["symmetric", "dual"],
+        "report": {"tolerances": [0.01]},
+    }
+)  # fmt: skip
 
 
 class Page(HTMLParser):
@@ -77,26 +94,22 @@ class Page(HTMLParser):
 
 def acquired(results: Path, config: Config) -> None:
     """Fill a results folder as the workflow's stages do."""
-    manifests = []
-    for scene, settings in config.scenes.items():
-        for method in config.methods:
-            folder = results / scene / method
-            rig = SimulatedRig(scene_from_config(settings), sensor_from_config(config.camera), 1)
-            tolerance = config.acquisition.tolerance
-            result = acquire(rig, method, tolerance, progress=False)
-            digest = save_transport(result.transport, folder / "transport.zarr")
-            about = {"scene": scene, "method": method, "tolerance": tolerance}
-            manifest = {**about, "digest": digest, "patterns": result.patterns}
-            write_manifest(folder / "transport.json", manifest)
-            relight.run(folder, settings, "code")
+    relit, swept = [], []
+    for scene, method in config.acquisitions:
+        settings, folder = config.scenes[scene], results / scene / method
+        rig = SimulatedRig(scene_from_config(settings), sensor_from_config(config.camera), 1)
+        tolerance = config.acquisition.tolerance
+        result = acquire(rig, method, tolerance, progress=False)
+        digest = save_transport(result.transport, folder / "transport.zarr")
+        about = {"scene": scene, "method": method, "tolerance": tolerance}
+        manifest = {**about, "digest": digest, "patterns": result.patterns}
+        write_manifest(folder / "transport.json", manifest)
+        relight.run(folder, settings, "code")
+        relit.append(folder / "relight.json")
+        if settings.sweep:
             sweep.run(config, scene, method, folder, "code")
-            manifests.append(folder)
-    evaluate.run(
-        [folder / "relight.json" for folder in manifests],
-        [folder / "sweep.json" for folder in manifests],
-        *tables_of(results),
-        2.0,
-    )
+            swept.append(folder / "sweep.json")
+    evaluate.run(relit, swept, *tables_of(results), 2.0)
 
 
 def tables_of(results: Path) -> tuple[Path, Path]:
@@ -146,6 +159,43 @@ def benchmarked(results: Path, scenes: Iterable[str], methods: Iterable[str]) ->
                     path = folder / level / f"{stage}.benchmark.tsv"
                     path.write_text("s\th:m:s\tmax_rss\n1.0\t0:00:01\t50\n")
             (folder / "transport.benchmark.tsv").write_text("s\th:m:s\n1.0\t0:00:01\n")
+
+
+BENCHES = {
+    "scaling": """\
+scene,views,height,width,rays,tolerance,patterns,processing_s_per_image,floor_s_per_image,\
+stored_mb,peak_mb
+planes_iv,1,32,32,1024,0.00015,293,0.00926,0.000003,0.56,755
+planes_iv,1,64,64,4096,0.00015,405,0.01159,0.000015,2.4,905
+light_field,9,26,40,9360,0.002,998,0.01715,0.000030,25.7,947
+""",
+    "relight": """\
+height,width,rays,relight_ms,batch_ms_per_pattern,copy_ms,csr_ms,dense_ms
+32,32,1024,0.4,0.06,0.08,2.6,0.45
+64,64,4096,0.6,0.17,0.14,,
+""",
+    "storage": "format,codec,bytes,error\nfloat16,zstd,1234567,1.25e-4\nfloat32,none,7654321,0\n",
+    "merge": "height,width,patterns,how,ms\n310,350,240,2 threads,23.5\n",
+    "patterns": """\
+method,side,rays,patterns,rms_total
+brute_force,8,64,64,
+symmetric,8,64,53,0.00066
+brute_force,16,256,256,
+symmetric,16,256,145,0.00092
+""",
+    "workflow": """\
+stage,jobs,job_s,process_s,loading_s,own_s,overhead_s
+capture_simulated,32,2.61,2.28,1.34,0.94,1.67
+whole run,173,2.61,1.85,1.42,0.43,2.18
+""",
+}
+
+
+def measured(results: Path, *names: str) -> None:
+    """Write what `make bench` does."""
+    (results / "bench").mkdir(parents=True, exist_ok=True)
+    for name in names or BENCHES:
+        (results / "bench" / f"{name}.csv").write_text(BENCHES[name])
 
 
 @pytest.fixture(scope="module")
@@ -216,6 +266,71 @@ def test_the_same_results_give_the_same_page(results, page):
     assert (results / "report" / "index.html").read_text(encoding="utf-8") == page.source
 
 
+def sections_with(results: Path) -> dict[str, Section]:
+    inputs = load_inputs(BOTH, results, *tables_of(results))
+    return {section.anchor: section for section in make_sections(inputs)}
+
+
+def test_without_benchmarks_there_is_no_word_of_them(results, page):
+    assert "Speed and scale" not in page.words
+    assert "scale" not in sections_with(results)
+
+
+def test_what_the_benchmarks_left_is_shown(results, tmp_path):
+    folder = tmp_path / "results"
+    shutil.copytree(results, folder)
+    measured(folder)
+    build_report(BOTH, folder, folder / "report" / "index.html", *tables_of(folder))
+    page = Page(folder / "report" / "index.html")
+    assert "scale" in page.anchors
+    for shown in ("Time against rays", "Patterns against rays", "9,360", "1,234,567", "0.000125",
+                  "capture simulated", "2 threads"):  # fmt: skip
+        assert shown in page.words
+    figures = {path.stem for path in (folder / "report" / "figures").glob("*.png")}
+    assert {"time_by_rays", "patterns_by_rays"} <= figures
+    for name in ("scaling", "relight", "storage", "merge", "workflow"):
+        written = pd.read_csv(folder / "report" / "tables" / f"bench_{name}.csv")
+        assert len(written) == BENCHES[name].count("\n") - 1
+
+
+def test_time_is_drawn_against_rays_with_its_floor(results, tmp_path):
+    folder = tmp_path / "results"
+    shutil.copytree(results, folder)
+    measured(folder)
+    section = sections_with(folder)["scale"]
+    (figure,) = [block.figure for block in section.blocks if block.name == "Time against rays"]
+    processing, relighting = figure.axes
+    for axis in (processing, relighting):
+        assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
+    drawn = {line.get_label(): line.get_xydata() for line in processing.lines}
+    assert set(drawn) == {"planes iv", "light field", "floor: a copy"}
+    np.testing.assert_allclose(drawn["planes iv"], [[1024, 9.26], [4096, 11.59]])
+    np.testing.assert_allclose(drawn["floor: a copy"][-1], [9360, 0.03])
+    drawn = {line.get_label(): line.get_xydata() for line in relighting.lines}
+    np.testing.assert_allclose(drawn["dense product, numpy"], [[1024, 0.45]])
+    np.testing.assert_allclose(drawn["floor: a copy"], [[1024, 0.08], [4096, 0.14]])
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_each_benchmark_is_shown_without_the_others(results, tmp_path, name):
+    folder = tmp_path / "results"
+    shutil.copytree(results, folder)
+    measured(folder, name)
+    assert sections_with(folder)["scale"].blocks
+
+
+def test_benchmarks_that_were_stopped_or_have_other_columns_are_left_out(results, tmp_path):
+    folder = tmp_path / "results"
+    shutil.copytree(results, folder)
+    measured(folder)
+    bench = folder / "bench"
+    (bench / "scaling.csv").write_text("")
+    (bench / "relight.csv").write_text("height,width\n32,32\n")
+    (bench / "storage.csv").write_text("format,bytes\n")
+    inputs = load_inputs(BOTH, folder, *tables_of(folder))
+    assert set(inputs.benchmarks) == {"merge", "patterns", "workflow"}
+
+
 def test_costs_count_patterns_bytes_and_seconds(results):
     inputs = load_inputs(BOTH, results, *tables_of(results))
     rows = costs(inputs)
@@ -268,6 +383,73 @@ def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
     figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
     assert figures == {"fig_2_1_brute_force", "speed_error"}
     assert len(page.images) == 2
+
+
+@pytest.fixture(scope="module")
+def with_field(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("field") / "results"
+    acquired(folder, FIELD)
+    benchmarked(folder, ["corner"], ["symmetric"])
+    build_report(FIELD, folder, folder / "report" / "index.html", *tables_of(folder))
+    return folder
+
+
+def test_a_light_field_has_its_own_pictures_and_leaves_the_others_alone(with_field):
+    figures = {path.stem for path in (with_field / "report" / "figures").glob("*.png")}
+    assert figures == {
+        "fig_5_8_a_field_symmetric", "fig_5_8_b_field_symmetric",
+        "fig_2_1_symmetric", "fig_2_1_dual", "fig_5_9", "fig_5_7", "fig_5_10", "speed_error",
+        "processing_time",
+    }  # fmt: skip
+    page = Page(with_field / "report" / "index.html")
+    times = "\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}"
+    assert f"8{times}10 and 2{times}3{times}6{times}9 rays" in page.words
+    assert "Fig. 5.8 (a), the light moves" in page.words
+    assert "corner (IV) relit with the vertical bar" in page.words  # Fig. 5.7
+    assert "37° by 29°" in page.words
+
+
+def test_a_light_field_stands_beside_the_thesis_own(with_field):
+    inputs = load_inputs(FIELD, with_field, *tables_of(with_field))
+    (field,) = inputs.light_fields
+    assert (field.rays, field.middle_view) == (2 * 3 * 6 * 9, 4)
+    assert not field.has_indirect_light
+    table, numbers = table_5_1(inputs)
+    row = table.rows[1]
+    assert row[0] == "field"
+    assert row[-2:] == ["3,368", "233,657"]
+    assert numbers["thesis_patterns"][1] == 3368
+    assert sum("8D" in cell[0] for cell in table.rows) == 0  # not named again below
+    levels, _ = levels_table(inputs)
+    assert {row[0] for row in levels.rows} == {
+        "Symmetric photography", "Symmetric photography, light fields", "Dual photography",
+    }  # fmt: skip
+
+
+def test_errors_between_views_are_those_of_their_pictures(with_field):
+    inputs = load_inputs(FIELD, with_field, *tables_of(with_field))
+    (field,) = inputs.light_fields
+    table, numbers = view_errors(inputs.light_fields)
+    assert len(numbers) == 36
+    assert [row[2] for row in table.rows] == ["1, 1", "1, 2", "1, 3", "2, 1", "2, 2", "2, 3"]
+    relit, truth = field.read("views_relit"), field.read("views_truth")
+    error = np.linalg.norm(relit[4, 2] - truth[4, 2]) / np.linalg.norm(truth[4, 2])
+    assert numbers.set_index(["light", "view"]).loc[(4, 2), "rms"] == pytest.approx(error)
+    assert (numbers["rms"] < 0.05).all()
+    written = pd.read_csv(with_field / "report" / "tables" / "view_errors.csv")
+    assert len(written) == 36
+
+
+def test_a_light_field_alone_makes_a_report(tmp_path):
+    alone = FIELD.model_copy(update={"scenes": {"field": FIELD.scenes["field"]}, "camera": None})
+    acquired(tmp_path, alone)
+    build_report(alone, tmp_path, tmp_path / "report" / "index.html", *tables_of(tmp_path))
+    page = Page(tmp_path / "report" / "index.html")
+    assert "the middle view, relit with the vertical bar" in page.words
+    figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
+    assert figures == {
+        "fig_5_8_a_field_symmetric", "fig_5_8_b_field_symmetric", "fig_5_7", "fig_5_10",
+    }  # fmt: skip
 
 
 def test_without_anything_relit_there_is_no_report(tmp_path):

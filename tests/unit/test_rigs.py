@@ -95,6 +95,14 @@ def test_a_patterns_bytes_do_not_depend_on_its_batch(size: int, kind: str) -> No
         np.testing.assert_array_equal(part, frames[first:last])
 
 
+def test_threads_draw_the_same_noise() -> None:
+    alone = rig_of(MATRICES, noise=CameraModel(), seed=3).capture(PATTERNS, KEYS)
+    together = rig_of(MATRICES, noise=CameraModel(), seed=3, threads=3).capture(PATTERNS, KEYS)
+    np.testing.assert_array_equal(together, alone)
+    described = rig_of(MATRICES).describe()
+    assert rig_of(MATRICES, threads=3).describe() == described  # it captures the same pictures
+
+
 def test_noise_settings() -> None:
     matrix = np.full((20, 21), 0.01)
     assert rig_of(matrix).sensor == ExactSensor()

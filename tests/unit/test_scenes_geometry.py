@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import InputError
-from rfpipe.scenes import GEOMETRIES, Plane, relighting_patterns, surface_points
+from rfpipe.scenes import GEOMETRIES, ONE_VIEW, Plane, relighting_patterns, surface_points
 from rfpipe.scenes.textures import INK, PAPER, TINTS, WHITE, printed_page, surface_albedo
 
 
@@ -128,6 +128,10 @@ def test_relighting_patterns_light_something_on_tiny_domains(shape):
 
 def test_relighting_patterns_of_views_repeat_the_picture():
     views, image = relighting_patterns((3, 8, 10)), relighting_patterns((8, 10))
+    one = views.pop(ONE_VIEW)
+    assert one[0].all()
+    assert not one[1:].any()
+    assert list(views) == list(image)
     for name, stack in views.items():
         assert stack.shape == (3, 8, 10)
         assert all(np.array_equal(view, image[name]) for view in stack)

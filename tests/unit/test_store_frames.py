@@ -11,7 +11,7 @@ import zarr
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, IntegrityError, LockedError, StaleStoreError, StoreError
-from rfpipe.store import FrameStore
+from rfpipe.store import FrameStore, ItemWriter
 from rfpipe.units import COUNTS, RADIANCE
 
 SHAPE = (7, 2, 5, 6, 3)
@@ -65,6 +65,57 @@ def test_frames_come_back_as_they_went_in(
         np.testing.assert_array_equal(reader.read(start, stop), frames[start:stop])
     # any zarr reader opens it
     np.testing.assert_array_equal(zarr.open_array(path, mode="r")[...], frames)
+
+
+@pytest.mark.parametrize("items_per_chunk", [1, 3])
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+def test_files_are_those_that_zarr_would_write(
+    tmp_path: Path, compression: Any, items_per_chunk: int
+) -> None:
+    frames = counts()
+    path = tmp_path / "s"
+    with FrameStore.create(
+        path,
+        SHAPE,
+        COUNTS,
+        "abc",
+        {},
+        items_per_chunk=items_per_chunk,
+        compression=compression,
+    ) as store:
+        store.write(0, frames)
+    ours = tree(path)
+    zarr.open_array(path, mode="r+")[...] = frames
+    assert tree(path) == ours
+
+
+def test_items_of_another_writer_count_once_they_are_entered(tmp_path: Path) -> None:
+    frames = counts()
+    path = tmp_path / "s"
+    with FrameStore.create(path, SHAPE, COUNTS, "abc", {}, items_per_chunk=2) as store:
+        writer = ItemWriter(path, "abc")
+        digests = writer.write(2, frames[2:4])
+        last = writer.write(6, frames[6:])
+        assert not store.done.any()
+        assert not FrameStore.open(path).done.any()
+        store.enter(2, digests)
+        store.enter(6, last)
+        assert np.flatnonzero(store.done).tolist() == [2, 3, 6]
+        np.testing.assert_array_equal(store.read(2, 4), frames[2:4])
+        store.write(0, frames[:2])
+        store.write(4, frames[4:6])
+    assert FrameStore.open(path).digest() == filled(tmp_path / "plain", frames, 2)
+    assert tree(path)["journal.jsonl"] == tree(tmp_path / "plain")["journal.jsonl"]
+
+
+def test_a_writer_of_a_run_that_is_over_leaves_a_new_store_alone(tmp_path: Path) -> None:
+    filled(tmp_path / "s", counts())
+    with pytest.raises(StaleStoreError, match="fingerprint abc instead of old"):
+        ItemWriter(tmp_path / "s", "old")
+    with pytest.raises(StoreError, match="no store of frames here"):
+        ItemWriter(tmp_path / "t", "old")
+    with pytest.raises(StoreError, match="isn't open for writing"):
+        FrameStore.open(tmp_path / "s").enter(0, ["0" * 32])
 
 
 def test_store_holds_one_file_an_item_beside_its_metadata_and_journal(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from rfpipe.methods.base import Pack, Settings
 from rfpipe.methods.symmetric import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.stages.images import ImagesInMemory, NormalizedImages, normalize_level
+from rfpipe.stages.merging import LevelSum
 
 
 def dense(transport, channel=0):
@@ -208,6 +209,37 @@ def _images(matrix, schedule, shape):
     light = (patterns @ matrix.T).astype(np.float32).reshape(schedule.count, *shape, 1)
     merged = ImagesInMemory(light, np.zeros_like(light))
     floodlit = (matrix.sum(axis=1).astype(np.float32)).reshape(*shape, 1)
+    total = LevelSum.zero(floodlit.shape)
     return NormalizedImages(
-        schedule, merged, normalize_level(schedule, merged, (floodlit, floodlit), None, "none", 3.0)
+        schedule, merged, normalize_level(schedule, total, (floodlit, floodlit), None, "none", 3.0)
     )
+
+
+@pytest.mark.parametrize("memory_bytes", [1, 40_000])
+def test_what_is_found_does_not_depend_on_the_memory(memory_bytes):
+    x = np.linspace(0, 1, 144)
+    matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
+    method, domain = Symmetric(), RayDomain((12, 12))
+    state = method.start(domain, domain, 1, Settings(1e-4))
+    for _ in range(method.n_levels(domain, domain)):
+        images = _images(matrix, method.schedule(state), (12, 12))
+        frugal = method.refine(state, images, memory_bytes)
+        state = method.refine(state, images)
+        pack, other = method.pack(state), method.pack(frugal)
+        assert pack.attributes == other.attributes
+        for name, array in pack.arrays.items():
+            np.testing.assert_array_equal(array, other.arrays[name])
+
+
+def test_noise_alone_is_not_taken_for_light_among_many_tests():
+    albedo = np.random.default_rng(4).uniform(0.2, 1, 64 * 64)
+    for seed in range(3):
+        rig = rfpipe.OperatorRig(
+            np.diag(albedo),
+            camera_shape=(64, 64),
+            projector_shape=(64, 64),
+            noise=CameraModel(),
+            seed=seed,
+        )
+        levels = rfpipe.acquire(rig, "symmetric", tolerance=1e-5, progress=False).levels
+        assert levels["scalar"].sum() == 64 * 64  # the diagonal, and nothing beside it

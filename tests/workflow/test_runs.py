@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.workflow.harness import CONFIG, STAGES, TINY, Workflow, journal, undo
+from tests.workflow.harness import CONFIG, DUAL, LONG, STAGES, TINY, Workflow, journal, undo
 
 from rfpipe import acquire, open_transport
 from rfpipe.config import load_config
@@ -58,18 +58,31 @@ def test_the_files_hold_what_an_acquisition_in_process_finds(
 
 
 def test_the_whole_run_ends_in_a_report_and_then_has_nothing_to_do(copy: Workflow) -> None:
-    copy.configure(scenes=ONE_SCENE, methods=["symmetric", "dual"], report=SMALL_REPORT)
+    scenes = {**ONE_SCENE, "field": LIGHT_FIELD}
+    copy.configure(scenes=scenes, methods=["symmetric", "dual"], report=SMALL_REPORT)
     copy.run()  # goes on from the acquisitions that stand there
     page = copy.path("report/index.html").read_text(encoding="utf-8")
     assert "<html" in page
     assert 'src="http' not in page
-    assert len(copy.path("report/tables/errors.csv").read_text().splitlines()) == 1 + 2 * 5
+    assert len(copy.path("report/tables/errors.csv").read_text().splitlines()) == 1 + 2 * 5 + 6
+    assert open_transport(copy.path("field/symmetric/transport.zarr")).camera_shape == (4, 8, 12)
+    assert not copy.path("field/dual").exists()
+    assert not copy.path("field/symmetric/sweep.json").exists()
+    assert "Fig. 5.8" in page
     began = time.monotonic()
     assert "Nothing to be done" in copy.run()
     assert time.monotonic() - began < 10
 
 
 ONE_SCENE = {"tiny": CONFIG["scenes"]["tiny"]}
+LIGHT_FIELD = {
+    "geometry": "room",
+    "surfaces": ["texture", "white", "white"],
+    "shape": [8, 12],
+    "views": [2, 2],
+    "methods": ["symmetric"],
+    "sweep": False,
+}
 SMALL_REPORT = {"tolerances": [1e-2], "resolutions": [4, 8]}
 
 
@@ -101,6 +114,11 @@ def test_a_looser_tolerance_captures_only_changed_patterns_anew(copy: Workflow) 
 def patterns_shown(folder: Path, level: int) -> tuple[int, str]:
     manifest = read_manifest(folder / f"L{level:02d}/schedule.json")
     return manifest["patterns"], manifest["shown"]
+
+
+def test_other_resources_run_nothing_again(copy: Workflow) -> None:
+    copy.configure(resources={"memory_gib": 0.5})
+    assert "Nothing to be done" in copy.run(TINY, DUAL, LONG)
 
 
 def test_changed_patterns_can_be_refused(copy: Workflow) -> None:

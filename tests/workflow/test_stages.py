@@ -12,87 +12,29 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.workflow.stagewise import (
+    CAMERA,
+    RAYS,
+    SHAPE,
+    Acquisition,
+    FaultyRig,
+    contents,
+    damage,
+    matrix_rig,
+    symmetric_matrix,
+)
 
-from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError, IntegrityError, StaleStoreError
-from rfpipe.photometry import CameraModel, Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import assemble, capture, merge, normalize, progress, refine, schedule
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages import (
+    merge,
+    merging,
+    progress,
+)
+from rfpipe.stages.plan import Plan
+from rfpipe.stages.workers import Resources
 from rfpipe.store import FrameStore, read_manifest
-from rfpipe.transport import open_transport
-
-SHAPE = (4, 5)
-RAYS = 20
-CODE = "some code"
-
-CAMERA = CameraModel(**CameraConfig().model_dump())
-
-
-def symmetric_matrix() -> np.ndarray:
-    half = generator(3).random((RAYS, RAYS)) / RAYS
-    return half + half.T  # radiance 1 under floodlight, half of what the camera can see
-
-
-class Acquisition:
-    """One acquisition by symmetric photography of a matrix, stage by stage."""
-
-    def __init__(self, path: Path, rig: Any, tolerance: float = 1e-3) -> None:
-        self.rig = rig
-        self.folder = AcquisitionFolder(path)
-        self.plan = Plan("symmetric", SHAPE, SHAPE, 1, tolerance=tolerance)
-
-    def schedule(self, level: int) -> None:
-        schedule.run(self.plan, self.folder, level, CODE)
-
-    def capture(self, level: int, **options: Any) -> None:
-        capture.run(self.rig, self.folder, level, references=(2, 2), **options)
-
-    def merge(self, level: int, repair_defects: bool = True) -> None:
-        merge.run(
-            self.rig.sensor, self.folder, level,
-            saturation_fraction=0.98, repair_defects=repair_defects, code=CODE,
-        )  # fmt: skip
-
-    def normalize(self, level: int) -> None:
-        normalize.run(self.plan, self.folder, level, mode="per_channel", code=CODE)
-
-    def refine(self, level: int) -> None:
-        refine.run(self.plan, self.folder, level, CODE)
-
-    def level(self, level: int) -> None:
-        for stage in (self.schedule, self.capture, self.merge, self.normalize, self.refine):
-            stage(level)
-
-    def assemble(self) -> Any:
-        manifest = self.folder.path / "transport.json"
-        assemble.run(self.plan, self.folder, manifest, "matrix", "float32", CODE)
-        return open_transport(self.folder.path / "transport.zarr")
-
-
-def matrix_rig(matrix: np.ndarray | None = None, noise: Sensor | None = None) -> OperatorRig:
-    return OperatorRig(symmetric_matrix() if matrix is None else matrix, SHAPE, SHAPE, noise)
-
-
-class FaultyRig:
-    """A rig whose frames of some patterns come out differently."""
-
-    def __init__(self, rig: OperatorRig, fault: Callable[[tuple[int, ...], Any], Any]) -> None:
-        self._rig = rig
-        self._fault = fault
-        self.shown: list[tuple[int, ...]] = []
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._rig, name)
-
-    def capture(self, patterns: Any, keys: Any) -> Any:
-        frames = [
-            self._fault(key, self._rig.capture(patterns[i : i + 1], [key])[0])
-            for i, key in enumerate(keys)
-        ]
-        self.shown += keys
-        return np.stack(frames)
 
 
 def test_a_matrix_is_recovered_from_files(tmp_path: Path) -> None:
@@ -248,12 +190,13 @@ def times(store: Path) -> dict[str, int]:
     return {str(path): path.stat().st_mtime_ns for path in store.rglob("*")}
 
 
-@pytest.mark.parametrize("stage", ["schedule", "merge", "normalize", "refine"])
-def test_a_stage_makes_a_damaged_store_anew(tmp_path: Path, stage: str) -> None:
+@pytest.mark.parametrize("damaged", ["schedule", "merge", "sums", "normalize", "refine"])
+def test_a_stage_makes_a_damaged_store_anew(tmp_path: Path, damaged: str) -> None:
     acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
     acquisition.level(0)
     acquisition.level(1)
-    store, manifest = tmp_path / f"L01/{stage}.zarr", tmp_path / f"L01/{stage}.json"
+    stage = "merge" if damaged == "sums" else damaged
+    store, manifest = tmp_path / f"L01/{damaged}.zarr", tmp_path / f"L01/{stage}.json"
     before, files = manifest.read_bytes(), contents(store)
     damage(store)
     manifest.unlink()
@@ -262,15 +205,58 @@ def test_a_stage_makes_a_damaged_store_anew(tmp_path: Path, stage: str) -> None:
     assert contents(store) == files
 
 
-def contents(store: Path) -> dict[str, bytes]:
-    return {str(path): path.read_bytes() for path in store.rglob("*") if path.is_file()}
+def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> None:
+    batches = []
+
+    class Counting(OperatorRig):
+        def capture(self, patterns: Any, keys: Any) -> Any:
+            batches.append(len(keys))
+            return super().capture(patterns, keys)
+
+    rig = Counting(symmetric_matrix(), SHAPE, SHAPE, CAMERA)
+    acquisition = Acquisition(tmp_path, rig)
+    acquisition.plan = Plan("brute_force", SHAPE, SHAPE, 1)
+    acquisition.schedule(0)
+    acquisition.capture(0, batch_patterns=3)
+    assert max(batches) == 3
+    before = contents(tmp_path / "L00/capture.zarr")
+    batches.clear()
+    again = Acquisition(tmp_path / "again", rig)
+    again.plan, again.resources = acquisition.plan, Resources(memory_gib=1e-6)
+    again.schedule(0)
+    again.capture(0, batch_patterns=3)
+    assert batches == [1] * (2 + 2 + RAYS)
+    assert contents(tmp_path / "again/L00/capture.zarr") == before
 
 
-def damage(store: Path) -> Path:
-    chunk = max((path for path in store.rglob("c*") if path.is_file()), key=lambda p: p.name)
-    content = chunk.read_bytes()
-    chunk.write_bytes(content[: len(content) // 2])
-    return chunk
+def test_the_sum_of_a_level_is_that_of_its_images(tmp_path: Path) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
+    acquisition.level(0)
+    acquisition.level(1)
+    with merge.merged_frames(acquisition.folder, 1) as merged:
+        radiance, variance = merged.read(0, 4)
+    total = merge.read_level_sum(acquisition.folder, 1)
+    np.testing.assert_array_equal(total.radiance, radiance.sum(axis=0, dtype=np.float64))
+    np.testing.assert_array_equal(total.variance, variance.sum(axis=0, dtype=np.float64))
+
+
+def test_no_byte_depends_on_memory_and_threads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(merging, "_CHUNK_BYTES", 2 * 2 * 4 * RAYS)  # 2 patterns a file, 16 a run
+    left = []
+    for name, resources in {
+        "plain": Resources(),
+        "threads": Resources(threads=3),
+        "small": Resources(memory_gib=1e-6, threads=3),
+    }.items():
+        acquisition = Acquisition(tmp_path / name, matrix_rig(noise=CAMERA))
+        acquisition.resources = resources
+        acquisition.plan = Plan("brute_force", SHAPE, SHAPE, 1)
+        acquisition.level(0)
+        left.append({path.name: contents(path) for path in (tmp_path / name / "L00").iterdir()})
+    assert len(read_manifest(tmp_path / "plain/L00/merge.json")["shape"]) == 5
+    assert left[0] == left[1] == left[2]
 
 
 @pytest.mark.parametrize(
@@ -278,7 +264,7 @@ def damage(store: Path) -> Path:
     [
         ("schedule", "capture"),
         ("capture", "merge"),
-        ("merge", "normalize"),
+        ("sums", "normalize"),
         ("merge", "refine"),
         ("normalize", "refine"),
     ],
@@ -292,7 +278,7 @@ def test_the_next_stage_finds_damage_and_says_what_to_do(
     for stage in stages[: stages.index(found_by)]:
         getattr(acquisition, stage)(1)
     chunk = damage(tmp_path / f"L01/{damaged}.zarr")
-    manifest = tmp_path / f"L01/{damaged}.json"
+    manifest = tmp_path / "L01" / f"{'merge' if damaged == 'sums' else damaged}.json"
     with pytest.raises(IntegrityError, match=f"remove {manifest} and run again") as error:
         getattr(acquisition, found_by)(1)
     assert str(chunk.parent) in str(error.value)

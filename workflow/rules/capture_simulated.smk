@@ -13,12 +13,17 @@ rule capture_simulated:
         "results/{scene}/{method}/L{level}/capture.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        mem_mib=MEMORY_MIB,
     params:
-        scene=lambda wildcards: plain(SETTINGS.scenes[wildcards.scene]),
+        scene=scene_settings,
         camera=SETTINGS.camera and plain(SETTINGS.camera),
         seed=SETTINGS.seed,
         seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
         references=references,
+        expected_patterns=expected,
+        keep_raw=SETTINGS.capture.keep_raw,
         batch_patterns=SETTINGS.capture.batch_patterns,
         when_patterns_change=SETTINGS.capture.when_patterns_change,
     script:

@@ -2,6 +2,7 @@
 
 from rfpipe.config import load_config, parse_config
 from rfpipe.provenance import code_fingerprint
+from rfpipe.stages.disk import expected_patterns
 from rfpipe.stages.plan import Plan
 
 if len(workflow.configfiles) == 1:
@@ -12,7 +13,7 @@ SETTINGS = parse_config(config, "the configuration")
 # thrown away by an edit of the code.
 CODE = {
     "schedule": ["blocks", "conflicts", "methods", "patterns", "transport"],
-    "merge": ["photometry", "stages.merging"],
+    "merge": ["photometry", "stages.calibration", "stages.merging"],
     "normalize": ["methods", "photometry", "stages.images", "transport"],
     "refine": ["blocks", "methods", "photometry", "stages.images", "transport"],
     "assemble": ["blocks", "methods", "transport"],
@@ -21,7 +22,7 @@ CODE = {
 
 wildcard_constraints:
     scene="|".join(SETTINGS.scenes),
-    method="|".join(SETTINGS.methods),
+    method="|".join(sorted({method for _, method in SETTINGS.acquisitions})),
     level=r"\d\d",
 
 
@@ -42,15 +43,35 @@ def plain(settings):
     return settings.model_dump(mode="json")
 
 
+# All settings but those that shape no result: changing these does nothing anew.
+SHAPING = SETTINGS.model_dump(
+    mode="json", exclude={"resources": True, "capture": {"keep_raw"}}
+)
+
+MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
+
+
+def threads(wildcards):
+    """A job's share of the cores: as many acquisitions as there are run side by side."""
+    return max(1, (workflow.cores or 1) // len(SETTINGS.acquisitions))
+
+
+def scene_settings(wildcards):
+    """What is true of a scene, however often and by whatever method it is acquired."""
+    scene = SETTINGS.scenes[wildcards.scene]
+    return scene.model_dump(mode="json", exclude={"methods", "sweep", "tolerance"})
+
+
 def plan(wildcards):
     """Arguments of the Plan that the stages of an acquisition follow."""
     scene = SETTINGS.scenes[wildcards.scene]
     return {
         "method": wildcards.method,
-        "camera_shape": list(scene.shape),
-        "projector_shape": list(scene.shape),
+        "camera_shape": list(scene.ray_shape),
+        "projector_shape": list(scene.ray_shape),
         "channels": scene.channels,
         **plain(SETTINGS.acquisition),
+        "tolerance": SETTINGS.tolerance_of(wildcards.scene),
     }
 
 
@@ -76,11 +97,18 @@ def refined(wildcards):
 
 def every_acquisition(name):
     """A file of each scene and method."""
-    return expand(
-        f"results/{{scene}}/{{method}}/{name}",
-        scene=SETTINGS.scenes,
-        method=SETTINGS.methods,
-    )
+    return [
+        f"results/{scene}/{method}/{name}" for scene, method in SETTINGS.acquisitions
+    ]
+
+
+def every_sweep(name):
+    """A file of each scene and method that is acquired at several tolerances."""
+    return [
+        f"results/{scene}/{method}/{name}"
+        for scene, method in SETTINGS.acquisitions
+        if SETTINGS.scenes[scene].sweep
+    ]
 
 
 def calibration(wildcards):
@@ -99,11 +127,17 @@ def references(wildcards):
     )
 
 
+def expected(wildcards):
+    """Patterns that all levels may take, for level 0 to estimate the disk space."""
+    rays = plan(wildcards)["projector_shape"]
+    return expected_patterns(wildcards.method, rays, n_levels(wildcards))
+
+
 def sweep_settings(wildcards):
     """The settings of one scene and method's sweep."""
     return {
-        **plain(SETTINGS),
-        "scenes": {wildcards.scene: plain(SETTINGS.scenes[wildcards.scene])},
+        **SHAPING,
+        "scenes": {wildcards.scene: scene_settings(wildcards)},
         "methods": [wildcards.method],
         "report": {"tolerances": list(SETTINGS.report.tolerances)},
     }
@@ -112,7 +146,7 @@ def sweep_settings(wildcards):
 def study_settings(wildcards):
     """The settings of the studies, which have scenes of their own."""
     settings = {
-        **plain(SETTINGS),
+        **SHAPING,
         "report": {"resolutions": list(SETTINGS.report.resolutions)},
     }
     del settings["scenes"]

@@ -11,9 +11,14 @@ rule merge:
         "results/{scene}/{method}/L{level}/merge.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        mem_mib=MEMORY_MIB,
+        cluster=SETTINGS.resources.cluster or "",
     params:
         camera=SETTINGS.camera and plain(SETTINGS.camera),
         merge=plain(SETTINGS.merge),
+        keep_raw=SETTINGS.capture.keep_raw,
         code=stage_code("merge"),
     script:
         "../scripts/merge.py"

@@ -13,6 +13,9 @@ rule refine:
         "results/{scene}/{method}/L{level}/refine.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        mem_mib=MEMORY_MIB,
     params:
         plan=plan,
         code=stage_code("refine"),

@@ -30,7 +30,7 @@ rule relight:
     conda:
         "../envs/rfpipe.yaml"
     params:
-        scene=lambda wildcards: plain(SETTINGS.scenes[wildcards.scene]),
+        scene=scene_settings,
         code=stage_code("relight"),
     script:
         "../scripts/relight.py"

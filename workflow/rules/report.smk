@@ -33,7 +33,7 @@ rule evaluate:
     """All error figures, in one job since the colour library takes long to load."""
     input:
         relit=every_acquisition("relight.json"),
-        swept=every_acquisition("sweep.json"),
+        swept=every_sweep("sweep.json"),
     output:
         errors=report(
             "results/report/tables/errors.csv", caption="../report/errors.rst"
@@ -62,6 +62,8 @@ rule report:
         studies=expand("results/studies/{study}.json", study=STUDIES),
         errors="results/report/tables/errors.csv",
         speed_error="results/report/tables/speed_error.csv",
+        # what `make bench` left, if anything, when the workflow starts
+        benchmarks=sorted(map(str, Path("results/bench").glob("*.csv"))),
     output:
         report("results/report/index.html", caption="../report/report.rst"),
     log:
@@ -71,7 +73,7 @@ rule report:
     conda:
         "../envs/rfpipe.yaml"
     params:
-        settings=plain(SETTINGS),
+        settings=SHAPING,
         code=code_fingerprint("rfpipe.report"),
         template=fingerprint(PAGE_TEMPLATE.read_text(encoding="utf-8")),
     script:

@@ -5,14 +5,17 @@ from rfpipe.scenes.reference import scene_from_config
 from rfpipe.stages import capture
 from rfpipe.stages.job import start
 from rfpipe.stages.plan import AcquisitionFolder
+from rfpipe.stages.workers import Resources
 
 params = snakemake.params
 start(snakemake.log[0])
+resources = Resources.of_job(snakemake)
 rig = SimulatedRig(
     scene_from_config(SceneConfig(**params.scene)),
     sensor_from_config(CameraConfig(**params.camera) if params.camera else None),
     params.seed,
     params.seconds_per_pattern,
+    resources.threads,
 )
 capture.run(
     rig,
@@ -21,4 +24,7 @@ capture.run(
     references=tuple(params.references),
     batch_patterns=params.batch_patterns,
     when_patterns_change=params.when_patterns_change,
+    expected_patterns=params.expected_patterns,
+    keep_raw=params.keep_raw,
+    resources=resources,
 )

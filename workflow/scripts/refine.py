@@ -1,6 +1,7 @@
 from rfpipe.stages import refine
 from rfpipe.stages.job import start
 from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.workers import Resources
 
 start(snakemake.log[0])
 refine.run(
@@ -8,4 +9,5 @@ refine.run(
     AcquisitionFolder.of_manifest(snakemake.output[0]),
     int(snakemake.wildcards.level),
     snakemake.params.code,
+    resources=Resources.of_job(snakemake),
 )

@@ -5,16 +5,12 @@ Plain data only: the layers above build cameras, scenes and methods from it.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, field_validator, model_validator
+
+from rfpipe.config.base import Extent, MethodName, Settings, Tolerance, each_once
+from rfpipe.config.rig import CameraConfig, OccluderConfig, SceneConfig, Surface
 
 __all__ = [
     "AcquisitionConfig",
@@ -27,171 +23,18 @@ __all__ = [
     "NumberFormat",
     "OccluderConfig",
     "ReportConfig",
+    "ResourcesConfig",
     "SceneConfig",
     "StorageConfig",
     "Surface",
 ]
 
-Surface = Literal["white", "texture"]
-MethodName = Literal["brute_force", "dual", "symmetric"]
 Normalization = Literal["none", "per_channel", "total_energy"]
 NumberFormat = Literal["float32", "uint16", "uint8"]
-
-Exposure = Annotated[float, Field(gt=0, le=60)]
-Extent = Annotated[int, Field(ge=1, le=4096)]
-Tolerance = Annotated[float, Field(gt=0, lt=1)]
-Vector = tuple[float, float, float]
 SceneName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 
 
-class _Settings(BaseModel):
-    """Base of all settings: unknown keys are errors, values can't change, numbers are finite."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _no_truth_value_as_number(cls, value: object, info: ValidationInfo) -> object:
-        # pydantic would read true as 1, and YAML reads a bare yes or on as true
-        name = info.field_name
-        if isinstance(value, bool) and name and cls.model_fields[name].annotation is not bool:
-            raise ValueError("should not be true or false")
-        return value
-
-
-class OccluderConfig(_Settings):
-    """A black parallelogram that blocks light between surface points, and the camera's view."""
-
-    centre: Vector = Field(
-        description="Centre (x, y, z) in scene units; the camera is at the origin and looks "
-        "along +z, the scene's surfaces are at z of about 1 to 3."
-    )
-    edge_u: Vector = Field(
-        description="Vector from the centre to the middle of one edge, in scene units."
-    )
-    edge_v: Vector = Field(
-        description="Vector from the centre to the middle of a neighbouring edge, in scene units; "
-        "not parallel to edge_u."
-    )
-
-    @model_validator(mode="after")
-    def _spans_a_parallelogram(self) -> Self:
-        (a, b, c), (d, e, f) = self.edge_u, self.edge_v
-        if (b * f - c * e, c * d - a * f, a * e - b * d) == (0, 0, 0):
-            raise ValueError("edge_u and edge_v should span a parallelogram, but they are parallel")
-        return self
-
-
-class SceneConfig(_Settings):
-    """A simulated scene seen by a coaxial rig."""
-
-    geometry: Literal["plane", "wedge"] = Field(
-        description="plane: one plane across the line of sight; wedge: two planes that meet in "
-        "a concave edge, farthest from the camera."
-    )
-    surfaces: tuple[Surface, ...] = Field(
-        min_length=1,
-        max_length=2,
-        description="Albedo of each surface: one for a plane, left and right for a wedge. "
-        "white: albedo 0.8; texture: text-like strokes of albedo 0.15 and 0.85.",
-    )
-    shape: tuple[Extent, Extent] = Field(
-        (62, 70), description="Rays of the rig: height and width in pixels, 1 to 4096 each."
-    )
-    channels: Literal[1, 3] = Field(3, description="Colour channels: 1 (grey) or 3 (RGB).")
-    bounces: Literal[1, 2, 3] = Field(
-        3, description="Light simulated: 1 is direct light alone, 2 and 3 add inter-reflection."
-    )
-    occluders: tuple[OccluderConfig, ...] = Field(
-        (), description="Parallelograms that block light between the surfaces."
-    )
-    seed: int = Field(0, ge=0, description="Seed of the texture's strokes, at least 0.")
-
-    @model_validator(mode="after")
-    def _one_surface_a_plane(self) -> Self:
-        expected = {"plane": 1, "wedge": 2}[self.geometry]
-        if len(self.surfaces) != expected:
-            raise ValueError(
-                f"geometry {self.geometry} should have {expected} surfaces, "
-                f"not {len(self.surfaces)} ({', '.join(self.surfaces)})"
-            )
-        return self
-
-
-class CameraConfig(_Settings):
-    """The simulated camera [App. B]; radiance is in units of the coaxial transport matrix."""
-
-    exposures: tuple[Exposure, ...] = Field(
-        (1 / 64, 1 / 16, 1 / 4, 1.0),
-        min_length=1,
-        description="Exposure times of a bracket in seconds, ascending, above 0 and at most 60.",
-    )
-    electrons_per_radiance: float = Field(
-        640_000.0,
-        gt=0,
-        description="Photo-electrons a second for a radiance of 1, above 0. The default fills "
-        "the full well at radiance 2 in 1/64 s.",
-    )
-    full_well_electrons: float = Field(
-        20_000.0, gt=0, description="Electrons at which a pixel saturates, above 0."
-    )
-    read_noise_electrons: float = Field(
-        5.0, ge=0, description="Standard deviation of the read noise in electrons, at least 0."
-    )
-    dark_current_electrons: float = Field(
-        1.0, ge=0, description="Dark current in electrons a second, at least 0."
-    )
-    black_level_counts: int = Field(
-        64, ge=0, description="Counts of a pixel without light; at least 0 and below full scale."
-    )
-    bits: int = Field(
-        12, ge=8, le=16, description="Bits of the analogue-to-digital converter, 8 to 16."
-    )
-    psf_sigma: float = Field(
-        0.0,
-        ge=0,
-        le=10,
-        description="Standard deviation of the lens blur in pixels, 0 (none) to 10.",
-    )
-    vignetting: float = Field(
-        0.0,
-        ge=0,
-        lt=1,
-        description="Fraction of the light lost in the image's corners, from 0 (none) to below 1.",
-    )
-    flare: float = Field(
-        0.0,
-        ge=0,
-        lt=1,
-        description="Fraction of the light that the lens spreads evenly over the image, from 0 "
-        "(none) to below 1.",
-    )
-    bayer: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = Field(
-        None,
-        description="Colour mosaic of the sensor, or null for three full channels: RGGB, BGGR, "
-        "GRBG or GBRG.",
-    )
-    response_gamma: float = Field(
-        1.0,
-        gt=0,
-        le=5,
-        description="Exponent g of the response, counts ~ electrons^(1/g): above 0 and at most "
-        "5; 1 is a linear camera.",
-    )
-
-    @model_validator(mode="after")
-    def _is_consistent(self) -> Self:
-        if any(a >= b for a, b in zip(self.exposures, self.exposures[1:], strict=False)):
-            raise ValueError(f"exposures should ascend without repeats, not {self.exposures}")
-        if self.black_level_counts >= 2**self.bits - 1:
-            raise ValueError(
-                f"black_level_counts should be below full scale, {2**self.bits - 1} at "
-                f"{self.bits} bits, not {self.black_level_counts}"
-            )
-        return self
-
-
-class AcquisitionConfig(_Settings):
+class AcquisitionConfig(Settings):
     """When a method stops subdividing."""
 
     tolerance: Tolerance = Field(
@@ -213,7 +56,7 @@ class AcquisitionConfig(_Settings):
     )
 
 
-class CaptureConfig(_Settings):
+class CaptureConfig(Settings):
     """How patterns are shown and pictures taken."""
 
     rig: Literal["simulated"] = Field("simulated", description="The rig: simulated.")
@@ -237,6 +80,11 @@ class CaptureConfig(_Settings):
     batch_patterns: int = Field(
         16, ge=1, le=1024, description="Patterns captured and stored at a time, 1 to 1024."
     )
+    keep_raw: bool = Field(
+        True,
+        description="Whether a level's raw exposures stay after their merge: true or false. "
+        "Without them, other merge settings mean to capture again.",
+    )
     when_patterns_change: Literal["recapture", "refuse"] = Field(
         "recapture",
         description="What to do with a level's pictures when a changed setting changes its "
@@ -244,7 +92,7 @@ class CaptureConfig(_Settings):
     )
 
 
-class MergeConfig(_Settings):
+class MergeConfig(Settings):
     """How a bracket becomes a radiance image."""
 
     saturation_fraction: float = Field(
@@ -259,7 +107,26 @@ class MergeConfig(_Settings):
     )
 
 
-class StorageConfig(_Settings):
+class ResourcesConfig(Settings):
+    """What a job may use; none of it changes a result."""
+
+    memory_gib: float = Field(
+        4.0,
+        ge=0.5,
+        le=1024,
+        description="Memory that a job may take, in GiB, 0.5 to 1024. As many jobs as there are "
+        "cores run side by side.",
+    )
+    cluster: str | None = Field(
+        None,
+        pattern=r"^(tcp|tls|ucx)://\S+:\d+$",
+        description="Address of a dask scheduler whose workers merge brackets, such as "
+        "tcp://host:8786, or null to work here. They must see the results' folder under the same "
+        "path.",
+    )
+
+
+class StorageConfig(Settings):
     """How the transport is stored."""
 
     number_format: NumberFormat = Field(
@@ -270,7 +137,7 @@ class StorageConfig(_Settings):
     )
 
 
-class ReportConfig(_Settings):
+class ReportConfig(Settings):
     """What the report shows."""
 
     title: str = Field(
@@ -300,7 +167,7 @@ def _thesis_scenes() -> dict[str, SceneConfig]:
     }
 
 
-class Config(_Settings):
+class Config(Settings):
     """All settings of a run."""
 
     seed: int = Field(1, ge=0, description="Seed of the captures' noise, an integer of at least 0.")
@@ -337,14 +204,28 @@ class Config(_Settings):
     storage: StorageConfig = Field(
         default_factory=StorageConfig, description="How the transport is stored."
     )
+    resources: ResourcesConfig = Field(
+        default_factory=ResourcesConfig, description="What a job may use; no result depends on it."
+    )
     report: ReportConfig = Field(default_factory=ReportConfig, description="What the report shows.")
+
+    def methods_of(self, scene: str) -> tuple[MethodName, ...]:
+        """Methods to acquire a scene with: its own, or those of the run."""
+        return self.scenes[scene].methods or self.methods
+
+    def tolerance_of(self, scene: str) -> float:
+        """Tolerance to acquire a scene with: its own, or that of the run."""
+        return self.scenes[scene].tolerance or self.acquisition.tolerance
+
+    @property
+    def acquisitions(self) -> list[tuple[str, MethodName]]:
+        """Scene and method of every acquisition."""
+        return [(scene, method) for scene in self.scenes for method in self.methods_of(scene)]
 
     @field_validator("methods", mode="after")
     @classmethod
-    def _no_method_twice(cls, methods: tuple[Any, ...]) -> tuple[Any, ...]:
-        if len(set(methods)) < len(methods):
-            raise ValueError("should name each method once")
-        return methods
+    def _no_method_twice(cls, methods: tuple[MethodName, ...]) -> tuple[MethodName, ...]:
+        return each_once(methods)
 
     @model_validator(mode="after")
     def _mosaic_has_colour(self) -> Self:

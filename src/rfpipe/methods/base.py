@@ -14,6 +14,10 @@ from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 
 Float = NDArray[np.float32]
+
+MEMORY_BYTES = 2**32
+"""Memory that refining a level may take where nothing else is said: 4 GiB."""
+
 State = TypeVar("State")
 
 
@@ -77,8 +81,17 @@ class Method(Protocol[State]):
     def schedule(self, state: State) -> Schedule:
         """Return the patterns of the next level."""
 
-    def refine(self, state: State, images: LevelImages) -> State:
-        """Return the state after a level's images."""
+    def refine(self, state: State, images: LevelImages, memory_bytes: int = ...) -> State:
+        """Return the state after a level's images.
+
+        Parameters
+        ----------
+        state
+        images : LevelImages
+        memory_bytes : int
+            Memory, in bytes, that the work may take beside the state itself, about. The result
+            does not depend on it.
+        """
 
     def transport(self, state: State) -> Transport:
         """Return what is known of the transport so far; nodes still open at their estimate."""

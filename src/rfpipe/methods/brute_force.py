@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import Float, LevelImages, Pack, Settings
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
 from rfpipe.patterns import Schedule
 from rfpipe.transport.dense import DenseTransport
 
@@ -80,7 +80,12 @@ class BruteForce:
         rays = np.arange(state.projector.size, dtype=np.int32).reshape(state.projector.shape)
         return Schedule(0, state.projector.shape, rays.size, pattern_of_ray=rays, complete=True)
 
-    def refine(self, state: BruteForceState, images: LevelImages) -> BruteForceState:
+    def refine(
+        self,
+        state: BruteForceState,
+        images: LevelImages,
+        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - reads a few images at a time
+    ) -> BruteForceState:
         """Take each image as a column of the matrix."""
         channels, pixels, rays = state.matrix.shape
         matrix = np.empty_like(state.matrix)

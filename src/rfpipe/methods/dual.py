@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.conflicts import colour, conflict_graph
-from rfpipe.methods.base import Float, LevelImages, Pack, Settings
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
 from rfpipe.patterns import Schedule
-from rfpipe.transport.hierarchical import ragged_ranges
+from rfpipe.transport.leaves import ragged_ranges
 from rfpipe.transport.multilevel import MultilevelTransport, PairSet, fold, no_pairs
 
 Index = NDArray[np.int64]
@@ -104,7 +104,12 @@ class Dual:
             pattern_of_block[children] = ragged_ranges(first_pattern[colours], counts)
         return Schedule.of_blocks(tree, level, pattern_of_block, state.complete)
 
-    def refine(self, state: DualState, images: LevelImages) -> DualState:
+    def refine(
+        self,
+        state: DualState,
+        images: LevelImages,
+        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - reads a few images at a time
+    ) -> DualState:
         """Drop, store or subdivide each response that the level measured (ProcessResults, C.1)."""
         tree, level, schedule = state.tree, state.level, images.schedule
         asked = _candidates(state)

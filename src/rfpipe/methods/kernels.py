@@ -1,7 +1,8 @@
-"""Compiled kernels of symmetric photography's rank test (thesis §5.1, C.2).
+"""Compiled kernels of symmetric photography (thesis §5.1, C.2).
 
-Images are planar and in tree order, so that a piece (one block of one image) is one run.
-A *piece* ``(k, b)`` is what block ``k`` of the camera received while block ``b`` was lit.
+A *piece* ``(k, b)`` is what block ``k`` of the camera received while block ``b`` was lit. The two
+pieces of a pair of blocks stand one after the other, pair after pair; on the diagonal there is
+one. Images are planar and in tree order, so that a piece of an image is one run.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import numba
 import numpy as np
 
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
+# Median of the square of a normal deviate.
+_MEDIAN_SQUARE = 0.4549364
 
 
 @numba.njit(cache=True, fastmath=_FAST)
@@ -17,14 +20,6 @@ def _sum(values):  # type: ignore[no-untyped-def]
     total = 0.0
     for k in range(values.shape[0]):
         total += np.float64(values[k])
-    return total
-
-
-@numba.njit(cache=True, fastmath=_FAST)
-def _positive_sum(values):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for k in range(values.shape[0]):
-        total += np.float64(max(values[k], np.float32(0)))
     return total
 
 
@@ -37,149 +32,341 @@ def _squared_difference(measured, factor, scale):  # type: ignore[no-untyped-def
     return total
 
 
-@numba.njit(cache=True)
-def _test_side(  # type: ignore[no-untyped-def]
-    target0, target1, factor, factor_variance, first_child, last_child, child_starts, source0,
-    weights, energy, pattern_of_block, c, residuals, variances,
+@numba.njit(cache=True, parallel=True)
+def collect_pieces(  # type: ignore[no-untyped-def]
+    starts, block_a, block_b, offset_a, offset_b, pattern_of_block, first, residuals, spreads,
+    values, variances,
 ):  # fmt: skip
-    """Compare the images of one side's blocks with what the node's factors predict.
+    """Copy the pieces of some patterns' images to their pairs.
 
-    Returns the sum of squared differences, what noise makes of it, and the sum of the squared
-    shares that the children have of the energy.
+    Parameters
+    ----------
+    starts : int64 (n_blocks + 1,)
+        First tree positions of the level's blocks.
+    block_a, block_b, offset_a, offset_b : (n,)
+        The pairs and where their two pieces begin.
+    pattern_of_block : int32
+        Pattern that lights each block, -1 for none.
+    first : int
+        Pattern of the first of the images.
+    residuals, spreads : float32 (P, C, N)
+        The images and their variance.
+    values, variances : float32 (C, n_values)
+        Written.
     """
-    ssd, noise, squares = 0.0, 0.0, 0.0
+    for n in numba.prange(block_a.shape[0]):
+        a, b = block_a[n], block_b[n]
+        for side in range(1 if a == b else 2):
+            seen, lit = (a, b) if side == 0 else (b, a)
+            at = offset_a[n] if side == 0 else offset_b[n]
+            pattern = pattern_of_block[lit] - first
+            if pattern < 0 or pattern >= residuals.shape[0]:
+                continue
+            begin, end = starts[seen], starts[seen + 1]
+            for c in range(values.shape[0]):
+                values[c, at : at + end - begin] = residuals[pattern, c, begin:end]
+                variances[c, at : at + end - begin] = spreads[pattern, c, begin:end]
+
+
+@numba.njit(cache=True, parallel=True)
+def sum_pieces(starts, block_a, block_b, offset_a, offset_b, values, sums):  # type: ignore[no-untyped-def]
+    """Sum each piece.
+
+    Parameters
+    ----------
+    starts, block_a, block_b, offset_a, offset_b, values
+        As in `collect_pieces`.
+    sums : float64 (C, 2, n)
+        Written: of piece (a, b) and of piece (b, a), the same on the diagonal.
+    """
+    for n in numba.prange(block_a.shape[0]):
+        a, b = block_a[n], block_b[n]
+        size_a, size_b = starts[a + 1] - starts[a], starts[b + 1] - starts[b]
+        for c in range(values.shape[0]):
+            sums[c, 0, n] = _sum(values[c, offset_a[n] : offset_a[n] + size_a])
+            sums[c, 1, n] = _sum(values[c, offset_b[n] : offset_b[n] + size_b])
+
+
+@numba.njit(cache=True)
+def _shares(piece, energy, first_child, last_child, child_starts, shares):  # type: ignore[no-untyped-def]
+    """Write the share of a node's energy in each child block of a side; return their squares."""
+    squares = 0.0
     for child in range(first_child, last_child):
-        begin, end = child_starts[child] - source0, child_starts[child + 1] - source0
-        scale = _sum(weights[begin:end]) / energy if energy > 0.0 else 0.0
-        pattern = pattern_of_block[child]
-        ssd += _squared_difference(
-            residuals[pattern, c, target0:target1], factor, np.float32(scale)
-        )
-        noise += _sum(variances[pattern, c, target0:target1]) + scale * scale * factor_variance
-        squares += scale * scale
-    return ssd, noise, squares
+        begin = child_starts[child] - child_starts[first_child]
+        end = child_starts[child + 1] - child_starts[first_child]
+        share = _sum(piece[begin:end]) / energy if energy > 0.0 else 0.0
+        shares[child - first_child] = share
+        squares += share * share
+    return squares
 
 
 @numba.njit(cache=True, parallel=True)
 def rank_test(  # type: ignore[no-untyped-def]
-    starts, children, child_starts, block_a, block_b, offset_a, offset_b, pieces, energy,
-    piece_variance, pattern_of_block, residuals, variances, ssd, noise, shares,
+    children, child_starts, block_a, block_b, offset_a, offset_b, pieces, energy, piece_variance,
+    first_pair, pair_a, pair_b, pair_offset_a, pair_offset_b, values, spread, ssd, noise, squares,
 ):  # fmt: skip
-    """Predict the images of each node's children from its factors, and compare.
+    """Predict the pieces of each node's children from its factors, and compare.
 
     Parameters
     ----------
-    starts, child_starts : int64
-        First tree positions of the blocks of the nodes' level, and of the next.
     children : int64 (n_blocks + 1,)
-        The next level's blocks in each block.
+        The next level's blocks in each block of the nodes' level.
+    child_starts : int64
+        First tree positions of the next level's blocks.
     block_a, block_b, offset_a, offset_b : (n,)
-        The nodes and where their two pieces begin in `pieces`.
+        The nodes and where their two factors begin in `pieces`.
     pieces : float32 (C, n_values)
-        Non-negative; both pieces of a node sum to its energy.
+        Non-negative; both factors of a node sum to its energy.
     energy : float64 (C, n)
     piece_variance : float64 (C, 2, n)
-        Summed variance of the two pieces.
-    pattern_of_block : int32
-        Pattern that lit each block of the next level.
-    residuals, variances : float32 (P, C, N)
+        Summed variance of the two factors.
+    first_pair : int64 (n + 1,)
+        The children of node ``i`` are the pairs ``first_pair[i]:first_pair[i + 1]``.
+    pair_a, pair_b, pair_offset_a, pair_offset_b, values
+        The children and their pieces, as in `collect_pieces`.
+    spread : float64 (C, 2, pairs)
+        Summed variance of the children's pieces.
     ssd, noise : float64 (C, n)
         Written: summed squared differences, and what noise alone would make of them.
-    shares : float64 (C, 2, n)
+    squares : float64 (C, 2, n)
         Written: over the children of b, and over those of a, the sum of the squared shares that
         they have of the node's energy; 1 where a single child has all of it.
     """
     for n in numba.prange(block_a.shape[0]):
         a, b = block_a[n], block_b[n]
-        a0, a1, b0, b1 = starts[a], starts[a + 1], starts[b], starts[b + 1]
+        start_a, start_b = child_starts[children[a]], child_starts[children[b]]
+        size_a = child_starts[children[a + 1]] - start_a
+        size_b = child_starts[children[b + 1]] - start_b
+        shares_a = np.empty(children[a + 1] - children[a])
+        shares_b = np.empty(children[b + 1] - children[b])
         for c in range(pieces.shape[0]):
-            piece_a = pieces[c, offset_a[n] : offset_a[n] + a1 - a0]
-            piece_b = pieces[c, offset_b[n] : offset_b[n] + b1 - b0]
-            total, expected, shares[c, 0, n] = _test_side(
-                a0, a1, piece_a, piece_variance[c, 0, n], children[b], children[b + 1],
-                child_starts, b0, piece_b, energy[c, n], pattern_of_block, c, residuals, variances,
-            )  # fmt: skip
-            shares[c, 1, n] = shares[c, 0, n]
+            e = energy[c, n]
+            factor_a = pieces[c, offset_a[n] : offset_a[n] + size_a]
+            factor_b = pieces[c, offset_b[n] : offset_b[n] + size_b]
+            square_a = _shares(factor_a, e, children[a], children[a + 1], child_starts, shares_a)
+            square_b = _shares(factor_b, e, children[b], children[b + 1], child_starts, shares_b)
+            squares[c, 0, n], squares[c, 1, n] = square_b, square_a
+            total, expected = 0.0, square_b * piece_variance[c, 0, n]
             if a != b:
-                more, more_expected, shares[c, 1, n] = _test_side(
-                    b0, b1, piece_b, piece_variance[c, 1, n], children[a], children[a + 1],
-                    child_starts, a0, piece_a, energy[c, n], pattern_of_block, c, residuals,
-                    variances,
+                expected += square_a * piece_variance[c, 1, n]
+            for pair in range(first_pair[n], first_pair[n + 1]):
+                i, j = pair_a[pair], pair_b[pair]
+                begin, end = child_starts[i] - start_a, child_starts[i + 1] - start_a
+                at = pair_offset_a[pair]
+                total += _squared_difference(
+                    values[c, at : at + end - begin], factor_a[begin:end],
+                    np.float32(shares_b[j - children[b]]),
                 )  # fmt: skip
-                total += more
-                expected += more_expected
+                expected += spread[c, 0, pair]
+                if i == j:
+                    continue
+                begin, end = child_starts[j] - start_b, child_starts[j + 1] - start_b
+                at = pair_offset_b[pair]
+                total += _squared_difference(
+                    values[c, at : at + end - begin], factor_b[begin:end],
+                    np.float32(shares_a[i - children[a]]),
+                )  # fmt: skip
+                expected += spread[c, 1, pair]
             ssd[c, n] = total
             noise[c, n] = expected
 
 
 @numba.njit(cache=True, parallel=True)
-def measure_pieces(  # type: ignore[no-untyped-def]
-    starts, block_a, block_b, pattern_of_block, residuals, variances, energy, variance
-):
-    """Sum the two pieces of each pair of blocks, and their variances.
+def disagreement(first_pair, pair_a, pair_b, sums, spread, excess):  # type: ignore[no-untyped-def]
+    """Estimate the errors in the pieces of each node's children that are no camera noise.
+
+    The two pieces of a pair have one sum, by symmetry. What is wrong with the light that was taken
+    off the images makes them differ.
 
     Parameters
     ----------
-    starts : int64 (n_blocks + 1,)
-    block_a, block_b : int32 (n,)
-    pattern_of_block, residuals, variances
-        As in `rank_test`, of the pairs' own level.
-    energy, variance : float64 (C, 2, n)
-        Written: sums over piece (a, b) and over piece (b, a).
+    first_pair, pair_a, pair_b
+        As in `rank_test`.
+    sums, spread : float64 (C, 2, pairs)
+        Of the pieces, and of their variances.
+    excess : float64 (C, n)
+        Written: variance of the difference of two sums beyond their noise, from the median over
+        the node's children, at least 0.
+    """
+    for n in numba.prange(first_pair.shape[0] - 1):
+        squared = np.empty(first_pair[n + 1] - first_pair[n])
+        noise = np.empty_like(squared)
+        for c in range(sums.shape[0]):
+            count = 0
+            for pair in range(first_pair[n], first_pair[n + 1]):
+                if pair_a[pair] != pair_b[pair]:
+                    squared[count] = (sums[c, 0, pair] - sums[c, 1, pair]) ** 2
+                    noise[count] = spread[c, 0, pair] + spread[c, 1, pair]
+                    count += 1
+            excess[c, n] = 0.0
+            if count:
+                typical = np.median(squared[:count]) / _MEDIAN_SQUARE
+                excess[c, n] = max(0.0, typical - np.median(noise[:count]))
+
+
+@numba.njit(cache=True)
+def _reconcile_block(size, offsets, values, variances, whole, noise):  # type: ignore[no-untyped-def]
+    """Distribute what the pieces of one block lack to their sum, by their variances."""
+    for k in range(size):
+        total, variance = np.float64(0.0), noise
+        for at in offsets:
+            total += values[at + k]
+            variance += variances[at + k]
+        if variance <= 0.0:
+            continue
+        lacking = np.float32((whole[k] - total) / variance)
+        for at in offsets:
+            own = variances[at + k]
+            values[at + k] += lacking * own
+            variances[at + k] = own * np.float32(1.0 - own / variance)
+
+
+@numba.njit(cache=True, parallel=True)
+def reconcile(  # type: ignore[no-untyped-def]
+    child_starts, children, block_a, block_b, offset_a, offset_b, pieces, piece_variance,
+    first_pair, pair_a, pair_b, pair_offset_a, pair_offset_b, values, variances,
+):  # fmt: skip
+    """Make the children's pieces agree with the node's own, which measured their sum before.
+
+    Each pixel's light is then known from all levels' images together. Arguments as in `rank_test`;
+    `values` and their `variances` are changed in place.
     """
     for n in numba.prange(block_a.shape[0]):
         a, b = block_a[n], block_b[n]
-        a0, a1, b0, b1 = starts[a], starts[a + 1], starts[b], starts[b + 1]
-        pattern_a, pattern_b = pattern_of_block[a], pattern_of_block[b]
+        offsets = np.empty(2 * (first_pair[n + 1] - first_pair[n]), np.int64)
+        for side in range(1 if a == b else 2):
+            seen, at = (a, offset_a[n]) if side == 0 else (b, offset_b[n])
+            start = child_starts[children[seen]]
+            pixels = child_starts[children[seen + 1]] - start
+            for child in range(children[seen], children[seen + 1]):
+                count = 0
+                for pair in range(first_pair[n], first_pair[n + 1]):
+                    if pair_a[pair] == child and (side == 0 or a == b):
+                        offsets[count] = pair_offset_a[pair]
+                        count += 1
+                    elif pair_b[pair] == child and (side == 1 or a == b):
+                        offsets[count] = pair_offset_b[pair]
+                        count += 1
+                begin, end = child_starts[child] - start, child_starts[child + 1] - start
+                for c in range(values.shape[0]):
+                    _reconcile_block(
+                        end - begin, offsets[:count], values[c], variances[c],
+                        pieces[c, at + begin : at + end], piece_variance[c, side, n] / pixels,
+                    )  # fmt: skip
+
+
+@numba.njit(cache=True, parallel=True)
+def weigh_pairs(  # type: ignore[no-untyped-def]
+    pair_a, pair_b, sums, spread, chosen, wrong, node, significant, energy
+):
+    """Combine the two sums of pairs by their variances, and tell light from noise.
+
+    On the diagonal both are the same one. What exceeds the noise is shrunk by how wrong its
+    siblings are found to be, `disagreement`.
+
+    Parameters
+    ----------
+    pair_a, pair_b, sums, spread
+        As in `disagreement`.
+    chosen : int64 (n,)
+        The pairs to weigh.
+    wrong : float64 (C, n_nodes)
+        Variance of a node's children's energies beyond noise.
+    node : int64 (n,)
+        Each chosen pair's node.
+    significant : float
+        Squared standard deviations above which a sum is light.
+    energy : float64 (C, n)
+        Written: 0 where there is no light.
+    """
+    for n in numba.prange(chosen.shape[0]):
+        pair = chosen[n]
         for c in range(energy.shape[0]):
-            energy[c, 0, n] = _sum(residuals[pattern_b, c, a0:a1])
-            energy[c, 1, n] = _sum(residuals[pattern_a, c, b0:b1])
-            variance[c, 0, n] = _sum(variances[pattern_b, c, a0:a1])
-            variance[c, 1, n] = _sum(variances[pattern_a, c, b0:b1])
+            first, second = spread[c, 0, pair], spread[c, 1, pair]
+            share = second / (first + second) if first + second > 0.0 else 0.5
+            if pair_a[pair] == pair_b[pair]:
+                share, second = 1.0, 0.0
+            light = share * sums[c, 0, pair] + (1.0 - share) * sums[c, 1, pair]
+            variance = share * share * first + (1.0 - share) * (1.0 - share) * second
+            error = wrong[c, node[n]]
+            clear = light > 0.0 and light * light > significant * variance + error
+            energy[c, n] = light * (1.0 - error / (light * light)) if clear else 0.0
 
 
 @numba.njit(cache=True)
-def _take_piece(source, energy, target):  # type: ignore[no-untyped-def]
-    """Copy a piece without its negative values, scaled to the node's energy; return its square."""
-    positive = _positive_sum(source)
+def _take_piece(source, spread, profile, significance, energy, target):  # type: ignore[no-untyped-def]
+    """Copy a piece with less noise, not negative, scaled to the node's energy.
+
+    The surface under a block is that of the piece above, so that its picture is a good guess at
+    this one's, and less noisy. As much of the difference is kept as exceeds what noise makes of
+    it, over the piece as a whole or, where that is more, at the single pixel.
+    """
+    total, light = _sum(source), _sum(profile)
+    if total > 0.0 and light > 0.0:
+        scale = np.float32(total / light)
+        different = _squared_difference(source, profile, scale)
+        kept = max(0.0, 1.0 - _sum(spread) / different) if different > 0.0 else 0.0
+        for k in range(source.shape[0]):
+            guess = profile[k] * scale
+            difference = source[k] - guess
+            square = difference * difference
+            noise = significance * significance * spread[k]
+            here = max(kept, 1.0 - noise / square) if square > noise else kept
+            target[k] = max(guess + np.float32(here) * difference, np.float32(0))
+    else:
+        for k in range(source.shape[0]):
+            target[k] = max(source[k], np.float32(0))
+    positive = _sum(target)
     scale = np.float32(energy / positive) if positive > 0.0 and energy > 0.0 else np.float32(0)
-    square = 0.0
     for k in range(source.shape[0]):
-        target[k] = max(source[k], np.float32(0)) * scale
-        square += np.float64(target[k]) * np.float64(target[k])
-    return square
+        target[k] *= scale
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _sum_of_squares(values):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for k in range(values.shape[0]):
+        total += np.float64(values[k]) * np.float64(values[k])
+    return total
 
 
 @numba.njit(cache=True)
-def _worst_share(piece, energy, first_child, last_child, child_starts, source0):  # type: ignore[no-untyped-def]
+def _worst_share(piece, energy, first_child, last_child, child_starts, shares):  # type: ignore[no-untyped-def]
     """Largest sum of squares by which a split of one unit among the children can miss the shares.
 
     The piece predicts the share ``w_q`` of child ``q``; whatever the truth is, it splits one
     unit into non-negative parts, so the worst is all of it in the child of the smallest share.
     """
-    smallest, squares = 1.0, 0.0
-    for child in range(first_child, last_child):
-        begin, end = child_starts[child] - source0, child_starts[child + 1] - source0
-        share = _sum(piece[begin:end]) / energy if energy > 0.0 else 0.0
-        smallest = min(smallest, share)
-        squares += share * share
-    return 1.0 - 2.0 * smallest + squares
+    squares = _shares(piece, energy, first_child, last_child, child_starts, shares)
+    return 1.0 - 2.0 * shares.min() + squares
 
 
 @numba.njit(cache=True, parallel=True)
-def gather_pieces(  # type: ignore[no-untyped-def]
-    starts, children, child_starts, block_a, block_b, offset_a, offset_b, energy,
-    pattern_of_block, residuals, pieces, worst, lit,
+def take_pieces(  # type: ignore[no-untyped-def]
+    starts, children, child_starts, block_a, block_b, source_a, source_b, values, variances,
+    profile_a, profile_b, profiles, significance, energy, offset_a, offset_b, pieces, worst, lit,
 ):  # fmt: skip
-    """Copy the pieces of nodes out of the images, and bound what the rank test can still find.
+    """Make factors of nodes' pieces, and bound what the rank test can still find.
 
     Parameters
     ----------
-    starts, children, child_starts, block_a, block_b, offset_a, offset_b, pattern_of_block
-        As in `rank_test`, `pattern_of_block` of the nodes' own level.
+    starts, children, child_starts
+        As in `collect_pieces` and `rank_test`.
+    block_a, block_b : int32 (n,)
+        The nodes.
+    source_a, source_b : int64 (n,)
+        Where their pieces begin in `values`.
+    values, variances : float32 (C, n_source_values)
+    profile_a, profile_b : int64 (n,)
+        Where the pictures of block a and of block b begin in `profiles`; -1 for none.
+    profiles : float32 (C, n_profile_values)
+        Factors of the nodes above.
+    significance : float
+        Standard deviations by which a pixel must differ from the picture to count alone.
     energy : float64 (C, n)
-        Energy that both pieces are scaled to; 0 gives empty pieces.
-    residuals : float32 (P, C, N)
+        Energy that both factors are scaled to; 0 gives empty ones.
+    offset_a, offset_b : int64 (n,)
+        Where the factors begin in `pieces`.
     pieces : float32 (C, n_values)
         Written.
     worst : float64 (C, n)
@@ -191,21 +378,33 @@ def gather_pieces(  # type: ignore[no-untyped-def]
     """
     for n in numba.prange(block_a.shape[0]):
         a, b = block_a[n], block_b[n]
-        a0, a1, b0, b1 = starts[a], starts[a + 1], starts[b], starts[b + 1]
+        shares_a = np.empty(children[a + 1] - children[a])
+        shares_b = np.empty(children[b + 1] - children[b])
+        size_a, size_b = starts[a + 1] - starts[a], starts[b + 1] - starts[b]
         for c in range(pieces.shape[0]):
-            piece_a = pieces[c, offset_a[n] : offset_a[n] + a1 - a0]
-            piece_b = pieces[c, offset_b[n] : offset_b[n] + b1 - b0]
             e = energy[c, n]
-            square = _take_piece(residuals[pattern_of_block[b], c, a0:a1], e, piece_a)
-            if a != b:
-                other = _take_piece(residuals[pattern_of_block[a], c, b0:b1], e, piece_b)
-            else:
-                other = 0.0
+            piece_a = pieces[c, offset_a[n] : offset_a[n] + size_a]
+            piece_b = pieces[c, offset_b[n] : offset_b[n] + size_b]
+            for side in range(1 if a == b else 2):
+                source, above, target = (
+                    (source_a[n], profile_a[n], piece_a)
+                    if side == 0
+                    else (source_b[n], profile_b[n], piece_b)
+                )
+                size = len(target)
+                _take_piece(
+                    values[c, source : source + size], variances[c, source : source + size],
+                    profiles[c, above : above + (size if above >= 0 else 0)], significance, e,
+                    target,
+                )  # fmt: skip
+            square = _sum_of_squares(piece_a)
             worst[c, n] = square * _worst_share(
-                piece_b, e, children[b], children[b + 1], child_starts, b0
-            ) + other * _worst_share(piece_a, e, children[a], children[a + 1], child_starts, a0)
-            lit[c, n] = 0.0
-            if square > 0.0:
-                lit[c, n] += e * e / square * (children[b + 1] - children[b])
-            if other > 0.0:
-                lit[c, n] += e * e / other * (children[a + 1] - children[a])
+                piece_b, e, children[b], children[b + 1], child_starts, shares_b
+            )
+            lit[c, n] = e * e / square * len(shares_b) if square > 0.0 else 0.0
+            if a != b:
+                square = _sum_of_squares(piece_b)
+                worst[c, n] += square * _worst_share(
+                    piece_a, e, children[a], children[a + 1], child_starts, shares_a
+                )
+                lit[c, n] += e * e / square * len(shares_a) if square > 0.0 else 0.0

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
-from rfpipe.transport.hierarchical import LeafSet, factor_offsets, ragged_ranges
+from rfpipe.transport.leaves import LeafSet, factor_offsets, ragged_ranges
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
@@ -96,6 +97,21 @@ def select(tree: BlockTree, level: int, nodes: Frontier, chosen: NDArray[np.bool
     )
 
 
+def cut(tree: BlockTree, level: int, nodes: Frontier, run: slice) -> Frontier:
+    """Return a run of the nodes, views of their arrays."""
+    if run == slice(0, len(nodes)):
+        return nodes
+    offset_a, _, n_values = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
+    offsets = np.append(offset_a, n_values)
+    return Frontier(
+        nodes.block_a[run],
+        nodes.block_b[run],
+        nodes.pieces[:, offsets[run.start] : offsets[run.stop]],
+        nodes.energy[:, run],
+        nodes.variance[..., run],
+    )
+
+
 def as_leaves(tree: BlockTree, level: int, nodes: Frontier) -> LeafSet:
     """Turn nodes into rank-1 leaves: ``T_ab = piece(a, b) x piece(b, a) / m`` (Fig. 5.1)."""
     offset_a, _, n_values = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
@@ -103,3 +119,28 @@ def as_leaves(tree: BlockTree, level: int, nodes: Frontier) -> LeafSet:
     root = np.sqrt(nodes.energy, where=nodes.energy > 0, out=np.ones_like(nodes.energy))
     scale = np.repeat((1.0 / root).astype(np.float32), lengths, axis=1)
     return LeafSet(level, nodes.block_a, nodes.block_b, nodes.pieces * scale)
+
+
+def join_nodes(parts: Sequence[Frontier]) -> Frontier:
+    """Put nodes of one level, found one after the other, together; `parts` is not empty."""
+    if len(parts) == 1:
+        return parts[0]
+    return Frontier(
+        np.concatenate([part.block_a for part in parts]),
+        np.concatenate([part.block_b for part in parts]),
+        np.concatenate([part.pieces for part in parts], axis=1),
+        np.concatenate([part.energy for part in parts], axis=1),
+        np.concatenate([part.variance for part in parts], axis=2),
+    )
+
+
+def join_leaves(level: int, parts: Sequence[LeafSet]) -> LeafSet:
+    """Put leaves of one level, found one after the other, together; `parts` is not empty."""
+    if len(parts) == 1:
+        return parts[0]
+    return LeafSet(
+        level,
+        np.concatenate([part.block_a for part in parts]),
+        np.concatenate([part.block_b for part in parts]),
+        np.concatenate([part.values for part in parts], axis=1),
+    )

@@ -10,32 +10,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.conflicts import colour, conflict_graph, square
+from rfpipe.conflicts import colour, conflict_graph
 from rfpipe.errors import InputError
-from rfpipe.methods.base import LevelImages, Pack, Settings
+from rfpipe.methods.base import MEMORY_BYTES, LevelImages, Pack, Settings
 from rfpipe.methods.nodes import (
-    Blocks,
-    Double,
     Frontier,
     as_leaves,
     child_pairs,
-    compared_pixels,
+    cut,
+    join_leaves,
+    join_nodes,
     no_nodes,
     select,
 )
-from rfpipe.methods.residuals import Measured, measure
-from rfpipe.patterns import Schedule
-from rfpipe.transport.hierarchical import (
-    LEAF_PARTS,
-    HierarchicalTransport,
-    LeafSet,
-    factor_offsets,
+from rfpipe.methods.pieces import affordable, collect
+from rfpipe.methods.verdicts import (
+    AGREES,
+    CLOSE,
+    Found,
+    Limits,
+    classify,
+    disagreement,
+    rank_test,
+    reconcile,
 )
-
-# The mean of n squared normal deviates stays within 1 +- 3 sqrt(2 / n) of its expectation.
-_SPREAD = 3.0
-# Outcomes of the rank test, the better the higher.
-_DIFFERS, _AGREES, _CLOSE = range(3)
+from rfpipe.patterns import Schedule
+from rfpipe.transport.hierarchical import HierarchicalTransport
+from rfpipe.transport.leaves import LEAF_PARTS, LeafSet
 
 
 @dataclass(frozen=True)
@@ -110,50 +111,63 @@ class Symmetric:
         pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
         if len(blocks):
             graph = conflict_graph(len(blocks), index[: len(first)], index[len(first) :])
-            pattern_of_block[blocks] = colour(square(graph))
+            pattern_of_block[blocks] = colour(graph, apart=2)
         lit = pattern_of_block[tree.block_of_position(level)] >= 0
         return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | state.dark).all()))
 
-    def refine(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
+    def refine(
+        self, state: SymmetricState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
+    ) -> SymmetricState:
         """Test the unknown nodes against the level's images; keep, or subdivide."""
-        measured = measure(state.tree, state.known, state.channels, images)
         if state.level == 0:
-            return self._begin(state, measured)
-        tree, level = state.tree, state.level
+            return self._begin(state, images)
+        tree, level, nodes = state.tree, state.level, state.frontier
         if not images.schedule.count:
             row = _row(level, patterns=0)
             return replace(state, level=level + 1, added=(), rows=(*state.rows, row))
-        verdict = _rank_test(state, measured)
-        kept = as_leaves(
-            tree, level - 1, select(tree, level - 1, state.frontier, verdict == _CLOSE)
+        limits = _limits(state, tests=len(child_pairs(tree, level - 1, nodes)[0]))
+        refined = [
+            _refine_nodes(state, cut(tree, level - 1, nodes, run), images, limits, memory_bytes)
+            for run in affordable(tree, level - 1, nodes, memory_bytes)
+        ]
+        added = (
+            join_leaves(level - 1, [part.kept for part in refined]),
+            join_leaves(level, [part.found.leaves for part in refined]),
         )
-        divided = select(tree, level - 1, state.frontier, verdict < _CLOSE)
-        node, first, second = child_pairs(tree, level - 1, divided)
         before = state.rows[-1]
-        outcome = {"rank1": before["rank1"] + len(kept), "subdivided": len(divided)}
-        settled = verdict[verdict < _CLOSE][node] == _AGREES
-        found = _classify(state, first, second, measured, settled)
-        row = _row(level, patterns=images.schedule.count, nodes=len(first), **found.counts)
+        outcome = {
+            "rank1": before["rank1"] + len(added[0]),
+            "subdivided": sum(part.subdivided for part in refined),
+        }
+        counts = {
+            name: sum(part.found.counts[name] for part in refined)
+            for name in refined[0].found.counts
+        }
+        children = sum(part.children for part in refined)
+        row = _row(level, patterns=images.schedule.count, nodes=children, **counts)
         return replace(
             state,
             level=level + 1,
-            known=(*state.known, kept, found.leaves),
-            added=(kept, found.leaves),
-            frontier=found.frontier,
+            known=(*state.known, *added),
+            added=added,
+            frontier=join_nodes([part.found.frontier for part in refined]),
             rows=(*state.rows[:-1], {**before, **outcome}, row),
         )
 
-    def _begin(self, state: SymmetricState, measured: Measured) -> SymmetricState:
+    def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
         """Make the root node from the floodlit image."""
-        floodlit, variance = measured.residuals[0], measured.variances[0]
-        significant = floodlit > state.settings.noise_significance * np.sqrt(variance)
+        root, channels = np.zeros(1, np.int32), state.channels
+        pieces = collect(state.tree, root, root, (), channels, images, MEMORY_BYTES)
+        significant = pieces.values > state.settings.noise_significance * np.sqrt(pieces.variances)
         state = replace(
             state,
-            floodlit_maximum=float(floodlit.max(initial=0.0)),
-            dark=~significant.any(axis=0),
+            floodlit_maximum=float(pieces.values.max(initial=0.0)),
+            dark=np.logical_not(significant.any(axis=0)),
         )
-        root = np.zeros(1, np.int32)
-        found = _classify(state, root, root, measured, np.zeros(1, np.bool_))
+        first, nothing, unsettled = np.zeros(1, np.int64), no_nodes(channels), np.zeros(1, np.bool_)
+        exact = np.zeros((channels, 1))
+        limits = _limits(state, tests=1)
+        found = classify(state.tree, 0, pieces, first, unsettled, nothing, first, exact, limits)
         return replace(
             state,
             level=1,
@@ -214,15 +228,6 @@ class Symmetric:
 _FRONTIER = ("block_a", "block_b", "pieces", "energy", "variance")
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What became of the nodes of a level, and how many of each kind there are."""
-
-    leaves: LeafSet
-    frontier: Frontier
-    counts: dict[str, int]
-
-
 def _row(
     level: int, *, patterns: int, nodes: int = 0, empty: int = 0, rank1: int = 0, scalar: int = 0
 ) -> dict[str, int]:
@@ -238,131 +243,40 @@ def _row(
     }
 
 
-def _allowed(asked: float, noise: Double, samples: Double) -> Double:
-    """Largest mean squared difference that still counts as agreement.
-
-    Noise alone makes a mean squared difference of `noise`. What exceeds it may be as large as
-    what the user asks for, or as the fluctuation of the noise's mean square over `samples` pixels.
-    """
-    allowed: Double = noise + np.maximum(asked, noise * _SPREAD * np.sqrt(2.0 / samples))
-    return allowed
+def _limits(state: SymmetricState, tests: int) -> Limits:
+    settings = state.settings
+    asked = (settings.tolerance * state.floodlit_maximum) ** 2 / 2
+    return Limits(asked, settings.noise_significance, tests)
 
 
-def _rank_test(state: SymmetricState, measured: Measured) -> NDArray[np.int8]:
-    """Tell how well each unknown node predicts its children's images (thesis §5.1).
+@dataclass(frozen=True)
+class _Refined:
+    """What a level's images told about some of the unknown nodes."""
 
-    A node passes only on evidence: where a single child on either side has nearly all the energy,
-    its image is the node's own again, whatever lies underneath.
-
-    Returns
-    -------
-    ndarray of int8, shape (n,)
-        `_DIFFERS`: its children are unknown. `_AGREES`: they are leaves, made of the images that
-        are there now; the error of a rank-1 leaf falls with the sides of both its blocks, so that
-        it is some four times less than the node's own. `_CLOSE`: nothing is gained by that.
-    """
-    from rfpipe.methods import kernels
-
-    tree, level, nodes = state.tree, state.level - 1, state.frontier
-    starts = tree.starts[level]
-    offset_a, offset_b, _ = factor_offsets(starts, nodes.block_a, nodes.block_b)
-    ssd = np.empty((state.channels, len(nodes)))
-    noise = np.empty_like(ssd)
-    shares = np.empty((state.channels, 2, len(nodes)))
-    kernels.rank_test(
-        starts, tree.child_starts[level], tree.starts[level + 1], nodes.block_a, nodes.block_b,
-        offset_a, offset_b, nodes.pieces, nodes.energy, nodes.variance, measured.pattern_of_block,
-        measured.residuals, measured.variances, ssd, noise, shares,
-    )  # fmt: skip
-    samples = compared_pixels(tree, level, nodes)
-    children = np.diff(tree.child_starts[level])
-    # Two of four children with half the energy each are evidence enough, or three quarters and
-    # one quarter where there are only two children.
-    enough = 3.0 / (children[np.stack([nodes.block_b, nodes.block_a])] + 2.0)
-    evident = (shares <= enough).any(axis=1)
-    evident |= nodes.energy == 0
-    verdict = np.full(len(nodes), _DIFFERS, np.int8)
-    for outcome, share in ((_AGREES, 1.0), (_CLOSE, 1.0 / 16)):
-        allowed = _allowed(_asked(state) * share, noise / samples, samples)
-        verdict[((ssd / samples <= allowed) & evident).all(axis=0)] = outcome
-    return verdict
+    kept: LeafSet
+    found: Found
+    children: int
+    subdivided: int
 
 
-def _asked(state: SymmetricState) -> float:
-    """Mean squared difference that the user's tolerance allows in the image of one child.
-
-    A pattern that lights half of a block adds up the errors of two of its four children.
-    """
-    return (state.settings.tolerance * state.floodlit_maximum) ** 2 / 2
-
-
-def _classify(
+def _refine_nodes(
     state: SymmetricState,
-    block_a: Blocks,
-    block_b: Blocks,
-    measured: Measured,
-    settled: NDArray[np.bool_],
-) -> _Found:
-    """Sort the nodes that a level measured into empty ones, leaves and unknown ones.
-
-    The `settled` ones are no longer unknown in any case.
-    """
-    from rfpipe.methods import kernels
-
-    tree, channels, level = state.tree, state.channels, state.level
-    starts = tree.starts[level]
-    sums = np.empty((channels, 2, len(block_a)))
-    spread = np.empty_like(sums)
-    kernels.measure_pieces(
-        starts,
-        block_a,
-        block_b,
-        measured.pattern_of_block,
-        measured.residuals,
-        measured.variances,
-        sums,
-        spread,
-    )
-    energy, variance = _combine(sums, spread, block_a == block_b)
-    significant = energy > state.settings.noise_significance * np.sqrt(variance)
-    energy = np.where(significant, energy, 0.0)
-    full = np.any(significant, axis=0)
-    block_a, block_b = block_a[full], block_b[full]
-    energy, spread = np.ascontiguousarray(energy[:, full]), spread[..., full]
-    empty = len(full) - len(block_a)
-    if level == tree.n_levels - 1:
-        leaves = LeafSet(level, block_a, block_b, energy.astype(np.float32))
-        return _Found(leaves, no_nodes(channels), {"empty": empty, "scalar": len(leaves)})
-    offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
-    pieces = np.empty((channels, n_values), np.float32)
-    worst = np.empty((channels, len(block_a)))
-    lit = np.empty_like(worst)
-    kernels.gather_pieces(
-        starts, tree.child_starts[level], tree.starts[level + 1], block_a, block_b, offset_a,
-        offset_b, energy, measured.pattern_of_block, measured.residuals, pieces, worst, lit,
-    )  # fmt: skip
-    nodes = Frontier(block_a, block_b, pieces, energy, np.ascontiguousarray(spread))
-    sizes = np.diff(starts)
-    pixels = np.where(block_a == block_b, sizes[block_a], sizes[block_a] + sizes[block_b])
-    noise = np.where(block_a == block_b, spread[:, 0], spread.sum(axis=1)) / pixels
-    # The images of the children can't differ from their prediction by more than `worst`: where
-    # that is within bounds the rank test is passed already, and no pattern is spent on it. A node
-    # over a single ray is of rank 1 whatever it holds.
-    mean_worst = worst / np.maximum(lit, 1.0)
-    certain = (mean_worst <= _allowed(_asked(state), noise, np.maximum(lit, 1.0))).all(axis=0)
-    certain |= (sizes[block_a] == 1) | (sizes[block_b] == 1) | settled[full]
-    leaves = as_leaves(tree, level, select(tree, level, nodes, certain))
-    frontier = select(tree, level, nodes, ~certain)
-    return _Found(leaves, frontier, {"empty": empty, "rank1": len(leaves)})
-
-
-def _combine(sums: Double, spread: Double, diagonal: NDArray[np.bool_]) -> tuple[Double, Double]:
-    """Combine the two measurements of a node's energy by their variances.
-
-    On the diagonal both are the same one.
-    """
-    weight = np.where(spread.sum(axis=1, keepdims=True) > 0, spread[:, ::-1], 1.0)
-    weight = weight / weight.sum(axis=1, keepdims=True)
-    energy = (weight * sums).sum(axis=1)
-    variance = (weight * weight * spread).sum(axis=1)
-    return np.where(diagonal, sums[:, 0], energy), np.where(diagonal, spread[:, 0], variance)
+    nodes: Frontier,
+    images: LevelImages,
+    limits: Limits,
+    memory_bytes: int,
+) -> _Refined:
+    """Test nodes of the level above the images'; keep them as leaves or sort their children."""
+    tree, level = state.tree, state.level
+    node, first, second = child_pairs(tree, level - 1, nodes)
+    pieces = collect(tree, first, second, state.known, state.channels, images, memory_bytes)
+    first_pair = np.searchsorted(node, np.arange(len(nodes) + 1))
+    verdict = rank_test(tree, level - 1, nodes, first_pair, pieces, limits)
+    kept = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
+    divided = np.flatnonzero(verdict[node] < CLOSE)
+    above = node[divided]
+    wrong = disagreement(first_pair, pieces)
+    settled = verdict[above] == AGREES
+    reconcile(tree, level - 1, nodes, first_pair, pieces)
+    found = classify(tree, level, pieces, divided, settled, nodes, above, wrong, limits)
+    return _Refined(kept, found, len(divided), int(np.count_nonzero(verdict < CLOSE)))

@@ -9,21 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.photometry.demosaic import BAYER_PATTERNS, check_mosaic, demosaic, mosaic
-from rfpipe.photometry.hdr import merge_bracket
+from rfpipe.photometry.brackets import CountsMerge
+from rfpipe.photometry.demosaic import BAYER_PATTERNS, check_mosaic, mosaic
 from rfpipe.photometry.optics import apply_optics
-from rfpipe.photometry.response import Response
 from rfpipe.photometry.sensor import (
     ExactSensor,
     Merged,
     MergeOptions,
     Sensor,
-    check_frames,
     check_light,
-    check_shape,
 )
 from rfpipe.provenance import generator
-from rfpipe.units import COUNTS, RADIANCE
+from rfpipe.units import COUNTS
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig
@@ -36,10 +33,6 @@ Counts = NDArray[np.uint16]
 EXACT_POISSON_BELOW = 64.0
 """Mean electrons below which shot noise is drawn from the Poisson distribution; from there on it
 is a rounded Gaussian of the same mean and variance (skewness of the true one: at most 1/8)."""
-
-GLOW_SIGNIFICANCE = 4.0
-"""Electrons in the all-off frames count as more than the dark current above this many standard
-deviations of their noise; its shot noise then enters the variance."""
 
 
 @dataclass(frozen=True)
@@ -197,37 +190,11 @@ class CameraModel:
             When frames or `black` have the wrong shape, dtype or range.
         """
         options = options or MergeOptions()
-        frames, black = np.asarray(frames), np.asarray(black, np.float32)
-        check_shape(frames, black, len(self.exposures), options)
-        check_frames(frames, self.white_level, options)
-        collection = [self.electrons_per_radiance * exposure for exposure in self.exposures]
-        full_scale = self.full_well_electrons / collection[0]
-        counts_from = options.saturation_fraction * self.white_level
-        table = self._electrons_of_counts(options.response)
-        background = _interpolate(table, black)
-        noise = self._fixed_noise(background, options)
-        is_linear = self.response_gamma == 1 and options.response is None
-        # the converter's steps are as coarse in electrons as the response is steep
-        steps = np.square(np.gradient(table)).astype(np.float32) / 12
-        shape = (len(frames), *frames.shape[2:], *(() if self.bayer is None else (3,)))
-        radiance, variance = np.empty(shape, RADIANCE), np.empty(shape, RADIANCE)
-        saturated = 0
-        for index, bracket in enumerate(frames):
-            if is_linear:
-                electrons = bracket - black
-                electrons *= np.float32(self.electrons_per_count)
-                bracket_noise = noise + steps[0]
-            else:
-                electrons = table[bracket] - background
-                bracket_noise = noise + steps[bracket]
-            image, spread, lost = merge_bracket(
-                electrons, bracket < counts_from, collection, bracket_noise, full_scale
-            )
-            if self.bayer is not None:
-                image, spread = demosaic(image, spread, self.bayer)
-            radiance[index], variance[index] = image, spread
-            saturated += lost
-        return Merged(radiance, variance, saturated)
+        return self.merging(black, options)(frames, options.first_index)
+
+    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> CountsMerge:
+        """Return `merge` for many brackets; see `Sensor.merging`."""
+        return CountsMerge(self, black, options or MergeOptions())
 
     def _frame(self, light: Float, exposure: float, random: np.random.Generator) -> Counts:
         """Take one exposure of the light on the sensor."""
@@ -253,42 +220,9 @@ class CameraModel:
         np.rint(electrons, out=electrons)
         return np.clip(electrons, 0, self.white_level, out=electrons).astype(COUNTS)
 
-    def _electrons_of_counts(self, response: Response | None) -> Float:
-        """Return the electrons above the nominal black level behind each count, float32."""
-        span = self.white_level - self.black_level_counts
-        level = (np.arange(self.white_level + 1) - self.black_level_counts) / span
-        if response is not None:
-            fraction = response.linearise(level)
-        else:
-            fraction = np.copysign(np.abs(level) ** self.response_gamma, level)
-        return (fraction * self.full_well_electrons).astype(np.float32)
-
-    def _fixed_noise(self, background: Float, options: MergeOptions) -> Float:
-        """Variance in electrons squared that doesn't come from the signal, (E, *frame).
-
-        Read noise, dark current and the shot noise of light in the all-off frames (the
-        projector's black level), each twice: in the frame, and in the mean that is subtracted.
-        """
-        shape = (-1, *(1,) * (background.ndim - 1))
-        dark = self.dark_current_electrons * np.reshape(self.exposures, shape)
-        variance = self.read_noise_electrons**2 + dark
-        # the converter's noise is of the frame alone: in the mean it's averaged and dithered
-        quantum = self.electrons_per_count**2 / 12
-        glow = background - dark
-        error = np.sqrt((variance + quantum) / options.black_count)
-        glow[glow < GLOW_SIGNIFICANCE * error] = 0
-        noise = (variance + glow) * (1 + 1 / options.black_count) + quantum / options.black_count
-        return noise.astype(np.float32)
-
 
 def sensor_from_config(config: CameraConfig | None) -> Sensor:
     """Return the sensor of a run's settings: a camera, or exact radiance for None."""
     if config is None:
         return ExactSensor()
     return CameraModel(**config.model_dump())
-
-
-def _interpolate(table: Float, counts: Float) -> Float:
-    """Look up fractional counts in a table with one entry a count, float32."""
-    index = np.arange(len(table))
-    return np.interp(counts, index, table).astype(np.float32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.sensor import Sensor
 
-__all__ = ["DefectMap", "find_defects", "repair"]
+__all__ = ["DarkFrames", "DefectMap", "Repair", "find_defects", "repair"]
 
 Float = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -47,15 +48,66 @@ class DefectMap:
     dead: int
 
 
-def find_defects(
-    black_frames: NDArray[Any], floodlit_frames: NDArray[Any], sensor: Sensor
-) -> DefectMap:
+class DarkFrames:
+    """Mean and variance of the all-off brackets, which pass by a few at a time.
+
+    Both are sums in float64: of counts they are exact, whatever comes together.
+
+    Attributes
+    ----------
+    count : int
+        Brackets seen.
+    dtype : numpy.dtype
+        Theirs.
+    shape : tuple of int
+        (E, ...), theirs.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.dtype: np.dtype[Any] = np.dtype(np.float64)
+        self.shape: tuple[int, ...] = ()
+        self._first = self._total = self._squares = np.zeros(0)
+
+    @classmethod
+    def of(cls, frames: NDArray[Any]) -> DarkFrames:
+        """Return those of brackets (K, E, ...) at hand."""
+        dark = cls()
+        dark.add(frames)
+        return dark
+
+    def add(self, frames: NDArray[Any]) -> None:
+        """Take brackets (B, E, ...) into account."""
+        for bracket in frames:
+            if not self.count:
+                self.dtype, self.shape = bracket.dtype, bracket.shape
+                self._first = bracket.astype(np.float64)
+                self._total, self._squares = np.zeros(self.shape), np.zeros(self.shape)
+            self._total += bracket
+            # about the first one, so that a high black level doesn't drown its noise
+            self._squares += np.square(bracket - self._first)
+            self.count += 1
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Mean of each sample, shape (E, ...)."""
+        return np.asarray(self._total / self.count)
+
+    @property
+    def variance(self) -> NDArray[np.float64]:
+        """Variance of each sample between brackets, shape (E, ...); takes two or more."""
+        shift = self._total - self.count * self._first
+        spread = np.maximum(self._squares - np.square(shift) / self.count, 0)
+        return np.asarray(spread / (self.count - 1))
+
+
+def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor) -> DefectMap:
     """Find the pixels that are hot, dead or stuck.
 
     Parameters
     ----------
-    black_frames : ndarray, shape (K, E, ...)
-        Brackets of the all-off pattern as the sensor gives them.
+    dark : DarkFrames
+        Of brackets of the all-off pattern as the sensor gives them.
     floodlit_frames : ndarray, shape (E, ...)
         A bracket of the all-on pattern.
     sensor : Sensor
@@ -78,14 +130,15 @@ def find_defects(
     (of the same colour) do, by `NEIGHBOUR_RATIO` times that. So a black surface is not taken for
     dead unless it is a pixel or two in size.
     """
-    if black_frames.ndim < 4 or black_frames.shape[1:] != floodlit_frames.shape:
+    if len(dark.shape) < 3 or dark.shape != floodlit_frames.shape:
         raise CaptureError(
-            f"all-off frames {black_frames.shape} and floodlit frames {floodlit_frames.shape} "
-            "don't belong together; expected (frames, exposures, ...) and (exposures, ...)"
+            f"all-off frames {dark.shape} and floodlit frames {floodlit_frames.shape} don't belong "
+            "together; expected both to be (exposures, ...)"
         )
-    count = len(black_frames)
-    black = black_frames.mean(axis=0, dtype=np.float64)
-    floor = _rounding(black_frames, floodlit_frames) / np.sqrt(count)
+    count = dark.count
+    black = dark.mean
+    variance = dark.variance if count > 1 else None
+    floor = _rounding(dark.dtype, floodlit_frames) / np.sqrt(count)
     hot = np.zeros(floodlit_frames.shape[1:], bool)
     noise = np.zeros_like(black)
     for exposure, mean in enumerate(black):
@@ -94,8 +147,8 @@ def find_defects(
         hot |= np.abs(mean - centre) > _threshold(mean.size) * deviation
         # one frame is noisier than the mean of all
         noise[exposure] = deviation * np.sqrt(count)
-        if count > 1:
-            hot |= _noisy(black_frames[:, exposure], floor * np.sqrt(count))
+        if variance is not None:
+            hot |= _noisy(variance[exposure], count - 1, floor * np.sqrt(count))
     signal = np.abs(floodlit_frames - black)
     visible = _threshold(hot.size) * noise
     response = (signal / np.maximum(visible, np.finfo(np.float64).tiny)).max(axis=0)
@@ -133,21 +186,43 @@ def repair(radiance: Float, variance: Float, mask: Mask) -> tuple[Float, Float]:
     CaptureError
         When a view has no valid pixel.
     """
-    if radiance.ndim <= mask.ndim or radiance.shape[-mask.ndim - 1 : -1] != mask.shape:
-        raise InputError(f"a defect mask {mask.shape} doesn't fit images {radiance.shape}")
-    if not mask.any():
-        return radiance, variance
-    images, spread = radiance.copy(), variance.copy()
-    for pixel in map(tuple, np.argwhere(mask)):
-        view, (y, x) = pixel[:-2], pixel[-2:]
-        window = _nearest_valid(mask[view], y, x)
-        valid = (*view, *window)
-        values = radiance[(..., *valid, slice(None))]
-        target = (..., *pixel, slice(None))
-        images[target] = np.median(values, axis=-2)
-        noise = variance[(..., *valid, slice(None))].max(axis=-2)
-        spread[target] = noise + values.var(axis=-2, dtype=np.float64)
-    return images, spread
+    return Repair(mask)(radiance, variance)
+
+
+class Repair:
+    """`repair` of one mask: where the neighbours are is found once; threads may share it."""
+
+    def __init__(self, mask: Mask) -> None:
+        self._mask_shape = mask.shape
+        # by the number of neighbours, so that all pixels with as many are filled in at once
+        pixels: dict[int, list[int]] = {}
+        neighbours: dict[int, list[NDArray[np.intp]]] = {}
+        for pixel in map(tuple, np.argwhere(mask)):
+            view, (y, x) = pixel[:-2], pixel[-2:]
+            rows, columns = _nearest_valid(mask[view], y, x)
+            at = (*(np.full(len(rows), part) for part in view), rows, columns)
+            pixels.setdefault(len(rows), []).append(int(np.ravel_multi_index(pixel, mask.shape)))
+            neighbours.setdefault(len(rows), []).append(np.ravel_multi_index(at, mask.shape))
+        self._windows = [
+            (np.array(pixels[count]), np.array(neighbours[count])) for count in sorted(pixels)
+        ]
+
+    def __call__(self, radiance: Float, variance: Float) -> tuple[Float, Float]:
+        """Fill in images (..., *camera_shape, C); see `repair`."""
+        shape = self._mask_shape
+        if radiance.ndim <= len(shape) or radiance.shape[-len(shape) - 1 : -1] != shape:
+            raise InputError(f"a defect mask {shape} doesn't fit images {radiance.shape}")
+        if not self._windows:
+            return radiance, variance
+        flat = (*radiance.shape[: -len(shape) - 1], prod(shape), radiance.shape[-1])
+        images, spread = radiance.copy(), variance.copy()
+        for pixels, neighbours in self._windows:
+            values = radiance.reshape(flat)[..., neighbours, :]
+            images.reshape(flat)[..., pixels, :] = np.median(values, axis=-2)
+            noise = variance.reshape(flat)[..., neighbours, :].max(axis=-2)
+            noise += values.var(axis=-2, dtype=np.float64)
+            spread.reshape(flat)[..., pixels, :] = noise
+        return images, spread
 
 
 def _nearest_valid(mask: Mask, y: int, x: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -164,9 +239,9 @@ def _nearest_valid(mask: Mask, y: int, x: int) -> tuple[NDArray[np.intp], NDArra
             return rows + top, columns + left
 
 
-def _rounding(black_frames: NDArray[Any], floodlit_frames: NDArray[Any]) -> float:
+def _rounding(dtype: np.dtype[Any], floodlit_frames: NDArray[Any]) -> float:
     """Return a frame's rounding as standard deviation: of counts, or of float32 at full scale."""
-    if black_frames.dtype.kind == "u":
+    if dtype.kind == "u":
         return float(1 / np.sqrt(12))
     largest = float(np.abs(floodlit_frames).max(initial=0))
     return float(np.finfo(np.float32).eps) * largest
@@ -183,13 +258,11 @@ def _robust(values: NDArray[np.float64]) -> tuple[float, float]:
     return centre, MAD_TO_DEVIATION * float(np.median(np.abs(values - centre)))
 
 
-def _noisy(frames: NDArray[Any], floor: float) -> Mask:
-    """Find pixels whose variance over frames (K, ...) is an outlier.
+def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Mask:
+    """Find pixels whose variance, of so many degrees of freedom, is an outlier.
 
     The cube root of a chi-squared variable is close to Gaussian (Wilson and Hilferty 1931).
     """
-    freedom = len(frames) - 1
-    variance = frames.var(axis=0, ddof=1, dtype=np.float64)
     spread = 2 / (9 * freedom)
     # the median of a chi-squared variable over its mean
     typical = max(float(np.median(variance)) / (1 - spread) ** 3, floor**2)

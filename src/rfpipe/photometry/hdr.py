@@ -15,9 +15,10 @@ ROUNDS = 2
 """Rounds of weights from the pooled estimate; a third changes the result by less than a thousandth
 of its standard deviation (RMS), a hundredth at most."""
 
-UNKNOWN_DEVIATION = 0.25
+UNKNOWN_DEVIATION = 0.125
 """Standard deviation of a sample saturated in every exposure, in units of the full scale. That
-it is light is known, how much is not: the value is significant, and its weight small."""
+it is light is known, how much is not: the value is significant, eight deviations among any number
+of measurements, and its weight small."""
 
 
 def merge_bracket(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,10 +14,12 @@ from rfpipe.photometry.response import Response
 from rfpipe.units import RADIANCE
 
 __all__ = [
+    "BracketMerge",
     "ExactSensor",
     "MergeOptions",
     "Merged",
     "Sensor",
+    "check_black",
     "check_frames",
     "check_light",
     "check_shape",
@@ -81,6 +84,16 @@ class MergeOptions:
             )
 
 
+class BracketMerge(Protocol):
+    """Merges brackets whose all-off frames and options are settled; threads may share it."""
+
+    def __call__(self, frames: NDArray[Any], first_index: int = 0) -> Merged:
+        """Merge brackets (B, E, ...), the first of them that of pattern `first_index`.
+
+        Raises CaptureError where a frame can't be one of this sensor's.
+        """
+
+
 class Sensor(Protocol):
     """A camera's sensor: radiance to frames, and frames back to radiance."""
 
@@ -108,6 +121,12 @@ class Sensor(Protocol):
         """Merge brackets (B, E, ...), given the mean of the all-off bracket (E, ...).
 
         Raises CaptureError where a frame can't be one of this sensor's.
+        """
+
+    def merging(self, black: NDArray[Any], options: MergeOptions = ...) -> BracketMerge:
+        """Return `merge` for many brackets, all that depends on `black` alone worked out once.
+
+        Raises CaptureError where `black` can't be of this sensor.
         """
 
     def describe(self) -> dict[str, Any]:
@@ -151,16 +170,30 @@ class ExactSensor:
             pattern and the pixel.
         """
         options = options or MergeOptions()
-        frames = np.asarray(frames)
-        check_shape(frames, black, 1, options)
-        for index, frame in enumerate(frames):
-            _check_values(frame, f"pattern {options.first_index + index}")
-        radiance = np.subtract(frames[:, 0], black[0], dtype=RADIANCE)
-        return Merged(radiance, np.zeros_like(radiance), 0)
+        return self.merging(black, options)(frames, options.first_index)
+
+    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:
+        """Return `merge` for many brackets; see `Sensor.merging`."""
+        options = options or MergeOptions()
+        check_black(np.asarray(black), 1)
+        return partial(_subtracted, np.asarray(black), options)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""
         return {"kind": "exact"}
+
+
+def _subtracted(
+    black: NDArray[Any], options: MergeOptions, frames: NDArray[Any], first_index: int = 0
+) -> Merged:
+    """Merge brackets of one exact exposure."""
+    frames = np.asarray(frames)
+    options = replace(options, first_index=first_index)
+    check_shape(frames, black.shape, options)
+    for index, frame in enumerate(frames):
+        _check_values(frame, f"pattern {first_index + index}")
+    radiance = np.subtract(frames[:, 0], black[0], dtype=RADIANCE)
+    return Merged(radiance, np.zeros_like(radiance), 0)
 
 
 def check_frames(frames: NDArray[Any], white_level: int, options: MergeOptions) -> None:
@@ -178,22 +211,29 @@ def check_frames(frames: NDArray[Any], white_level: int, options: MergeOptions) 
         )
 
 
-def check_shape(
-    frames: NDArray[Any], black: NDArray[Any], exposures: int, options: MergeOptions
-) -> None:
-    """Raise CaptureError unless the brackets (B, E, ...) have E exposures and fit `black`."""
-    if frames.ndim < 4 or frames.shape[1] != exposures:
+def check_black(black: NDArray[Any], exposures: int) -> None:
+    """Raise CaptureError unless the all-off bracket (E, ...) is finite and has E exposures."""
+    if black.ndim < 3 or len(black) != exposures:
         raise CaptureError(
-            f"pattern {options.first_index}: frames have the shape {frames.shape}; expected "
-            f"(patterns, {exposures} exposures, *camera_shape[, channels])"
-        )
-    if frames.shape[1:] != np.shape(black):
-        raise CaptureError(
-            f"pattern {options.first_index}: brackets have the shape {frames.shape[1:]}, the "
-            f"all-off one {np.shape(black)}; all must be of one camera and setting"
+            f"the all-off bracket has the shape {black.shape}; expected ({exposures} exposures, "
+            "*camera_shape[, channels])"
         )
     if not np.isfinite(black).all():
         raise CaptureError("the all-off frames hold NaN or infinity; take them again")
+
+
+def check_shape(frames: NDArray[Any], bracket: tuple[int, ...], options: MergeOptions) -> None:
+    """Raise CaptureError unless the brackets (B, E, ...) have the shape of the all-off one."""
+    if frames.ndim != 1 + len(bracket) or frames.shape[1] != bracket[0]:
+        raise CaptureError(
+            f"pattern {options.first_index}: frames have the shape {frames.shape}; expected "
+            f"(patterns, {bracket[0]} exposures, *camera_shape[, channels])"
+        )
+    if frames.shape[1:] != bracket:
+        raise CaptureError(
+            f"pattern {options.first_index}: brackets have the shape {frames.shape[1:]}, the "
+            f"all-off one {bracket}; all must be of one camera and setting"
+        )
 
 
 def check_light(radiance: NDArray[Any], key: tuple[int, ...]) -> Float:

@@ -9,7 +9,7 @@ from rfpipe.report import charts, pictures, study_tables, tables
 from rfpipe.report.blocks import Illustration, Section, Tabulation
 from rfpipe.report.inputs import Inputs
 from rfpipe.report.tables import Table
-from rfpipe.report.text import size
+from rfpipe.report.text import ray_size
 
 __all__ = [
     "mosaic_section",
@@ -37,7 +37,7 @@ def resolution_section(inputs: Inputs) -> Section | None:
         "Patterns against resolution (Fig. 3.8)",
         [],
         [
-            Illustration("Fig. 3.8", caption, "fig_3_8", charts.resolution_figure(study)),
+            Illustration("Fig. 3.8", caption, "fig_3_8", charts.resolution_figure(study.rows)),
             Tabulation("Patterns", "By method and resolution.", table, numbers),
         ],
     )
@@ -130,7 +130,7 @@ def setup_section(inputs: Inputs) -> Section:
         [
             [
                 name, scene.geometry, ", ".join(scene.surfaces),
-                size(*scene.shape), str(scene.channels), str(scene.bounces),
+                ray_size(scene), str(scene.channels), str(scene.bounces),
                 str(len(scene.occluders)), str(scene.seed),
             ]
             for name, scene in config.scenes.items()
@@ -138,6 +138,17 @@ def setup_section(inputs: Inputs) -> Section:
         text_columns=3,
     )  # fmt: skip
     about = "Radiosity of planes seen by a coaxial pinhole rig; ground truth by exact transport."
+    if inputs.light_fields:
+        about += (
+            " A room has a box, a poster and a card in it besides; a light field's array of views "
+            "spans "
+            + ", ".join(
+                " by ".join(f"{degrees:g}°" for degrees in scene.span_degrees)
+                for scene in config.scenes.values()
+                if scene.views is not None
+            )
+            + "."
+        )
     acquisition = {
         "seed": config.seed,
         **config.acquisition.model_dump(mode="json"),

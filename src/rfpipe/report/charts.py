@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rfpipe.report.drawing import METHOD_COLOURS, label_left, new_figure
-from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run, Study
+from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,6 +26,7 @@ _KINDS = (
     ("empty", "empty", "#b9b9b9"),
     ("subdivided", "subdivided at the next level", "#ffffff"),
 )
+_LEGEND_WIDTH = 6.6  # inches, of the kinds of leaves in one row
 _STAGE_COLOURS = ("#8fb3d9", "#d9d9d9", "#3a6fb0", "#9aca8c", "#e0914a", "#7d5ba6")
 
 
@@ -38,7 +39,8 @@ def leaves_figure(rows: Sequence[Sequence[Run]]) -> Figure:
         A row of panels for each method, a panel for each scene.
     """
     columns = max(len(runs) for runs in rows)
-    figure, axes = new_figure(len(rows), columns, (2.45 * columns + 0.4, 2.35 * len(rows) + 0.35))
+    width = max(2.45 * columns + 0.4, _LEGEND_WIDTH)
+    figure, axes = new_figure(len(rows), columns, (width, 2.35 * len(rows) + 0.35))
     for panels, runs in zip(axes, rows, strict=True):
         for axis in panels[len(runs) :]:
             axis.set_axis_off()
@@ -68,15 +70,21 @@ def _stack_levels(axis: Axes, run: Run) -> None:
     axis.set_yticks([0, 50, 100])
 
 
-def resolution_figure(study: Study) -> Figure:
-    """Draw patterns against the projector's resolution [Fig. 3.8]."""
+def resolution_figure(study: Sequence[Mapping[Any, Any]]) -> Figure:
+    """Draw patterns against the projector's resolution [Fig. 3.8].
+
+    Parameters
+    ----------
+    study : sequence of dict
+        Rows of `rfpipe.stages.studies.resolution.resolution_study`.
+    """
     figure, axes = new_figure(1, 2, (8.6, 3.3))
-    methods = list(dict.fromkeys(row["method"] for row in study.rows))
+    methods = list(dict.fromkeys(row["method"] for row in study))
     for axis, logarithmic in zip(axes[0], (False, True), strict=True):
         for method in methods:
             if method == "brute_force" and not logarithmic:
                 continue
-            rows = [row for row in study.rows if row["method"] == method]
+            rows = [row for row in study if row["method"] == method]
             axis.plot(
                 [row["rays"] for row in rows],
                 [row["patterns"] for row in rows],
@@ -86,7 +94,7 @@ def resolution_figure(study: Study) -> Figure:
                 linewidth=1.4,
                 label=METHOD_TITLES[method],
             )
-        sides = sorted({(row["rays"], row["side"]) for row in study.rows})
+        sides = sorted({(row["rays"], row["side"]) for row in study})
         axis.set_xscale("log", base=2)
         axis.set_xticks([rays for rays, _ in sides], [f"{side}²" for _, side in sides])
         axis.set_xlabel("projector pixels", fontsize=8.5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Inputs", "Run", "Study", "load_inputs"]
+__all__ = ["BENCHMARKS", "Inputs", "Run", "Study", "load_inputs"]
 
 Image = NDArray[np.float32]
 
@@ -26,6 +27,19 @@ METHOD_TITLES = {
     "dual": "Dual photography",
     "brute_force": "Brute force",
 }
+
+BENCHMARKS = {
+    "scaling": {
+        "scene", "views", "height", "width", "rays", "tolerance", "patterns",
+        "processing_s_per_image", "floor_s_per_image", "stored_mb", "peak_mb",
+    },
+    "relight": {"rays", "relight_ms"},
+    "storage": set[str](),
+    "merge": set[str](),
+    "patterns": {"method", "side", "rays", "patterns"},
+    "workflow": {"stage", "jobs", "job_s", "own_s", "overhead_s"},
+}  # fmt: skip
+"""Benchmarks that the report shows, with the columns that it needs of each."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +80,18 @@ class Run:
     @property
     def rays(self) -> int:
         """Rays of the domain, and so the patterns of brute force."""
-        height, width = self.settings.shape
-        return height * width
+        return math.prod(self.settings.ray_shape)
+
+    @property
+    def is_light_field(self) -> bool:
+        """Whether its images are stacks of views."""
+        return self.settings.views is not None
+
+    @property
+    def middle_view(self) -> int:
+        """Number of the view in the middle of a light field's array."""
+        rows, columns = self.settings.views or (1, 1)
+        return rows // 2 * columns + columns // 2
 
     @property
     def white(self) -> float:
@@ -76,13 +100,23 @@ class Run:
 
     @property
     def has_indirect_light(self) -> bool:
-        """Whether the scene's left half gets any light when the right one is lit."""
+        """Whether the left half of an image gets any light when the right one is lit.
+
+        Of a light field that says nothing: light comes to a view's left half from other views.
+        """
+        if self.is_light_field:
+            return False
         dark = right_half(self.settings.shape) == 0
         return bool(dark.any() and self.read("half_truth")[dark].max() > 0)
 
     def read(self, name: str) -> NDArray[Any]:
         """Read one of the arrays."""
         return self.images.read(name)
+
+    def read_shown(self, name: str) -> NDArray[Any]:
+        """Read an array of radiance images (..., H, W, C): of a light field the middle view's."""
+        images = self.read(name)
+        return images[..., self.middle_view, :, :, :] if self.is_light_field else images
 
 
 @dataclass(frozen=True)
@@ -108,6 +142,8 @@ class Inputs:
     times : DataFrame
         ``scene``, ``method``, ``level`` (-1 for the transport's assembly), ``stage``,
         ``seconds`` of each job that left a benchmark file; may be empty.
+    benchmarks : dict of str to DataFrame
+        Tables that ``make bench`` left, by their names in `BENCHMARKS`; empty without any.
     """
 
     config: Config
@@ -116,6 +152,17 @@ class Inputs:
     errors: pd.DataFrame
     speed_error: pd.DataFrame
     times: pd.DataFrame
+    benchmarks: dict[str, pd.DataFrame]
+
+    @property
+    def methods(self) -> list[str]:
+        """The methods of the runs."""
+        return list(dict.fromkeys(run.method for run in self.runs))
+
+    @property
+    def light_fields(self) -> list[Run]:
+        """The runs of light fields."""
+        return [run for run in self.runs if run.is_light_field]
 
     def of_method(self, method: str) -> list[Run]:
         """Return the runs of a method."""
@@ -139,23 +186,22 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
     ----------
     config : Config
     results : Path
-        Holds ``{scene}/{method}/relight.json`` and ``studies/{study}.json``; what is missing is
-        not reported.
+        Holds ``{scene}/{method}/relight.json``, ``studies/{study}.json`` and
+        ``bench/{benchmark}.csv``; what is missing is not reported.
     errors, speed_error : Path
         The tables of the evaluate stage.
     """
     import pandas as pd
 
     runs, times = [], []
-    for scene, settings in config.scenes.items():
-        for method in config.methods:
-            folder = results / scene / method
-            manifest = folder / "relight.json"
-            if not manifest.exists():
-                continue
-            images = open_arrays(manifest.with_suffix(".zarr"))
-            runs.append(Run(scene, method, settings, read_manifest(manifest), images))
-            times += [{"scene": scene, "method": method, **row} for row in _job_times(folder)]
+    for scene, method in config.acquisitions:
+        folder = results / scene / method
+        manifest = folder / "relight.json"
+        if not manifest.exists():
+            continue
+        images = open_arrays(manifest.with_suffix(".zarr"))
+        runs.append(Run(scene, method, config.scenes[scene], read_manifest(manifest), images))
+        times += [{"scene": scene, "method": method, **row} for row in _job_times(folder)]
     studies = {
         path.stem: Study(read_manifest(path)["rows"], open_arrays(path.with_suffix(".zarr")))
         for path in sorted((results / "studies").glob("*.json"))
@@ -167,7 +213,23 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         pd.read_csv(errors),
         pd.read_csv(speed_error),
         pd.DataFrame(times, columns=["scene", "method", "level", "stage", "seconds"]),
+        _benchmarks(results / "bench"),
     )
+
+
+def _benchmarks(folder: Path) -> dict[str, pd.DataFrame]:
+    """Read the tables of the benchmarks; one that was stopped before its first row is missing."""
+    import pandas as pd
+
+    found = {}
+    for name, needed in BENCHMARKS.items():
+        path = folder / f"{name}.csv"
+        if not path.exists() or not path.stat().st_size:
+            continue
+        table = pd.read_csv(path)
+        if len(table) and needed <= set(table.columns):
+            found[name] = table
+    return found
 
 
 def _job_times(folder: Path) -> list[dict[str, Any]]:

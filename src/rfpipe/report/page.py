@@ -10,11 +10,11 @@ from typing import Any
 
 from rfpipe.config import Config
 from rfpipe.errors import StoreError
-from rfpipe.report import background, sections
+from rfpipe.report import background, benchmarks, light_fields, sections
 from rfpipe.report.blocks import Illustration, Section, Tabulation
 from rfpipe.report.drawing import png
 from rfpipe.report.inputs import METHOD_TITLES, Inputs, load_inputs
-from rfpipe.report.text import size
+from rfpipe.report.text import ray_size
 from rfpipe.store.files import write_atomically
 
 __all__ = ["build_report", "make_sections"]
@@ -56,6 +56,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
     candidates = [
         sections.summary_section(inputs),
         sections.matrices_section(inputs),
+        light_fields.light_fields_section(inputs),
         sections.cost_section(inputs),
         sections.methods_section(inputs),
         sections.levels_section(inputs),
@@ -65,6 +66,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
         background.mosaic_section(inputs),
         background.stability_section(inputs),
         background.times_section(inputs),
+        benchmarks.benchmarks_section(inputs),
         background.setup_section(inputs),
     ]
     return [section for section in candidates if section is not None and section.blocks]
@@ -109,8 +111,8 @@ def _placed_table(block: Tabulation, folder: Path) -> dict[str, Any]:
 def _lead(inputs: Inputs) -> str:
     """Say in a sentence what the report is about."""
     scenes = list(inputs.config.scenes.values())
-    sizes = sorted({size(*scene.shape) for scene in scenes})
-    methods = [METHOD_TITLES[method].lower() for method in inputs.config.methods]
+    sizes = list(dict.fromkeys(ray_size(scene) for scene in scenes))
+    methods = [METHOD_TITLES[method].lower() for method in inputs.methods]
     camera = inputs.config.camera
     taken = (
         "from exact radiance"

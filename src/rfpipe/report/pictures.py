@@ -72,7 +72,7 @@ def levels_figure(runs: Sequence[Run]) -> Figure:
     """
     ratio = panel_ratio([runs[0].settings.shape])
     per_row = 5
-    n_levels = max(len(run.read("levels_relit")) for run in runs)
+    n_levels = max(len(run.read_shown("levels_relit")) for run in runs)
     rows_each = -(-(n_levels + 1) // per_row)
     panel = 2.05
     size = (panel * per_row + 0.5, (panel * ratio + 0.42) * rows_each * len(runs))
@@ -80,18 +80,18 @@ def levels_figure(runs: Sequence[Run]) -> Figure:
     for index, run in enumerate(runs):
         own = axes[index * rows_each : (index + 1) * rows_each]
         label_left(own[0, 0], run.method_title)
-        truth = run.read("truth")[0]
+        truth = run.read_shown("truth")[0]
         shown = 0
-        for level, image in enumerate(run.read("levels_relit")):
+        for level, image in enumerate(run.read_shown("levels_relit")):
             axis = own.flat[level]
             show_radiance(axis, image, run.white)
             axis.set_title(f"level {level}", fontsize=8.5, pad=3)
             shown += int(run.facts["levels"][level]["patterns"])
             label_below(axis, f"patterns {shown:,}, error {relative_rms(image, truth):.1%}")
-        axis = own.flat[len(run.read("levels_relit"))]
+        axis = own.flat[level + 1]
         show_radiance(axis, truth, run.white)
         axis.set_title("ground truth", fontsize=8.5, pad=3)
-        for unused in own.flat[len(run.read("levels_relit")) + 1 :]:
+        for unused in own.flat[level + 2 :]:
             unused.set_axis_off()
     return figure
 

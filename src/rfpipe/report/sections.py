@@ -26,7 +26,14 @@ _ABREAST = 4
 def summary_section(inputs: Inputs) -> Section:
     """Every run on one line."""
     per_pattern = inputs.config.capture.seconds_per_pattern
-    tolerance = inputs.config.acquisition.tolerance
+    config = inputs.config
+    tolerances = sorted({config.tolerance_of(scene) for scene in config.scenes})
+    if len(tolerances) == 1:
+        asked = f"Every scene was acquired with a tolerance of {tolerances[0]:g}"
+    else:
+        asked = "The scenes were acquired with tolerances of " + ", ".join(
+            f"{config.tolerance_of(scene):g} ({scene.replace('_', ' ')})" for scene in config.scenes
+        )
     caption = (
         f"Patterns shown and the time to capture them at {per_pattern:g} s a pattern; bytes on "
         "disk; and the largest errors over the relighting patterns. Errors are relative RMS "
@@ -36,7 +43,7 @@ def summary_section(inputs: Inputs) -> Section:
         "the true floodlit image's maximum shown as white."
     )
     about = (
-        f"Every scene was acquired with a tolerance of {tolerance:g} of the floodlit image's "
+        f"{asked} of the floodlit image's "
         "maximum. Brute force, one pattern for each projector pixel, is the yardstick."
     )
     detail = (
@@ -44,6 +51,12 @@ def summary_section(inputs: Inputs) -> Section:
         "spot. Noise lights every pixel, so that none is unlit; a scene without indirect light "
         "has nothing to compare there either."
     )
+    if inputs.light_fields:
+        detail += (
+            " In a light field each view's projector shows the pattern. Surfaces behind its unlit "
+            "pixels may be lit from other views; one view lights the first view's pixels alone, so "
+            "that the unlit ones are those of all other views."
+        )
     return Section(
         "summary",
         "At a glance",
@@ -58,8 +71,9 @@ def summary_section(inputs: Inputs) -> Section:
 def matrices_section(inputs: Inputs) -> Section:
     """Fig. 2.1 for each method."""
     blocks: list[Illustration | Tabulation] = []
-    for method in inputs.config.methods:
-        parts = chunks(inputs.of_method(method), _ABREAST)
+    for method in inputs.methods:
+        images = [run for run in inputs.of_method(method) if not run.is_light_field]
+        parts = chunks(images, _ABREAST)
         for index, runs in enumerate(parts):
             suffix = f"_{index + 1}" if len(parts) > 1 else ""
             caption = (
@@ -176,13 +190,16 @@ def levels_section(inputs: Inputs) -> Section | None:
     with_levels = [run for run in inputs.runs if len(run.facts["levels"]) > 1]
     if not with_levels:
         return None
-    indirect = [run for run in with_levels if run.has_indirect_light] or with_levels
-    runs = [run for run in with_levels if run.scene == indirect[-1].scene]
+    indirect = [run for run in with_levels if run.has_indirect_light]
+    images = [run for run in with_levels if not run.is_light_field]
+    last = (indirect or images or with_levels)[-1]
+    runs = [run for run in with_levels if run.scene == last.scene]
+    where = ", the middle view," if last.is_light_field else ""
     caption = (
-        f"{runs[0].title} relit with the vertical bar, as if the acquisition had stopped at each "
-        "level; patterns shown up to there, and the relative RMS error in total. A picture has "
-        "full resolution at every level, since a leaf is a product of two images, but the light "
-        "of a lit pixel is spread over its whole block."
+        f"{last.title}{where} relit with the vertical bar, as if the acquisition had stopped at "
+        "each level; patterns shown up to there, and the relative RMS error in total. A picture "
+        "has full resolution at every level, since a leaf is a product of two images, but the "
+        "light of a lit pixel is spread over its whole block."
     )
     return Section(
         "levels",
@@ -197,12 +214,12 @@ def leaves_section(inputs: Inputs) -> Section | None:
     runs = [run for run in inputs.runs if len(run.facts["levels"]) > 1]
     if not runs:
         return None
-    by_method = {
-        method: [run for run in runs if run.method == method] for method in inputs.config.methods
-    }
-    rows: list[list[Run]] = [
-        list(part) for own in by_method.values() for part in chunks(own, _ABREAST)
+    groups = [
+        [run for run in runs if run.method == method and run.is_light_field == is_field]
+        for method in inputs.methods
+        for is_field in (False, True)
     ]
+    rows: list[list[Run]] = [list(part) for own in groups for part in chunks(own, _ABREAST)]
     caption = (
         "What becomes of the nodes of each level, in per cent of the nodes measured at it. With "
         "symmetric photography a node is a pair of blocks; empty ones are the sparse part of T, "

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.report.inputs import METHOD_TITLES, Inputs
-from rfpipe.report.text import DASH, TIMES, number, percent, size
-from rfpipe.report.thesis import PLANES_SHAPE, TABLE_3_1, TABLE_5_1, numeral_of
+from rfpipe.report.text import DASH, TIMES, number, percent, ray_size, size
+from rfpipe.report.thesis import PLANES_SHAPE, TABLE_3_1, TABLE_5_1, row_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -57,9 +57,9 @@ def costs(inputs: Inputs) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        For each run ``scene``, ``title``, ``method``, ``height``, ``width``, ``channels``,
-        ``rays``, ``patterns``, ``megabytes`` (10^6 bytes on disk), ``dense_terabytes`` of T as
-        float32,
+        For each run ``scene``, ``title``, ``method``, ``views``, ``height``, ``width``,
+        ``channels``, ``rays``, ``patterns``, ``megabytes`` (10^6 bytes on disk),
+        ``dense_terabytes`` of T as float32,
         ``capture_s`` at the rig's stated seconds a pattern, ``processing_s``: wall seconds of
         the run's processing jobs, or of the same acquisition within the sweep where there are
         no benchmark files; NaN without either.
@@ -74,6 +74,7 @@ def costs(inputs: Inputs) -> list[dict[str, Any]]:
                 "scene": run.scene,
                 "title": run.title,
                 "method": run.method,
+                "views": math.prod(run.settings.views or (1,)),
                 "height": height,
                 "width": width,
                 "channels": channels,
@@ -101,7 +102,7 @@ def in_process_seconds(inputs: Inputs, scene: str, method: str) -> float:
     """Return the processing seconds of a run's acquisition within the sweep; NaN without one."""
     table = inputs.speed_error
     own = table[(table["scene"] == scene) & (table["method"] == method)]
-    at = own[own["tolerance"] == inputs.config.acquisition.tolerance]
+    at = own[own["tolerance"] == inputs.config.tolerance_of(scene)]
     return float(at["processing_s"].iloc[0]) if len(at) else float("nan")
 
 
@@ -114,15 +115,14 @@ def table_5_1(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
     csv: list[dict[str, Any]] = []
     used = set()
     for row in ours:
-        numeral = numeral_of(inputs.config.scenes[row["scene"]])
-        name = f"Fig. 2.1 ({numeral})"
-        thesis = TABLE_5_1.get(name)
+        name = row_of(inputs.config.scenes[row["scene"]])
+        thesis = TABLE_5_1[name] if name else None
         used.add(name)
         minutes = (row["capture_s"] + row["processing_s"]) / 60
         rows.append(
             [
                 row["title"],
-                size(row["height"], row["width"]),
+                ray_size(inputs.config.scenes[row["scene"]]),
                 number(row["megabytes"], ".2f"),
                 number(minutes, ".1f"),
                 number(row["patterns"]),
@@ -172,7 +172,7 @@ def table_3_1(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
         rows.append(
             [
                 row["title"],
-                size(row["height"], row["width"]),
+                ray_size(inputs.config.scenes[row["scene"]]),
                 number(row["dense_terabytes"], ".2g"),
                 number(days, ".2f"),
                 number(row["megabytes"], ".1f"),
@@ -271,10 +271,16 @@ def levels_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
         ]
     )
     kinds = ["patterns", "nodes", "empty", "rank1", "scalar", "subdivided"]
-    sums = numbers.groupby(["method", "level"], sort=False)[kinds].sum()
+    # the second level of a light field has whole views
+    fields = numbers["scene"].isin([run.scene for run in inputs.light_fields])
+    sums = numbers.groupby([fields, "method", "level"], sort=False)[kinds].sum()
     rows = [
-        [METHOD_TITLES[str(method)], str(level), *(number(value) for value in row)]
-        for (method, level), row in zip(sums.index, sums.to_numpy(), strict=True)
+        [
+            METHOD_TITLES[str(method)] + (", light fields" if is_field else ""),
+            str(level),
+            *(number(value) for value in row),
+        ]
+        for (is_field, method, level), row in zip(sums.index, sums.to_numpy(), strict=True)
     ]
     names = ["patterns", "nodes", "empty", "rank-1 or stored", "scalar", "subdivided"]
     columns = ["method", "level", *names]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-__all__ = ["DASH", "TIMES", "number", "percent", "size"]
+from rfpipe.config import SceneConfig
+
+__all__ = ["DASH", "TIMES", "number", "percent", "ray_size", "size"]
 
 DASH = "\N{EN DASH}"
 TIMES = "\N{MULTIPLICATION SIGN}"
@@ -28,3 +30,8 @@ def percent(value: Any) -> str:
 def size(*lengths: int) -> str:
     """Return the size of an image: height, width."""
     return f"{_JOINT}{TIMES}{_JOINT}".join(map(str, lengths))
+
+
+def ray_size(scene: SceneConfig) -> str:
+    """Return the size of a scene's ray domain: rows and columns of views before the image's."""
+    return size(*(scene.views or ()), *scene.shape)

@@ -15,6 +15,7 @@ __all__ = [
     "DualResult",
     "SymmetricResult",
     "numeral_of",
+    "row_of",
 ]
 
 PLANES_SHAPE = (310, 350)
@@ -45,13 +46,15 @@ class DualResult:
     patterns: int
 
 
+_LIGHT_FIELD = "Fig. 5.8, 8D"
+
 TABLE_5_1 = {
     "Fig. 2.1 (I)": SymmetricResult(255, 44, 809, 108_500),
     "Fig. 2.1 (II)": SymmetricResult(371, 70, 1085, 108_500),
     "Fig. 2.1 (III)": SymmetricResult(334, 65, 1081, 108_500),
     "Fig. 2.1 (IV)": SymmetricResult(274, 46, 841, 108_500),
     "Fig. 5.6, gummy bears": SymmetricResult(337, 151, 2417, 91_176),
-    "Fig. 5.8, 8D": SymmetricResult(1470, 484, 3368, 233_657),
+    _LIGHT_FIELD: SymmetricResult(1470, 484, 3368, 233_657),
 }
 
 TABLE_3_1 = {
@@ -71,3 +74,11 @@ def numeral_of(scene: SceneConfig) -> str | None:
         if (scene.geometry, tuple(scene.surfaces)) == (geometry, surfaces):
             return numeral
     return None
+
+
+def row_of(scene: SceneConfig) -> str | None:
+    """Return the row of Table 5.1 that a configured scene can stand beside; None for others."""
+    if scene.views is not None:
+        return _LIGHT_FIELD
+    numeral = numeral_of(scene)
+    return numeral and f"Fig. 2.1 ({numeral})"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from math import prod
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +38,9 @@ class OperatorRig:
         Seed of the noise, at least 0.
     seconds_per_pattern : float
         Seconds that a real rig would take for a bracket; the simulation doesn't wait.
+    threads : int
+        Threads that draw the noise of a batch's pictures, each that of its own ones: the frames
+        don't depend on it.
 
     Raises
     ------
@@ -52,6 +56,7 @@ class OperatorRig:
         noise: Sensor | CameraConfig | None = None,
         seed: int = 0,
         seconds_per_pattern: float = 2.0,
+        threads: int = 1,
     ) -> None:
         self.camera_shape = _checked_shape(camera_shape, "camera_shape")
         self.projector_shape = _checked_shape(projector_shape, "projector_shape")
@@ -66,6 +71,7 @@ class OperatorRig:
         self.seed = int(seed)
         self.sensor = _as_sensor(noise)
         self.seconds_per_pattern = float(seconds_per_pattern)
+        self._threads = threads
         self._frame_shape = self.sensor.frame_shape(self.camera_shape, self.channels)
 
     def capture(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> NDArray[Any]:
@@ -81,9 +87,17 @@ class OperatorRig:
                 f"the operator returned images of shape {images.shape} for patterns "
                 f"{tuple(keys[0])} to {tuple(keys[-1])}; expected {expected}"
             )
-        for frame, image, key in zip(frames, images, keys, strict=True):
-            radiance = image.reshape(*self.camera_shape, self.channels)
-            frame[...] = self.sensor.expose(radiance, self.seed, tuple(key))
+
+        def expose(index: int) -> None:
+            radiance = images[index].reshape(*self.camera_shape, self.channels)
+            frames[index] = self.sensor.expose(radiance, self.seed, tuple(keys[index]))
+
+        if self._threads == 1:
+            for index in range(len(frames)):
+                expose(index)
+        else:
+            with ThreadPoolExecutor(self._threads) as pool:
+                list(pool.map(expose, range(len(frames))))
         return frames
 
     def describe(self) -> dict[str, Any]:

@@ -35,6 +35,8 @@ class SimulatedRig(OperatorRig):
         Seed of the noise, at least 0.
     seconds_per_pattern : float
         Seconds that a real rig would take for a bracket; the simulation doesn't wait.
+    threads : int
+        Threads that draw the noise; the frames don't depend on it.
     """
 
     def __init__(
@@ -43,8 +45,10 @@ class SimulatedRig(OperatorRig):
         sensor: Sensor | None = None,
         seed: int = 0,
         seconds_per_pattern: float = 2.0,
+        threads: int = 1,
     ) -> None:
-        super().__init__(scene, scene.shape, scene.shape, sensor, seed, seconds_per_pattern)
+        shape = scene.shape
+        super().__init__(scene, shape, shape, sensor, seed, seconds_per_pattern, threads)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""

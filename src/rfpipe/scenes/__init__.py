@@ -3,21 +3,25 @@
 from rfpipe.scenes.base import Scene
 from rfpipe.scenes.geometry import GEOMETRIES, Plane, SurfacePoints, surface_points
 from rfpipe.scenes.hard import DenseScene, hard_cases
+from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.reference import (
     REFERENCE_SCENES,
     planes_scene,
     reference_scene,
+    room_scene,
     scene_from_config,
 )
-from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
+from rfpipe.scenes.relighting import ONE_VIEW, RELIGHTING_PATTERNS, relighting_patterns
 
 __all__ = [
     "GEOMETRIES",
+    "ONE_VIEW",
     "REFERENCE_SCENES",
     "RELIGHTING_PATTERNS",
     "DenseScene",
+    "LightFieldScene",
     "Occluder",
     "Plane",
     "RadiosityScene",
@@ -27,6 +31,7 @@ __all__ = [
     "planes_scene",
     "reference_scene",
     "relighting_patterns",
+    "room_scene",
     "scene_from_config",
     "surface_points",
 ]

@@ -17,7 +17,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.geometry import Plane, SurfacePoints
+from rfpipe.scenes.geometry import Plane, Points
 from rfpipe.scenes.occluders import Occluder, blocked
 
 __all__ = [
@@ -58,7 +58,7 @@ class FacingPair:
     planes
         The two planes.
     indices
-        int64 (n_1,) and (n_2,): pixels of the points on either plane, ascending.
+        int64 (n_1,) and (n_2,): the points on either plane that see the other's, ascending.
     positions
         float64 (n_1, 3) and (n_2, 3): the points, scene units.
     heights
@@ -103,9 +103,7 @@ class FacingPair:
         return out
 
 
-def facing_pairs(
-    points: SurfacePoints, occluders: Sequence[Occluder] = ()
-) -> tuple[FacingPair, ...]:
+def facing_pairs(points: Points, occluders: Sequence[Occluder] = ()) -> tuple[FacingPair, ...]:
     """Pair up the planes of a scene, each unordered pair once, with the points that face."""
     pairs = []
     touching = _TOUCHING * np.linalg.norm(points.positions, axis=1)
@@ -158,7 +156,7 @@ class DenseFormFactors:
 
 
 def form_factors(
-    points: SurfacePoints, occluders: Sequence[Occluder] = (), *, compress: bool | None = None
+    points: Points, occluders: Sequence[Occluder] = (), *, compress: bool | None = None
 ) -> FormFactors:
     """Build G: dense for small scenes, compressed above `DENSE_LIMIT` entries.
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["GEOMETRIES", "Plane", "SurfacePoints", "surface_points"]
+__all__ = ["GEOMETRIES", "Plane", "Points", "SurfacePoints", "surface_points"]
 
 Vector = tuple[float, float, float]
 
@@ -69,25 +69,21 @@ GEOMETRIES: dict[str, tuple[Plane, ...]] = {
 
 
 @dataclass(frozen=True)
-class SurfacePoints:
-    """The surface points that the pixels of a pinhole camera see, in image order.
+class Points:
+    """Points of a scene's surfaces, each with the area that it stands for.
 
     Parameters
     ----------
-    shape
-        Height and width of the image, H x W = N pixels.
     planes
         The planes of the scene.
     surface
-        int64 (N,): index into `planes` of the plane that each pixel sees.
+        int64 (N,): index into `planes` of the plane on which each point lies.
     positions
-        float64 (N, 3): where each pixel's central ray meets its plane, scene units.
+        float64 (N, 3), scene units.
     areas
-        float64 (N,): area of the plane that a pixel covers, A = d^2 w / cos(angle), with w the
-        pixel's solid angle seen from the pinhole; scene units squared.
+        float64 (N,): scene units squared.
     """
 
-    shape: tuple[int, int]
     planes: tuple[Plane, ...]
     surface: NDArray[np.int64]
     positions: NDArray[np.float64]
@@ -95,12 +91,24 @@ class SurfacePoints:
 
     @property
     def mean_area(self) -> float:
-        """Mean pixel area, the unit of the coaxial matrix and the least squared distance."""
+        """Mean area of a point, and the least squared distance between two."""
         return float(self.areas.mean())
 
-    def of_plane(self, plane: int) -> NDArray[np.int64]:
-        """Pixels that see the plane of this index, ascending."""
-        return np.flatnonzero(self.surface == plane)
+
+@dataclass(frozen=True)
+class SurfacePoints(Points):
+    """The points that the pixels of a pinhole camera see, in image order.
+
+    A position is where a pixel's central ray meets its plane; an area is what the pixel covers,
+    A = d^2 w / cos(angle), with w the pixel's solid angle seen from the pinhole.
+
+    Parameters
+    ----------
+    shape
+        Height and width of the image, H x W = N pixels.
+    """
+
+    shape: tuple[int, int]
 
 
 def surface_points(shape: tuple[int, int], planes: tuple[Plane, ...]) -> SurfacePoints:
@@ -157,4 +165,4 @@ def surface_points(shape: tuple[int, int], planes: tuple[Plane, ...]) -> Surface
     normals = np.stack([plane.unit_normal for plane in planes])[surface]
     cosine = -(rays * normals).sum(1) / np.sqrt(squared_length)
     areas = solid_angle * squared_length * depth**2 / cosine
-    return SurfacePoints((height, width), planes, surface, positions, areas)
+    return SurfacePoints(planes, surface, positions, areas, (height, width))

@@ -1,15 +1,13 @@
 """Light transport between diffuse planes as a coaxial rig sees it [thesis 2.2, Fig. 2.1].
 
-With r the albedo, A the pixels' areas and G the form factors between points,
-``T = mean(A) (diag(r / A) + diag(r) G diag(r) + diag(r) G diag(r A) G diag(r) + ...)``:
-direct light, second bounce, third bounce. T is symmetric, as in eq. (2.10).
+A projector pixel sends its light onto one surface point and a camera pixel sees one: T is the
+matrix of `DiffuseSurfaces`, times the mean of the pixels' areas, and symmetric as in eq. (2.10).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -18,13 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import apply_in_batches
-from rfpipe.scenes.formfactors import DenseFormFactors, FormFactors, facing_pairs, form_factors
+from rfpipe.scenes.diffuse import DiffuseSurfaces, require_channel, require_few
+from rfpipe.scenes.formfactors import FormFactors
 from rfpipe.scenes.geometry import SurfacePoints
 from rfpipe.scenes.occluders import Occluder, blocked
 
-__all__ = ["DENSE_RAYS", "RadiosityScene"]
-
-DENSE_RAYS = 8192  # rays above which a dense matrix is refused: it would take over half a gigabyte
+__all__ = ["RadiosityScene"]
 
 
 class RadiosityScene:
@@ -67,20 +64,19 @@ class RadiosityScene:
                 f"albedo of shape {values.shape}: expected ({', '.join(map(str, points.shape))}, "
                 "channels)"
             )
-        if not ((values >= 0) & (values < 1)).all():
-            raise InputError("albedo: every value should be at least 0 and below 1")
-        if bounces < 1:
-            raise InputError(f"bounces {bounces}: expected at least 1, the direct light")
         self.points = points
-        self.occluders = tuple(occluders)
-        self.bounces = bounces
         self.name = name
-        self._compress = compress
         origin = np.zeros(3)
-        for occluder in self.occluders:
+        for occluder in occluders:
             seen = blocked(occluder.coordinates(origin), occluder.coordinates(points.positions))
             values[seen.reshape(points.shape)] = 0
-        self._albedo = values.reshape(-1, values.shape[2])
+        self._surfaces = DiffuseSurfaces(
+            points,
+            values.reshape(-1, values.shape[2]),
+            bounces=bounces,
+            occluders=occluders,
+            compress=compress,
+        )
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -90,17 +86,22 @@ class RadiosityScene:
     @property
     def channels(self) -> int:
         """Colour channels, 1 or 3."""
-        return self._albedo.shape[1]
+        return self._surfaces.channels
 
     @property
     def albedo(self) -> NDArray[np.float32]:
         """Albedo (H, W, C) in [0, 1), float32; 0 where the rig sees an occluder."""
-        return self._albedo.reshape(*self.shape, self.channels).astype(np.float32)
+        return self._surfaces.albedo.reshape(*self.shape, self.channels).astype(np.float32)
 
-    @cached_property
+    @property
+    def occluders(self) -> tuple[Occluder, ...]:
+        """What blocks light between points and the rig's own view."""
+        return self._surfaces.occluders
+
+    @property
     def form_factors(self) -> FormFactors:
         """The operator G, built when it is first used."""
-        return form_factors(self.points, self.occluders, compress=self._compress)
+        return self._surfaces.form_factors
 
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
         """Radiance under projected patterns.
@@ -126,15 +127,7 @@ class RadiosityScene:
 
     def _radiance(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Radiance (N, B, C) of patterns (N, B)."""
-        albedo, areas = self._albedo[:, None, :], self.points.areas[:, None, None]
-        reflected = weights[..., None] * albedo  # leaves a point, per unit of its area
-        total = reflected / areas
-        for _ in range(1, self.bounces):
-            columns = reflected.reshape(len(weights), -1)
-            received = self.form_factors.apply(columns).reshape(reflected.shape)
-            received *= albedo
-            total += received
-            reflected = received * areas
+        total = self._surfaces.radiosity(weights)
         total *= self.points.mean_area
         return total
 
@@ -153,30 +146,11 @@ class RadiosityScene:
         Raises
         ------
         InputError
-            Above `DENSE_RAYS` rays, or for a channel that doesn't exist.
+            Above `rfpipe.scenes.diffuse.DENSE_POINTS` rays, or for a channel that doesn't exist.
         """
-        rays = len(self._albedo)
-        if rays > DENSE_RAYS:
-            raise InputError(
-                f"a dense matrix of {rays} rays would take {8e-9 * rays**2:.1f} GB; dense() is for "
-                f"at most {DENSE_RAYS} rays, apply() for any number"
-            )
-        if not 0 <= channel < self.channels:
-            raise InputError(f"channel {channel}: expected 0 to {self.channels - 1}")
-        albedo, areas = self._albedo[:, channel], self.points.areas
-        transport = np.diag(albedo / areas)
-        if self.bounces > 1:
-            geometry = np.zeros((rays, rays))
-            for first, second, block in DenseFormFactors(
-                facing_pairs(self.points, self.occluders)
-            ).blocks:
-                geometry[np.ix_(first, second)] = block
-                geometry[np.ix_(second, first)] = block.T
-            bounce = np.outer(albedo, albedo) * geometry
-            transport += bounce
-            for _ in range(2, self.bounces):
-                bounce = (albedo[:, None] * geometry * areas) @ bounce
-                transport += (bounce + bounce.T) / 2  # products round: symmetric by rounding alone
+        require_few(len(self.points.areas), "rays")
+        require_channel(channel, self.channels)
+        transport = self._surfaces.dense(channel)
         transport *= self.points.mean_area
         return transport
 
@@ -187,8 +161,8 @@ class RadiosityScene:
             "shape": list(self.shape),
             "channels": self.channels,
             "planes": [asdict(plane) for plane in self.points.planes],
-            "albedo": fingerprint(self._albedo),
-            "bounces": self.bounces,
+            "albedo": fingerprint(self._surfaces.albedo),
+            "bounces": self._surfaces.bounces,
             "occluders": [asdict(occluder) for occluder in self.occluders],
-            "compress": self._compress,
+            "compress": self._surfaces.compress,
         }

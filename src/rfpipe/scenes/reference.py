@@ -8,15 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rfpipe.errors import InputError
+from rfpipe.scenes.base import Scene
 from rfpipe.scenes.geometry import GEOMETRIES, surface_points
+from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.radiosity import RadiosityScene
+from rfpipe.scenes.room import room_panels
 from rfpipe.scenes.textures import surface_albedo
+from rfpipe.scenes.views import ViewArray
 
 if TYPE_CHECKING:
     from rfpipe.config import SceneConfig
 
-__all__ = ["REFERENCE_SCENES", "planes_scene", "reference_scene", "scene_from_config"]
+__all__ = ["REFERENCE_SCENES", "planes_scene", "reference_scene", "room_scene", "scene_from_config"]
 
 # Geometry and surfaces of the scenes of Fig. 2.1.
 REFERENCE_SCENES: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -124,7 +128,54 @@ def reference_scene(
     return planes_scene(geometry, surfaces, shape, channels=channels, bounces=bounces, seed=seed)
 
 
-def scene_from_config(config: SceneConfig, compress: bool | None = None) -> RadiosityScene:
+def room_scene(
+    surfaces: Sequence[str],
+    shape: tuple[int, int],
+    *,
+    views: tuple[int, int] | None = None,
+    span_degrees: tuple[float, float] = (37.0, 29.0),
+    channels: int = 3,
+    bounces: int = 3,
+    seed: int = 0,
+    compress: bool | None = None,
+) -> LightFieldScene:
+    """Build the corner of a room with things in it, seen by an array of views [Fig. 5.8].
+
+    Parameters
+    ----------
+    surfaces
+        ``"white"`` or ``"texture"`` for left wall, right wall and floor.
+    shape
+        Height and width of a view in pixels; 130 x 200 is the thesis'.
+    views
+        Rows and columns of the array; 3 x 3 is the thesis'. One view, and a ray domain (H, W),
+        where None.
+    span_degrees
+        Angles under which the array appears from the scene, horizontally and vertically.
+    channels, bounces, seed, compress
+        As for `planes_scene`.
+
+    Returns
+    -------
+    LightFieldScene
+
+    Raises
+    ------
+    InputError
+        If a ray sees nothing, or settings are out of range.
+    """
+    return LightFieldScene(
+        ViewArray(views, span_degrees, shape),
+        room_panels(surfaces),
+        channels=channels,
+        bounces=bounces,
+        seed=seed,
+        compress=compress,
+        name=f"room of {', '.join(surfaces)}",
+    )
+
+
+def scene_from_config(config: SceneConfig, compress: bool | None = None) -> Scene:
     """Build the scene that a configuration describes.
 
     Parameters
@@ -137,8 +188,19 @@ def scene_from_config(config: SceneConfig, compress: bool | None = None) -> Radi
 
     Returns
     -------
-    RadiosityScene
+    Scene
     """
+    if config.geometry == "room":
+        return room_scene(
+            config.surfaces,
+            config.shape,
+            views=config.views,
+            span_degrees=config.span_degrees,
+            channels=config.channels,
+            bounces=config.bounces,
+            seed=config.seed,
+            compress=compress,
+        )
     return planes_scene(
         config.geometry,
         config.surfaces,

@@ -8,9 +8,12 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.provenance import generator
 
-__all__ = ["RELIGHTING_PATTERNS", "relighting_patterns"]
+__all__ = ["ONE_VIEW", "RELIGHTING_PATTERNS", "relighting_patterns"]
 
 RELIGHTING_PATTERNS = ("vertical_bar", "horizontal_bar", "noise", "binary", "spot")
+
+ONE_VIEW = "one_view"
+"""The pattern that a stack of views has besides: the first view's projector alone, fully on."""
 
 _SPOT = (3, 4)  # height and width in pixels
 _SMOOTHNESS = 1 / 16  # standard deviation of the random field's blur, over the shorter side
@@ -22,7 +25,8 @@ def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDAr
     Parameters
     ----------
     shape
-        (H, W), or (V, H, W) for a stack of views, each of which then gets the same picture.
+        (H, W), or (V, H, W) for a stack of views, each of which then gets the same picture, with
+        `ONE_VIEW` as one more pattern.
     seed
         Seed of the noise and of the random picture.
 
@@ -53,10 +57,14 @@ def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDAr
     pictures["binary"][:] = _smooth_picture(height, width, generator(seed, 1))
     top, left = height // 2, width // 5
     pictures["spot"][top : top + _SPOT[0], left : left + _SPOT[1]] = 1
-    return {
+    patterns = {
         name: np.ascontiguousarray(np.broadcast_to(picture, shape))
         for name, picture in pictures.items()
     }
+    if len(shape) == 3:
+        patterns[ONE_VIEW] = np.zeros(shape, dtype=np.float32)
+        patterns[ONE_VIEW][0] = 1
+    return patterns
 
 
 def _smooth_picture(height: int, width: int, random: np.random.Generator) -> NDArray[np.bool_]:

@@ -84,9 +84,14 @@ def _print(page: NDArray[np.bool_], letter: NDArray[np.bool_], top: int, left: i
 
 
 def surface_albedo(
-    kind: str, shape: tuple[int, int], channels: int, seed: int, surface: int
+    kind: str,
+    shape: tuple[int, int],
+    channels: int,
+    seed: int,
+    surface: int,
+    tint: tuple[float, float, float] | None = None,
 ) -> NDArray[np.float64]:
-    """Albedo of one surface over the whole image.
+    """Albedo of one surface over the whole image, or over its own texels.
 
     Parameters
     ----------
@@ -100,6 +105,9 @@ def surface_albedo(
         Seed of the strokes.
     surface
         Number of the surface: its page and its tint.
+    tint
+        Factors of the albedo in red, green and blue, instead of those in `TINTS`; a grey surface
+        takes the middle one.
 
     Returns
     -------
@@ -109,6 +117,6 @@ def surface_albedo(
     grey = np.full(shape, WHITE)
     if kind == "texture":
         grey = np.where(printed_page(shape, seed, surface), INK, PAPER)
-    tint = TINTS[surface % len(TINTS)] if channels > 1 else (1.0,)
-    albedo: NDArray[np.float64] = grey[..., None] * np.array(tint)
+    factors = np.array(tint or TINTS[surface % len(TINTS)])
+    albedo: NDArray[np.float64] = grey[..., None] * (factors if channels > 1 else factors[1:2])
     return albedo

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
 from rfpipe.rigs import Rig
 from rfpipe.stages.images import ImagesInMemory, NormalizedImages, known_light, normalize_level
-from rfpipe.stages.merging import Merger, reference_patterns
+from rfpipe.stages.merging import LevelSum, Merger, reference_patterns, runs
 from rfpipe.transport import Transport
 
 if TYPE_CHECKING:
@@ -137,10 +137,10 @@ def acquire(
     for _ in range(n_levels):
         schedule = plan.schedule(state)
         patterns += schedule.count
-        merged = session.capture(schedule)
+        merged, level_sum = session.capture(schedule)
         gain = normalize_level(
             schedule,
-            merged,
+            level_sum,
             (session.merger.floodlit, session.merger.floodlit_variance),
             None if normalization == "none" else known_light(plan, state, schedule),
             normalization,
@@ -164,33 +164,45 @@ class _Session:
         self.progress = progress
         self.capture_seconds = 0.0
         self.saturated = 0
-        patterns, keys = reference_patterns(rig.projector_shape, *references)
-        frames = self._show(patterns, keys)
-        off, on = np.split(frames, references[:1])
-        self.merger = Merger.calibrate(rig.sensor, off, on, **merging)
+        off, on = references
+        self.merger = Merger.calibrate(
+            rig.sensor, self._reference(off, 0, off), self._reference(off, off, off + on), **merging
+        )
 
-    def capture(self, schedule: Schedule) -> ImagesInMemory:
-        """Capture and merge the patterns of a level."""
+    def capture(self, schedule: Schedule) -> tuple[ImagesInMemory, LevelSum]:
+        """Capture and merge the patterns of a level; also return their sum."""
         from tqdm import tqdm
 
-        rig = self.rig
-        shape = (schedule.count, *rig.camera_shape, rig.channels)
+        image_shape = (*self.rig.camera_shape, self.rig.channels)
+        shape = (schedule.count, *image_shape)
         radiance, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        total = LevelSum.zero(image_shape)
         with tqdm(
             total=schedule.count,
             desc=f"level {schedule.level}",
             unit="pattern",
             disable=not self.progress,
         ) as bar:
-            for first in range(0, schedule.count, _BATCH):
-                last = min(first + _BATCH, schedule.count)
-                keys = [(schedule.level, index) for index in range(first, last)]
-                frames = self._show(schedule.batch(first, last), keys)
-                merged = self.merger.merge(frames, first)
-                radiance[first:last], variance[first:last] = merged.radiance, merged.variance
-                self.saturated += merged.saturated
-                bar.update(last - first)
-        return ImagesInMemory(radiance, variance)
+            for start, stop in runs(schedule.count, image_shape):
+                run = LevelSum.zero(image_shape)
+                for first in range(start, stop, _BATCH):
+                    last = min(first + _BATCH, stop)
+                    keys = [(schedule.level, index) for index in range(first, last)]
+                    frames = self._show(schedule.batch(first, last), keys)
+                    merged = self.merger.merge(frames, first)
+                    run.add(merged)
+                    radiance[first:last], variance[first:last] = merged.radiance, merged.variance
+                    self.saturated += merged.saturated
+                    bar.update(last - first)
+                total.join(run)
+        return ImagesInMemory(radiance, variance), total
+
+    def _reference(self, black_frames: int, first: int, last: int) -> Iterator[NDArray[Any]]:
+        """Take the brackets that an acquisition begins with, a few at a time."""
+        for start in range(first, last, _BATCH):
+            stop = min(start + _BATCH, last)
+            shown = reference_patterns(self.rig.projector_shape, black_frames, start, stop)
+            yield self._show(*shown)
 
     def _show(self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]) -> NDArray[Any]:
         began = perf_counter()

@@ -9,7 +9,7 @@ from typing import Any, Literal
 from rfpipe.errors import StaleStoreError
 from rfpipe.store import FrameStore, StoreLock
 
-__all__ = ["settle"]
+__all__ = ["differing", "settle"]
 
 _log = logging.getLogger(__name__)
 
@@ -26,7 +26,8 @@ def settle(
     """Make way for the capture of `shown`: afterwards its store stands at `path`, or none does.
 
     A store of something else is renamed, its fingerprint in its new name. Back at the settings
-    that it was made with, it is found again, so that the rig needn't be.
+    that it was made with, it is found again, so that the rig needn't be. If its pictures were
+    dropped after their merge, it is removed.
 
     Parameters
     ----------
@@ -52,17 +53,17 @@ def settle(
                 if old.fingerprint == made_for:
                     return
                 captured = int(old.done.sum())
-                differences = _differences(old.attributes, shown)
+                differences = differing(old.attributes, shown)
                 place = _aside(path, old.fingerprint)
-            if not captured:
-                path.rename(place)
+                is_dropped = old.dropped
+            if captured and not fitting.exists():
+                kept = None if is_dropped else place
+                _say(path, kept, captured, differences, when_changed)
+            if place.exists():  # of a settings' change that was undone before it was captured
                 FrameStore.discard(place)
-            else:
-                if not fitting.exists():
-                    _say(path, place, captured, differences, when_changed)
-                if place.exists():  # of a settings' change that was undone before it was captured
-                    FrameStore.discard(place)
-                path.rename(place)
+            path.rename(place)
+            if is_dropped or not captured:
+                FrameStore.discard(place)
         if fitting.exists():
             fitting.rename(path)
             _log.warning("%s: captured with these settings before; taken from %s", path, fitting)
@@ -72,22 +73,30 @@ def _aside(path: Path, fingerprint: str) -> Path:
     return path.with_name(f"{path.stem}.{fingerprint[:_NAMED_DIGITS]}{path.suffix}")
 
 
-def _say(path: Path, place: Path, captured: int, differences: str, when_changed: str) -> None:
-    """Refuse to capture anew, or say that it is about to happen."""
+def _say(
+    path: Path, place: Path | None, captured: int, differences: str, when_changed: str
+) -> None:
+    """Refuse to capture anew, or say that it is about to happen; `place` None: none are kept."""
     if when_changed == "refuse":
+        old = "old ones are kept aside" if place else "old ones were dropped after their merge"
         raise StaleStoreError(
             f"{path}: holds {captured} captured patterns of other settings ({differences}); "
             "restore those settings, or set capture.when_patterns_change to recapture to take "
-            "these patterns anew (the old ones are kept aside)"
+            f"these patterns anew (the {old})"
         )
+    old = (
+        f"captured with the old settings are kept in {place}, for when you go back to them; remove "
+        "it to free the space"
+        if place
+        else "captured with the old settings were dropped after their merge (capture.keep_raw)"
+    )
     _log.warning(
-        "%s: CAPTURING ANEW, since the settings changed (%s). The %d patterns captured with the "
-        "old settings are kept in %s, for when you go back to them; remove it to free the space",
-        path, differences, captured, place,
+        "%s: CAPTURING ANEW, since the settings changed (%s). The %d patterns %s",
+        path, differences, captured, old,
     )  # fmt: skip
 
 
-def _differences(old: dict[str, Any], new: dict[str, Any]) -> str:
+def differing(old: dict[str, Any], new: dict[str, Any]) -> str:
     """Say which settings differ, such as ``patterns 64 -> 72, rig.seed 1 -> 2``."""
     before, after = _flat(old), _flat(new)
     changed = [

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,16 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
-from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
 from rfpipe.stages.aside import settle
-from rfpipe.stages.merging import reference_patterns
+from rfpipe.stages.disk import DiskNeed, check_level, check_run
+from rfpipe.stages.merging import Keys, reference_patterns
 from rfpipe.stages.plan import AcquisitionFolder
 from rfpipe.stages.progress import Progress
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.store import FrameStore, write_manifest
+from rfpipe.stages.workers import Resources
+from rfpipe.store import FrameStore, bytes_on_disk, write_manifest
 from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
 
 __all__ = ["REFERENCE", "run"]
@@ -32,8 +35,6 @@ _log = logging.getLogger(__name__)
 
 _TIME = "seconds_per_pattern"
 
-Show = Callable[[int, int], NDArray[Any]]
-
 
 def run(
     rig: Rig,
@@ -43,6 +44,9 @@ def run(
     references: tuple[int, int],
     batch_patterns: int = 16,
     when_patterns_change: Literal["recapture", "refuse"] = "recapture",
+    expected_patterns: int = 0,
+    keep_raw: bool = True,
+    resources: Resources | None = None,
 ) -> None:
     """Capture what isn't captured yet of a level, and write its manifest.
 
@@ -55,14 +59,22 @@ def run(
     references : (int, int)
         All-off and all-on brackets; exact radiance takes one of each whatever stands here.
     batch_patterns : int
-        Patterns shown, then stored, at a time.
+        Patterns shown, then stored, at a time; fewer where memory is short.
     when_patterns_change : {"recapture", "refuse"}
         What to do when pictures of other patterns, or of another rig, stand there.
+    expected_patterns : int
+        Patterns that all levels may take, if known: level 0 warns when they don't fit on the disk.
+    keep_raw : bool
+        Whether the brackets will stay once they are merged.
+    resources : Resources, optional
+        Memory for the patterns in hand. What the rig itself takes comes on top.
 
     Raises
     ------
     StaleStoreError
         When there are and `when_patterns_change` is "refuse": says what differs.
+    StoreError
+        When the level doesn't fit on the disk; nothing is shown then.
     CaptureError
         When the rig fails or returns what is no bracket; what is captured stays.
     LockedError
@@ -71,30 +83,39 @@ def run(
     schedule = read_schedule(folder, level)
     # How long a real rig takes shapes no frame.
     described = {name: value for name, value in rig.describe().items() if name != _TIME}
-    entry: dict[str, Any] = {}
-    if level == 0:
-        counts = (1, 1) if isinstance(rig.sensor, ExactSensor) else references
-        patterns, keys = reference_patterns(rig.projector_shape, *counts)
-        shown = {"black_frames": counts[0], "floodlit_frames": counts[1], "rig": described}
-        frames = _Frames(
-            folder.store(level, REFERENCE), "reference brackets", len(keys), shown, batch_patterns
-        )
-        entry[REFERENCE] = {
-            **frames.capture(
-                rig,
-                lambda first, last: rig.capture(patterns[first:last], keys[first:last]),
-                when_patterns_change,
-            ),
-            "black_frames": counts[0],
-            "floodlit_frames": counts[1],
-        }
+    counts = (1, 1) if isinstance(rig.sensor, ExactSensor) else references
+    counted = {"black_frames": counts[0], "floodlit_frames": counts[1]}
+
+    def of_references(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+        return reference_patterns(rig.projector_shape, counts[0], first, last)
+
+    def of_schedule(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+        return schedule.batch(first, last), [(level, index) for index in range(first, last)]
 
     shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
-    name = f"level {level}"
-    frames = _Frames(folder.store(level, "capture"), name, schedule.count, shown, batch_patterns)
-    captured = frames.capture(
-        rig, lambda first, last: _show(rig, schedule, first, last), when_patterns_change
-    )
+    path = folder.store(level, "capture")
+    parts = [_Brackets(rig, path, f"level {level}", schedule.count, shown, of_schedule)]
+    if level == 0:
+        path = folder.store(level, REFERENCE)
+        shown = {**counted, "rig": described}
+        parts.insert(
+            0, _Brackets(rig, path, "reference brackets", sum(counts), shown, of_references)
+        )
+    for part in parts:
+        settle(part.path, part.made_for, part.shown, when_patterns_change)
+    to_capture = sum(part.count_missing() for part in parts)
+    if to_capture:
+        if level == 0 and expected_patterns:
+            brackets = sum(counts) + keep_raw * expected_patterns
+            need = DiskNeed.of(rig, brackets, expected_patterns)
+            check_run(need, expected_patterns, folder.path, keep_raw=keep_raw)
+        merged = folder.store(level, "merge")  # of a capture before: replaced
+        present = bytes_on_disk(merged) if merged.exists() else 0
+        need = DiskNeed.of(rig, to_capture, schedule.count)
+        check_level(f"level {level}", need, folder.path, present, keep_raw=keep_raw)
+    batch = (resources or Resources()).fitting(_bytes_in_hand(rig), batch_patterns)
+    *before, captured = [part.capture(batch) for part in parts]
+    reference = {REFERENCE: {**before[0], **counted}} if before else {}
     is_counts = rig.sensor.frame_dtype == COUNTS
     write_manifest(
         folder.manifest(level, "capture"),
@@ -106,37 +127,55 @@ def run(
             "exposures_s": list(rig.sensor.exposures),
             "rig": described,
             **captured,
-            **entry,
+            **reference,
         },
     )
 
 
-def _show(rig: Rig, schedule: Schedule, first: int, last: int) -> NDArray[Any]:
-    keys = [(schedule.level, index) for index in range(first, last)]
-    return rig.capture(schedule.batch(first, last), keys)
+def _bytes_in_hand(rig: Rig) -> int:
+    """Memory that a pattern takes while it is shown and stored."""
+    bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
+    # The pattern and its picture may pass through a float64 operator; a simulated sensor draws
+    # the noise of an exposure from some float32 images.
+    doubles = 2 * prod(rig.projector_shape) + 4 * prod(rig.camera_shape) * rig.channels
+    return 2 * bracket * rig.sensor.frame_dtype.itemsize + 8 * doubles
 
 
-class _Frames:
-    """One store of brackets to be captured."""
+@dataclass(frozen=True)
+class _Brackets:
+    """One store of brackets to be captured, and the patterns to show for them."""
 
-    def __init__(
-        self, path: Path, name: str, count: int, shown: dict[str, Any], batch: int
-    ) -> None:
-        self.path = path
-        self.name = name
-        self.count = count
-        self.shown = shown
-        self.batch = batch
+    rig: Rig
+    path: Path
+    name: str
+    count: int
+    shown: dict[str, Any]
+    patterns: Callable[[int, int], tuple[NDArray[np.float32], Keys]]
 
-    def capture(
-        self, rig: Rig, show: Show, when_changed: Literal["recapture", "refuse"]
-    ) -> dict[str, Any]:
+    @property
+    def made_for(self) -> str:
+        """Fingerprint of all that shapes the frames."""
+        return fingerprint(self.shown)
+
+    def count_missing(self) -> int:
+        """Count the brackets that aren't captured yet."""
+        if not self.path.exists():
+            return self.count
+        with FrameStore.open(self.path) as frames:
+            return self.count - int(np.count_nonzero(frames.done))
+
+    def capture(self, batch: int) -> dict[str, Any]:
         """Capture the items that are missing; return the store's entry for the manifest."""
-        shape = tuple(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
-        made_for = fingerprint(self.shown)
-        settle(self.path, made_for, self.shown, when_changed)
+        sensor = self.rig.sensor
+        shape = tuple(sensor.frame_shape(self.rig.camera_shape, self.rig.channels))
         with FrameStore.create(
-            self.path, (self.count, *shape), rig.sensor.frame_dtype, made_for, self.shown
+            self.path,
+            (self.count, *shape),
+            sensor.frame_dtype,
+            self.made_for,
+            self.shown,
+            # a twelfth more bytes than by zstd, written and read in half the time
+            compression="lz4",
         ) as frames:
             done = int(np.count_nonzero(frames.done))
             if frames.complete:
@@ -147,25 +186,25 @@ class _Frames:
                     self.name, done, self.count, frames.missing()[0][0],
                 )  # fmt: skip
             with Progress(self.name, self.count, done) as progress:
-                for first, last in frames.missing(self.batch):
-                    frames.write(first, self._checked(show(first, last), first, shape, rig))
+                for first, last in frames.missing(batch):
+                    block = self.rig.capture(*self.patterns(first, last))
+                    frames.write(first, self._checked(block, first, shape))
                     progress.advance(last - first)
             return {
                 "digest": frames.digest(),
                 "dtype": frames.dtype.str,
                 "shape": list(frames.shape),
-                "fingerprint": made_for,
+                "fingerprint": self.made_for,
             }
 
-    def _checked(
-        self, block: NDArray[Any], first: int, shape: tuple[int, ...], rig: Rig
-    ) -> NDArray[Any]:
+    def _checked(self, block: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
         """Refuse what is no bracket before it is entered as captured."""
-        if block.shape[1:] != shape or block.dtype != rig.sensor.frame_dtype:
+        dtype = self.rig.sensor.frame_dtype
+        if block.shape[1:] != shape or block.dtype != dtype:
             raise CaptureError(
                 f"{self.name}, pattern {first}: the rig returned {block.dtype} frames of shape "
-                f"{block.shape[1:]}; expected {rig.sensor.frame_dtype} {shape}. Check the camera's "
-                "size, pixel format and exposures, then run again: it goes on at this pattern"
+                f"{block.shape[1:]}; expected {dtype} {shape}. Check the camera's size, pixel "
+                "format and exposures, then run again: it goes on at this pattern"
             )
         if block.dtype.kind == "f" and not np.isfinite(block).all():
             bad = first + int(np.argwhere(~np.isfinite(block))[0][0])

@@ -35,9 +35,9 @@ def error_rows(
 
     Parameters
     ----------
-    relit, truth : ndarray of float, shape (P, H, W, C)
-        Radiance.
-    patterns : ndarray, shape (P, H, W)
+    relit, truth : ndarray of float, shape (P, *shape, C)
+        Radiance over images (H, W) or stacks of views (V, H, W).
+    patterns : ndarray, shape (P, *shape)
     names : iterable of P str
     white : float
         Maximum of the true floodlit image.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rfpipe.methods.base import Method
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.normalize import Mode, Normalization, apply, level_gain
+from rfpipe.stages.merging import LevelSum
 from rfpipe.transport import Transport
 
 Float = NDArray[np.float32]
@@ -64,12 +65,11 @@ def known_light(method: Method[Any], state: Any, schedule: Schedule) -> Float | 
 
 def normalize_level(
     schedule: Schedule,
-    merged: MergedImages,
+    level_sum: LevelSum,
     floodlit: tuple[Float, Float],
     known: Float | None,
     mode: Mode,
     significance: float,
-    batch: int = 16,
 ) -> Normalization:
     """Compare the sum of a level's images with the floodlit image (thesis B.2).
 
@@ -80,7 +80,8 @@ def normalize_level(
     Parameters
     ----------
     schedule : Schedule
-    merged : MergedImages
+    level_sum : LevelSum
+        Sum of the level's images and of their variance.
     floodlit : tuple of two ndarrays of float32, shape (*camera_shape, C)
         The floodlit image and its variance.
     known : ndarray of float32, shape (*camera_shape, C), or None
@@ -88,19 +89,13 @@ def normalize_level(
     mode : {"none", "per_channel", "total_energy"}
     significance : float
         Standard deviations that make a sum significant.
-    batch : int
-        Images read at a time.
     """
     radiance, spread = floodlit
-    total, total_variance = np.zeros(radiance.shape), np.zeros(radiance.shape)
     wanted = mode != "none" and (schedule.complete or known is not None)
-    if wanted:
-        for first in range(0, schedule.count, batch):
-            images, variance = merged.read(first, min(first + batch, schedule.count))
-            total += images.sum(axis=0, dtype=np.float64)
-            total_variance += variance.sum(axis=0, dtype=np.float64)
     expected = radiance if known is None else radiance - known
-    found = level_gain(expected, total, total_variance, mode, wanted, significance, spread)
+    found = level_gain(
+        expected, level_sum.radiance, level_sum.variance, mode, wanted, significance, spread
+    )
     if known is None:
         return found
     covered = found.covered & (known < expected)

@@ -5,33 +5,42 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.photometry.defects import DefectMap
-from rfpipe.photometry.sensor import MergeOptions, Sensor
+from rfpipe.photometry.sensor import Sensor
 from rfpipe.provenance import fingerprint, versions
+from rfpipe.stages.calibration import CALIBRATION, calibrate, read_merger
 from rfpipe.stages.capture import REFERENCE
-from rfpipe.stages.merging import Merger
+from rfpipe.stages.merging import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.plan import AcquisitionFolder, advice_on_damage
-from rfpipe.stages.results import bundle_entry
-from rfpipe.store import FrameStore, open_arrays, read_manifest, write_arrays, write_manifest
+from rfpipe.stages.raw import RawFrames
+from rfpipe.stages.results import bundle_entry, intact_bundle
+from rfpipe.stages.workers import Resources
+from rfpipe.store import (
+    FrameStore,
+    ItemWriter,
+    drop,
+    open_arrays,
+    read_manifest,
+    to_disk,
+    write_arrays,
+    write_manifest,
+)
 from rfpipe.units import RADIANCE, RADIANCE_UNIT
 
-__all__ = ["CALIBRATION", "MergedFrames", "merged_frames", "read_floodlit", "run"]
+__all__ = ["SUMS", "MergedFrames", "merged_frames", "read_level_sum", "run"]
 
 Float = NDArray[np.float32]
 
-CALIBRATION = "calibration"
-"""Black level, defects and floodlit image, learnt at level 0: their store and manifest's key."""
+SUMS = "sums"
+"""Sum of the level's images and of their variance: their store and manifest's key."""
 
-# Both read and written at a time; two images of 62 x 70 RGB rays make 100 kB.
-_CHUNK_BYTES = 2 * 2**20
-_BATCH_BYTES = 16 * 2**20
 _COPY = "manifest.json"
 
 _log = logging.getLogger(__name__)
@@ -45,6 +54,8 @@ def run(
     saturation_fraction: float,
     repair_defects: bool,
     code: str,
+    keep_raw: bool = True,
+    resources: Resources | None = None,
 ) -> None:
     """Merge the brackets of a level and write the manifest.
 
@@ -61,31 +72,42 @@ def run(
         Whether dead and hot pixels are filled in from their neighbours.
     code : str
         Fingerprint of the code behind the stage.
+    keep_raw : bool
+        Whether the brackets stay when they are merged. Where they don't, merged images that other
+        code made are kept.
+    resources : Resources, optional
+        Memory and threads; nothing that is written depends on them.
 
     Raises
     ------
+    StaleStoreError
+        When settings changed and the brackets to merge anew were dropped.
     CaptureError
         When the floodlit image is black or below the black level, or a frame can't be one of the
         sensor's; names the pattern.
     IntegrityError
         When captured frames are damaged.
     """
-    captured = folder.read_manifest(level, "capture")
+    resources = resources or Resources()
     settings: dict[str, Any] = {
         "sensor": sensor.describe(),
         "saturation_fraction": saturation_fraction,
         "repair_defects": repair_defects,
-        "code": code,
     }
     calibration: dict[str, Any]
     if level == 0:
-        merger, calibration = _calibrate(sensor, folder, settings)
+        merger, calibration = calibrate(sensor, folder, settings, code, resources)
     else:
         calibration = folder.read_manifest(0, "merge")[CALIBRATION]
-        merger = _read_merger(sensor, folder, saturation_fraction)
-    made_from = fingerprint([settings, calibration["digest"], captured["digest"]])
+        merger = read_merger(sensor, folder, saturation_fraction)
+    made_of = {
+        "settings": settings,
+        "captured": folder.read_manifest(level, "capture")["digest"],
+        "calibration": calibration["digest"],
+    }
+    made_from = fingerprint([made_of, code])
     store = folder.store(level, "merge")
-    facts = _kept(store, made_from)
+    facts = _kept(folder, level, made_of, made_from)
     if facts is None:
         # A merge is quick beside its capture, so that one that was interrupted starts anew.
         FrameStore.discard(store)
@@ -94,116 +116,182 @@ def run(
             "level": level,
             "units": RADIANCE_UNIT,
             **({CALIBRATION: calibration} if level == 0 else {}),
-            **_merge(merger, folder, level, made_from),
+            **_merge(merger, folder, level, made_from, resources),
+            "made_of": made_of,
             "fingerprint": made_from,
             "versions": versions(),
         }
         write_manifest(store / _COPY, facts)
     write_manifest(folder.manifest(level, "merge"), facts)
+    if not keep_raw:
+        _drop_raw(folder, level)
 
 
-def _merge(merger: Merger, folder: AcquisitionFolder, level: int, made_from: str) -> dict[str, Any]:
+@dataclass(frozen=True, eq=False)
+class _MergeRun:
+    """Merges runs of a level's brackets and writes their images; any thread or process may."""
+
+    merger: Merger
+    captured: Path
+    merged: Path
+    made_from: str
+    chunk: int
+
+    def __call__(self, first: int, last: int) -> _Run:
+        run = _Run(first, [], LevelSum.zero(self.merger.floodlit.shape), 0)
+        for start in range(first, last, self.chunk):
+            stop = min(start + self.chunk, last)
+            merged = self.merger.merge(self._frames.read(start, stop), start)
+            run.total.add(merged)
+            images = np.stack([merged.radiance, merged.variance], axis=1)
+            run.digests.extend(self._images.write(start, images))
+            run.saturated += merged.saturated
+        return run
+
+    @property
+    def bytes_in_hand(self) -> int:
+        """Memory that a run takes while it is worked on."""
+        image = 2 * self.merger.floodlit.nbytes
+        # The merge by NumPy has up to five float32 copies of a bracket; images exist as such, as
+        # a block and compressed.
+        brackets = self.merger.black.nbytes * 5
+        return brackets + self.chunk * (self.merger.black.nbytes + 3 * image) + 2 * image
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the open stores: a cluster's workers pass the work on among themselves."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    @cached_property
+    def _frames(self) -> FrameStore:
+        return FrameStore.open(self.captured)
+
+    @cached_property
+    def _images(self) -> ItemWriter:
+        return ItemWriter(self.merged, self.made_from)
+
+
+@dataclass
+class _Run:
+    """What the merge of a run of patterns returns."""
+
+    first: int
+    digests: list[str]
+    total: LevelSum
+    saturated: int
+
+
+def _merge(
+    merger: Merger, folder: AcquisitionFolder, level: int, made_from: str, resources: Resources
+) -> dict[str, Any]:
+    image_shape = merger.floodlit.shape
+    store = folder.store(level, "merge")
     with folder.frames(level, "capture") as frames:
         count = frames.shape[0]
-        image = (2, *merger.floodlit.shape)  # radiance, variance
-        nbytes = int(np.prod(image)) * np.dtype(RADIANCE).itemsize
-        chunk = max(1, _CHUNK_BYTES // nbytes)
-        batch = max(1, _BATCH_BYTES // nbytes)
-        saturated = 0
-        with FrameStore.create(
-            folder.store(level, "merge"),
-            (count, *image),
+    shape = (count, 2, *image_shape)  # radiance, variance
+    total = LevelSum.zero(image_shape)
+    saturated = 0
+    # a cluster's workers have working folders of their own
+    captured = folder.store(level, "capture").absolute()
+    chunk = chunk_patterns(image_shape)
+    work = _MergeRun(merger, captured, store.absolute(), made_from, chunk)
+    with (
+        FrameStore.create(
+            store,
+            shape,
             RADIANCE,
             made_from,
             {"axis 1": ["radiance", "variance"], "units": RADIANCE_UNIT},
             items_per_chunk=chunk,
-        ) as images:
-            for first, last in images.missing(batch):
-                merged = merger.merge(frames.read(first, last), first)
-                images.write(first, np.stack([merged.radiance, merged.variance], axis=1))
-                saturated += merged.saturated
-            digest = images.digest()
-    samples = count * int(np.prod(image[1:]))
+        ) as images,
+        advice_on_damage(folder.manifest(level, "capture")),
+        resources.workers(work.bytes_in_hand) as workers,
+    ):
+        for run in workers.results(work, runs(count, image_shape)):
+            images.enter(run.first, run.digests)
+            total.join(run.total)
+            saturated += run.saturated
+        digest = images.digest()
+    samples = count * int(np.prod(image_shape))
     if saturated:
         _log.warning(
             "level %d: %d of %d samples are saturated in every exposure; their radiance is a "
             "lower bound. Add a shorter exposure",
             level, saturated, samples,
         )  # fmt: skip
+    sums = folder.store(level, SUMS)
+    write_arrays(
+        sums,
+        {"radiance": total.radiance, "variance": total.variance},
+        {"fingerprint": made_from, "units": RADIANCE_UNIT},
+    )
     return {
         "patterns": count,
         "digest": digest,
         "dtype": np.dtype(RADIANCE).str,
-        "shape": [count, *image],
+        "shape": list(shape),
         "saturated": saturated,
         "samples": samples,
+        SUMS: bundle_entry(open_arrays(sums)),
     }
 
 
-def _kept(store: Path, made_from: str) -> dict[str, Any] | None:
-    """Return the manifest of a store that was made from the same things and is undamaged."""
+def _kept(
+    folder: AcquisitionFolder, level: int, made_of: dict[str, Any], made_from: str
+) -> dict[str, Any] | None:
+    """Return the manifest of stores that were made from the same things and are undamaged.
+
+    Raises StaleStoreError where there are none and the frames to make them from were dropped.
+    """
+    raw = RawFrames(folder, level, "capture")
+    facts = _manifest_of(folder.store(level, "merge"))
+    if facts is None:
+        raw.must_be_there("there are no merged images of them")
+        return None
+    if facts["fingerprint"] != made_from:
+        if not raw.dropped:
+            return None
+        raw.must_be_unchanged(facts["made_of"], made_of)
+    if not _is_intact(folder, level, facts):
+        raw.must_be_there("the merged images are damaged")
+        return None
+    _log.info("%s: made from the same things before; kept", folder.store(level, "merge"))
+    return facts
+
+
+def _manifest_of(store: Path) -> dict[str, Any] | None:
+    """Return the manifest that lies in a store of merged images, if it is complete."""
     copy = store / _COPY
     if not copy.exists():
         return None
     with advice_on_damage(copy):
-        facts = read_manifest(copy)
-    if facts["fingerprint"] != made_from:
-        return None
+        return read_manifest(copy)
+
+
+def _is_intact(folder: AcquisitionFolder, level: int, facts: dict[str, Any]) -> bool:
+    made_from = facts["fingerprint"]
+    if intact_bundle(folder.store(level, SUMS), made_from) is None:
+        return False
+    store = folder.store(level, "merge")
     with FrameStore.create(store, tuple(facts["shape"]), facts["dtype"], made_from, {}) as images:
-        if not images.complete:  # a damaged chunk
-            return None
-    _log.info("%s: made from the same things before; kept", store)
-    return facts
+        return images.complete
 
 
-def _calibrate(
-    sensor: Sensor, folder: AcquisitionFolder, settings: dict[str, Any]
-) -> tuple[Merger, dict[str, Any]]:
-    """Learn from the reference brackets and write what was learnt; also its manifest entry."""
-    captured = folder.read_manifest(0, "capture")[REFERENCE]
-    with folder.frames(0, "capture", REFERENCE) as frames:
-        brackets = frames.read(0, frames.shape[0])
-    off, on = np.split(brackets, [captured["black_frames"]])
-    merger = Merger.calibrate(
-        sensor, off, on, settings["saturation_fraction"], settings["repair_defects"]
-    )
-    arrays: dict[str, NDArray[Any]] = {
-        "black": merger.black,
-        "floodlit": merger.floodlit,
-        "floodlit_variance": merger.floodlit_variance,
-    }
-    counted = {"black_frames": len(off), "floodlit_frames": len(on)}
-    if merger.defects is not None:
-        arrays["defects"] = merger.defects.mask
-        counted |= {"hot": merger.defects.hot, "dead": merger.defects.dead}
-        if merger.defects.hot or merger.defects.dead:
-            _log.warning(
-                "%d hot and %d dead pixels are filled in from their neighbours",
-                merger.defects.hot, merger.defects.dead,
-            )  # fmt: skip
-    store = folder.store(0, CALIBRATION)
-    made_from = fingerprint([settings, captured["digest"]])
-    write_arrays(store, arrays, {"fingerprint": made_from, "counted": counted})
-    return merger, {**bundle_entry(open_arrays(store)), **counted}
+def _drop_raw(folder: AcquisitionFolder, level: int) -> None:
+    """Remove the frames that were merged: last of all, so that it may be cut off anywhere."""
+    kept = ["merge", SUMS, *([CALIBRATION] if level == 0 else [])]
+    raw = ["capture", *([REFERENCE] if level == 0 else [])]
+    for part in kept:
+        to_disk(folder.store(level, part))
+    freed = sum(drop(folder.store(level, part)) for part in raw)
+    if freed:
+        _log.info("level %d: raw exposures dropped, %.3g MB", level, freed / 1e6)
 
 
-def _read_merger(sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float) -> Merger:
-    bundle = folder.bundle(0, "merge", CALIBRATION)
-    counted = bundle.attributes["counted"]
-    with advice_on_damage(folder.manifest(0, "merge")):
-        defects = None
-        if "defects" in bundle.names:
-            defects = DefectMap(bundle.read("defects"), counted["hot"], counted["dead"])
-        options = MergeOptions(counted["black_frames"], saturation_fraction)
-        black, *floodlit = (bundle.read(n) for n in ("black", "floodlit", "floodlit_variance"))
-        return Merger(sensor, black, options, defects, *floodlit)
-
-
-def read_floodlit(folder: AcquisitionFolder) -> tuple[Float, Float]:
-    """Read the floodlit image that level 0 measured, and its variance: (*camera_shape, C)."""
-    bundle = folder.bundle(0, "merge", CALIBRATION)
-    with advice_on_damage(folder.manifest(0, "merge")):
-        return bundle.read("floodlit"), bundle.read("floodlit_variance")
+def read_level_sum(folder: AcquisitionFolder, level: int) -> LevelSum:
+    """Read the sum of a level's images and of their variance."""
+    bundle = folder.bundle(level, "merge", SUMS)
+    with advice_on_damage(folder.manifest(level, "merge")):
+        return LevelSum(bundle.read("radiance"), bundle.read("variance"))
 
 
 @dataclass(frozen=True)

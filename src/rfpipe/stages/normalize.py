@@ -6,8 +6,9 @@ import numpy as np
 
 from rfpipe.photometry.normalize import Mode, Normalization
 from rfpipe.provenance import fingerprint
+from rfpipe.stages.calibration import CALIBRATION, read_floodlit
 from rfpipe.stages.images import known_light, normalize_level
-from rfpipe.stages.merge import CALIBRATION, merged_frames, read_floodlit
+from rfpipe.stages.merge import SUMS, read_level_sum
 from rfpipe.stages.plan import AcquisitionFolder, Plan, advice_on_damage, restore_state
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.schedule import read_schedule
@@ -18,7 +19,8 @@ __all__ = ["read_normalization", "run"]
 def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: str) -> None:
     """Compare a level's images with the floodlit image; write the factors and their manifest.
 
-    The images aren't written a second time: who reads them applies the factors on the way.
+    The images aren't read here, since the merge has added them up, nor written a second time: who
+    reads them applies the factors on the way.
 
     Parameters
     ----------
@@ -32,7 +34,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     store, manifest = folder.store(level, "normalize"), folder.manifest(level, "normalize")
     planned = folder.read_manifest(level, "schedule")
     made_of = {
-        "merge": folder.read_manifest(level, "merge")["digest"],
+        "merge": folder.read_manifest(level, "merge")[SUMS]["digest"],
         "calibration": folder.read_manifest(0, "merge")[CALIBRATION]["digest"],
         "schedule": [planned["shown"], planned["complete"]],
         "mode": mode,
@@ -52,10 +54,14 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     known = None
     if "refine" in made_of:
         known = known_light(plan.method, restore_state(plan, folder, level), schedule)
-    with merged_frames(folder, level) as merged:
-        found = normalize_level(
-            schedule, merged, read_floodlit(folder), known, mode, plan.settings.noise_significance
-        )
+    found = normalize_level(
+        schedule,
+        read_level_sum(folder, level),
+        read_floodlit(folder),
+        known,
+        mode,
+        plan.settings.noise_significance,
+    )
     facts = {
         "stage": "normalize",
         "level": level,

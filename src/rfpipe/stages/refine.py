@@ -9,12 +9,19 @@ from rfpipe.stages.normalize import read_normalization
 from rfpipe.stages.plan import AcquisitionFolder, Plan, restore_state
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.stages.workers import Resources
 from rfpipe.units import RADIANCE_UNIT
 
 __all__ = ["run"]
 
 
-def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
+def run(
+    plan: Plan,
+    folder: AcquisitionFolder,
+    level: int,
+    code: str,
+    resources: Resources | None = None,
+) -> None:
     """Refine the method's state by a level's images; write what the level added.
 
     Parameters
@@ -24,7 +31,10 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
     level : int
     code : str
         Fingerprint of the code behind the stage.
+    resources : Resources, optional
+        What the stage may use; by default one thread and 4 GiB.
     """
+    resources = resources or Resources()
     store, manifest = folder.store(level, "refine"), folder.manifest(level, "refine")
     planned = folder.read_manifest(level, "schedule")
     made_from = fingerprint(
@@ -44,7 +54,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
         images = NormalizedImages(
             read_schedule(folder, level), merged, read_normalization(folder, level)
         )
-        state = plan.method.refine(state, images)
+        state = plan.method.refine(state, images, resources.data_bytes)
     pack = plan.method.pack(state)
     facts = {
         "stage": "refine",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rfpipe.config import SceneConfig
     from rfpipe.scenes import Scene
 
-__all__ = ["images_of", "relit_arrays", "right_half", "run"]
+__all__ = ["images_of", "one_view_at_a_time", "relit_arrays", "right_half", "run"]
 
 Float = NDArray[np.float32]
 
@@ -30,8 +30,7 @@ _AT_A_TIME = 32
 
 def images_of(scene: Scene, patterns: Float) -> Float:
     """Return a scene's exact images ``(P, *shape, C)`` under patterns ``(P, *shape)``."""
-    radiance = scene.apply(patterns.reshape(len(patterns), -1))
-    return radiance.reshape(len(patterns), *scene.shape, scene.channels)
+    return scene.apply(patterns).reshape(len(patterns), *scene.shape, scene.channels)
 
 
 def right_half(shape: tuple[int, ...]) -> Float:
@@ -41,25 +40,40 @@ def right_half(shape: tuple[int, ...]) -> Float:
     return pattern
 
 
+def one_view_at_a_time(shape: tuple[int, ...]) -> Float:
+    """Return the patterns ``(V, V, H, W)`` that each light one view of a stack, in turn."""
+    views = shape[0]
+    patterns = np.zeros((views, *shape), np.float32)
+    patterns[range(views), range(views)] = 1
+    return patterns
+
+
 def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     """Compute all that the report shows of one transport, beside the truth.
 
     Parameters
     ----------
     transport : Transport
-        Of a coaxial rig over images (H, W).
+        Of a coaxial rig.
     scene : Scene
-        The scene that it was acquired from.
+        The scene that it was acquired from, over images (H, W) or a stack of views (V, H, W).
 
     Returns
     -------
     dict of ndarray
-        ``patterns`` (P, H, W), ``relit`` and ``truth`` (P, H, W, C): the reference patterns.
-        ``floodlit_relit``, ``floodlit_truth``, ``half_relit``, ``half_truth``, ``albedo``
-        (H, W, C). ``line_relit``, ``line_truth`` (W, W, C): the entries of T between the rays of
-        the middle row, camera rays down, projector rays across. ``line_levels`` (W, W), see
-        `leaf_levels`, where the transport has leaves. ``levels_relit`` (L, H, W, C): the vertical
-        bar relit by the transport truncated at each level. Radiance as float32.
+        ``patterns`` (P, *shape), ``relit`` and ``truth`` (P, *shape, C): the reference patterns.
+        ``floodlit_relit``, ``floodlit_truth``, ``albedo`` (*shape, C). ``levels_relit``
+        (L, *shape, C): the vertical bar relit by the transport truncated at each level.
+
+        Of images: ``half_relit``, ``half_truth`` (H, W, C). ``line_relit``, ``line_truth``
+        (W, W, C): the entries of T between the rays of the middle row, camera rays down,
+        projector rays across. ``line_levels`` (W, W), see `leaf_levels`, where the transport has
+        leaves.
+
+        Of a stack: ``views_relit``, ``views_truth`` (V, V, H, W, C): what each view (second axis)
+        sees in the light of each view (first axis).
+
+        Radiance as float32.
 
     Raises
     ------
@@ -77,28 +91,42 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     if transport.channels != channels:
         raise InputError(f"a transport of {transport.channels} channels, a scene of {channels}")
     patterns = np.stack(list(relighting_patterns(shape).values()))
-    more = np.stack([np.ones(shape, np.float32), right_half(shape)])
-    every = np.concatenate([patterns, more])
+    every = np.concatenate([patterns, np.ones((1, *shape), np.float32)])
+    relit, truth = transport.relight_batch(every), images_of(scene, every)
+    n_levels = 1 + max((int(entry["level"]) for entry in transport.level_rows), default=0)
+    bar = patterns[0]
+    return {
+        "patterns": patterns,
+        "relit": relit[:-1],
+        "truth": truth[:-1],
+        "floodlit_relit": relit[-1],
+        "floodlit_truth": truth[-1],
+        "albedo": scene.albedo,
+        "levels_relit": np.stack([transport.truncate(n).relight(bar) for n in range(n_levels)]),
+        **(_between_views if len(shape) == 3 else _within_image)(transport, scene),
+    }
+
+
+def _between_views(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
+    """Return the arrays that `relit_arrays` has of a stack alone."""
+    lights = one_view_at_a_time(scene.shape)
+    relit, truth = transport.relight_batch(lights), images_of(scene, lights)
+    return {"views_relit": relit, "views_truth": truth}
+
+
+def _within_image(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
+    """Return the arrays that `relit_arrays` has of images alone."""
 
     def truth_of(patterns: Float) -> Float:
         return images_of(scene, patterns)
 
-    relit, truth = transport.relight_batch(every), truth_of(every)
-    row = shape[0] // 2
-    n_levels = 1 + max((int(entry["level"]) for entry in transport.level_rows), default=0)
-    bar = patterns[0]
+    shape = scene.shape
+    half, row = right_half(shape), shape[0] // 2
     arrays: dict[str, NDArray[Any]] = {
-        "patterns": patterns,
-        "relit": relit[: len(patterns)],
-        "truth": truth[: len(patterns)],
-        "floodlit_relit": relit[-2],
-        "floodlit_truth": truth[-2],
-        "half_relit": relit[-1],
-        "half_truth": truth[-1],
-        "albedo": scene.albedo,
+        "half_relit": transport.relight(half),
+        "half_truth": truth_of(half[None])[0],
         "line_relit": _entries(transport.relight_batch, shape, row),
         "line_truth": _entries(truth_of, shape, row),
-        "levels_relit": np.stack([transport.truncate(n).relight(bar) for n in range(n_levels)]),
     }
     levels = leaf_levels(transport, row)
     if levels is not None:
@@ -131,7 +159,7 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
     code : str
         Fingerprint of the code behind the stage.
     """
-    from rfpipe.scenes import RELIGHTING_PATTERNS, scene_from_config
+    from rfpipe.scenes import relighting_patterns, scene_from_config
 
     store, manifest = folder / "relight.zarr", folder / "relight.json"
     acquired = read_manifest(folder / "transport.json")
@@ -144,8 +172,8 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
         "stage": "relight",
         "scene": acquired["scene"],
         "method": acquired["method"],
-        "names": list(RELIGHTING_PATTERNS),
-        "row": exact.shape[0] // 2,
+        "names": list(relighting_patterns(exact.shape)),
+        "row": exact.shape[-2] // 2,
         "patterns": acquired["patterns"],
         "bytes": transport.nbytes,
         "levels": transport.level_rows,

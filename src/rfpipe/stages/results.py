@@ -18,7 +18,7 @@ from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.provenance import versions
 from rfpipe.store import ArrayBundle, open_arrays, write_arrays, write_manifest
 
-__all__ = ["accept_bundle", "bundle_entry", "write_bundle"]
+__all__ = ["accept_bundle", "bundle_entry", "intact_bundle", "write_bundle"]
 
 _log = logging.getLogger(__name__)
 
@@ -38,20 +38,31 @@ def accept_bundle(store: Path, manifest: Path, fingerprint: str) -> bool:
     bool
         Whether there was one, undamaged; else the stage has to make it.
     """
-    try:
-        bundle = open_arrays(store)
-        if bundle.attributes.get("fingerprint") != fingerprint:
-            return False
-        for name in bundle.names:
-            bundle.read(name)
-    except IntegrityError as error:
-        _log.warning("made anew, since it is damaged: %s", error)
-        return False
-    except StoreError:
+    bundle = intact_bundle(store, fingerprint)
+    if bundle is None:
         return False
     write_manifest(manifest, _manifest(bundle))
     _log.info("%s: made from the same things before; kept", store)
     return True
+
+
+def intact_bundle(store: Path, fingerprint: str | None) -> ArrayBundle | None:
+    """Return a bundle that was made from the same things, if there is one and it is undamaged.
+
+    `fingerprint` is None where it may be made from anything.
+    """
+    try:
+        bundle = open_arrays(store)
+        if fingerprint not in (None, bundle.attributes.get("fingerprint")):
+            return None
+        for name in bundle.names:
+            bundle.read(name)
+    except IntegrityError as error:
+        _log.warning("made anew, since it is damaged: %s", error)
+        return None
+    except StoreError:
+        return None
+    return bundle
 
 
 def write_bundle(

@@ -39,7 +39,7 @@ class Sweep:
 
     Attributes
     ----------
-    relit : ndarray of float32, shape (T, P, H, W, C)
+    relit : ndarray of float32, shape (T, P, *shape, C)
         The reference patterns relit, radiance.
     rows : list of dict
         ``tolerance``, ``patterns`` shown, ``bytes`` stored: the same in every run.

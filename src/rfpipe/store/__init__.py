@@ -5,16 +5,23 @@ and locks do without it.
 """
 
 from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays
+from rfpipe.store.dropping import drop, to_disk
+from rfpipe.store.files import bytes_on_disk
 from rfpipe.store.frames import FrameStore
+from rfpipe.store.items import ItemWriter
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import read_manifest, write_manifest
 
 __all__ = [
     "ArrayBundle",
     "FrameStore",
+    "ItemWriter",
     "StoreLock",
+    "bytes_on_disk",
+    "drop",
     "open_arrays",
     "read_manifest",
+    "to_disk",
     "write_arrays",
     "write_manifest",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,13 +27,12 @@ from rfpipe.store.files import (
     remove_tree,
     write_atomically,
 )
-from rfpipe.store.items import ItemArray, item_digests, make_item_array
+from rfpipe.store.items import DROPPED, KIND, ItemArray, item_digests, make_item_array, missing_runs
 from rfpipe.store.journal import JournalWriter, journal_bytes, read_journal
 from rfpipe.store.lock import StoreLock
 
 __all__ = ["FrameStore"]
 
-_KIND = "frames"
 _JOURNAL = "journal.jsonl"
 _DTYPE_KINDS = "uif"
 _NAMED_IN_WARNING = 16
@@ -64,22 +64,30 @@ class FrameStore:
         The configuration that it was made with.
     attributes : dict
         Plain data that its maker left.
+    dropped : bool
+        Whether its items were removed on purpose (`drop`): it is complete, but can't be read.
     """
 
-    def __init__(self, path: Path, *, writable: bool) -> None:
-        header = read_attributes(path, _KIND)
+    def __init__(self, path: Path) -> None:
+        header = read_attributes(path, KIND)
         self.path = path
         try:
             self.fingerprint: str = header["fingerprint"]
             self.attributes: dict[str, Any] = header["attributes"]
         except KeyError as error:
             raise damaged_metadata(path, error) from error
-        self._array = ItemArray(path, writable=writable)
+        self._array = ItemArray(path)
         self.shape = self._array.shape
         self.dtype = self._array.dtype
         self.items_per_chunk = self._array.items_per_chunk
         # Digest by captured item; a chunk with an item that the journal lost is written again.
         self._digests = self._array.whole_chunks(read_journal(path / _JOURNAL, self.shape[0]))
+        self.dropped = (path / DROPPED).exists()
+        if self.dropped and not self.complete:
+            raise IntegrityError(
+                f"{path / _JOURNAL}: damaged, and the items that it is about were dropped; remove "
+                f"{path} and run the stage that writes it again"
+            )
         self._journal: JournalWriter | None = None
         self._lock = StoreLock(path)
         self._thread_lock = threading.Lock()
@@ -141,7 +149,7 @@ class FrameStore:
             )
         if wanted.kind not in _DTYPE_KINDS:
             raise InputError(f"{path}: dtype {wanted}; expected an integer or float dtype")
-        header = {"kind": _KIND, "fingerprint": fingerprint, "attributes": attributes}
+        header = {"kind": KIND, "fingerprint": fingerprint, "attributes": attributes}
         header = plain(header, f"{path}: attributes")
         lock = StoreLock(path)
         lock.acquire()
@@ -155,9 +163,10 @@ class FrameStore:
                     items_per_chunk=items_per_chunk,
                     compression=compression or compression_for(wanted),
                 )
-            store = cls(path, writable=True)
+            store = cls(path)
             store._refuse_other(shape, wanted, fingerprint)
-            store._repair()
+            if not store.dropped:
+                store._repair()
             store._journal = JournalWriter(path / _JOURNAL)
         except BaseException:
             lock.release()
@@ -176,7 +185,7 @@ class FrameStore:
         IntegrityError
             When its metadata are damaged.
         """
-        return cls(path, writable=False)
+        return cls(path)
 
     @staticmethod
     def discard(path: Path) -> None:
@@ -219,16 +228,7 @@ class FrameStore:
             Cut the runs to at most so many items, rounded down to whole chunks but at least
             one; None leaves them whole.
         """
-        edges = np.flatnonzero(np.diff(~self.done, prepend=False, append=False))
-        runs = [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
-        if longest is None:
-            return runs
-        step = max(1, longest // self.items_per_chunk) * self.items_per_chunk
-        return [
-            (first, min(first + step, stop))
-            for start, stop in runs
-            for first in range(start, stop, step)
-        ]
+        return missing_runs(self.done, longest, self.items_per_chunk)
 
     def write(self, start: int, block: NDArray[Any]) -> None:
         """Store items, then enter them in the journal.
@@ -248,18 +248,33 @@ class FrameStore:
             When the store isn't open for writing, an item is captured already, or the disk is
             full: all that is in the journal stays.
         """
-        if self._journal is None:
-            raise StoreError(f"{self.path}: isn't open for writing; use FrameStore.create")
         stop = start + len(block)
         self._check_block(start, stop, block)
-        if start == stop:
-            return
-        block = np.ascontiguousarray(block)
-        digests = item_digests(block)
-        self._array.write(start, block)
+        if start < stop:
+            block = np.ascontiguousarray(block)
+            digests = item_digests(block)
+            self._array.write(start, block)
+            self.enter(start, digests)
+
+    def enter(self, start: int, digests: Sequence[str]) -> None:
+        """Enter items that an `ItemWriter` wrote in the journal.
+
+        Parameters
+        ----------
+        start
+            Index of the first.
+        digests
+            Theirs, as the writer returned them.
+
+        Raises
+        ------
+        StoreError
+            When the store isn't open for writing, or the disk is full.
+        """
+        journal = self._open_journal()
         with self._thread_lock:
-            self._journal.append(start, digests)
-            self._digests.update(zip(range(start, stop), digests, strict=True))
+            journal.append(start, digests)
+            self._digests.update(enumerate(digests, start))
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
         """Items [start, stop), checked against the journal.
@@ -272,7 +287,7 @@ class FrameStore:
         Raises
         ------
         StoreError
-            When an item isn't captured yet.
+            When an item isn't captured yet, or the items were dropped.
         IntegrityError
             When a chunk is missing, truncated or altered; names the file and what to do.
         InputError
@@ -284,6 +299,11 @@ class FrameStore:
             raise StoreError(
                 f"{self.path}: item {absent} isn't captured yet ({len(self._digests)} of "
                 f"{self.shape[0]} are); run the stage that writes it to the end"
+            )
+        if self.dropped and start < stop:
+            raise StoreError(
+                f"{self.path}: its {self.shape[0]} items were dropped once they had been used; "
+                "remove it and run the stage that writes it again"
             )
         block = self._array.read(start, stop, self._digests)
         if block is None:
@@ -329,6 +349,11 @@ class FrameStore:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _open_journal(self) -> JournalWriter:
+        if self._journal is None:
+            raise StoreError(f"{self.path}: isn't open for writing; use FrameStore.create")
+        return self._journal
+
     def _check_range(self, start: int, stop: int) -> None:
         if not 0 <= start <= stop <= self.shape[0]:
             raise InputError(
@@ -337,18 +362,9 @@ class FrameStore:
             )
 
     def _check_block(self, start: int, stop: int, block: NDArray[Any]) -> None:
+        self._open_journal()
         self._check_range(start, stop)
-        if block.shape[1:] != self.shape[1:] or block.dtype != self.dtype:
-            raise InputError(
-                f"{self.path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
-                f"(items, {', '.join(map(str, self.shape[1:]))})"
-            )
-        step = self.items_per_chunk
-        if start % step or (stop % step and stop != self.shape[0]):
-            raise InputError(
-                f"{self.path}: items {start} to {stop} aren't whole chunks of {step}; write the "
-                "runs that missing() gives"
-            )
+        self._array.check(start, block)
         taken = next((item for item in range(start, stop) if item in self._digests), None)
         if taken is not None:
             raise StoreError(

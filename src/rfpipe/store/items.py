@@ -9,28 +9,35 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
-from rfpipe.store.chunks import (
-    DAMAGE,
-    METADATA,
-    Compression,
-    layout,
-    open_array,
-)
+from rfpipe.errors import InputError, StaleStoreError
+from rfpipe.store.chunks import DAMAGE, METADATA, Compression, layout, read_attributes
+from rfpipe.store.codec import ChunkFiles
 from rfpipe.store.files import digest_of, hidden_sibling, remove_tree, storage_errors
 
-__all__ = ["ItemArray", "item_digests", "make_item_array"]
+__all__ = [
+    "DROPPED",
+    "KIND",
+    "ItemArray",
+    "ItemWriter",
+    "item_digests",
+    "make_item_array",
+    "missing_runs",
+]
+
+KIND = "frames"
+"""What the stores of items call themselves."""
+
+DROPPED = "dropped.json"
+"""Says, in a store's folder, that its items were removed on purpose; see `rfpipe.store.drop`."""
 
 
 class ItemArray:
-    """A zarr array whose first axis counts items.
+    """An array whose first axis counts items; threads may share it.
 
     Parameters
     ----------
     path
         Its folder.
-    writable
-        False opens it for reading.
 
     Raises
     ------
@@ -38,31 +45,57 @@ class ItemArray:
         When its metadata are damaged.
     """
 
-    def __init__(self, path: Path, *, writable: bool) -> None:
+    def __init__(self, path: Path) -> None:
         self._path = path
-        self._array = open_array(path, "r+" if writable else "r")
-        self.shape: tuple[int, ...] = self._array.shape
-        self.dtype: np.dtype[Any] = np.dtype(self._array.dtype)
-        self.items_per_chunk: int = self._array.chunks[0]
+        self._files = ChunkFiles(path)
+        self.shape = self._files.shape
+        self.dtype = self._files.dtype
+        self.items_per_chunk = self._files.items_per_chunk
+
+    def check(self, start: int, block: NDArray[Any]) -> None:
+        """Raise InputError unless a block fits and is of whole chunks."""
+        stop, step = start + len(block), self.items_per_chunk
+        if block.shape[1:] != self.shape[1:] or block.dtype != self.dtype:
+            raise InputError(
+                f"{self._path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
+                f"(items, {', '.join(map(str, self.shape[1:]))})"
+            )
+        if start % step or (stop % step and stop != self.shape[0]):
+            raise InputError(
+                f"{self._path}: items {start} to {stop} aren't whole chunks of {step}; write the "
+                "runs that missing() gives"
+            )
 
     def write(self, start: int, block: NDArray[Any]) -> None:
         """Store the items from `start` on; whole chunks."""
         action = f"writing items {start} to {start + len(block) - 1}"
+        step = self.items_per_chunk
         with storage_errors(self._path, action, block.nbytes):
-            self._array[start : start + len(block)] = block
+            for first in range(0, len(block), step):
+                self._files.write((start + first) // step, block[first : first + step])
 
     def read(self, start: int, stop: int, digests: Mapping[int, str]) -> NDArray[Any] | None:
         """Items [start, stop), or None when one isn't what its digest says."""
-        # zarr takes a missing chunk for zeros, which are what a black frame holds.
-        if not all(self.chunk_file(first).exists() for first in self._chunk_starts(start, stop)):
-            return None
+        block = np.empty((stop - start, *self.shape[1:]), self.dtype)
+        step = self.items_per_chunk
         try:
-            block = np.asarray(self._array[start:stop])
+            for first in self._chunk_starts(start, stop):
+                last = min(first + step, stop)
+                if first >= start:
+                    self._files.read(first // step, block[first - start : last - start])
+                else:
+                    part = np.empty((last - first, *self.shape[1:]), self.dtype)
+                    self._files.read(first // step, part)
+                    block[: last - start] = part[start - first :]
         except DAMAGE:
             return None
         if item_digests(block) != [digests[item] for item in range(start, stop)]:
             return None
         return block
+
+    def files(self) -> list[Path]:
+        """Files of all chunks that are there."""
+        return sorted(self._path.glob("c.*"))
 
     def damaged(self, start: int, stop: int, digests: Mapping[int, str]) -> list[int]:
         """Those of the items [start, stop) in `digests` that can't be read as they were written."""
@@ -76,8 +109,7 @@ class ItemArray:
 
     def chunk_file(self, item: int) -> Path:
         """File that holds an item."""
-        key = [item // self.items_per_chunk, *(0 for _ in self.shape[1:])]
-        return self._path / ".".join(["c", *map(str, key)])
+        return self._files.file(item // self.items_per_chunk)
 
     def whole_chunks(self, digests: Mapping[int, str]) -> dict[int, str]:
         """Keep what covers chunks wholly, since they are written whole."""
@@ -95,9 +127,74 @@ class ItemArray:
         return range(start - start % step, stop, step)
 
 
+class ItemWriter:
+    """Writes items into a store whose lock and journal the caller, or another process, holds.
+
+    The holder enters what was written by `FrameStore.enter`; until then it counts as missing.
+    Threads may share it.
+
+    Parameters
+    ----------
+    path
+        The store's folder.
+    fingerprint
+        What the store must have been made with.
+
+    Raises
+    ------
+    StoreError
+        When there is none.
+    StaleStoreError
+        When it was made with another configuration: by a later run, while this one was cut off.
+    IntegrityError
+        When its metadata are damaged.
+    """
+
+    def __init__(self, path: Path, fingerprint: str) -> None:
+        found = read_attributes(path, KIND).get("fingerprint")
+        if found != fingerprint:
+            raise StaleStoreError(
+                f"{path}: made with another configuration (fingerprint {found} instead of "
+                f"{fingerprint}); run the stage that writes it again"
+            )
+        self._array = ItemArray(path)
+
+    def write(self, start: int, block: NDArray[Any]) -> list[str]:
+        """Store the items from `start` on; return their digests.
+
+        Raises
+        ------
+        InputError
+            When the block doesn't fit, or isn't of whole chunks.
+        StoreError
+            When the disk is full.
+        """
+        self._array.check(start, block)
+        block = np.ascontiguousarray(block)
+        digests = item_digests(block)
+        self._array.write(start, block)
+        return digests
+
+
 def item_digests(block: NDArray[Any]) -> list[str]:
     """Digest of each item's bytes in a C-ordered block."""
     return [digest_of(item) for item in block]
+
+
+def missing_runs(
+    done: NDArray[np.bool_], longest: int | None, items_per_chunk: int
+) -> list[tuple[int, int]]:
+    """List the runs [start, stop) of items that aren't done; see `FrameStore.missing`."""
+    edges = np.flatnonzero(np.diff(~done, prepend=False, append=False))
+    runs = [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+    if longest is None:
+        return runs
+    step = max(1, longest // items_per_chunk) * items_per_chunk
+    return [
+        (first, min(first + step, stop))
+        for start, stop in runs
+        for first in range(start, stop, step)
+    ]
 
 
 def make_item_array(

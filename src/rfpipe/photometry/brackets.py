@@ -1,0 +1,163 @@
+"""Merging the brackets of one camera: what they share is worked out once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.photometry.demosaic import demosaic
+from rfpipe.photometry.hdr import ROUNDS, UNKNOWN_DEVIATION, merge_bracket
+from rfpipe.photometry.sensor import Merged, MergeOptions, check_black, check_frames, check_shape
+from rfpipe.units import COUNTS, RADIANCE
+
+if TYPE_CHECKING:
+    from rfpipe.photometry.camera import CameraModel
+
+__all__ = ["CountsMerge", "electrons_of_counts"]
+
+Float = NDArray[np.float32]
+
+GLOW_SIGNIFICANCE = 4.0
+"""Electrons in the all-off frames count as more than the dark current above this many standard
+deviations of their noise; its shot noise then enters the variance."""
+
+COMPILED_AFTER = 2**25
+"""Counts merged before the compiled kernel is loaded: NumPy takes as long for so many as the
+loading takes. Both give the same bits."""
+
+
+class CountsMerge:
+    """The merge of a camera's brackets; see `CameraModel.merging`.
+
+    Threads may share it.
+
+    Parameters
+    ----------
+    camera : CameraModel
+    black : ndarray of float32, shape (E, ...)
+        Mean of the all-off frames in counts.
+    options : MergeOptions
+    """
+
+    def __init__(self, camera: CameraModel, black: NDArray[Any], options: MergeOptions) -> None:
+        black = np.asarray(black, np.float32)
+        check_black(black, len(camera.exposures))
+        self._camera = camera
+        self._options = options
+        self._shape = black.shape
+        self._collection = [
+            camera.electrons_per_radiance * exposure for exposure in camera.exposures
+        ]
+        self._full_scale = camera.full_well_electrons / self._collection[0]
+        self._usable_below = COUNTS(np.ceil(options.saturation_fraction * camera.white_level))
+        table = electrons_of_counts(camera, options)
+        background = np.interp(black, np.arange(len(table)), table).astype(np.float32)
+        # the converter's steps are as coarse in electrons as the response is steep
+        steps = np.square(np.gradient(table)).astype(np.float32) / 12
+        noise = _fixed_noise(camera, background, options)
+        self._is_linear = camera.response_gamma == 1 and options.response is None
+        self._table, self._steps = table, steps
+        self._background = black if self._is_linear else background
+        self._noise = noise + steps[0] if self._is_linear else noise
+        self._merged = 0
+
+    def __call__(self, frames: NDArray[Any], first_index: int = 0) -> Merged:
+        """Merge brackets ``(B, *frame_shape)``, the first of them that of pattern `first_index`.
+
+        Raises
+        ------
+        CaptureError
+            When frames have the wrong shape, dtype or range; names the pattern.
+        """
+        frames = np.asarray(frames)
+        options = replace(self._options, first_index=first_index)
+        check_shape(frames, self._shape, options)
+        check_frames(frames, self._camera.white_level, options)
+        is_compiled = self._merged >= COMPILED_AFTER
+        self._merged += frames.size
+        radiance, variance, saturated = (
+            self._by_kernel(frames) if is_compiled else self._by_numpy(frames)
+        )
+        if self._camera.bayer is None:
+            return Merged(radiance, variance, saturated)
+        colour, spread = (np.empty((*radiance.shape, 3), RADIANCE) for _ in range(2))
+        for index in range(len(radiance)):
+            colour[index], spread[index] = demosaic(
+                radiance[index], variance[index], self._camera.bayer
+            )
+        return Merged(colour, spread, saturated)
+
+    def _by_numpy(self, frames: NDArray[Any]) -> tuple[Float, Float, int]:
+        shape = (len(frames), *self._shape[1:])
+        radiance, variance = np.empty(shape, RADIANCE), np.empty(shape, RADIANCE)
+        saturated = 0
+        for index, bracket in enumerate(frames):
+            if self._is_linear:
+                electrons = bracket - self._background
+                electrons *= np.float32(self._camera.electrons_per_count)
+                noise: Sequence[Float] = list(self._noise)
+            else:
+                electrons = self._table[bracket] - self._background
+                noise = list(self._noise + self._steps[bracket])
+            radiance[index], variance[index], lost = merge_bracket(
+                electrons, bracket < self._usable_below, self._collection, noise, self._full_scale
+            )
+            saturated += lost
+        return radiance, variance, saturated
+
+    def _by_kernel(self, frames: NDArray[Any]) -> tuple[Float, Float, int]:
+        from rfpipe.photometry.kernels import merge_counts
+
+        count, exposures = frames.shape[:2]
+        flat = (count, exposures, -1)
+        none = np.zeros(0, np.float32)
+        shape = (count, *self._shape[1:])
+        radiance, variance = np.empty(shape, RADIANCE), np.empty(shape, RADIANCE)
+        saturated = merge_counts(
+            np.ascontiguousarray(frames, COUNTS).reshape(flat),
+            self._background.reshape(flat[1:]),
+            self._noise.reshape(flat[1:]),
+            none if self._is_linear else self._table,
+            none if self._is_linear else self._steps,
+            np.float32(self._camera.electrons_per_count),
+            self._usable_below,
+            np.array(self._collection, np.float32),
+            np.float32((UNKNOWN_DEVIATION * self._full_scale) ** 2),
+            ROUNDS,
+            radiance.reshape(count, -1),
+            variance.reshape(count, -1),
+        )
+        return radiance, variance, int(saturated)
+
+
+def electrons_of_counts(camera: CameraModel, options: MergeOptions) -> Float:
+    """Return the electrons above the nominal black level behind each count, float32."""
+    span = camera.white_level - camera.black_level_counts
+    level = (np.arange(camera.white_level + 1) - camera.black_level_counts) / span
+    if options.response is not None:
+        fraction = options.response.linearise(level)
+    else:
+        fraction = np.copysign(np.abs(level) ** camera.response_gamma, level)
+    return (fraction * camera.full_well_electrons).astype(np.float32)
+
+
+def _fixed_noise(camera: CameraModel, background: Float, options: MergeOptions) -> Float:
+    """Variance in electrons squared that doesn't come from the signal, (E, *frame).
+
+    Read noise, dark current and the shot noise of light in the all-off frames (the projector's
+    black level), each twice: in the frame, and in the mean that is subtracted.
+    """
+    shape = (-1, *(1,) * (background.ndim - 1))
+    dark = camera.dark_current_electrons * np.reshape(camera.exposures, shape)
+    variance = camera.read_noise_electrons**2 + dark
+    # the converter's noise is of the frame alone: in the mean it's averaged and dithered
+    quantum = camera.electrons_per_count**2 / 12
+    glow = background - dark
+    error = np.sqrt((variance + quantum) / options.black_count)
+    glow[glow < GLOW_SIGNIFICANCE * error] = 0
+    noise = (variance + glow) * (1 + 1 / options.black_count) + quantum / options.black_count
+    return np.asarray(noise, np.float32)

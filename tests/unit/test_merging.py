@@ -1,0 +1,194 @@
+"""The merge of many brackets: compiled or not, in whatever threads and memory, the same bits."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import CaptureError
+from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions, Response, brackets
+from rfpipe.photometry.defects import DefectMap, repair
+from rfpipe.provenance import generator
+from rfpipe.stages import merging
+from rfpipe.stages.merging import LevelSum, Merger, reference_patterns, runs
+from rfpipe.stages.workers import Resources, Workers
+
+CAMERA = CameraModel()
+IMAGE = (11, 13, 3)
+
+
+def captured(camera: CameraModel, count: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """Brackets of dark to saturated pixels, and the mean of all-off ones with a stuck pixel."""
+    light = (10.0 ** generator(4).uniform(-5, 1, (count, *IMAGE))).astype(np.float32)
+    frames = np.stack([camera.expose(image, 1, (0, index)) for index, image in enumerate(light)])
+    dark = np.zeros(IMAGE, np.float32)
+    off = np.mean([camera.expose(dark, 1, (9, index)) for index in range(4)], axis=0)
+    frames[:, :, 2, 3], off[:, 2, 3] = camera.white_level, camera.white_level
+    return frames, off.astype(np.float32)
+
+
+CURVE = Response(np.linspace(0, 1, 5), np.linspace(0, 1, 5) ** 1.8)
+
+
+@pytest.mark.parametrize(
+    ("camera", "response"),
+    [
+        (CAMERA, None),
+        (replace(CAMERA, response_gamma=2.2), None),
+        (CAMERA, CURVE),
+        (replace(CAMERA, bayer="RGGB"), None),
+        (replace(CAMERA, exposures=(0.01,), bits=8, black_level_counts=4), None),
+        (replace(CAMERA, bits=16, black_level_counts=600), None),
+    ],
+    ids=["linear", "bent", "recovered", "mosaic", "one exposure", "16 bits"],
+)
+@pytest.mark.parametrize("fraction", [0.98, 1.0])
+def test_the_compiled_merge_gives_the_bits_of_the_plain_one(
+    monkeypatch: pytest.MonkeyPatch, camera: CameraModel, response: Response | None, fraction: float
+) -> None:
+    frames, off = captured(camera)
+    options = MergeOptions(4, fraction, response)
+    plain = camera.merge(frames, off, options)
+    monkeypatch.setattr(brackets, "COMPILED_AFTER", 0)
+    compiled = camera.merge(frames, off, options)
+    assert compiled.saturated == plain.saturated > 0
+    np.testing.assert_array_equal(compiled.radiance, plain.radiance)
+    np.testing.assert_array_equal(compiled.variance, plain.variance)
+
+
+def test_the_merge_is_compiled_once_it_has_enough_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames, off = captured(CAMERA)
+    monkeypatch.setattr(brackets, "COMPILED_AFTER", frames.size)
+    merge = CAMERA.merging(off)
+    used: list[str] = []
+    for name in ("_by_numpy", "_by_kernel"):
+        method: Callable[..., Any] = getattr(merge, name)
+
+        def said(given: np.ndarray, name: str = name, method: Callable[..., Any] = method) -> Any:
+            used.append(name)
+            return method(given)
+
+        monkeypatch.setattr(merge, name, said)
+    for _ in range(3):
+        merge(frames)
+    assert used == ["_by_numpy", "_by_kernel", "_by_kernel"]
+
+
+def test_a_level_sum_is_added_image_by_image() -> None:
+    images = generator(1).standard_normal((5, *IMAGE)).astype(np.float32)
+    merged = [Merged(part, 2 * part, 0) for part in (images[:1], images[1:4], images[4:])]
+    total = LevelSum.zero(IMAGE)
+    for part in merged:
+        total.add(part)
+    np.testing.assert_array_equal(total.radiance, images.astype(np.float64).cumsum(axis=0)[-1])
+    np.testing.assert_array_equal(total.variance, 2 * total.radiance)
+
+
+def test_runs_are_whole_files_whatever_their_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(merging, "_CHUNK_BYTES", 3 * 2 * 4 * 429)
+    assert runs(50, IMAGE) == [(0, 24), (24, 48), (48, 50)]
+    assert runs(0, IMAGE) == []
+    monkeypatch.setattr(merging, "_CHUNK_BYTES", 1)
+    assert runs(9, IMAGE) == [(0, 8), (8, 9)]
+
+
+def test_reference_patterns_are_all_off_then_all_on() -> None:
+    patterns, keys = reference_patterns((2, 3), 3, 0, 5)
+    assert patterns.max(axis=(1, 2)).tolist() == patterns.min(axis=(1, 2)).tolist()
+    assert patterns[:, 0, 0].tolist() == [0, 0, 0, 1, 1]
+    for first, last in ((0, 2), (1, 4), (3, 5), (5, 5)):
+        part, part_keys = reference_patterns((2, 3), 3, first, last)
+        np.testing.assert_array_equal(part, patterns[first:last])
+        assert part_keys == keys[first:last]
+    assert len(set(keys)) == 5
+
+
+@pytest.mark.parametrize("camera", [CAMERA, replace(CAMERA, bayer="GRBG"), ExactSensor()])
+def test_a_calibration_is_the_same_however_its_brackets_come(camera: Any) -> None:
+    image = generator(2).uniform(0.2, 1, IMAGE).astype(np.float32)
+    off = np.stack([camera.expose(np.zeros_like(image), 1, (9, index)) for index in range(5)])
+    on = np.stack([camera.expose(image, 1, (8, index)) for index in range(6)])
+    if camera is CAMERA:
+        off[:, :, 4, 5] = 3000  # hot
+    together = Merger.calibrate(camera, [off], [on])
+    apart = Merger.calibrate(
+        camera, (off[i : i + 2] for i in range(0, 5, 2)), (on[i : i + 1] for i in range(6))
+    )
+    for name in ("black", "floodlit", "floodlit_variance"):
+        np.testing.assert_array_equal(getattr(apart, name), getattr(together, name))
+    assert together.options == apart.options == MergeOptions(5)
+    if camera is CAMERA:
+        assert together.defects is not None
+        assert apart.defects is not None
+        assert np.argwhere(apart.defects.mask).tolist() == [[4, 5]]
+        assert together.floodlit[4, 5] == pytest.approx(image[4, 4], abs=1)
+
+
+def test_defects_are_filled_in_the_same_for_one_image_and_for_many() -> None:
+    frames, off = captured(CAMERA, 4)
+    mask = np.zeros(IMAGE[:2], bool)
+    mask[0, 0] = mask[2, 3] = mask[5:8, 6:9] = True
+    nothing = np.zeros(0, np.float32)
+    merger = Merger(CAMERA, off, MergeOptions(4), DefectMap(mask, 1, 1), nothing, nothing)
+    plain = CAMERA.merge(frames, off, MergeOptions(4))
+    radiance, variance = repair(plain.radiance, plain.variance, mask)
+    together = merger.merge(frames, 0)
+    np.testing.assert_array_equal(together.radiance, radiance)
+    np.testing.assert_array_equal(together.variance, variance)
+    for index in range(4):
+        alone = merger.merge(frames[index : index + 1], index)
+        np.testing.assert_array_equal(alone.radiance[0], radiance[index])
+
+
+def test_workers_keep_the_order_and_hold_few_results() -> None:
+    lock = threading.Lock()
+    begun: list[int] = []
+
+    def work(first: int, last: int) -> int:
+        with lock:
+            begun.append(first)
+        time.sleep(0.002 * (5 - first % 5))  # later ones end earlier
+        return first * 100 + last
+
+    pieces = [(index, index + 1) for index in range(20)]
+    with Resources(threads=3).workers(1) as workers:
+        assert workers.in_flight == 6
+        results = workers.results(work, pieces)
+        assert next(results) == 1
+        assert len(begun) <= 7
+        assert list(results) == [100 * first + last for first, last in pieces[1:]]
+
+
+def test_workers_stop_at_the_first_error_in_order() -> None:
+    begun: list[int] = []
+
+    def work(first: int, _last: int) -> int:
+        begun.append(first)
+        if first in (2, 3):
+            raise CaptureError(f"pattern {first}")
+        time.sleep(0.005)
+        return first
+
+    pieces = [(index, index + 1) for index in range(100)]
+    with (
+        pytest.raises(CaptureError, match="pattern 2"),
+        Resources(threads=2).workers(1) as workers,
+    ):
+        list(workers.results(work, pieces))
+    assert len(begun) < 10
+
+
+def test_resources_use_fewer_threads_where_memory_is_short() -> None:
+    few = Resources(memory_gib=1.0, threads=4)
+    assert few.fitting(few.data_bytes // 3, 16) == 3
+    assert few.fitting(2 * few.data_bytes, 16) == 1
+    for size, in_flight in ((1, 8), (few.data_bytes // 4, 4), (few.data_bytes, 1)):
+        with few.workers(size) as workers:
+            assert workers.in_flight == in_flight
+    assert list(Workers(None, 1).results(lambda a, b: (a, b), [(1, 2), (2, 3)])) == [(1, 2), (2, 3)]

@@ -1,0 +1,109 @@
+"""One acquisition, stage by stage on files, of a known matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rfpipe.config import CameraConfig
+from rfpipe.photometry import CameraModel, Sensor
+from rfpipe.provenance import generator
+from rfpipe.rigs import OperatorRig
+from rfpipe.stages import assemble, capture, merge, normalize, refine, schedule
+from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.workers import Resources
+from rfpipe.transport import open_transport
+
+SHAPE = (4, 5)
+RAYS = 20
+CODE = "some code"
+
+CAMERA = CameraModel(**CameraConfig().model_dump())
+
+
+def symmetric_matrix() -> np.ndarray:
+    half = generator(3).random((RAYS, RAYS)) / RAYS
+    return half + half.T  # radiance 1 under floodlight, half of what the camera can see
+
+
+class Acquisition:
+    """One acquisition by symmetric photography of a matrix, stage by stage."""
+
+    def __init__(self, path: Path, rig: Any, tolerance: float = 1e-3) -> None:
+        self.rig = rig
+        self.folder = AcquisitionFolder(path)
+        self.plan = Plan("symmetric", SHAPE, SHAPE, 1, tolerance=tolerance)
+        self.resources = Resources()
+        self.keep_raw = True
+        self.code = CODE
+
+    def schedule(self, level: int) -> None:
+        schedule.run(self.plan, self.folder, level, CODE)
+
+    def capture(self, level: int, **options: Any) -> None:
+        options = {"resources": self.resources, **options}
+        capture.run(self.rig, self.folder, level, references=(2, 2), **options)
+
+    def merge(self, level: int, repair_defects: bool = True) -> None:
+        merge.run(
+            self.rig.sensor, self.folder, level,
+            saturation_fraction=0.98, repair_defects=repair_defects, code=self.code,
+            keep_raw=self.keep_raw, resources=self.resources,
+        )  # fmt: skip
+
+    def normalize(self, level: int) -> None:
+        normalize.run(self.plan, self.folder, level, mode="per_channel", code=CODE)
+
+    def refine(self, level: int) -> None:
+        refine.run(self.plan, self.folder, level, CODE)
+
+    def level(self, level: int) -> None:
+        for stage in (self.schedule, self.capture, self.merge, self.normalize, self.refine):
+            stage(level)
+
+    def assemble(self) -> Any:
+        manifest = self.folder.path / "transport.json"
+        assemble.run(self.plan, self.folder, manifest, "matrix", "float32", CODE)
+        return open_transport(self.folder.path / "transport.zarr")
+
+
+def matrix_rig(matrix: np.ndarray | None = None, noise: Sensor | None = None) -> OperatorRig:
+    return OperatorRig(symmetric_matrix() if matrix is None else matrix, SHAPE, SHAPE, noise)
+
+
+class FaultyRig:
+    """A rig whose frames of some patterns come out differently."""
+
+    def __init__(self, rig: OperatorRig, fault: Callable[[tuple[int, ...], Any], Any]) -> None:
+        self._rig = rig
+        self._fault = fault
+        self.shown: list[tuple[int, ...]] = []
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rig, name)
+
+    def capture(self, patterns: Any, keys: Any) -> Any:
+        frames = [
+            self._fault(key, self._rig.capture(patterns[i : i + 1], [key])[0])
+            for i, key in enumerate(keys)
+        ]
+        self.shown += keys
+        return np.stack(frames)
+
+
+def contents(store: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(store)): path.read_bytes()
+        for path in (store.rglob("*") if store.is_dir() else [store])
+        if path.is_file()
+    }
+
+
+def damage(store: Path) -> Path:
+    chunk = max((path for path in store.rglob("c*") if path.is_file()), key=lambda p: p.name)
+    content = chunk.read_bytes()
+    chunk.write_bytes(content[: len(content) // 2])
+    return chunk

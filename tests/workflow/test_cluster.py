@@ -1,0 +1,160 @@
+"""The merge on a real cluster of two worker processes: the same bytes as by threads."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import dask
+import pytest
+from tests.workflow.harness import TINY, Workflow, undo
+from tests.workflow.stagewise import CAMERA, SHAPE, Acquisition, contents, damage, matrix_rig
+
+from rfpipe.config import parse_config
+from rfpipe.errors import CaptureError, ClusterError, ConfigError, IntegrityError
+from rfpipe.stages import cluster as cluster_module
+from rfpipe.stages import merge, merging
+from rfpipe.stages.cluster import connected
+from rfpipe.stages.plan import Plan
+from rfpipe.stages.workers import Resources
+
+
+def local_cluster(workers: int) -> Any:
+    from distributed import LocalCluster
+
+    # a worker that dies shall not be tried again
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        return LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0"
+        )
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    with local_cluster(2) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture
+def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Acquisition:
+    """A level of 20 patterns, two of them in a run."""
+    monkeypatch.setattr(merging, "_CHUNK_BYTES", 1)
+    monkeypatch.setattr(merging, "_CHUNKS_PER_RUN", 2)
+    acquisition = Acquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
+    acquisition.plan = Plan("brute_force", SHAPE, SHAPE, 1)
+    acquisition.schedule(0)
+    acquisition.capture(0)
+    return acquisition
+
+
+def test_a_cluster_leaves_the_bytes_that_threads_leave(captured: Acquisition, address: str) -> None:
+    level = captured.folder.path / "L00"
+    left = []
+    for resources in (Resources(), Resources(threads=2), Resources(cluster=address)):
+        captured.resources = resources
+        captured.merge(0)
+        left.append({name: contents(level / name) for name in ("merge.zarr", "sums.zarr")})
+        left[-1]["manifest"] = contents(level / "merge.json")
+        merged = captured.folder.store(0, "merge")
+        merged.rename(level / f"of {len(left)}")  # or it would be kept
+    assert left[0] == left[1] == left[2]
+    assert len(left[0]["merge.zarr"]) == 20 + 3
+
+
+def test_workers_can_pass_the_work_on(captured: Acquisition, monkeypatch: Any) -> None:
+    runs = []
+    call = merge._MergeRun.__call__
+
+    def passed_on(self: Any, first: int, last: int) -> Any:
+        result = call(pickle.loads(pickle.dumps(self)), first, last)
+        runs.append(first)
+        call(self, first, last)  # opens its stores
+        return result
+
+    monkeypatch.setattr(merge._MergeRun, "__call__", passed_on)
+    captured.merge(0)
+    assert runs == list(range(0, 20, 2))
+
+
+def test_few_pieces_are_handed_out_at_a_time(address: str) -> None:
+    with Resources(cluster=address).workers(1) as workers:
+        assert workers.in_flight == 4
+        results = workers.results(lambda first, last: (os.getpid(), first, last), PIECES)
+        found = list(results)
+    assert [result[1:] for result in found] == PIECES
+    assert os.getpid() not in {result[0] for result in found}
+    small = Resources(memory_gib=1e-6, cluster=address)
+    with small.workers(small.data_bytes) as workers:
+        assert workers.in_flight == 1
+        assert len(list(workers.results(lambda first, last: first, PIECES))) == 30
+
+
+PIECES = [(index, index + 1) for index in range(30)]
+
+
+def test_errors_come_back_from_the_workers(captured: Acquisition, address: str) -> None:
+    captured.resources = Resources(cluster=address)
+    chunk = damage(captured.folder.store(0, "capture"))
+    manifest = captured.folder.manifest(0, "capture")
+    with pytest.raises(IntegrityError, match=f"{chunk}.*remove {manifest} and run again"):
+        captured.merge(0)
+    captured.capture(0)
+    captured.merge(0)
+
+    def fails(first: int, _last: int) -> None:
+        if first == 5:
+            raise CaptureError("pattern 5 is no picture")
+
+    with (
+        pytest.raises(CaptureError, match="pattern 5 is no picture"),
+        Resources(cluster=address).workers(1) as workers,
+    ):
+        list(workers.results(fails, PIECES))
+
+
+def test_a_cluster_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_module, "_PATIENCE_SECONDS", 1)
+    with (
+        pytest.raises(ClusterError, match=r"no scheduler answers there.*dask scheduler"),
+        Resources(cluster="tcp://127.0.0.1:9").workers(1),
+    ):
+        pass
+
+
+def test_a_cluster_that_is_not_fit(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with (
+        local_cluster(0) as empty,
+        pytest.raises(ClusterError, match="has no workers"),
+        connected(empty.scheduler_address),
+    ):
+        pass
+    monkeypatch.setattr(cluster_module, "code_fingerprint", lambda _name: str(os.getpid()))
+    with (
+        pytest.raises(ClusterError, match="run another version of rfpipe"),
+        connected(address),
+    ):
+        pass
+
+
+def test_work_that_kills_its_worker(address: str) -> None:
+    with (
+        pytest.raises(ClusterError, match=r"the work was lost.*too little memory"),
+        Resources(cluster=address).workers(1) as workers,
+    ):
+        list(workers.results(lambda _first, _last: os._exit(1), PIECES))
+
+
+@pytest.mark.parametrize("wrong", ["localhost", "tcp://host", "http://host:8786", "tcp://a b:1"])
+def test_an_address_that_is_none(wrong: str) -> None:
+    with pytest.raises(ConfigError, match=r"resources\.cluster is"):
+        parse_config({"resources": {"cluster": wrong}}, "mine")
+
+
+def test_a_run_with_a_cluster(copy: Workflow, undisturbed: Workflow, address: str) -> None:
+    undo(copy, 3, "merge")
+    copy.configure(resources={"cluster": address})
+    copy.run(TINY)
+    assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")

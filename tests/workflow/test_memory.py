@@ -1,0 +1,67 @@
+"""Peak memory of the stages that stream: it doesn't grow with the number of patterns."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+PROGRAM = r"""
+import re, sys
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse
+
+from rfpipe.patterns import Schedule
+from rfpipe.photometry import CameraModel, brackets
+from rfpipe.provenance import generator
+from rfpipe.rigs import OperatorRig
+from rfpipe.stages import capture, merge, normalize
+from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.results import write_bundle
+from rfpipe.stages.workers import Resources
+
+brackets.COMPILED_AFTER = 0  # else many patterns would load the compiler, and few would not
+shape, count = (40, 50), int(sys.argv[2])
+rays = shape[0] * shape[1]
+folder = AcquisitionFolder(Path(sys.argv[1]))
+plan = Plan("brute_force", shape, shape, 3)
+light = scipy.sparse.identity(rays, format="csr")
+rig = OperatorRig([light, 0.5 * light, 0.1 * light], shape, shape, CameraModel(), seed=1)
+resources = Resources(memory_gib=0.01, threads=2)
+for level, patterns in enumerate((1, count)):
+    lit = generator(1, level).integers(0, patterns, shape).astype(np.int32)
+    schedule = Schedule(level, shape, patterns, lit, complete=True)
+    write_bundle(
+        folder.store(level, "schedule"), folder.manifest(level, "schedule"), "by hand",
+        {"pattern_of_ray": lit},
+        {"patterns": patterns, "complete": True, "shape": shape, "shown": schedule.digest()},
+    )
+    capture.run(rig, folder, level, references=(4, 20), resources=resources)
+    merge.run(
+        rig.sensor, folder, level, saturation_fraction=0.98, repair_defects=True, code="",
+        resources=resources,
+    )
+    normalize.run(plan, folder, level, mode="per_channel", code="")
+print(re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())[1])
+"""
+
+
+def peak_kib(folder: Path, patterns: int) -> int:
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(folder), str(patterns)],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "MALLOC_ARENA_MAX": "2"},
+    )
+    return int(done.stdout)
+
+
+def test_ten_times_the_patterns_take_no_more_memory(tmp_path: Path) -> None:
+    few, many = peak_kib(tmp_path / "few", 200), peak_kib(tmp_path / "many", 2000)
+    assert many < 1.1 * few
+    stored = sum(path.stat().st_size for path in (tmp_path / "many").rglob("c*") if path.is_file())
+    assert stored / 1024 > 0.4 * few  # or a leak would not have shown

@@ -1,0 +1,252 @@
+"""Runs that drop their raw exposures once these are merged."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.workflow.harness import TINY, Workflow
+from tests.workflow.stagewise import (
+    CAMERA,
+    SHAPE,
+    Acquisition,
+    FaultyRig,
+    contents,
+    damage,
+    matrix_rig,
+    symmetric_matrix,
+)
+
+from rfpipe.errors import IntegrityError, StaleStoreError, StoreError
+from rfpipe.rigs import OperatorRig
+from rfpipe.stages import merge
+from rfpipe.store import FrameStore, drop, read_manifest
+
+RAW = ("L00/reference.zarr", "L00/capture.zarr", "L01/capture.zarr")
+
+
+@pytest.fixture
+def acquisition(tmp_path: Path) -> Acquisition:
+    """Two levels without their raw exposures; its rig counts what it shows from here on."""
+    acquisition = Acquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
+    acquisition.keep_raw = False
+    for level in (0, 1):
+        acquisition.level(level)
+    acquisition.rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
+    return acquisition
+
+
+def chunks(folder: Path) -> list[str]:
+    return sorted(
+        str(path.relative_to(folder)) for name in RAW for path in (folder / name).glob("c.*")
+    )
+
+
+def everything(folder: Path, but: tuple[str, ...] = ()) -> dict[str, bytes]:
+    return {name: content for name, content in contents(folder).items() if not name.startswith(but)}
+
+
+def test_what_is_made_of_the_raw_exposures_is_the_same_without_them(
+    acquisition: Acquisition, tmp_path: Path
+) -> None:
+    kept = Acquisition(tmp_path / "kept", matrix_rig(noise=CAMERA))
+    for level in (0, 1):
+        kept.level(level)
+    assert len(chunks(kept.folder.path)) > 4
+    assert chunks(acquisition.folder.path) == []
+    assert everything(acquisition.folder.path, RAW) == everything(kept.folder.path, RAW)
+    raw = FrameStore.open(acquisition.folder.path / RAW[2])
+    assert raw.dropped
+    assert raw.complete
+    with pytest.raises(StoreError, match="4 items were dropped once they had been used"):
+        raw.read(0, 1)
+
+
+def test_every_stage_can_run_again_and_shows_no_pattern(acquisition: Acquisition) -> None:
+    before = everything(acquisition.folder.path)
+    for level in (0, 1):
+        for stage in ("schedule", "capture", "merge", "normalize", "refine"):
+            acquisition.folder.manifest(level, stage).unlink()
+            getattr(acquisition, stage)(level)
+    assert acquisition.rig.shown == []
+    assert everything(acquisition.folder.path) == before
+
+
+def test_merged_images_outlive_a_change_of_the_code(
+    acquisition: Acquisition, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = everything(acquisition.folder.path)
+    acquisition.code = "other code"
+    with caplog.at_level(logging.WARNING, logger="rfpipe"):
+        for level in (0, 1):
+            acquisition.merge(level)
+    assert everything(acquisition.folder.path) == before
+    assert caplog.text.count("merged by other code than today's and kept") == 3
+
+
+def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -> None:
+    before = everything(acquisition.folder.path)
+    for level in (0, 1):
+        with pytest.raises(StaleStoreError, match="repair_defects True -> False") as error:
+            acquisition.merge(level, repair_defects=False)
+        assert "capture.keep_raw is false" in str(error.value)
+        assert f"capture.zarr and reference.zarr of {acquisition.folder.path}/L*" in str(
+            error.value
+        )
+    assert everything(acquisition.folder.path) == before
+
+    # as the message says
+    for level in (0, 1):
+        acquisition.folder.manifest(level, "capture").unlink()
+        FrameStore.discard(acquisition.folder.store(level, "capture"))
+    FrameStore.discard(acquisition.folder.store(0, "reference"))
+    for level in (0, 1):
+        acquisition.capture(level)
+        acquisition.merge(level, repair_defects=False)
+    assert len(acquisition.rig.shown) == 2 + 2 + 1 + 4
+    assert chunks(acquisition.folder.path) == []
+
+
+@pytest.mark.parametrize("lost", ["merge", "sums", "calibration"])
+def test_damaged_merged_images_need_the_raw_exposures(acquisition: Acquisition, lost: str) -> None:
+    level = 0 if lost == "calibration" else 1
+    damage(acquisition.folder.store(level, lost))
+    with pytest.raises(StaleStoreError, match=r"damaged.*To capture all levels again"):
+        acquisition.merge(level)
+    FrameStore.discard(acquisition.folder.store(level, lost))
+    with pytest.raises(StaleStoreError, match="To capture all levels again"):
+        acquisition.merge(level)
+
+
+def test_other_patterns_are_captured_anew(
+    acquisition: Acquisition, caplog: pytest.LogCaptureFixture
+) -> None:
+    acquisition.rig = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, CAMERA, seed=5)
+    with pytest.raises(StaleStoreError, match="old ones were dropped after their merge"):
+        acquisition.capture(0, when_patterns_change="refuse")
+    with caplog.at_level(logging.WARNING, logger="rfpipe"):
+        acquisition.capture(0)
+    assert "CAPTURING ANEW" in caplog.text
+    assert "were dropped after their merge" in caplog.text
+    names = {path.name for path in (acquisition.folder.path / "L00").glob("*.zarr")}
+    assert names == {
+        f"{name}.zarr"
+        for name in (
+            "schedule", "reference", "capture", "merge", "sums", "calibration", "normalize",
+            "refine",
+        )
+    }  # fmt: skip
+    acquisition.merge(0)
+    assert chunks(acquisition.folder.path) == []
+
+
+class Killed(BaseException):
+    """What ends a process, as far as one test can tell."""
+
+
+def killed(*_: Any) -> None:
+    raise Killed
+
+
+def killed_at(number: int, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Wrap a function so that its call of some number doesn't happen."""
+    calls = iter(range(number + 1))
+
+    def wrapped(*arguments: Any, **named: Any) -> Any:
+        if next(calls, number) == number:
+            raise Killed
+        return function(*arguments, **named)
+
+    return wrapped
+
+
+@pytest.mark.parametrize("snakemake_removes_the_manifest", [True, False])
+@pytest.mark.parametrize(
+    "where", ["before", "the merged to the disk", "the marker", "the first file", "the third file"]
+)
+@pytest.mark.parametrize("level", [0, 1])
+def test_a_kill_while_dropping_loses_nothing(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    acquisition: Acquisition,
+    where: str,
+    level: int,
+    snakemake_removes_the_manifest: bool,
+) -> None:
+    whole = everything(acquisition.folder.path)
+    cut = Acquisition(tmp_path / "cut", matrix_rig(noise=CAMERA))
+    cut.keep_raw = False
+    for above in range(level):
+        cut.level(above)
+    cut.schedule(level)
+    cut.capture(level)
+    with monkeypatch.context() as patch:
+        if where == "before":
+            patch.setattr(merge, "_drop_raw", killed)
+        elif where == "the merged to the disk":
+            patch.setattr(merge, "to_disk", killed)
+        elif where == "the marker":
+            patch.setattr("rfpipe.store.dropping.write_manifest", killed)
+        else:
+            remove = Path.unlink
+            fatal = killed_at(0 if where == "the first file" else 2, remove)
+
+            def unlink(path: Path, **named: Any) -> None:
+                (fatal if path.name.startswith("c.") else remove)(path, **named)
+
+            patch.setattr(Path, "unlink", unlink)
+        with pytest.raises(Killed):
+            cut.merge(level)
+    assert cut.folder.manifest(level, "merge").exists()
+    if snakemake_removes_the_manifest:  # it knows the job as incomplete
+        cut.folder.manifest(level, "merge").unlink()
+    cut.merge(level)
+    for rest in range(level, 2):
+        cut.level(rest)
+    assert everything(cut.folder.path) == whole
+
+
+def test_only_a_complete_store_can_be_dropped(tmp_path: Path) -> None:
+    frames = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
+    path = tmp_path / "s"
+    with FrameStore.create(path, (2, 3, 4), np.uint16, "abc", {}) as store:
+        store.write(0, frames[:1])
+        with pytest.raises(StoreError, match="is writing this store"):
+            drop(path)
+    with pytest.raises(StoreError, match="isn't complete"):
+        drop(path)
+    with FrameStore.create(path, (2, 3, 4), np.uint16, "abc", {}) as store:
+        store.write(1, frames[1:])
+        digest = store.digest()
+    size = sum(path.stat().st_size for path in path.glob("c.*"))
+    assert drop(path) == size
+    assert drop(path) == 0
+    with FrameStore.create(path, (2, 3, 4), np.uint16, "abc", {}) as store:
+        assert store.complete
+        assert store.digest() == digest == read_manifest(path / "dropped.json")["digest"]
+        with pytest.raises(StoreError, match="captured already"):
+            store.write(0, frames[:1])
+    (path / "journal.jsonl").write_text("")
+    with pytest.raises(IntegrityError, match=r"damaged, and the items .* were dropped"):
+        FrameStore.open(path)
+
+
+def test_a_run_without_raw_exposures(copy: Workflow, undisturbed: Workflow) -> None:
+    folder = copy.path("tiny/symmetric")
+    copy.configure(capture={"keep_raw": False})
+    output = copy.run(TINY)  # merged before: what is left to do is to drop
+    assert output.count("raw exposures dropped") == 4
+    assert "patterns in" not in output
+    assert list(folder.glob("L*/capture.zarr/c.*")) == []
+    left, expected = copy.contents("tiny/symmetric"), undisturbed.contents("tiny/symmetric")
+    raw = re.compile(r"L\d\d/(capture|reference)\.zarr/c\.")
+    assert {name for name in expected if name not in left} == set(filter(raw.match, expected))
+    assert all(content == expected.get(name, content) for name, content in left.items())
+    output = copy.run(TINY, "--forcerun", "capture_simulated")
+    assert "patterns in" not in output
+    assert "Nothing to be done" in copy.run(TINY)
