@@ -7,16 +7,16 @@ from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.transport.leaves import LeafSet, factor_offsets
-from rfpipe.transport.rounding import pack_leaves, rounded, unpack_leaves
+from rfpipe.transport.rounding import decoded, pack_leaves, rounded, unpack_leaves
 
 FORMATS = {"uint16": 65535, "uint8": 255}
 TREE = BlockTree(RayDomain((5, 6)))
-TINIEST = np.finfo(np.float32).smallest_subnormal
+NEGLIGIBLE = 1e-22  # the product of two such factors is below what float32 holds
 
 numbers = st.one_of(
     st.just(0.0),
     st.floats(0, 1, width=32),
-    st.floats(0, float(np.finfo(np.float32).max), width=32),
+    st.floats(0, 2.0**127, width=32),
     st.floats(0, float(np.finfo(np.float32).smallest_normal), width=32),
 )
 
@@ -58,7 +58,7 @@ def test_a_factor_moves_by_half_a_step_of_its_root_at_most(number_format, leaves
     if "codes" not in packed:  # it would not have been smaller
         assert packed["values"] is leaves.values
         return
-    found = unpack_leaves(TREE, leaves.level, packed)
+    found = decoded(TREE, unpack_leaves(leaves.level, packed))
     half_a_step = 0.5 / FORMATS[number_format] + 1e-6
     for before, after in zip(factors_of(leaves), factors_of(found), strict=True):
         top = [side.max(axis=1, keepdims=True) for side in before]
@@ -68,11 +68,12 @@ def test_a_factor_moves_by_half_a_step_of_its_root_at_most(number_format, leaves
             with np.errstate(invalid="ignore", divide="ignore"):
                 expected = np.where(is_zero, 0.0, side / maximum)
                 shown = np.where(is_zero, stored, stored / scale)
-            precise = np.broadcast_to(scale > 1e4 * TINIEST, side.shape)
+            precise = np.broadcast_to(scale > NEGLIGIBLE, side.shape)
             moved = np.abs(np.sqrt(shown) - np.sqrt(expected))
             assert (moved <= half_a_step)[precise].all()
             assert (stored[side == 0] == 0).all()
-            assert (stored.max(axis=1, keepdims=True) == scale.astype(np.float32))[~is_zero].all()
+            brightest = stored.max(axis=1, keepdims=True)[scale > NEGLIGIBLE]
+            np.testing.assert_allclose(brightest, scale[scale > NEGLIGIBLE], rtol=3e-7)
     assert np.isfinite(found.values).all()
 
 
@@ -81,12 +82,13 @@ def test_a_factor_moves_by_half_a_step_of_its_root_at_most(number_format, leaves
 @given(leaves=leaf_sets())
 def test_what_was_rounded_once_stays(number_format, leaves):
     packed = pack_leaves(TREE, leaves, number_format)
-    again = pack_leaves(TREE, unpack_leaves(TREE, leaves.level, packed), number_format)
+    opened = unpack_leaves(leaves.level, packed)
+    again = pack_leaves(TREE, opened, number_format)
     assert set(again) == set(packed)
-    if "scales" in packed and (packed["scales"] < 1e4 * TINIEST).any():
-        return  # such a scale has no room for fractions of it
     for part, array in packed.items():
         np.testing.assert_array_equal(again[part], array)
+    exact = pack_leaves(TREE, opened, "float32")
+    np.testing.assert_array_equal(exact["values"], decoded(TREE, opened).values)
 
 
 @pytest.mark.parametrize("wrong", [-1e-3, np.nan, np.inf])
@@ -111,7 +113,7 @@ def test_a_glint_does_not_drown_its_surroundings():
     values = np.linspace(0.9e-3, 1.1e-3, 30, dtype=np.float32)[None]
     values[0, 4] = 1.0
     leaves = LeafSet(0, whole, whole, values)
-    found = unpack_leaves(TREE, 0, pack_leaves(TREE, leaves, "uint8")).values
+    found = decoded(TREE, unpack_leaves(0, pack_leaves(TREE, leaves, "uint8"))).values
     np.testing.assert_allclose(found, values, rtol=0.13)
 
 

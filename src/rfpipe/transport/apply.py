@@ -9,7 +9,13 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
 from rfpipe.transport.base import Float
-from rfpipe.transport.leaves import LeafSet, leaf_offsets, split_scalars
+from rfpipe.transport.leaves import (
+    LeafSet,
+    factor_offsets,
+    leaf_offsets,
+    ragged_ranges,
+)
+from rfpipe.transport.rounding import decoded
 
 # Patterns relit together: bounds the memory of their images.
 _BATCH = 16
@@ -17,9 +23,11 @@ _BATCH = 16
 _GROUP = 4
 # Values that stay in a core's cache from one pattern to the next.
 _RUN_VALUES = 2**14
-# The work is cut into this many tasks or a few more, enough to keep a dozen cores busy, whatever
-# the machine: results are the same everywhere.
-_TASKS = 12
+# The work is cut into this many tasks or a few more, whatever the machine, so that results are the
+# same everywhere. More would feed more cores, and each adds an image to be cleared and summed.
+_TASKS = 6
+
+Index = NDArray[np.int64]
 
 
 def apply_leaf_sets(
@@ -40,9 +48,30 @@ def apply_leaf_sets(
     Returns
     -------
     ndarray of float32, shape (P, K, N)
-        The same whatever the number of threads. Patterns of one call may differ in the last bits
-        from those of calls with fewer.
+        The same whatever the number of threads. A pattern's result may differ in the last bits
+        between calls with fewer and with more patterns.
     """
+    return _applied(tree, leaf_sets, patterns, channels, None, None)
+
+
+def relight_leaf_sets(
+    tree: BlockTree, leaf_sets: Sequence[LeafSet], patterns: Float, channels: Sequence[int]
+) -> Float:
+    """Return what `apply_leaf_sets` does, patterns and result in the order of images."""
+    return _applied(tree, leaf_sets, patterns, channels, tree.order, tree.inverse)
+
+
+def _applied(
+    tree: BlockTree,
+    leaf_sets: Sequence[LeafSet],
+    patterns: Float,
+    channels: Sequence[int],
+    order: Index | None,
+    inverse: Index | None,
+) -> Float:
+    """Apply the leaves to patterns in an order, and give images in the inverse order."""
+    from rfpipe.transport.kernels import add_reordered
+
     result = np.empty(patterns.shape, np.float32)
     if not patterns.size:
         return result
@@ -50,48 +79,51 @@ def apply_leaf_sets(
     groups = -(-min(len(patterns), _BATCH) // _GROUP)
     shares = -(-_TASKS // (groups * len(chosen)))
     for first in range(0, len(patterns), _BATCH):
-        part = np.ascontiguousarray(patterns[first : first + _BATCH])
-        _apply(tree, leaf_sets, part, chosen, shares, result[first : first + _BATCH])
+        part, images = patterns[first : first + _BATCH], result[first : first + _BATCH]
+        if part.strides[1] == 0:
+            part = part[:, :1]  # white light, the same for all channels
+        if order is None:
+            light = np.ascontiguousarray(part)
+        else:
+            light = np.empty(part.shape, np.float32)
+            add_reordered(part[None], order, light)
+        in_place = inverse is None and shares == 1
+        sums = images[None] if in_place else np.empty((shares, *images.shape), np.float32)
+        _add_up(tree, leaf_sets, light, chosen, sums)
+        if inverse is not None:
+            add_reordered(sums, inverse, images)
+        elif not in_place:
+            np.sum(sums, axis=0, out=images)
     return result
 
 
-def _apply(
-    tree: BlockTree,
-    leaf_sets: Sequence[LeafSet],
-    patterns: Float,
-    channels: NDArray[np.int64],
-    shares: int,
-    result: Float,
+def _add_up(
+    tree: BlockTree, leaf_sets: Sequence[LeafSet], patterns: Float, channels: Index, sums: Float
 ) -> None:
-    """Write what the leaves make of one batch of patterns."""
+    """Write what each share of the leaves makes of patterns.
+
+    Patterns ``(P, K, N)``, or ``(P, 1, N)`` for the same light in all channels; sums
+    ``(shares, P, K, N)``.
+    """
     from rfpipe.transport import kernels
 
-    rays = tree.domain.size
-    sums = result[None] if shares == 1 else np.empty((shares, *patterns.shape), np.float32)
-    kernels.clear(sums.reshape(-1, rays))
+    kernels.clear(sums)
     lit = _lit_blocks(tree, patterns)
     for leaves in _prepared(tree, leaf_sets):
-        bounds, offsets = _cut(tree, leaves, shares)
+        bounds, offsets = _cut(tree, leaves, len(sums))
+        blocks = leaves.block_a, leaves.block_b
         if leaves.level == tree.n_levels - 1:
             kernels.apply_scalars(
-                leaves.block_a, leaves.block_b, leaves.values, channels, bounds, _GROUP, patterns,
-                sums,
+                *blocks, leaves.values, channels, bounds, _GROUP, patterns, sums
             )  # fmt: skip
         else:
+            scales = leaves.scales
+            if scales is None:
+                scales = np.broadcast_to(np.float32(1), (len(leaves.values), len(leaves)))
             kernels.apply_leaves(
-                tree.starts[leaves.level], leaves.block_a, leaves.block_b, leaves.values, channels,
-                bounds, offsets, _GROUP, patterns, lit[leaves.level], sums,
+                tree.starts[leaves.level], *blocks, leaves.values, scales, channels, bounds,
+                offsets, _GROUP, patterns, lit[leaves.level], sums,
             )  # fmt: skip
-    if shares > 1:
-        kernels.add_shares(sums.reshape(shares, -1, rays), result.reshape(-1, rays))
-
-
-def _prepared(tree: BlockTree, leaf_sets: Sequence[LeafSet]) -> Iterator[LeafSet]:
-    """Yield the leaves as they are applied soonest, see `split_scalars`."""
-    for leaves in leaf_sets:
-        if not leaves.parts:
-            leaves.parts.extend(split_scalars(tree, leaves))
-        yield from filter(len, leaves.parts)
 
 
 def _lit_blocks(tree: BlockTree, patterns: Float) -> list[NDArray[np.uint8]]:
@@ -109,9 +141,49 @@ def _lit_blocks(tree: BlockTree, patterns: Float) -> list[NDArray[np.uint8]]:
     return lit[::-1]
 
 
-def _cut(
-    tree: BlockTree, leaves: LeafSet, shares: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _prepared(tree: BlockTree, leaf_sets: Sequence[LeafSet]) -> Iterator[LeafSet]:
+    """Yield the leaves as they are applied soonest, see `_split_scalars`."""
+    for leaves in leaf_sets:
+        if not leaves.parts:
+            leaves.parts.extend(_split_scalars(tree, leaves))
+        yield from filter(len, leaves.parts)
+
+
+def _split_scalars(tree: BlockTree, leaves: LeafSet) -> list[LeafSet]:
+    """Return the same leaves, those apart, as scalars, that take no more numbers as scalars.
+
+    These are the leaves over few rays. They are most of the leaves of fine levels, and a leaf
+    takes longer to set out on than a scalar.
+    """
+    starts = tree.starts[leaves.level]
+    sizes = np.diff(starts)
+    size_a, size_b = sizes[leaves.block_a], sizes[leaves.block_b]
+    few = size_a * size_b <= np.where(leaves.block_a == leaves.block_b, size_a, size_a + size_b)
+    if leaves.level == tree.n_levels - 1 or not few.any():
+        return [leaves]
+    return [leaves.subset(tree, ~few), _as_scalars(tree, decoded(tree, leaves.subset(tree, few)))]
+
+
+def _as_scalars(tree: BlockTree, leaves: LeafSet) -> LeafSet:
+    """Return leaves as scalars, one for each pair of rays."""
+    starts = tree.starts[leaves.level]
+    sizes = np.diff(starts)
+    first, second, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
+    count = sizes[leaves.block_a] * sizes[leaves.block_b]
+    within = ragged_ranges(np.zeros_like(count), count)
+    row, column = np.divmod(within, np.repeat(sizes[leaves.block_b], count))
+    values = np.empty((len(leaves.values), len(row)), np.float32)
+    np.multiply(
+        leaves.values[:, np.repeat(first, count) + row],
+        leaves.values[:, np.repeat(second, count) + column],
+        out=values,
+    )
+    ray_a = np.repeat(starts[leaves.block_a], count) + row
+    ray_b = np.repeat(starts[leaves.block_b], count) + column
+    return LeafSet(tree.n_levels - 1, ray_a.astype(np.int32), ray_b.astype(np.int32), values)
+
+
+def _cut(tree: BlockTree, leaves: LeafSet, shares: int) -> tuple[Index, Index]:
     """Cut leaves into shares of about equal work, and these into runs of `_RUN_VALUES`.
 
     Returns the first leaf and the first value of each run, both ``(shares, runs + 1)``.

@@ -112,21 +112,25 @@ class Transport(ABC):
 
 
 def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: int) -> Float:
-    """Bring patterns ``(P, *shape[, channels])`` into planar form ``(P, channels, rays)``."""
+    """Bring patterns ``(P, *shape[, channels])`` into planar form ``(P, channels, rays)``.
+
+    White light is the same memory for all channels.
+    """
     patterns = np.asarray(patterns)
     count = patterns.shape[0]
     if patterns.shape == (count, *shape):
-        rays = patterns.reshape(count, 1, -1)
+        rays = np.ascontiguousarray(patterns, np.float32).reshape(count, 1, -1)
         planar = np.broadcast_to(rays, (count, channels, rays.shape[-1]))
     elif patterns.shape == (count, *shape, channels):
-        planar = np.moveaxis(patterns.reshape(count, -1, channels), -1, 1)
+        planes = np.moveaxis(patterns.reshape(count, -1, channels), -1, 1)
+        planar = np.ascontiguousarray(planes, np.float32)
     else:
         raise InputError(
             f"a pattern has the shape {shape} or {(*shape, channels)}, got {patterns.shape[1:]}"
         )
     if not np.isfinite(patterns).all():
         raise InputError("a pattern holds NaN or infinite weights; all weights must be finite")
-    return np.ascontiguousarray(planar, np.float32)
+    return planar
 
 
 def _images(planar: Float, shape: tuple[int, ...]) -> Float:

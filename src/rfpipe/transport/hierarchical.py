@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, Self
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.store import ArrayBundle
-from rfpipe.transport.apply import apply_leaf_sets
+from rfpipe.transport.apply import apply_leaf_sets, relight_leaf_sets
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.leaves import (
     LEAF_PARTS,
@@ -22,8 +21,8 @@ from rfpipe.transport.leaves import (
     merge_leaf_sets,
     ragged_ranges,
 )
-from rfpipe.transport.rounding import CODED_PARTS, pack_leaves, unpack_leaves
-from rfpipe.transport.stored import SetsOnDemand, by_prefix
+from rfpipe.transport.rounding import CODED_PARTS, decoded, pack_leaves, unpack_leaves
+from rfpipe.transport.stored import SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
 
 __all__ = [
@@ -37,9 +36,6 @@ __all__ = [
 ]
 
 
-_FLOAT_BYTES = np.dtype(np.float32).itemsize
-
-
 class HierarchicalTransport(Transport):
     """Symmetric transport as a hierarchical tensor with rank-1 and scalar leaves.
 
@@ -51,7 +47,7 @@ class HierarchicalTransport(Transport):
     level_rows : list of dict
         The rows of `levels`.
     leaf_sets : sequence of LeafSet
-        By level, the coarsest first; may be read when used.
+        By level, the coarsest first; may be rounded, and may be read when used.
     nbytes : int, optional
         Bytes on disk; by default the bytes of the leaves.
     """
@@ -68,7 +64,7 @@ class HierarchicalTransport(Transport):
     ) -> None:
         self.camera_shape = self.projector_shape = tuple(shape)
         self.channels = channels
-        self.leaf_sets = leaf_sets
+        self._leaf_sets = leaf_sets
         self._rows = level_rows
         self._nbytes = nbytes
 
@@ -90,11 +86,16 @@ class HierarchicalTransport(Transport):
         return BlockTree(RayDomain(self.camera_shape))
 
     @property
+    def leaf_sets(self) -> Sequence[LeafSet]:
+        """The leaves with float32 factors, by level, the coarsest first."""
+        return SetsOnDemand(self._leaf_sets, lambda leaves: decoded(self.tree, leaves), keep=False)
+
+    @property
     def nbytes(self) -> int:
         """Bytes on disk if opened from a store, else of the arrays in memory."""
         if self._nbytes is not None:
             return self._nbytes
-        return sum(leaves.nbytes for leaves in self.leaf_sets)
+        return sum(leaves.nbytes for leaves in self._leaf_sets)
 
     @property
     def level_rows(self) -> list[dict[str, Any]]:
@@ -103,14 +104,7 @@ class HierarchicalTransport(Transport):
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)`` in image order."""
-        from rfpipe.transport.kernels import reorder
-
-        ordered = np.empty(patterns.shape, np.float32)
-        reorder(patterns, self.tree.order, ordered)
-        ordered = apply_leaf_sets(self.tree, self.leaf_sets, ordered, channels)
-        images = np.empty(patterns.shape, np.float32)
-        reorder(ordered, self.tree.inverse, images)
-        return images
+        return relight_leaf_sets(self.tree, self._leaf_sets, patterns, channels)
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c``; the transport is symmetric."""
@@ -128,7 +122,7 @@ class HierarchicalTransport(Transport):
             "levels": self._rows,
         }
         arrays: dict[str, NDArray[Any]] = {}
-        for index, leaves in enumerate(self.leaf_sets):
+        for index, leaves in enumerate(self._leaf_sets):
             packed = pack_leaves(self.tree, leaves, number_format)
             prefix = f"level_{leaves.level:02d}_{index:04d}"
             arrays |= {f"{prefix}_{part}": array for part, array in packed.items()}
@@ -138,20 +132,20 @@ class HierarchicalTransport(Transport):
     def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
         """Build a transport from a store; its leaves are read when first used."""
         about = bundle.attributes
-        transport = cls(
-            tuple(about["shape"]), about["channels"], about["levels"], [], bundle.nbytes_stored
-        )
         prefixes = by_prefix(bundle, (*LEAF_PARTS, *CODED_PARTS))
 
         def read(prefix: str) -> LeafSet:
             names = prefixes[prefix]
             arrays = {part: bundle.read(name) for part, name in names.items()}
-            return unpack_leaves(transport.tree, int(prefix.split("_")[1]), arrays)
+            return unpack_leaves(int(prefix.split("_")[1]), arrays)
 
-        numbers = [names.get("values") or names["codes"] for names in prefixes.values()]
-        in_memory = sum(math.prod(bundle.shape(name)) for name in numbers) * _FLOAT_BYTES
-        transport.leaf_sets = SetsOnDemand(list(prefixes), read, keep=in_memory <= memory_budget)
-        return transport
+        return cls(
+            tuple(about["shape"]),
+            about["channels"],
+            about["levels"],
+            SetsOnDemand(list(prefixes), read, keep=fits(bundle, memory_budget)),
+            bundle.nbytes_stored,
+        )
 
     def truncate(self, level: int) -> HierarchicalTransport:
         """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7).

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,6 @@ _SET_VALUES = 2**21
 
 LEAF_PARTS = ("block_a", "block_b", "values")
 """The arrays of a `LeafSet`, by which stores name them."""
-
 
 Cut = tuple[NDArray[np.int64], NDArray[np.int64]]
 
@@ -33,7 +33,9 @@ class LeafSet:
         ``block_a <= block_b``. At the last level a leaf is a scalar.
     values : ndarray of float32, shape (channels, n_values)
         The factors one leaf after the other: over block a, then over block b unless it is the
-        same; one value a scalar.
+        same; one value a scalar. With `scales`, codes of them: uint8 or uint16.
+    scales : ndarray of float32, shape (channels, n), optional
+        Of rounded leaves: a value is its code squared times its leaf's scale.
     cuts : dict
     parts : list
         What `rfpipe.transport.apply` keeps of its preparations.
@@ -42,7 +44,8 @@ class LeafSet:
     level: int
     block_a: NDArray[np.int32]
     block_b: NDArray[np.int32]
-    values: Float
+    values: NDArray[Any]
+    scales: Float | None = None
     cuts: dict[int, Cut] = field(default_factory=dict, init=False, repr=False)
     parts: list[LeafSet] = field(default_factory=list, init=False, repr=False)
 
@@ -52,7 +55,17 @@ class LeafSet:
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays."""
-        return self.block_a.nbytes + self.block_b.nbytes + self.values.nbytes
+        scales = 0 if self.scales is None else self.scales.nbytes
+        return self.block_a.nbytes + self.block_b.nbytes + self.values.nbytes + scales
+
+    def subset(self, tree: BlockTree, chosen: NDArray[np.bool_]) -> LeafSet:
+        """Return some of the leaves."""
+        offsets = leaf_offsets(tree, self)
+        index = ragged_ranges(offsets[:-1][chosen], np.diff(offsets)[chosen])
+        # numpy would leave channels side by side
+        values = np.ascontiguousarray(self.values[:, index])
+        scales = None if self.scales is None else np.ascontiguousarray(self.scales[:, chosen])
+        return LeafSet(self.level, self.block_a[chosen], self.block_b[chosen], values, scales)
 
 
 def factor_offsets(
@@ -122,33 +135,3 @@ def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]
             values[:, ragged_ranges(target[own], of_leaf)] = found
         yield LeafSet(parts[0].level, block_a[chosen], block_b[chosen], values)
         first = last
-
-
-def split_scalars(tree: BlockTree, leaves: LeafSet) -> list[LeafSet]:
-    """Return the same leaves, those apart, as scalars, that take no more numbers as scalars.
-
-    These are the leaves over few rays. They are most of the leaves of fine levels, and a leaf
-    takes longer to set out on than a scalar.
-    """
-    last = tree.n_levels - 1
-    starts = tree.starts[leaves.level]
-    sizes = np.diff(starts)
-    size_a, size_b = sizes[leaves.block_a], sizes[leaves.block_b]
-    numbers = np.where(leaves.block_a == leaves.block_b, size_a, size_a + size_b)
-    few = size_a * size_b <= numbers
-    if leaves.level == last or not few.any():
-        return [leaves]
-    first, second, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
-    count = (size_a * size_b)[few]
-    within = ragged_ranges(np.zeros_like(count), count)
-    row, column = np.divmod(within, np.repeat(size_b[few], count))
-    values = (
-        leaves.values[:, np.repeat(first[few], count) + row]
-        * leaves.values[:, np.repeat(second[few], count) + column]
-    )
-    ray_a = np.repeat(starts[leaves.block_a[few]], count) + row
-    ray_b = np.repeat(starts[leaves.block_b[few]], count) + column
-    scalars = LeafSet(last, ray_a.astype(np.int32), ray_b.astype(np.int32), values)
-    index = ragged_ranges(first[~few], numbers[~few])
-    block_a, block_b = leaves.block_a[~few], leaves.block_b[~few]
-    return [LeafSet(leaves.level, block_a, block_b, leaves.values[:, index]), scalars]

@@ -15,7 +15,7 @@ from rfpipe.errors import InputError
 from rfpipe.store import ArrayBundle
 from rfpipe.transport.base import Float, Transport, planar_patterns
 from rfpipe.transport.rounding import rounded
-from rfpipe.transport.stored import SetsOnDemand, by_prefix
+from rfpipe.transport.stored import SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
 
 Double = NDArray[np.float64]
@@ -222,10 +222,11 @@ class MultilevelTransport(Transport):
         """Yield each level's block values a ray, float64 ``(P, K, n_blocks)``, and block starts."""
         from rfpipe.transport.multilevel_kernels import gather_to_blocks
 
+        light = np.ascontiguousarray(images)
         for pairs, starts, values in self._chosen(channels):
             sizes = np.diff(starts)
             totals = np.zeros((*images.shape[:2], len(sizes)))
-            gather_to_blocks(pairs.block, pairs.pixel, values, images, totals)
+            gather_to_blocks(pairs.block, pairs.pixel, values, light, totals)
             yield totals / sizes, starts
 
     def truncate(self, level: int) -> MultilevelTransport:
@@ -275,14 +276,13 @@ class MultilevelTransport(Transport):
                 int(prefix.split("_")[1]), *(bundle.read(names[part]) for part in PAIR_PARTS)
             )
 
-        fits = sum(bundle.nbytes(name) for name in bundle.names) <= memory_budget
         about = bundle.attributes
         return cls(
             tuple(about["camera_shape"]),
             tuple(about["projector_shape"]),
             about["channels"],
             about["levels"],
-            SetsOnDemand(list(prefixes), read, keep=fits),
+            SetsOnDemand(list(prefixes), read, keep=fits(bundle, memory_budget)),
             bundle.nbytes_stored,
         )
 

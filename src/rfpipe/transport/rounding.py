@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
 from rfpipe.transport.base import Float
-from rfpipe.transport.leaves import LeafSet, factor_offsets
+from rfpipe.transport.leaves import LeafSet, factor_offsets, leaf_offsets
 from rfpipe.units import NumberFormat
 
 CODED_PARTS = ("block_a", "block_b", "codes", "scales")
@@ -26,9 +26,9 @@ def pack_leaves(
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays that a store keeps of a set of leaves.
 
-    A factor is kept as ``(code / L)^2`` of its maximum, with L = 255 or 65,535, and each leaf and
-    channel has a scale, the geometric mean of its two maxima. The step is even in the square
-    root: as with shot noise, dim values are rounded less than bright ones, so that a glint
+    A factor is kept as ``(code / L)^2`` of its maximum, with L = 255 or 65,535. Each leaf and
+    channel has a scale: the geometric mean of its two maxima, over ``L^2``. The step is even in the
+    square root: as with shot noise, dim values are rounded less than bright ones, so that a glint
     doesn't drown its surroundings. A maximum is kept to float32, and what is 0 stays 0.
 
     Scalars stay as they are, for direct light is among them; so do factors that are negative or
@@ -47,6 +47,10 @@ def pack_leaves(
         second channel on as differences to the first; ``scales``, float32 (channels, n).
     """
     blocks = {"block_a": leaves.block_a, "block_b": leaves.block_b}
+    if leaves.scales is not None:
+        if leaves.values.dtype == number_format:
+            return {**blocks, "codes": _differences(leaves.values), "scales": leaves.scales}
+        leaves = decoded(tree, leaves)
     exact = {**blocks, "values": leaves.values}
     if number_format == "float32" or leaves.level == tree.n_levels - 1:
         return exact
@@ -56,34 +60,35 @@ def pack_leaves(
         return exact
     if not (leaves.values >= 0).all() or not np.isfinite(leaves.values).all():
         return exact
-    from rfpipe.transport import rounding_kernels
+    from rfpipe.transport.rounding_kernels import encode
 
     starts = tree.starts[leaves.level]
     codes = np.empty(leaves.values.shape, dtype)
-    rounding_kernels.encode(
-        starts, leaves.block_a, leaves.block_b, *_offsets(starts, leaves.block_a, leaves.block_b),
-        leaves.values, np.iinfo(dtype).max, codes, scales,
+    first, second, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
+    encode(
+        starts, leaves.block_a, leaves.block_b, first, second, leaves.values,
+        np.iinfo(dtype).max, codes, scales,
     )  # fmt: skip
     return {**blocks, "codes": _differences(codes), "scales": scales}
 
 
-def unpack_leaves(tree: BlockTree, level: int, arrays: Mapping[str, NDArray[Any]]) -> LeafSet:
-    """Return the leaves of which a store has kept these arrays; undoes `pack_leaves`."""
-    block_a, block_b = arrays["block_a"], arrays["block_b"]
+def unpack_leaves(level: int, arrays: Mapping[str, NDArray[Any]]) -> LeafSet:
+    """Return the leaves of which a store has kept these arrays, rounded ones as codes."""
+    blocks = arrays["block_a"], arrays["block_b"]
     if "values" in arrays:
-        return LeafSet(level, block_a, block_b, arrays["values"])
-    from rfpipe.transport import rounding_kernels
+        return LeafSet(level, *blocks, arrays["values"])
+    return LeafSet(level, *blocks, _from_differences(arrays["codes"]), arrays["scales"])
 
-    codes = _from_differences(arrays["codes"])
-    starts = tree.starts[level]
-    largest = np.iinfo(codes.dtype).max
-    squares = np.square(np.arange(largest + 1) / largest).astype(np.float32)
-    values = np.empty(codes.shape, np.float32)
-    rounding_kernels.decode(
-        starts, block_a, block_b, *_offsets(starts, block_a, block_b), codes, squares,
-        arrays["scales"], values,
-    )  # fmt: skip
-    return LeafSet(level, block_a, block_b, values)
+
+def decoded(tree: BlockTree, leaves: LeafSet) -> LeafSet:
+    """Return rounded leaves with float32 factors, others as they are."""
+    if leaves.scales is None:
+        return leaves
+    from rfpipe.transport.rounding_kernels import decode
+
+    values = np.empty(leaves.values.shape, np.float32)
+    decode(leaf_offsets(tree, leaves), leaves.values, leaves.scales, values)
+    return LeafSet(leaves.level, leaves.block_a, leaves.block_b, values)
 
 
 def rounded(values: Float, number_format: NumberFormat) -> Float:
@@ -101,12 +106,6 @@ def rounded(values: Float, number_format: NumberFormat) -> Float:
     found = ((bits + half) & mask).view(np.float32)
     result: Float = np.where(np.isfinite(values) & np.isfinite(found), found, values)
     return result
-
-
-def _offsets(
-    starts: NDArray[np.int64], block_a: NDArray[np.int32], block_b: NDArray[np.int32]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    return factor_offsets(starts, block_a, block_b)[:2]
 
 
 def _differences(codes: NDArray[Any]) -> NDArray[Any]:

@@ -68,9 +68,8 @@ def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Tran
     path : path
         The ``transport.zarr`` that an acquisition wrote.
     memory_budget : int
-        Bytes. A transport that is larger in memory, where numbers are float32, is read anew, part
-        by part, each time that it is used; the results are the same. A dense one always stays in
-        memory.
+        Bytes. A transport whose arrays are larger is read anew, part by part, each time that it
+        is used; the results are the same. A dense one always stays in memory.
 
     Raises
     ------

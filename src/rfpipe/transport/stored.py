@@ -1,12 +1,13 @@
-"""Sets of arrays in a store, read when they are used."""
+"""Sets of arrays, read from a store when they are used."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TypeVar, overload
+from typing import Generic, TypeVar, overload
 
 from rfpipe.store import ArrayBundle
 
+K = TypeVar("K")
 S = TypeVar("S")
 
 
@@ -23,26 +24,31 @@ def by_prefix(bundle: ArrayBundle, parts: Iterable[str]) -> dict[str, dict[str, 
     return dict(sorted(found.items()))
 
 
-class SetsOnDemand(Sequence[S]):
-    """Sets that are read when used, and kept in memory or read anew each time.
+def fits(bundle: ArrayBundle, memory_budget: int) -> bool:
+    """Tell whether all arrays of a store fit into memory."""
+    return sum(bundle.nbytes(name) for name in bundle.names) <= memory_budget
+
+
+class SetsOnDemand(Sequence[S], Generic[K, S]):
+    """Sets that are made when used, and kept in memory or made anew each time.
 
     Parameters
     ----------
-    names : sequence of str
-    read : callable
-        Returns the set of a name.
+    keys : sequence
+    make : callable
+        Returns the set of a key.
     keep : bool
-        Whether to keep in memory what was read.
+        Whether to keep in memory what was made.
     """
 
-    def __init__(self, names: Sequence[str], read: Callable[[str], S], *, keep: bool) -> None:
-        self._names = list(names)
-        self._read = read
+    def __init__(self, keys: Sequence[K], make: Callable[[K], S], *, keep: bool) -> None:
+        self._keys = keys
+        self._make = make
         self._keep = keep
         self._held: dict[int, S] = {}
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self._keys)
 
     @overload
     def __getitem__(self, index: int) -> S: ...
@@ -56,7 +62,7 @@ class SetsOnDemand(Sequence[S]):
         index = range(len(self))[index]
         if index in self._held:
             return self._held[index]
-        found = self._read(self._names[index])
+        found = self._make(self._keys[index])
         if self._keep:
             self._held[index] = found
         return found
