@@ -65,9 +65,20 @@ def test_the_compiled_merge_gives_the_bits_of_the_plain_one(
 def test_the_merge_is_compiled_once_it_has_enough_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     frames, off = captured(CAMERA)
     monkeypatch.setattr(brackets, "COMPILED_AFTER", frames.size)
-    merge = CAMERA.merging(off)
+    assert ways(CAMERA.merging(off), frames, monkeypatch) == [PLAIN, COMPILED, COMPILED]
+    known = CAMERA.merging(off, MergeOptions(brackets=3))
+    assert ways(known, frames, monkeypatch) == [COMPILED] * 3
+    known = CAMERA.merging(off, MergeOptions(brackets=2))
+    assert ways(known, frames, monkeypatch) == [PLAIN, COMPILED, COMPILED]
+
+
+PLAIN, COMPILED = "_by_numpy", "_by_kernel"
+
+
+def ways(merge: Any, frames: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """How three batches are merged."""
     used: list[str] = []
-    for name in ("_by_numpy", "_by_kernel"):
+    for name in (PLAIN, COMPILED):
         method: Callable[..., Any] = getattr(merge, name)
 
         def said(given: np.ndarray, name: str = name, method: Callable[..., Any] = method) -> Any:
@@ -77,7 +88,7 @@ def test_the_merge_is_compiled_once_it_has_enough_to_do(monkeypatch: pytest.Monk
         monkeypatch.setattr(merge, name, said)
     for _ in range(3):
         merge(frames)
-    assert used == ["_by_numpy", "_by_kernel", "_by_kernel"]
+    return used
 
 
 def test_a_level_sum_is_added_image_by_image() -> None:

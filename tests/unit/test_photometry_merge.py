@@ -8,7 +8,7 @@ import pytest
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions
 from rfpipe.photometry.demosaic import demosaic, mosaic
-from rfpipe.photometry.hdr import merge_bracket
+from rfpipe.photometry.hdr import UNKNOWN_DEVIATION, merge_bracket
 
 CAMERA = CameraModel()
 
@@ -115,7 +115,7 @@ def test_saturated_everywhere_gives_the_clipped_value_sure_to_be_light_but_not_h
     assert merged.saturated == 1
     full_scale = CAMERA.full_well_electrons / CAMERA.electrons_per_radiance / CAMERA.exposures[0]
     assert merged.radiance[0, 2, 3, 1] == pytest.approx(full_scale, rel=1e-2)
-    assert merged.variance[0, 2, 3, 1] == pytest.approx((full_scale / 4) ** 2)
+    assert merged.variance[0, 2, 3, 1] == pytest.approx((UNKNOWN_DEVIATION * full_scale) ** 2)
     assert np.isfinite(merged.radiance).all()
     assert np.isfinite(merged.variance).all()
     np.testing.assert_allclose(
@@ -130,7 +130,7 @@ def test_a_pixel_stuck_at_full_scale_is_as_uncertain() -> None:
     merged = CAMERA.merge(frames[None], off, MergeOptions(8))
     assert merged.radiance[0, 1, 1, 0] == 0
     full_scale = CAMERA.full_well_electrons / CAMERA.electrons_per_radiance / CAMERA.exposures[0]
-    assert merged.variance[0, 1, 1, 0] == pytest.approx((full_scale / 4) ** 2)
+    assert merged.variance[0, 1, 1, 0] == pytest.approx((UNKNOWN_DEVIATION * full_scale) ** 2)
     assert merged.saturated == 1
 
 

@@ -26,8 +26,8 @@ GLOW_SIGNIFICANCE = 4.0
 deviations of their noise; its shot noise then enters the variance."""
 
 COMPILED_AFTER = 2**25
-"""Counts merged before the compiled kernel is loaded: NumPy takes as long for so many as the
-loading takes. Both give the same bits."""
+"""Counts to merge, or merged already, from which on the compiled kernel is loaded: NumPy takes as
+long for so many as the loading takes. Both give the same bits."""
 
 
 class CountsMerge:
@@ -63,7 +63,7 @@ class CountsMerge:
         self._table, self._steps = table, steps
         self._background = black if self._is_linear else background
         self._noise = noise + steps[0] if self._is_linear else noise
-        self._merged = 0
+        self._known = options.brackets * black.size  # counts merged, or sure to come
 
     def __call__(self, frames: NDArray[Any], first_index: int = 0) -> Merged:
         """Merge brackets ``(B, *frame_shape)``, the first of them that of pattern `first_index`.
@@ -77,8 +77,8 @@ class CountsMerge:
         options = replace(self._options, first_index=first_index)
         check_shape(frames, self._shape, options)
         check_frames(frames, self._camera.white_level, options)
-        is_compiled = self._merged >= COMPILED_AFTER
-        self._merged += frames.size
+        is_compiled = self._known >= COMPILED_AFTER
+        self._known += frames.size
         radiance, variance, saturated = (
             self._by_kernel(frames) if is_compiled else self._by_numpy(frames)
         )

@@ -68,12 +68,15 @@ class MergeOptions:
         A recovered response, used in place of the camera's nominal one.
     first_index : int
         Index of the batch's first pattern, for error messages.
+    brackets : int
+        Brackets to come, where that is known: for many, a compiled merge is loaded at once.
     """
 
     black_count: int = 1
     saturation_fraction: float = 0.98
     response: Response | None = None
     first_index: int = 0
+    brackets: int = 0
 
     def __post_init__(self) -> None:
         if self.black_count < 1:

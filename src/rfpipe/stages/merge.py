@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -188,6 +188,7 @@ def _merge(
     with folder.frames(level, "capture") as frames:
         count = frames.shape[0]
     shape = (count, 2, *image_shape)  # radiance, variance
+    merger = replace(merger, options=replace(merger.options, brackets=count))
     total = LevelSum.zero(image_shape)
     saturated = 0
     # a cluster's workers have working folders of their own

@@ -157,10 +157,15 @@ class HierarchicalTransport(Transport):
             raise InputError(
                 f"level {level} of a transport with levels 0..{self.tree.n_levels - 1}"
             )
-        kept = [leaves for leaves in self.leaf_sets if leaves.level <= level]
-        deeper = [leaves for leaves in self.leaf_sets if leaves.level > level]
+        if level == self.tree.n_levels - 1:
+            return self
+        kept: list[LeafSet] = []
+        deeper: list[LeafSet] = []
+        for leaves in self.leaf_sets:
+            (kept if leaves.level <= level else deeper).append(leaves)
         if deeper:
             kept.append(_collapse(self.tree, deeper, level, self.channels))
+            del deeper
         rows = [row for row in self._rows if row["level"] <= level]
         return self.from_leaf_sets(self.tree, self.channels, rows, kept)
 
