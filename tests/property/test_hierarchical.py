@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.hierarchical import HierarchicalTransport, LeafSet, factor_offsets
+from rfpipe.transport.hierarchical import HierarchicalTransport
+from rfpipe.transport.leaves import LeafSet, factor_offsets
 
 shapes = st.one_of(
     st.tuples(st.integers(1, 9), st.integers(1, 9)),

@@ -16,7 +16,8 @@ from rfpipe.config import json_schema
 from rfpipe.errors import InputError
 from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
 from rfpipe.transport import save_transport
-from rfpipe.transport.hierarchical import HierarchicalTransport, LeafSet
+from rfpipe.transport.hierarchical import HierarchicalTransport
+from rfpipe.transport.leaves import LeafSet
 
 SHAPE = (4, 6)
 CONFIG = Path(__file__).parents[2] / "config" / "config.yaml"

@@ -77,8 +77,8 @@ _PROCESSING = (
     "image's raw bracket, radiance and variance at the machine's copying speed."
 )
 _RELIGHTING = (
-    "Relighting: milliseconds of a warm call; dashed the floor, a copy of the factors as they are "
-    "held in memory; and the products with T itself where it fits."
+    "Relighting: milliseconds of a warm call; dashed the floor, a copy of the factors as float32 "
+    "numbers; and the products with T itself where it fits."
 )
 _SCALES = (
     "In one process on all cores, stage by stage on files; the peak of memory includes the "

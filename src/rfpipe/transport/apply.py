@@ -33,7 +33,7 @@ Index = NDArray[np.int64]
 def apply_leaf_sets(
     tree: BlockTree, leaf_sets: Sequence[LeafSet], patterns: Float, channels: Sequence[int]
 ) -> Float:
-    """Return what the leaves make of patterns, all in tree order.
+    """Return what the leaves make of patterns, both in the order of images.
 
     Parameters
     ----------
@@ -51,25 +51,6 @@ def apply_leaf_sets(
         The same whatever the number of threads. A pattern's result may differ in the last bits
         between calls with fewer and with more patterns.
     """
-    return _applied(tree, leaf_sets, patterns, channels, None, None)
-
-
-def relight_leaf_sets(
-    tree: BlockTree, leaf_sets: Sequence[LeafSet], patterns: Float, channels: Sequence[int]
-) -> Float:
-    """Return what `apply_leaf_sets` does, patterns and result in the order of images."""
-    return _applied(tree, leaf_sets, patterns, channels, tree.order, tree.inverse)
-
-
-def _applied(
-    tree: BlockTree,
-    leaf_sets: Sequence[LeafSet],
-    patterns: Float,
-    channels: Sequence[int],
-    order: Index | None,
-    inverse: Index | None,
-) -> Float:
-    """Apply the leaves to patterns in an order, and give images in the inverse order."""
     from rfpipe.transport.kernels import add_reordered
 
     result = np.empty(patterns.shape, np.float32)
@@ -82,18 +63,11 @@ def _applied(
         part, images = patterns[first : first + _BATCH], result[first : first + _BATCH]
         if part.strides[1] == 0:
             part = part[:, :1]  # white light, the same for all channels
-        if order is None:
-            light = np.ascontiguousarray(part)
-        else:
-            light = np.empty(part.shape, np.float32)
-            add_reordered(part[None], order, light)
-        in_place = inverse is None and shares == 1
-        sums = images[None] if in_place else np.empty((shares, *images.shape), np.float32)
+        light = np.empty(part.shape, np.float32)
+        add_reordered(part[None], tree.order, light)
+        sums = np.empty((shares, *images.shape), np.float32)
         _add_up(tree, leaf_sets, light, chosen, sums)
-        if inverse is not None:
-            add_reordered(sums, inverse, images)
-        elif not in_place:
-            np.sum(sums, axis=0, out=images)
+        add_reordered(sums, tree.inverse, images)
     return result
 
 
@@ -144,24 +118,26 @@ def _lit_blocks(tree: BlockTree, patterns: Float) -> list[NDArray[np.uint8]]:
 def _prepared(tree: BlockTree, leaf_sets: Sequence[LeafSet]) -> Iterator[LeafSet]:
     """Yield the leaves as they are applied soonest, see `_split_scalars`."""
     for leaves in leaf_sets:
-        if not leaves.parts:
-            leaves.parts.extend(_split_scalars(tree, leaves))
-        yield from filter(len, leaves.parts)
+        if "split" not in leaves.kept:
+            leaves.kept["split"] = _split_scalars(tree, leaves)
+        yield from filter(len, leaves.kept["split"] or (leaves,))
 
 
-def _split_scalars(tree: BlockTree, leaves: LeafSet) -> list[LeafSet]:
-    """Return the same leaves, those apart, as scalars, that take no more numbers as scalars.
+def _split_scalars(tree: BlockTree, leaves: LeafSet) -> tuple[LeafSet, LeafSet] | None:
+    """Return apart, as scalars, the leaves that take no more numbers as scalars; None if none do.
 
     These are the leaves over few rays. They are most of the leaves of fine levels, and a leaf
     takes longer to set out on than a scalar.
     """
-    starts = tree.starts[leaves.level]
-    sizes = np.diff(starts)
+    if leaves.level == tree.n_levels - 1:
+        return None
+    sizes = np.diff(tree.starts[leaves.level])
     size_a, size_b = sizes[leaves.block_a], sizes[leaves.block_b]
     few = size_a * size_b <= np.where(leaves.block_a == leaves.block_b, size_a, size_a + size_b)
-    if leaves.level == tree.n_levels - 1 or not few.any():
-        return [leaves]
-    return [leaves.subset(tree, ~few), _as_scalars(tree, decoded(tree, leaves.subset(tree, few)))]
+    if not few.any():
+        return None
+    scalars = _as_scalars(tree, decoded(tree, leaves.subset(tree, few)))
+    return leaves.subset(tree, ~few), scalars
 
 
 def _as_scalars(tree: BlockTree, leaves: LeafSet) -> LeafSet:
@@ -188,11 +164,13 @@ def _cut(tree: BlockTree, leaves: LeafSet, shares: int) -> tuple[Index, Index]:
 
     Returns the first leaf and the first value of each run, both ``(shares, runs + 1)``.
     """
-    if shares not in leaves.cuts:
+    name = f"{shares} shares"
+    if name not in leaves.kept:
         offsets = leaf_offsets(tree, leaves)
         runs = max(1, -(-int(offsets[-1]) // (_RUN_VALUES * shares)))
         aims = np.arange(shares * runs + 1) * (offsets[-1] / (shares * runs))
         cuts = np.searchsorted(offsets, aims)
         bounds = cuts[np.arange(shares)[:, None] * runs + np.arange(runs + 1)]
-        leaves.cuts[shares] = bounds, offsets[bounds]
-    return leaves.cuts[shares]
+        leaves.kept[name] = bounds, offsets[bounds]
+    found: tuple[Index, Index] = leaves.kept[name]
+    return found

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.store import ArrayBundle
-from rfpipe.transport.apply import apply_leaf_sets, relight_leaf_sets
+from rfpipe.transport.apply import apply_leaf_sets
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.leaves import (
     LEAF_PARTS,
@@ -24,16 +24,6 @@ from rfpipe.transport.leaves import (
 from rfpipe.transport.rounding import CODED_PARTS, decoded, pack_leaves, unpack_leaves
 from rfpipe.transport.stored import SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
-
-__all__ = [
-    "LEAF_PARTS",
-    "HierarchicalTransport",
-    "LeafSet",
-    "apply_leaf_sets",
-    "factor_offsets",
-    "merge_leaf_sets",
-    "ragged_ranges",
-]
 
 
 class HierarchicalTransport(Transport):
@@ -104,7 +94,7 @@ class HierarchicalTransport(Transport):
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)`` in image order."""
-        return relight_leaf_sets(self.tree, self._leaf_sets, patterns, channels)
+        return apply_leaf_sets(self.tree, self._leaf_sets, patterns, channels)
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c``; the transport is symmetric."""

@@ -19,8 +19,6 @@ _SET_VALUES = 2**21
 LEAF_PARTS = ("block_a", "block_b", "values")
 """The arrays of a `LeafSet`, by which stores name them."""
 
-Cut = tuple[NDArray[np.int64], NDArray[np.int64]]
-
 
 @dataclass(frozen=True, eq=False)
 class LeafSet:
@@ -36,9 +34,8 @@ class LeafSet:
         same; one value a scalar. With `scales`, codes of them: uint8 or uint16.
     scales : ndarray of float32, shape (channels, n), optional
         Of rounded leaves: a value is its code squared times its leaf's scale.
-    cuts : dict
-    parts : list
-        What `rfpipe.transport.apply` keeps of its preparations.
+    kept : dict
+        Preparations that `rfpipe.transport.apply` makes once, by name.
     """
 
     level: int
@@ -46,8 +43,7 @@ class LeafSet:
     block_b: NDArray[np.int32]
     values: NDArray[Any]
     scales: Float | None = None
-    cuts: dict[int, Cut] = field(default_factory=dict, init=False, repr=False)
-    parts: list[LeafSet] = field(default_factory=list, init=False, repr=False)
+    kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
         return len(self.block_a)
