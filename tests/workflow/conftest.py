@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import fcntl
+import signal
 from pathlib import Path
 
 import pytest
 from tests.workflow.harness import DUAL, LONG, TINY, Workflow
+
+# A shell starts what runs in the background with SIGINT ignored, and programs inherit that: the
+# tests of Ctrl-C need it as a terminal has it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
