@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, Self
 
-import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
@@ -14,15 +13,10 @@ from rfpipe.errors import InputError
 from rfpipe.store import ArrayBundle
 from rfpipe.transport.apply import apply_leaf_sets
 from rfpipe.transport.base import Float, Transport
-from rfpipe.transport.leaves import (
-    LEAF_PARTS,
-    LeafSet,
-    factor_offsets,
-    merge_leaf_sets,
-    ragged_ranges,
-)
+from rfpipe.transport.leaves import LEAF_PARTS, LeafSet, merge_leaf_sets
 from rfpipe.transport.rounding import CODED_PARTS, decoded, pack_leaves, unpack_leaves
 from rfpipe.transport.stored import SetsOnDemand, by_prefix, fits
+from rfpipe.transport.truncation import collapse
 from rfpipe.units import NumberFormat
 
 
@@ -149,54 +143,14 @@ class HierarchicalTransport(Transport):
             )
         if level == self.tree.n_levels - 1:
             return self
-        kept: list[LeafSet] = []
-        deeper: list[LeafSet] = []
-        for leaves in self.leaf_sets:
-            (kept if leaves.level <= level else deeper).append(leaves)
-        if deeper:
-            kept.append(_collapse(self.tree, deeper, level, self.channels))
-            del deeper
-        rows = [row for row in self._rows if row["level"] <= level]
-        return self.from_leaf_sets(self.tree, self.channels, rows, kept)
-
-
-def _collapse(tree: BlockTree, leaf_sets: Sequence[LeafSet], level: int, channels: int) -> LeafSet:
-    """Sum leaves below `level` into rank-1 leaves of that level."""
-    from rfpipe.transport import kernels
-
-    n_blocks = tree.n_blocks(level)
-    keys = []
-    for leaves in leaf_sets:
-        above = tree.ancestors(leaves.level, level)
-        keys.append(above[leaves.block_a] * n_blocks + above[leaves.block_b])
-    nodes = np.unique(np.concatenate(keys))
-    block_a = (nodes // n_blocks).astype(np.int32)
-    block_b = (nodes % n_blocks).astype(np.int32)
-    starts = tree.starts[level]
-    offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
-    marginals = np.zeros((channels, n_values))
-    first_a, first_b = offset_a - starts[block_a], offset_b - starts[block_b]
-    for leaves, key in zip(leaf_sets, keys, strict=True):
-        own_starts = tree.starts[leaves.level]
-        leaf_a, leaf_b, values = leaves.block_a, leaves.block_b, leaves.values
-        if leaves.level == tree.n_levels - 1:
-            # A scalar is the leaf x * 1: give it a second factor of one.
-            ones = np.ones_like(values)
-            values = np.stack([values, ones], axis=2).reshape(channels, -1)
-            own_a = 2 * np.arange(len(leaves), dtype=np.int64)
-            own_b = own_a + 1
-        else:
-            own_a, own_b, _ = factor_offsets(own_starts, leaf_a, leaf_b)
-        node = np.searchsorted(nodes, key)
-        kernels.add_marginals(
-            own_starts, leaf_a, leaf_b, own_a, own_b, values, node, first_a, first_b, marginals
+        held = self._leaf_sets
+        levels = [leaves.level for leaves in held]
+        kept = [index for index, found in enumerate(levels) if found <= level]
+        deeper = [index for index, found in enumerate(levels) if found > level]
+        below = SetsOnDemand(deeper, lambda index: held[index], keep=False)
+        either: list[int | LeafSet] = [*kept, *collapse(self.tree, below, level, self.channels)]
+        leaf_sets = SetsOnDemand(
+            either, lambda found: held[found] if isinstance(found, int) else found, keep=False
         )
-    sizes = np.diff(starts)
-    over_a = marginals[:, ragged_ranges(offset_a, sizes[block_a])]
-    boundaries = np.cumsum(sizes[block_a]) - sizes[block_a]
-    total = np.add.reduceat(over_a, boundaries, axis=1)
-    lengths = np.where(block_a == block_b, sizes[block_a], sizes[block_a] + sizes[block_b])
-    per_value = np.repeat(np.maximum(total, 0.0), lengths, axis=1)
-    root = np.sqrt(per_value, where=per_value > 0, out=np.ones_like(per_value))
-    values = np.where(per_value > 0, marginals / root, 0.0).astype(np.float32)
-    return LeafSet(level, block_a, block_b, values)
+        rows = [row for row in self._rows if row["level"] <= level]
+        return type(self)(self.camera_shape, self.channels, rows, leaf_sets)

@@ -1,0 +1,120 @@
+"""Leaves of fine levels as rank-1 leaves of a coarser one (thesis Fig. 5.7)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree
+from rfpipe.transport.leaves import LeafSet, factor_offsets, merge_leaf_sets, ragged_ranges
+from rfpipe.transport.rounding import decoded
+
+# Values a channel that are added up at a time, in float64: some 100 MB of RGB.
+_SUMMED_VALUES = 2**22
+
+Index = NDArray[np.int64]
+
+
+def collapse(
+    tree: BlockTree, leaf_sets: Sequence[LeafSet], level: int, channels: int
+) -> Iterator[LeafSet]:
+    """Sum leaves below `level` into rank-1 leaves of that level, of their row and column sums.
+
+    Parameters
+    ----------
+    tree : BlockTree
+    leaf_sets : sequence of LeafSet
+        Of levels below `level`, rounded or not; one at a time is in use.
+    level : int
+    channels : int
+
+    Yields
+    ------
+    LeafSet
+        With float32 factors.
+    """
+    keys = [_node_keys(tree, leaves, level) for leaves in leaf_sets]
+    if not keys:
+        return
+    n_blocks = tree.n_blocks(level)
+    nodes = np.unique(np.concatenate(keys))
+    block_a, block_b = np.divmod(nodes, n_blocks)
+    sizes = np.diff(tree.starts[level])
+    lengths = sizes[block_a] + np.where(block_a == block_b, 0, sizes[block_b])
+    for run in _runs(lengths):
+        collapsed = _collapse_run(tree, leaf_sets, keys, nodes[run], level, channels)
+        yield from merge_leaf_sets([collapsed], tree)
+
+
+def _node_keys(tree: BlockTree, leaves: LeafSet, level: int) -> Index:
+    """Number the nodes of `level` above leaves, in the order of their blocks."""
+    above = tree.ancestors(leaves.level, level)
+    keys: Index = above[leaves.block_a] * np.int64(tree.n_blocks(level)) + above[leaves.block_b]
+    return keys
+
+
+def _runs(lengths: Index) -> Iterator[slice]:
+    """Cut nodes into runs of at most `_SUMMED_VALUES`, or of one node."""
+    ends = np.cumsum(lengths)
+    first, before = 0, 0
+    while first < len(lengths):
+        last = max(int(np.searchsorted(ends, before + _SUMMED_VALUES, "right")), first + 1)
+        yield slice(first, last)
+        first, before = last, int(ends[last - 1])
+
+
+def _collapse_run(
+    tree: BlockTree,
+    leaf_sets: Sequence[LeafSet],
+    keys: Sequence[Index],
+    nodes: Index,
+    level: int,
+    channels: int,
+) -> LeafSet:
+    """Return the rank-1 leaves of some nodes, made of the leaves below them."""
+    block_a, block_b = (
+        blocks.astype(np.int32) for blocks in np.divmod(nodes, tree.n_blocks(level))
+    )
+    starts = tree.starts[level]
+    offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
+    marginals = np.zeros((channels, n_values))
+    own = offset_a - starts[block_a], offset_b - starts[block_b]
+    for index, key in enumerate(keys):
+        inside = (key >= nodes[0]) & (key <= nodes[-1])
+        if inside.any():
+            leaves = decoded(tree, leaf_sets[index].subset(tree, inside))
+            _add_marginals(tree, leaves, np.searchsorted(nodes, key[inside]), own, marginals)
+    sizes = np.diff(starts)[block_a]
+    lengths = np.diff(np.append(offset_a, n_values))
+    begin = np.cumsum(sizes) - sizes
+    values = np.empty(marginals.shape, np.float32)
+    for sums, factors in zip(marginals, values, strict=True):
+        total = np.add.reduceat(sums[ragged_ranges(offset_a, sizes)], begin)
+        scale = np.where(total > 0, 1 / np.sqrt(np.where(total > 0, total, 1)), 0.0)
+        np.multiply(sums, np.repeat(scale, lengths), out=factors, casting="same_kind")
+    return LeafSet(level, block_a, block_b, values)
+
+
+def _add_marginals(
+    tree: BlockTree,
+    leaves: LeafSet,
+    node: Index,
+    own: tuple[Index, Index],
+    marginals: NDArray[np.float64],
+) -> None:
+    """Add the row and column sums of leaves to those of their nodes."""
+    from rfpipe.transport import kernels
+
+    starts, values = tree.starts[leaves.level], leaves.values
+    if leaves.level == tree.n_levels - 1:
+        # A scalar is the leaf x * 1: give it a second factor of one.
+        values = np.stack([values, np.ones_like(values)], axis=2).reshape(len(values), -1)
+        offset_a = 2 * np.arange(len(leaves), dtype=np.int64)
+        offset_b = offset_a + 1
+    else:
+        offset_a, offset_b, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
+    kernels.add_marginals(
+        starts, leaves.block_a, leaves.block_b, offset_a, offset_b, values, node, *own, marginals
+    )  # fmt: skip
