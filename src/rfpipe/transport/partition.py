@@ -13,9 +13,14 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
 from rfpipe.transport.base import Float
-from rfpipe.transport.leaves import LeafSet, factor_offsets
+from rfpipe.transport.leaves import LeafSet, factor_offsets, ragged_ranges
 
 __all__ = ["predict"]
+
+Index = NDArray[np.int64]
+
+# Rays whose images under a batch of patterns stay in a core's cache.
+_TILE = 1024
 
 
 def predict(
@@ -51,7 +56,7 @@ def predict(
 
     images = np.zeros((last - first, channels, tree.domain.size), np.float32)
     pattern_of_part = pattern_of_block - np.int32(first)
-    pattern_of_part[pattern_of_block < 0] = -1
+    lit_parts = np.flatnonzero((pattern_of_part >= 0) & (pattern_of_part < last - first))
     part_starts = tree.starts[level]
     for leaves in leaf_sets:
         if not len(leaves):
@@ -63,16 +68,38 @@ def predict(
             )
             continue
         starts = tree.starts[leaves.level]
-        parts = np.stack(
-            [
-                np.searchsorted(part_starts, starts[:-1], side="right") - 1,
-                np.searchsorted(part_starts, starts[1:], side="left"),
-            ],
-            axis=1,
-        )
         offset_a, offset_b, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
+        first_lit = np.searchsorted(lit_parts, _met(starts, part_starts))
         kernels.apply_to_partition(
-            starts, leaves.block_a, leaves.block_b, offset_a, offset_b, leaves.values, parts,
-            part_starts, pattern_of_part, images,
+            starts, leaves.block_a, leaves.block_b, offset_a, offset_b, leaves.values,
+            *_sides(leaves, tree), _tiles(starts), lit_parts, first_lit, part_starts,
+            pattern_of_part, images,
         )  # fmt: skip
     return images
+
+
+def _tiles(starts: Index) -> Index:
+    """Cut blocks into runs of at most `_TILE` rays, ``(n, 3)``: block, first ray, end."""
+    counts = -(-np.diff(starts) // _TILE)
+    block = np.repeat(np.arange(len(counts)), counts)
+    ray = starts[block] + ragged_ranges(np.zeros_like(counts), counts) * _TILE
+    return np.stack([block, ray, np.minimum(ray + _TILE, starts[block + 1])], axis=1)
+
+
+def _met(starts: Index, others: Index) -> Index:
+    """Return which of the other blocks each block meets, ``(n, 2)``: first, and after the last."""
+    first = np.searchsorted(others, starts[:-1], side="right") - 1
+    return np.stack([first, np.searchsorted(others, starts[1:], side="left")], axis=1)
+
+
+def _sides(leaves: LeafSet, tree: BlockTree) -> tuple[Index, Index]:
+    """List the leaves by block, see `partition_kernels.sort_by_block`; once."""
+    from rfpipe.transport.partition_kernels import sort_by_block
+
+    if "sides" not in leaves.kept:
+        first = np.zeros(tree.n_blocks(leaves.level) + 1, np.int64)
+        sides = np.empty(2 * len(leaves), np.int64)
+        sort_by_block(leaves.block_a, leaves.block_b, first, sides)
+        leaves.kept["sides"] = first, sides
+    found: tuple[Index, Index] = leaves.kept["sides"]
+    return found
