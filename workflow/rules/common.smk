@@ -48,6 +48,18 @@ SHAPING = SETTINGS.model_dump(
     mode="json", exclude={"resources": True, "capture": {"keep_raw"}}
 )
 
+# How any rig captures a level.
+CAPTURE = SETTINGS.capture.model_dump(
+    mode="json",
+    include={
+        "batch_patterns",
+        "drift_minutes",
+        "keep_raw",
+        "warm_up_minutes",
+        "when_patterns_change",
+    },
+)
+
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
 
 

@@ -85,6 +85,20 @@ class CaptureConfig(Settings):
         description="Whether a level's raw exposures stay after their merge: true or false. "
         "Without them, other merge settings mean to capture again.",
     )
+    warm_up_minutes: float = Field(
+        0.0,
+        ge=0,
+        le=240,
+        description="Time for which the projector shows white before a capture, when no bracket "
+        "was taken for as long: 0 (none) to 240 minutes. A simulated lamp waits, too.",
+    )
+    drift_minutes: float | None = Field(
+        None,
+        gt=0,
+        le=1440,
+        description="Time between two looks at the floodlit image during a level, above 0 and at "
+        "most 1440 minutes, or null for none: what the lamp drifts by is reported.",
+    )
     when_patterns_change: Literal["recapture", "refuse"] = Field(
         "recapture",
         description="What to do with a level's pictures when a changed setting changes its "
@@ -104,6 +118,11 @@ class MergeConfig(Settings):
     )
     repair_defects: bool = Field(
         True, description="Replace dead and hot pixels by their neighbours' median: true or false."
+    )
+    divide_out_drift: bool = Field(
+        False,
+        description="Divide images by the light's brightness at their time, where "
+        "capture.drift_minutes had it measured: true or false.",
     )
 
 
