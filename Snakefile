@@ -42,6 +42,7 @@ rule all:
 
 onsuccess:
     print("rfpipe: done.")
+    notify(SETTINGS.notify, "done", log[0])
 
 
 onerror:
@@ -50,3 +51,4 @@ onerror:
         "detail, in the .log file beside its results. What was captured is kept: the next run goes "
         "on from there."
     )
+    notify(SETTINGS.notify, "failed", log[0])

@@ -3,6 +3,7 @@
 from rfpipe.config import load_config, parse_config
 from rfpipe.provenance import code_fingerprint
 from rfpipe.stages.disk import expected_patterns
+from rfpipe.stages.notify import notify
 from rfpipe.stages.plan import Plan
 
 if len(workflow.configfiles) == 1:
@@ -45,20 +46,20 @@ def plain(settings):
 
 # All settings but those that shape no result: changing these does nothing anew.
 SHAPING = SETTINGS.model_dump(
-    mode="json", exclude={"resources": True, "capture": {"keep_raw"}}
+    mode="json", exclude={"resources": True, "notify": True, "capture": {"keep_raw"}}
 )
 
 # How any rig captures a level.
-CAPTURE = SETTINGS.capture.model_dump(
-    mode="json",
-    include={
+CAPTURE = {
+    name: plain(SETTINGS.capture)[name]
+    for name in (
         "batch_patterns",
         "drift_minutes",
         "keep_raw",
         "warm_up_minutes",
         "when_patterns_change",
-    },
-)
+    )
+}
 
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
 

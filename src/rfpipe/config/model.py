@@ -226,6 +226,13 @@ class Config(Settings):
     resources: ResourcesConfig = Field(
         default_factory=ResourcesConfig, description="What a job may use; no result depends on it."
     )
+    notify: str | None = Field(
+        None,
+        min_length=1,
+        description="Command to run when a run has ended or failed, such as a script that sends a "
+        "message, or null for none. It finds RFPIPE_STATUS (done or failed) and RFPIPE_LOG in its "
+        "environment.",
+    )
     report: ReportConfig = Field(default_factory=ReportConfig, description="What the report shows.")
 
     def methods_of(self, scene: str) -> tuple[MethodName, ...]:
