@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import warnings
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["BAYER_PATTERNS", "check_mosaic", "demosaic", "mosaic"]
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+__all__ = ["BAYER_PATTERNS", "check_mosaic", "demosaic", "demosaic_matrices", "mosaic"]
 
 Float = NDArray[np.float32]
 
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Colours of the photosites (0, 0), (0, 1), (1, 0), (1, 1)."""
+
+_GREEN = (1.0, 0.25, 0.0)
+"""Weights of a green photosite, of its direct neighbours and of its diagonal ones."""
 
 MARGIN = 2
 """Pixels of border mirrored before the interpolation: even, so that the pattern continues."""
@@ -73,6 +80,48 @@ def demosaic(radiance: Float, variance: Float, pattern: str) -> tuple[Float, Flo
     spread = _spread_variance(variance.reshape(views.shape), pattern)
     shape = (*radiance.shape, 3)
     return colour.reshape(shape), spread.reshape(shape)
+
+
+def demosaic_matrices(shape: tuple[int, int], pattern: str) -> list[csr_array[Any]]:
+    """Return `demosaic` of one view as matrices, one for each colour.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Height and width, at least 2 each.
+    pattern : str
+        One of `BAYER_PATTERNS`.
+
+    Returns
+    -------
+    list of 3 csr_array of float32, shape (H W, H W)
+        From photosites to pixels; rows sum to 1.
+    """
+    from scipy.sparse import csr_array
+
+    size = shape[0] * shape[1]
+    colours = np.empty(shape, "<U1")
+    for position, colour in enumerate(pattern):
+        y, x = divmod(position, 2)
+        colours[y::2, x::2] = colour
+    matrices: list[csr_array[Any]] = []
+    for colour in "RGB":
+        matrix: csr_array[Any] = csr_array((size, size), dtype=np.float32)
+        for dy in (-1, 0, 1):
+            for dx in (-1, 0, 1):
+                # green takes a quarter of each of four neighbours, the others go half a step in
+                # each direction
+                weight = _GREEN[abs(dy) + abs(dx)] if colour == "G" else 0.5 ** (abs(dy) + abs(dx))
+                rows = np.pad(np.arange(shape[0]), 1, mode="reflect")[1 + dy : 1 + dy + shape[0]]
+                columns = np.pad(np.arange(shape[1]), 1, mode="reflect")[1 + dx :][: shape[1]]
+                sampled = colours[np.ix_(rows, columns)].ravel() == colour
+                source = (rows[:, None] * shape[1] + columns).ravel()[sampled]
+                target = np.flatnonzero(sampled)
+                weights = np.full(len(target), weight, np.float32)
+                matrix = matrix + csr_array((weights, (target, source)), shape=(size, size))
+        matrix.eliminate_zeros()
+        matrices.append(matrix)
+    return matrices
 
 
 def _spread_variance(variance: Float, pattern: str) -> Float:
