@@ -92,7 +92,7 @@ def test_what_another_window_hid_is_drawn_again(display: VirtualDisplay) -> None
         )
         cover.map()
         client.sync()
-        until(lambda: not display.pixels[:70, :90].any())
+        until(lambda: not display.pixels[:20, :20].any())
         cover.destroy()
         client.sync()
         until(lambda: bool((display.pixels == 255).all()))
@@ -167,6 +167,7 @@ def test_the_window_ends_with_its_owner(display: VirtualDisplay) -> None:
     process = projector._window._process
     process.stdin.close()
     assert process.wait(timeout=5) == 0
+    projector.close()
 
 
 def test_codes_without_response_are_proportional() -> None:
