@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import warnings
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["BAYER_PATTERNS", "check_mosaic", "demosaic", "mosaic"]
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+__all__ = ["BAYER_PATTERNS", "check_mosaic", "demosaic", "demosaic_matrices", "mosaic"]
 
 Float = NDArray[np.float32]
 
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Colours of the photosites (0, 0), (0, 1), (1, 0), (1, 1)."""
+
+_GREEN = (1.0, 0.25, 0.0)
+_RED_AND_BLUE = (1.0, 0.5, 0.25)
+"""Bilinear weights of a pixel's own photosite, of its direct neighbours and its diagonal ones."""
 
 MARGIN = 2
 """Pixels of border mirrored before the interpolation: even, so that the pattern continues."""
@@ -73,6 +81,51 @@ def demosaic(radiance: Float, variance: Float, pattern: str) -> tuple[Float, Flo
     spread = _spread_variance(variance.reshape(views.shape), pattern)
     shape = (*radiance.shape, 3)
     return colour.reshape(shape), spread.reshape(shape)
+
+
+def demosaic_matrices(shape: tuple[int, int], pattern: str) -> list[csr_array[Any]]:
+    """Return `demosaic` of one view as matrices, one for each colour.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Height and width, at least 2 each.
+    pattern : str
+        One of `BAYER_PATTERNS`.
+
+    Returns
+    -------
+    list of 3 csr_array of float32, shape (H W, H W)
+        From photosites to pixels; rows sum to 1.
+    """
+    colours = np.empty(shape, "<U1")
+    for position, colour in enumerate(pattern):
+        y, x = divmod(position, 2)
+        colours[y::2, x::2] = colour
+    return [_filling(colours, colour) for colour in "RGB"]
+
+
+def _filling(colours: NDArray[np.str_], colour: str) -> csr_array[Any]:
+    """Return the interpolation of one colour as a matrix."""
+    from scipy.sparse import coo_array
+
+    height, width = colours.shape
+    targets, sources, weights = [], [], []
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            away = abs(dy) + abs(dx)
+            weight = _GREEN[away] if colour == "G" else _RED_AND_BLUE[away]
+            # mirrored about the border pixel, which then counts twice
+            rows = np.pad(np.arange(height), 1, mode="reflect")[1 + dy :][:height]
+            columns = np.pad(np.arange(width), 1, mode="reflect")[1 + dx :][:width]
+            sampled = colours[np.ix_(rows, columns)].ravel() == colour
+            sources.append((rows[:, None] * width + columns).ravel()[sampled])
+            targets.append(np.flatnonzero(sampled))
+            weights.append(np.full(len(targets[-1]), weight, np.float32))
+    at = np.concatenate(targets), np.concatenate(sources)
+    matrix = coo_array((np.concatenate(weights), at), shape=(colours.size, colours.size)).tocsr()
+    matrix.eliminate_zeros()
+    return matrix
 
 
 def _spread_variance(variance: Float, pattern: str) -> Float:

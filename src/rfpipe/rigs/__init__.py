@@ -8,6 +8,9 @@ from rfpipe.rigs.base import (
     PatternOperator,
     Rig,
 )
+from rfpipe.rigs.device_rig import DeviceRig
+from rfpipe.rigs.devices import Camera, Projector
+from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.operator import OperatorRig
 from rfpipe.rigs.simulated import CoaxialScene, SimulatedRig
 
@@ -16,9 +19,13 @@ __all__ = [
     "DRIFT_KEY",
     "FLOODLIT_KEY",
     "WARM_UP_KEY",
+    "Camera",
     "CoaxialScene",
+    "DeviceRig",
     "OperatorRig",
     "PatternOperator",
+    "Projector",
+    "ProjectorLayout",
     "Rig",
     "SimulatedRig",
 ]

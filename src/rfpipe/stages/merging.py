@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.checks import check_floodlit
 from rfpipe.photometry.defects import DarkFrames, DefectMap, Repair, find_defects
+from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
 from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY
 from rfpipe.units import RADIANCE
@@ -175,11 +176,24 @@ class Merger:
 
     @cached_property
     def _merge_bracket(self) -> BracketMerge:
-        return self.sensor.merging(self.black, self.options)
+        sensor = self.sensor
+        if self._has_defects and isinstance(sensor, ResampledSensor):
+            assert self.defects is not None
+            sensor = sensor.without(self.defects.mask)
+        return sensor.merging(self.black, self.options)
+
+    @property
+    def _has_defects(self) -> bool:
+        return self.defects is not None and bool(self.defects.mask.any())
 
     @cached_property
     def _repair(self) -> Repair | None:
-        if self.defects is None or not self.defects.mask.any():
+        # rays take nothing from defective pixels of a camera behind a resampling
+        if (
+            self.defects is None
+            or not self._has_defects
+            or isinstance(self.sensor, ResampledSensor)
+        ):
             return None
         return Repair(self.defects.mask)
 

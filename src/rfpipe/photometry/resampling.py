@@ -1,0 +1,401 @@
+"""From camera pixels to rays: resampling merged images, and the sensor that does so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import prod
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry.camera import CameraModel
+from rfpipe.photometry.demosaic import demosaic_matrices
+from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
+from rfpipe.provenance import fingerprint
+from rfpipe.units import RADIANCE
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+__all__ = ["ResampledSensor", "Resampling", "sensor_from_description"]
+
+Float = NDArray[np.float32]
+
+ROW_SUM_TOLERANCE = 1e-4
+"""By how much a ray's weights may miss a sum of 1: the rounding of float32, generously."""
+
+LEAST_LEFT = 0.1
+"""A ray whose defective pixels had more than all but this share of its weight has none left."""
+
+_PREFIX = "resampling_"
+
+
+@dataclass(frozen=True, eq=False)
+class Resampling:
+    """What share each camera pixel has in each ray.
+
+    A ray that the camera doesn't see has no weights: its radiance is 0 with a variance of 0, which
+    is exactly no light. It is never significant, and it stops nothing. For ``T`` to stay symmetric
+    it must not be lit, either: a calibrated layout leaves its projector pixels dark.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The rays, (H, W) or (V, H, W).
+    camera_shape : tuple of int
+        The camera's pixels, (Hc, Wc).
+    matrix : csr_array of float32, shape (rays, camera pixels)
+        Both in row-major order. Each row sums to 1, or is empty where a ray is not seen. Weights
+        may be negative, where neighbouring rays share camera pixels.
+
+    Raises
+    ------
+    InputError
+        When the matrix doesn't fit the shapes or its rows are no weights.
+    """
+
+    shape: tuple[int, ...]
+    camera_shape: tuple[int, int]
+    matrix: csr_array[Any]
+
+    def __post_init__(self) -> None:
+        expected = (prod(self.shape), prod(self.camera_shape))
+        if len(self.shape) not in (2, 3) or len(self.camera_shape) != 2:
+            raise InputError(
+                f"a resampling goes from a camera (H, W) to rays (H, W) or (V, H, W), not from "
+                f"{self.camera_shape} to {self.shape}"
+            )
+        if self.matrix.shape != expected:
+            raise InputError(
+                f"a resampling of {self.camera_shape} camera pixels to {self.shape} rays needs a "
+                f"matrix {expected}, not {self.matrix.shape}"
+            )
+        sums = np.asarray(self.matrix.sum(axis=1, dtype=np.float64))
+        used = np.diff(self.matrix.indptr) > 0
+        wrong = used & ~(np.abs(sums - 1) <= ROW_SUM_TOLERANCE)  # NaN is wrong, too
+        if wrong.any():
+            ray = int(np.argmax(wrong))
+            raise InputError(
+                f"the weights of a ray must sum to 1, or be none; those of ray {ray} sum to "
+                f"{sums[ray]:.6g}"
+            )
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """Whether the camera sees a ray, shape `shape`."""
+        return np.asarray(np.diff(self.matrix.indptr) > 0).reshape(self.shape)
+
+    def apply(self, radiance: NDArray[Any]) -> Float:
+        """Resample images.
+
+        Parameters
+        ----------
+        radiance : ndarray of float32, shape (B, Hc, Wc, C)
+
+        Returns
+        -------
+        ndarray of float32, shape (B, *shape, C)
+            Each image's bits don't depend on those that it comes with.
+
+        Raises
+        ------
+        CaptureError
+            When the images have another shape.
+        """
+        return self._applied([self.matrix] * radiance.shape[-1], radiance)
+
+    def apply_to_variance(self, variance: NDArray[Any]) -> Float:
+        """Carry the variance of independent pixels (B, Hc, Wc, C) to the rays: squared weights."""
+        return self._applied([self.matrix.power(2)] * variance.shape[-1], variance)
+
+    def without(self, pixels: NDArray[np.bool_]) -> Resampling:
+        """Return a resampling that takes nothing from some camera pixels, as defective ones.
+
+        Parameters
+        ----------
+        pixels : ndarray of bool, shape `camera_shape`
+
+        Returns
+        -------
+        Resampling
+            Each ray's other pixels take over. A ray that has none left is the mean of its
+            neighbours that have.
+
+        Raises
+        ------
+        InputError
+            When the mask has another shape.
+        """
+        from scipy.sparse import csr_array, diags_array
+
+        if pixels.shape != self.camera_shape:
+            raise InputError(
+                f"a mask of shape {pixels.shape} doesn't fit a camera of {self.camera_shape}"
+            )
+        kept = csr_array(self.matrix @ diags_array((~pixels.ravel()).astype(np.float32)))
+        kept.eliminate_zeros()
+        lost = self.seen.ravel() & (np.asarray(kept.sum(axis=1)) < LEAST_LEFT)
+        if lost.any():
+            kept = csr_array(diags_array((~lost).astype(np.float32)) @ kept)
+            kept = csr_array(kept + _neighbours_of(lost.reshape(self.shape)) @ kept)
+        return replace(self, matrix=normalised(kept))
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return what `from_arrays` needs, to be stored."""
+        return {
+            f"{_PREFIX}shape": np.array(self.shape, np.int32),
+            f"{_PREFIX}camera_shape": np.array(self.camera_shape, np.int32),
+            f"{_PREFIX}starts": self.matrix.indptr.astype(np.int64),
+            f"{_PREFIX}pixels": self.matrix.indices.astype(np.int32),
+            f"{_PREFIX}weights": self.matrix.data.astype(np.float32),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Resampling:
+        """Return the resampling whose `arrays` these are.
+
+        Raises
+        ------
+        InputError
+            When one is missing or they don't fit together.
+        """
+        from scipy.sparse import csr_array
+
+        try:
+            shape, camera, starts, pixels, weights = (
+                arrays[f"{_PREFIX}{name}"]
+                for name in ("shape", "camera_shape", "starts", "pixels", "weights")
+            )
+        except KeyError as error:
+            raise InputError(
+                f"a stored resampling lacks the array {error}; calibrate the rig again"
+            ) from None
+        height, width = map(int, camera)
+        rays = tuple(map(int, shape))
+        try:
+            matrix = csr_array((weights, pixels, starts), shape=(prod(rays), height * width))
+            matrix.check_format()
+        except ValueError as error:
+            raise InputError(
+                f"a stored resampling's arrays don't fit together: {error}; calibrate the rig again"
+            ) from error
+        return cls(rays, (height, width), matrix)
+
+    def digest(self) -> str:
+        """Fingerprint of shapes and weights."""
+        return fingerprint(self.arrays())
+
+    def _applied(self, matrices: list[csr_array[Any]], images: NDArray[Any]) -> Float:
+        return applied(matrices, images, self.shape, self.camera_shape)
+
+
+def applied(
+    matrices: list[csr_array[Any]],
+    images: NDArray[Any],
+    shape: tuple[int, ...],
+    camera_shape: tuple[int, ...],
+) -> Float:
+    """Apply a matrix to each channel of images (B, *camera_shape, C), one image at a time."""
+    if images.ndim != 4 or images.shape[1:3] != camera_shape:
+        raise CaptureError(
+            f"images have the shape {images.shape}; this resampling was calibrated for (images, "
+            f"{', '.join(map(str, camera_shape))}, channels). Calibrate the rig again if the "
+            "camera's size was changed"
+        )
+    rays = np.empty((len(images), prod(shape), len(matrices)), RADIANCE)
+    channels = images.reshape(len(images), -1, images.shape[-1])
+    for image, out in zip(channels, rays, strict=True):
+        for channel, matrix in enumerate(matrices):
+            source = image[:, min(channel, images.shape[-1] - 1)]
+            out[:, channel] = matrix @ np.ascontiguousarray(source, RADIANCE)
+    return rays.reshape(len(images), *shape, len(matrices))
+
+
+def normalised(matrix: csr_array[Any]) -> csr_array[Any]:
+    """Scale the rows of weights to sum to 1; empty rows stay empty. float32."""
+    weights = matrix.astype(np.float64)
+    weights.eliminate_zeros()
+    sums = np.asarray(weights.sum(axis=1))
+    weights.data /= np.repeat(sums, np.diff(weights.indptr))
+    weights.sort_indices()
+    return weights.astype(RADIANCE)
+
+
+@dataclass(frozen=True, eq=False)
+class ResampledSensor:
+    """A camera whose merged images are resampled to rays; its frames stay those of the camera.
+
+    Parameters
+    ----------
+    sensor : CameraModel
+        Its colour mosaic, if any, is filled in before the resampling.
+    resampling : Resampling
+    """
+
+    sensor: CameraModel
+    resampling: Resampling
+
+    @property
+    def exposures(self) -> tuple[float, ...]:
+        """Exposure times of a bracket in seconds, ascending."""
+        return self.sensor.exposures
+
+    @property
+    def frame_dtype(self) -> np.dtype[Any]:
+        """Frames are the camera's counts, uint16."""
+        return self.sensor.frame_dtype
+
+    def frame_shape(self, camera_shape: tuple[int, ...], channels: int) -> tuple[int, ...]:  # noqa: ARG002
+        """Shape of one bracket: that of the camera behind the rays, whatever their shape."""
+        return self.sensor.frame_shape(self.resampling.camera_shape, channels)
+
+    def expose(self, radiance: NDArray[Any], seed: int, key: tuple[int, ...]) -> NDArray[Any]:  # noqa: ARG002
+        """Raise InputError: from rays there is no way back to the camera's pixels."""
+        raise InputError(
+            f"pattern {key}: a resampled sensor of {self.resampling.shape} rays can't be exposed "
+            f"to a picture {np.shape(radiance)}; its frames come from a camera"
+        )
+
+    def merge(
+        self, frames: NDArray[Any], black: NDArray[Any], options: MergeOptions | None = None
+    ) -> Merged:
+        """Merge brackets (B, E, Hc, Wc[, C]) of the camera, and resample them to rays.
+
+        Returns
+        -------
+        Merged
+            Radiance and variance (B, *rays, C). Neighbouring rays that share a pixel share its
+            noise; the variance is each ray's own, and exact also under a mosaic.
+
+        Raises
+        ------
+        CaptureError
+            As the camera's merge, and where frames don't have the calibrated size.
+        """
+        options = options or MergeOptions()
+        return self.merging(black, options)(frames, options.first_index)
+
+    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:
+        """Return `merge` for many brackets; see `Sensor.merging`."""
+        return _ResampledMerge(self, black, options or MergeOptions())
+
+    def without(self, pixels: NDArray[np.bool_]) -> ResampledSensor:
+        """Return a sensor that takes nothing from defective pixels; see `Resampling.without`."""
+        return replace(self, resampling=self.resampling.without(pixels))
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests."""
+        return {
+            "kind": "resampled",
+            "sensor": self.sensor.describe(),
+            "shape": list(self.resampling.shape),
+            "resampling": self.resampling.digest(),
+        }
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return what `sensor_from_description` needs beside the description."""
+        return self.resampling.arrays()
+
+    @cached_property
+    def matrices(self) -> list[csr_array[Any]]:
+        """From photosites to rays, one for each channel of a mosaic; one for all without."""
+        matrix = self.resampling.matrix
+        if self.sensor.bayer is None:
+            return [matrix]
+        filled = demosaic_matrices(self.resampling.camera_shape, self.sensor.bayer)
+        return [(matrix @ colour).tocsr() for colour in filled]
+
+    @cached_property
+    def squares(self) -> list[csr_array[Any]]:
+        """The same with squared weights, for the variance."""
+        return [matrix.power(2) for matrix in self.matrices]
+
+
+class _ResampledMerge:
+    """The merge of photosites as grey pixels, then demosaic and resampling in one matrix.
+
+    In one, the noise that the interpolation spreads over neighbours counts once.
+    """
+
+    def __init__(self, sensor: ResampledSensor, black: NDArray[Any], options: MergeOptions) -> None:
+        self._sensor = sensor
+        self._has_mosaic = sensor.sensor.bayer is not None
+        grey = replace(sensor.sensor, bayer=None)
+        black = np.asarray(black)
+        self._merge = grey.merging(black[..., None] if self._has_mosaic else black, options)
+
+    def __call__(self, frames: NDArray[Any], first_index: int = 0) -> Merged:
+        frames = np.asarray(frames)
+        merged = self._merge(frames[..., None] if self._has_mosaic else frames, first_index)
+        sensor, resampling = self._sensor, self._sensor.resampling
+        shapes = resampling.shape, resampling.camera_shape
+        repeats = 1 if self._has_mosaic else merged.radiance.shape[-1]
+        return Merged(
+            applied(sensor.matrices * repeats, merged.radiance, *shapes),
+            applied(sensor.squares * repeats, merged.variance, *shapes),
+            merged.saturated,
+        )
+
+
+def sensor_from_description(
+    description: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]] | None = None
+) -> Sensor:
+    """Return the sensor that a `describe` tells of.
+
+    Parameters
+    ----------
+    description : mapping
+        As a sensor's `describe` gave it, also by way of JSON.
+    arrays : mapping of str to ndarray, optional
+        A resampled sensor's `arrays`.
+
+    Raises
+    ------
+    InputError
+        When the description is none of a known sensor, or the arrays are missing or of another.
+    """
+    kind = description.get("kind")
+    if kind == "exact":
+        return ExactSensor()
+    if kind == "camera":
+        settings = {name: value for name, value in description.items() if name != "kind"}
+        try:
+            return CameraModel(**{**settings, "exposures": tuple(settings["exposures"])})
+        except (KeyError, TypeError) as error:
+            raise InputError(
+                f"a camera's description doesn't fit this version of rfpipe: {error}"
+            ) from error
+    if kind != "resampled":
+        raise InputError(f"sensor kind {kind!r} is unknown; expected exact, camera or resampled")
+    if arrays is None:
+        raise InputError("a resampled sensor needs the arrays of its resampling")
+    camera = sensor_from_description(description["sensor"])
+    resampling = Resampling.from_arrays(arrays)
+    if not isinstance(camera, CameraModel) or resampling.digest() != description["resampling"]:
+        raise InputError(
+            f"the arrays of a resampling to {resampling.shape} rays are not those of the sensor "
+            f"described (digest {description['resampling']}): they are of another calibration"
+        )
+    return ResampledSensor(camera, resampling)
+
+
+def _neighbours_of(lost: NDArray[np.bool_]) -> csr_array[Any]:
+    """Return rows with a 1 at the neighbours in the view of each lost ray, in its row."""
+    from scipy.sparse import csr_array
+
+    height, width = lost.shape[-2:]
+    index = np.arange(lost.size).reshape(-1, height, width)
+    views, rows, columns = np.nonzero(lost.reshape(index.shape))
+    source, target = [], []
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            y, x = rows + dy, columns + dx
+            inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+            target.append(index[views, rows, columns][inside])
+            source.append(index[views[inside], y[inside], x[inside]])
+    at = np.concatenate(target), np.concatenate(source)
+    return csr_array((np.ones(len(at[0]), RADIANCE), at), shape=(lost.size, lost.size))

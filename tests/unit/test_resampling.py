@@ -1,0 +1,206 @@
+"""Resampling camera pixels to rays: weights, variance, mosaic, defects, and its sensor."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array, random_array
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import (
+    CameraModel,
+    ExactSensor,
+    MergeOptions,
+    ResampledSensor,
+    Resampling,
+    sensor_from_description,
+)
+from rfpipe.photometry.checks import check_floodlit
+from rfpipe.photometry.demosaic import BAYER_PATTERNS, demosaic, demosaic_matrices
+from rfpipe.photometry.resampling import normalised
+from rfpipe.stages.merging import Merger
+
+CAMERA = CameraModel(exposures=(1 / 64, 1 / 16), electrons_per_radiance=200_000.0)
+SHAPE, CAMERA_SHAPE = (3, 4), (8, 10)
+
+
+def random_resampling(shape=SHAPE, camera_shape=CAMERA_SHAPE, seed: int = 0) -> Resampling:
+    size = (int(np.prod(shape)), int(np.prod(camera_shape)))
+    weights = random_array(size, density=0.1, rng=np.random.default_rng(seed), format="csr")
+    return Resampling(shape, camera_shape, normalised(csr_array(weights)))
+
+
+def unseen_resampling(ray: int) -> Resampling:
+    whole = random_resampling()
+    rows = whole.matrix.toarray()
+    rows[ray] = 0
+    return replace(whole, matrix=normalised(csr_array(rows)))
+
+
+def frames_of(sensor: CameraModel, light: np.ndarray, count: int = 2) -> np.ndarray:
+    return np.stack([sensor.expose(light, 0, (0, index)) for index in range(count)])
+
+
+def black_of(sensor: CameraModel, channels: int, count: int = 4) -> np.ndarray:
+    dark = np.zeros((*CAMERA_SHAPE, channels), np.float32)
+    frames = [sensor.expose(dark, 1, (1, index)) for index in range(count)]
+    return np.mean(frames, axis=0).astype(np.float32)
+
+
+@pytest.mark.parametrize("shape", [(3, 4), (2, 3, 2)])
+def test_a_constant_image_stays_constant(shape: tuple[int, ...]) -> None:
+    resampling = random_resampling(shape)
+    image = np.full((2, *CAMERA_SHAPE, 3), 0.7, np.float32)
+    assert resampling.apply(image) == pytest.approx(
+        np.broadcast_to(0.7 * resampling.seen[..., None], (2, *shape, 3)), rel=1e-6
+    )
+
+
+def test_images_do_not_depend_on_their_batch() -> None:
+    images = np.random.default_rng(1).random((5, *CAMERA_SHAPE, 3), np.float32)
+    resampling = random_resampling()
+    assert np.array_equal(resampling.apply(images)[3:4], resampling.apply(images[3:4]))
+
+
+def test_variance_has_squared_weights() -> None:
+    resampling = random_resampling()
+    variance = np.random.default_rng(1).random((1, *CAMERA_SHAPE, 1), np.float32)
+    expected = (resampling.matrix.toarray() ** 2 @ variance.reshape(-1)).reshape(1, *SHAPE, 1)
+    assert resampling.apply_to_variance(variance) == pytest.approx(expected, rel=1e-6)
+
+
+def test_merge_is_merge_then_resampling() -> None:
+    resampling = random_resampling()
+    sensor = ResampledSensor(CAMERA, resampling)
+    light = np.random.default_rng(2).random((*CAMERA_SHAPE, 3), np.float32)
+    frames, black = frames_of(CAMERA, light), black_of(CAMERA, 3)
+    options = MergeOptions(4)
+    merged, raw = sensor.merge(frames, black, options), CAMERA.merge(frames, black, options)
+    assert np.array_equal(merged.radiance, resampling.apply(raw.radiance))
+    assert np.array_equal(merged.variance, resampling.apply_to_variance(raw.variance))
+    assert sensor.frame_shape(SHAPE, 3) == (2, *CAMERA_SHAPE, 3)
+    assert sensor.exposures == CAMERA.exposures
+    assert sensor.frame_dtype == np.uint16
+
+
+@pytest.mark.parametrize("pattern", BAYER_PATTERNS)
+def test_matrices_demosaic_as_the_images_do(pattern: str) -> None:
+    mosaic = np.random.default_rng(3).random(CAMERA_SHAPE, np.float32)
+    filled, _ = demosaic(mosaic, mosaic, pattern)
+    for channel, matrix in enumerate(demosaic_matrices(CAMERA_SHAPE, pattern)):
+        image = (matrix @ mosaic.ravel()).reshape(CAMERA_SHAPE)
+        assert image == pytest.approx(filled[..., channel], abs=1e-6)
+
+
+def test_a_mosaic_is_filled_in_before_the_resampling_and_its_noise_counted_once() -> None:
+    camera = replace(CAMERA, bayer="GRBG")
+    resampling = random_resampling()
+    sensor = ResampledSensor(camera, resampling)
+    light = np.random.default_rng(2).random((*CAMERA_SHAPE, 3), np.float32)
+    black = black_of(camera, 3)
+    merged = sensor.merge(frames_of(camera, light, 800), black)
+    raw = camera.merge(frames_of(camera, light, 3), black)
+    assert sensor.frame_shape(SHAPE, 3) == (2, *CAMERA_SHAPE)
+    assert merged.radiance[:3] == pytest.approx(resampling.apply(raw.radiance), rel=1e-4)
+    # the mean over rays and colours of measured over predicted variance; frames share `black`,
+    # whose noise the prediction counts: read noise, small beside the light's
+    ratio = merged.radiance.var(axis=0) / merged.variance.mean(axis=0)
+    assert ratio.mean() == pytest.approx(1, abs=0.03)
+
+
+def test_an_unseen_ray_is_no_light_and_stops_nothing() -> None:
+    sensor = ResampledSensor(CAMERA, unseen_resampling(5))
+    light = np.ones((*CAMERA_SHAPE, 1), np.float32)
+    frames, black = frames_of(CAMERA, light), black_of(CAMERA, 1)
+    merged = sensor.merge(frames, black)
+    assert merged.radiance[:, 1, 1].tolist() == [[0], [0]]
+    assert merged.variance[:, 1, 1].tolist() == [[0], [0]]
+    check_floodlit(merged.radiance, merged.variance)
+    assert not sensor.resampling.seen[1, 1]
+    assert sensor.resampling.seen.sum() == 11
+    merger = Merger.calibrate(sensor, [np.stack([black, black]).astype(np.uint16)], [frames])
+    assert merger.floodlit.shape == (*SHAPE, 1)
+
+
+def test_defective_pixels_have_no_share() -> None:
+    resampling = random_resampling()
+    mask = np.zeros(CAMERA_SHAPE, bool)
+    mask[2, 3:6] = True
+    clean = resampling.without(mask)
+    assert clean.matrix[:, [23, 24, 25]].nnz == 0
+    assert clean.matrix.sum(axis=1) == pytest.approx(np.ones(12), rel=1e-5)
+
+
+def test_a_ray_without_a_good_pixel_takes_its_neighbours() -> None:
+    identity = csr_array(np.eye(12, dtype=np.float32))
+    resampling = Resampling(SHAPE, SHAPE, identity)
+    mask = np.zeros(SHAPE, bool)
+    mask[0, 0] = True
+    image = np.arange(12, dtype=np.float32).reshape(1, *SHAPE, 1)
+    rays = resampling.without(mask).apply(image)
+    assert rays[0, 0, 0, 0] == pytest.approx((1 + 4 + 5) / 3)
+    assert np.array_equal(rays.ravel()[1:], image.ravel()[1:])
+
+
+def test_hot_pixels_are_kept_from_rays() -> None:
+    resampling = random_resampling()
+    sensor = ResampledSensor(CAMERA, resampling)
+    light = np.full((*CAMERA_SHAPE, 1), 0.5, np.float32)
+    dark = frames_of(CAMERA, np.zeros_like(light), 4)
+    frames = frames_of(CAMERA, light, 4)
+    dark[:, :, 4, 4], frames[:, :, 4, 4] = 3000, 3001
+    merger = Merger.calibrate(sensor, [dark], [frames])
+    assert merger.defects is not None
+    assert merger.defects.mask.sum() == 1
+    assert merger.floodlit == pytest.approx(np.full((*SHAPE, 1), 0.5), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        ExactSensor(),
+        CAMERA,
+        replace(CAMERA, bayer="RGGB"),
+        ResampledSensor(replace(CAMERA, bayer="RGGB"), random_resampling()),
+    ],
+)
+def test_sensors_come_back_from_their_description(sensor) -> None:
+    description = json.loads(json.dumps(sensor.describe()))
+    arrays = sensor.arrays() if isinstance(sensor, ResampledSensor) else None
+    again = sensor_from_description(description, arrays)
+    assert json.dumps(again.describe()) == json.dumps(sensor.describe())
+
+
+def test_wrong_descriptions_are_refused() -> None:
+    sensor = ResampledSensor(CAMERA, random_resampling())
+    with pytest.raises(InputError, match="kind 'radar' is unknown"):
+        sensor_from_description({"kind": "radar"})
+    with pytest.raises(InputError, match="another calibration"):
+        sensor_from_description(sensor.describe(), random_resampling(seed=1).arrays())
+    with pytest.raises(InputError, match="needs the arrays"):
+        sensor_from_description(sensor.describe())
+    with pytest.raises(InputError, match="lacks the array 'resampling_shape'"):
+        sensor_from_description(sensor.describe(), {})
+    with pytest.raises(InputError, match="camera's description"):
+        sensor_from_description({"kind": "camera", "colour": "blue"})
+
+
+def test_wrong_matrices_and_images_are_refused() -> None:
+    good = random_resampling()
+    with pytest.raises(InputError, match="needs a matrix"):
+        replace(good, camera_shape=(8, 9))
+    with pytest.raises(InputError, match="sum to 2"):
+        replace(good, matrix=good.matrix * np.float32(2))
+    with pytest.raises(InputError, match="not from"):
+        replace(good, shape=(12,))
+    with pytest.raises(CaptureError, match="calibrated for"):
+        good.apply(np.zeros((1, 8, 9, 1), np.float32))
+    with pytest.raises(InputError, match="doesn't fit a camera"):
+        good.without(np.zeros((2, 2), bool))
+    with pytest.raises(InputError, match="come from a camera"):
+        ResampledSensor(CAMERA, good).expose(np.zeros((3, 4, 1)), 0, (0, 0))
+    arrays = good.arrays()
+    arrays["resampling_pixels"] = arrays["resampling_pixels"] + 10_000
+    with pytest.raises(InputError, match="don't fit together"):
+        Resampling.from_arrays(arrays)
