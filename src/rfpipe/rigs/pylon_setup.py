@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
@@ -184,7 +185,10 @@ class CameraSetup:
 def load_pylon() -> tuple[Any, Any]:
     """Return the driver's modules ``pylon`` and ``genicam``, or raise CaptureError."""
     try:
-        from pypylon import genicam, pylon
+        with warnings.catch_warnings():
+            # its wrapper's types warn, and end the process where a warning is an error
+            warnings.simplefilter("ignore", DeprecationWarning)
+            from pypylon import genicam, pylon
     except ImportError as error:
         raise CaptureError(
             f"pypylon can't be loaded: {error}. Install it: pip install 'rfpipe[rig]'"

@@ -1,0 +1,199 @@
+"""The driver of Basler cameras, on pylon's emulated one."""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs.pylon import PylonCamera
+from rfpipe.testing import CameraContract
+
+SENSOR = CameraModel(exposures=(0.001, 0.01, 0.1))
+SHAPE = (40, 48)
+QUICK = {"timeout_seconds": 0.5, "reconnect_seconds": 0.0}
+
+
+def pictures(folder: Path, counts: np.ndarray) -> dict[str, str]:
+    """Put 16-bit counts before the emulated camera."""
+    import cv2
+
+    for name in ("a.png", "b.png"):
+        assert cv2.imwrite(str(folder / name), counts)
+    return {"TestImageSelector": "Off", "ImageFilename": str(folder), "ImageFileMode": "On"}
+
+
+@pytest.fixture
+def camera() -> Iterator[PylonCamera]:
+    with PylonCamera(SENSOR, shape=SHAPE, **QUICK) as camera:
+        yield camera
+
+
+def fail(camera: PylonCamera, frames: int) -> None:
+    """Have the next frames come damaged."""
+    camera._camera.ForceFailedBufferCount.Value = frames
+    camera._camera.ForceFailedBuffer.Execute()
+
+
+def unplug(camera: PylonCamera) -> None:
+    camera._camera.FirePnPCallbackValue.Value = 0
+    camera._camera.FirePnPCallback.Execute()
+    assert camera._camera.IsCameraDeviceRemoved()
+
+
+class TestGreyCamera(CameraContract):
+    def make_camera(self) -> PylonCamera:
+        return PylonCamera(SENSOR, shape=SHAPE, nodes={"TestImageSelector": "Testimage1"}, **QUICK)
+
+
+class TestCameraWithMosaic(CameraContract):
+    def make_camera(self) -> PylonCamera:
+        sensor = replace(SENSOR, bayer="GRBG", bits=10)
+        return PylonCamera(sensor, shape=SHAPE, nodes={"TestImageSelector": "Testimage1"}, **QUICK)
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+@pytest.mark.parametrize("bayer", [None, "RGGB", "GRBG", "GBRG", "BGGR"])
+def test_counts_arrive_bit_for_bit(bits: int, bayer: str | None, tmp_path: Path) -> None:
+    counts = np.random.default_rng(0).integers(0, 2**16, SHAPE, dtype=np.uint16)
+    sensor = replace(SENSOR, bits=bits, bayer=bayer)
+    with PylonCamera(sensor, shape=SHAPE, nodes=pictures(tmp_path, counts), **QUICK) as camera:
+        assert camera.describe()["pixel_format"].endswith(str(bits))
+        bracket = camera.expose().reshape(3, *SHAPE)
+    assert (bracket == counts >> (16 - bits)).all()
+
+
+def test_a_part_of_the_sensor(tmp_path: Path) -> None:
+    with PylonCamera(SENSOR, shape=SHAPE, offset=(8, 16), **QUICK) as camera:
+        assert camera.shape == SHAPE
+        assert (camera._camera.OffsetY.Value, camera._camera.OffsetX.Value) == (8, 16)
+
+
+def test_nothing_adapts(camera: PylonCamera) -> None:
+    device = camera._camera
+    assert device.GainAuto.Value == device.ExposureAuto.Value == "Off"
+    assert (device.Gain.Value, device.Gamma.Value) == (0, 1)
+    assert device.AcquisitionFrameRateEnable.Value is False
+    for selector in device.TriggerSelector.Symbolics:
+        device.TriggerSelector.Value = selector
+        assert (device.TriggerMode.Value == "On") == (selector == "FrameStart")
+
+
+def test_what_another_program_left_is_undone() -> None:
+    with PylonCamera(SENSOR, shape=SHAPE, gain_db=12, **QUICK) as camera:
+        assert camera._camera.Gain.Value == pytest.approx(12, abs=0.1)
+    with PylonCamera(SENSOR, shape=SHAPE, **QUICK) as camera:
+        assert camera._camera.Gain.Value == 0
+
+
+def test_each_exposure_has_its_time(monkeypatch: pytest.MonkeyPatch, camera: PylonCamera) -> None:
+    times = []
+    monkeypatch.setattr(
+        camera, "_before_trigger", lambda _: times.append(camera._camera.ExposureTime.Value)
+    )
+    camera.expose()
+    assert times == [1000, 10_000, 100_000]
+
+
+def test_failed_frames_are_taken_again(
+    camera: PylonCamera, caplog: pytest.LogCaptureFixture
+) -> None:
+    fail(camera, 1)
+    assert camera.expose().shape == (3, *SHAPE, 1)
+    assert camera.statistics == {"frames": 3, "failed": 1, "timed_out": 0, "reconnected": 0}
+    assert "attempt 1 of 4: The buffer was incompletely grabbed" in caplog.text
+
+
+def test_a_camera_that_always_fails_is_an_error_with_advice() -> None:
+    with PylonCamera(SENSOR, shape=SHAPE, retries=0, **QUICK) as camera:
+        fail(camera, 10)
+        with pytest.raises(
+            CaptureError, match=r"0815-0000: no good frame of 0\.001 s in 1 attempts.*Check.*cable"
+        ):
+            camera.expose()
+        assert camera.expose().shape == (3, *SHAPE, 1)
+
+
+def test_a_frame_that_does_not_come_is_taken_again(
+    monkeypatch: pytest.MonkeyPatch, camera: PylonCamera
+) -> None:
+    forgotten = iter([True])
+    trigger = type(camera._camera).ExecuteSoftwareTrigger
+
+    def forgetful(device: Any) -> None:
+        if not next(forgotten, False):
+            trigger(device)
+
+    monkeypatch.setattr(type(camera._camera), "ExecuteSoftwareTrigger", forgetful)
+    assert camera.expose().shape == (3, *SHAPE, 1)
+    assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 1, "reconnected": 0}
+
+
+def test_a_late_frame_is_not_taken_for_the_next(tmp_path: Path) -> None:
+    counts = np.full(SHAPE, 160, np.uint16)
+    nodes = pictures(tmp_path, counts)
+    with PylonCamera(SENSOR, shape=SHAPE, nodes=nodes, **QUICK) as camera:
+        camera.expose()
+        camera._camera.ExecuteSoftwareTrigger()  # its frame stays in the queue
+        pictures(tmp_path, 2 * counts)
+        camera._restart()
+        assert (camera.expose() == 20).all()
+
+
+def test_a_lost_camera_is_found_again(
+    camera: PylonCamera, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    camera.expose()
+    unplug(camera)
+    assert camera.expose().shape == (3, *SHAPE, 1)
+    assert camera.statistics == {"frames": 6, "failed": 0, "timed_out": 0, "reconnected": 1}
+    assert "camera 0815-0000 is back" in caplog.text
+
+
+def test_a_camera_that_stays_away_is_an_error_with_advice(
+    monkeypatch: pytest.MonkeyPatch, camera: PylonCamera
+) -> None:
+    unplug(camera)
+    with monkeypatch.context() as patch:
+        patch.setattr(camera, "_serial", "0815-9999")
+        with pytest.raises(
+            CaptureError, match=r"was lost .* not found again in 5 attempts.*power, cable"
+        ):
+            camera.expose()
+    assert camera.expose().shape == (3, *SHAPE, 1)
+    assert camera.statistics["reconnected"] == 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"shape": (40, 99_999)}, r"refuses Width = 99999.*It takes 1 to 4096"),
+        ({"serial": "40001234"}, r"camera 40001234: 1 cameras answer: 0815-0000.*camera\.serial"),
+        ({"nodes": {"Sharpnes": 1}}, "refuses Sharpnes = 1.*not available"),
+        ({"nodes": {"BinningVerticalMode": "Max"}}, "It takes Sum, Average"),
+        ({"gain_db": 99.0}, "refuses Gain = 99"),
+    ],
+)
+def test_what_the_camera_refuses_is_explained(settings: dict[str, Any], expected: str) -> None:
+    with pytest.raises(CaptureError, match=expected):
+        PylonCamera(SENSOR, **{"shape": SHAPE, **QUICK, **settings})
+
+
+def test_an_exposure_out_of_range_is_explained() -> None:
+    sensor = replace(SENSOR, exposures=(20.0,))
+    with (
+        PylonCamera(sensor, shape=SHAPE, **QUICK) as camera,
+        pytest.raises(CaptureError, match=r"20 s is not in its range, 1e-06 to 10 s"),
+    ):
+        camera.expose()
+
+
+def test_bits_that_no_pixel_format_has() -> None:
+    with pytest.raises(InputError, match="bits is 14; a Basler camera has 8, 10, 12 or 16"):
+        PylonCamera(replace(SENSOR, bits=14))
