@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.sensor import Sensor
 
-__all__ = ["DarkFrames", "DefectMap", "Repair", "find_defects", "repair"]
+__all__ = ["DarkFrames", "DefectMap", "Repair", "find_defects", "find_hot", "repair"]
 
 Float = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -137,18 +137,8 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
         )
     count = dark.count
     black = dark.mean
-    variance = dark.variance if count > 1 else None
     floor = _rounding(dark.dtype, floodlit_frames) / np.sqrt(count)
-    hot = np.zeros(floodlit_frames.shape[1:], bool)
-    noise = np.zeros_like(black)
-    for exposure, mean in enumerate(black):
-        centre, deviation = _robust(mean)
-        deviation = max(deviation, floor)
-        hot |= np.abs(mean - centre) > _threshold(mean.size) * deviation
-        # one frame is noisier than the mean of all
-        noise[exposure] = deviation * np.sqrt(count)
-        if variance is not None:
-            hot |= _noisy(variance[exposure], count - 1, floor * np.sqrt(count))
+    hot, noise = _hot(dark, floor)
     signal = np.abs(floodlit_frames - black)
     visible = _threshold(hot.size) * noise
     response = (signal / np.maximum(visible, np.finfo(np.float64).tiny)).max(axis=0)
@@ -162,6 +152,39 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
     if not has_channels:
         mask = _grown(mask)
     return DefectMap(mask, int(hot_pixels.sum()), int((dead_pixels & ~hot_pixels).sum()))
+
+
+def find_hot(dark: DarkFrames) -> Mask:
+    """Find the photosites with an outlying black level or noise, from dark frames of counts.
+
+    Parameters
+    ----------
+    dark : DarkFrames
+        Of uint16 counts.
+
+    Returns
+    -------
+    ndarray of bool, shape of a frame
+    """
+    floor = _rounding(dark.dtype, np.zeros(1)) / np.sqrt(dark.count)
+    return _hot(dark, floor)[0]
+
+
+def _hot(dark: DarkFrames, floor: float) -> tuple[Mask, NDArray[np.float64]]:
+    """Return the hot photosites, and each exposure's deviation of one frame, (E, ...)."""
+    count, black = dark.count, dark.mean
+    variance = dark.variance if count > 1 else None
+    hot = np.zeros(black.shape[1:], bool)
+    noise = np.zeros_like(black)
+    for exposure, mean in enumerate(black):
+        centre, deviation = _robust(mean)
+        deviation = max(deviation, floor)
+        hot |= np.abs(mean - centre) > _threshold(mean.size) * deviation
+        # one frame is noisier than the mean of all
+        noise[exposure] = deviation * np.sqrt(count)
+        if variance is not None:
+            hot |= _noisy(variance[exposure], count - 1, floor * np.sqrt(count))
+    return hot, noise
 
 
 def repair(radiance: Float, variance: Float, mask: Mask) -> tuple[Float, Float]:

@@ -1,0 +1,111 @@
+"""What the steps of a calibration share: their findings, verdicts, and driving the devices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError
+from rfpipe.rigs.devices import Camera, Projector
+
+__all__ = ["Findings", "Standing", "Verdict", "brackets_of", "camera_model", "take", "uniform"]
+
+Float = NDArray[np.float32]
+Standing = Literal["good", "poor", "unknown"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether what a step found is good enough.
+
+    Attributes
+    ----------
+    standing : {"good", "poor", "unknown"}
+        unknown: the measurement can't tell; the text says what would.
+    text : str
+        Why, with the numbers behind it, and what to do.
+    """
+
+    standing: Standing
+    text: str
+
+    @classmethod
+    def of(cls, faults: list[str], otherwise: str) -> Verdict:
+        """Return a poor verdict that names the faults, or a good one."""
+        return cls("poor", " ".join(faults)) if faults else cls("good", otherwise)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What a step found.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    facts : dict
+        Plain data: numbers with their standard errors.
+    arrays : dict of str to ndarray
+        What the rig, later steps and the report's pictures need.
+    """
+
+    verdict: Verdict
+    facts: dict[str, Any] = field(default_factory=dict)
+    arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+
+def uniform(projector: Projector, weight: float) -> Float:
+    """Return a picture of one weight everywhere."""
+    return np.full(projector.shape, weight, np.float32)
+
+
+def take(projector: Projector, camera: Camera, pictures: Iterable[Float]) -> Iterator[NDArray[Any]]:
+    """Show pictures one by one; yield the bracket of each, shape (E, Hc, Wc[, C]).
+
+    Raises
+    ------
+    CaptureError
+        When a device fails, or the camera returns what is no bracket of its own.
+    """
+    expected = camera.sensor.frame_shape(camera.shape, camera.channels)
+    for index, picture in enumerate(pictures):
+        projector.show(picture)
+        frames = np.asarray(camera.expose())
+        if frames.shape != expected or frames.dtype != camera.sensor.frame_dtype:
+            raise CaptureError(
+                f"calibration picture {index}: the camera returned {frames.dtype} frames of shape "
+                f"{frames.shape}; expected {camera.sensor.frame_dtype} {expected}. Check the "
+                "camera's size, pixel format and exposures"
+            )
+        yield frames
+
+
+def brackets_of(
+    projector: Projector, camera: Camera, pictures: Iterable[Float]
+) -> NDArray[np.uint16]:
+    """Show pictures and return all brackets, shape (pictures, E, Hc, Wc[, C])."""
+    return np.stack(list(take(projector, camera, pictures)))
+
+
+def camera_model(camera: Camera, numbers: dict[str, Any] | None = None) -> Any:
+    """Return the camera's model, with measured numbers in place of its own.
+
+    Raises
+    ------
+    CaptureError
+        When the camera has no noise model that could be calibrated.
+    """
+    from dataclasses import replace
+
+    from rfpipe.photometry import CameraModel
+
+    sensor = camera.sensor
+    if not isinstance(sensor, CameraModel):
+        raise CaptureError(
+            f"a camera with a {type(sensor).__name__} has no noise to calibrate; expected counts "
+            "of a CameraModel"
+        )
+    return replace(sensor, **(numbers or {}))

@@ -1,0 +1,142 @@
+"""Structured light: Gray code for where about, phase shift for where exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+
+__all__ = ["AxisCode", "gray_bits", "gray_index"]
+
+Float = NDArray[np.float32]
+Double = NDArray[np.float64]
+
+CELLS = 4
+"""Cells of the Gray code a period: half a cell and one misread neighbour are still less than the
+half period up to which the phase is unwrapped rightly."""
+
+WEAK = 3.0
+"""Deviations of noise below which a bit is not told from its inverse; one such bit a pixel, at an
+edge between cells, is what Gray codes are made for."""
+
+
+def gray_bits(index: NDArray[np.integer], bits: int) -> NDArray[np.bool_]:
+    """Return the Gray code of indices (...), most significant bit first: (bits, ...)."""
+    code = index ^ (index >> 1)
+    return np.stack([(code >> bit & 1).astype(bool) for bit in reversed(range(bits))])
+
+
+def gray_index(bits: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the indices (...) of Gray codes (bits, ...), most significant bit first."""
+    index = np.zeros(bits.shape[1:], np.int64)
+    binary = np.zeros(bits.shape[1:], bool)
+    for bit in bits:
+        binary = binary ^ bit
+        index = index << 1 | binary
+    return index
+
+
+@dataclass(frozen=True)
+class AxisCode:
+    """The pictures that tell one coordinate of the projector.
+
+    A coordinate counts pixels from the picture's edge: a pixel's middle lies at a half.
+
+    Parameters
+    ----------
+    extent : int
+        Pixels along the axis.
+    period : int
+        Pixels of a sinusoid's period, a multiple of 4, at least 8.
+    steps : int
+        Sinusoids, 3 or more; with n of them, harmonics up to n - 2 don't bend the phase.
+    """
+
+    extent: int
+    period: int = 16
+    steps: int = 6
+
+    def __post_init__(self) -> None:
+        if self.period < 2 * CELLS or self.period % CELLS:
+            raise InputError(
+                f"a period of {self.period} pixels; expected a multiple of {CELLS}, at least "
+                f"{2 * CELLS}"
+            )
+        if self.steps < 3:
+            raise InputError(f"{self.steps} phase steps; expected 3 or more")
+
+    @property
+    def cell(self) -> int:
+        """Pixels of a cell of the Gray code."""
+        return self.period // CELLS
+
+    @property
+    def bits(self) -> int:
+        """Bits of the Gray code."""
+        return max(1, (-(-self.extent // self.cell) - 1).bit_length())
+
+    @property
+    def count(self) -> int:
+        """Pictures."""
+        return 2 * self.bits + self.steps
+
+    def lines(self) -> Iterator[Float]:
+        """Yield the weights along the axis of each picture: bits and inverses, then sinusoids."""
+        pixel = np.arange(self.extent)
+        for bit in gray_bits(pixel // self.cell, self.bits):
+            yield bit.astype(np.float32)
+            yield (~bit).astype(np.float32)
+        phase = 2 * np.pi * (pixel + 0.5) / self.period
+        for step in range(self.steps):
+            wave = 0.5 + 0.5 * np.cos(phase - 2 * np.pi * step / self.steps)
+            yield wave.astype(np.float32)
+
+    def decode(
+        self, images: Double, variance: Double
+    ) -> tuple[Double, Double, Double, NDArray[np.bool_]]:
+        """Find the coordinate that each camera pixel looks at.
+
+        Parameters
+        ----------
+        images, variance : ndarray of float64, shape (count, ...)
+            Radiance under each picture, and its variance.
+
+        Returns
+        -------
+        coordinate : ndarray of float64, shape (...)
+            From 0 to `extent` where valid.
+        error : ndarray of float64
+            Its standard error by the noise.
+        modulation : ndarray of float64
+            Amplitude of the sinusoids over its own standard error.
+        valid : ndarray of bool
+            Where the sinusoids rise above the noise of as many pixels, at most one bit is weak,
+            and the coordinate lies on the projector.
+        """
+        split = 2 * self.bits
+        bright, inverse = images[:split:2], images[1:split:2]
+        spread = np.sqrt(variance[:split:2] + variance[1:split:2])
+        weak = (np.abs(bright - inverse) <= WEAK * spread).sum(axis=0)
+        coarse = (gray_index(bright > inverse) + 0.5) * self.cell
+        angles = 2 * np.pi * np.arange(self.steps) / self.steps
+        waves = images[split:]
+        cosine, sine = (
+            np.tensordot(function(angles), waves, 1) * 2 / self.steps
+            for function in (np.cos, np.sin)
+        )
+        amplitude = np.hypot(cosine, sine)
+        noise = np.sqrt(variance[split:].mean(axis=0) * 2 / self.steps)
+        fine = self.period * np.arctan2(sine, cosine) / (2 * np.pi)
+        coordinate = fine + self.period * np.round((coarse - fine) / self.period)
+        tiny = np.finfo(np.float64).tiny
+        error = self.period / (2 * np.pi) * noise / np.maximum(amplitude, tiny)
+        modulation = np.divide(amplitude, noise, out=np.full(noise.shape, np.inf), where=noise > 0)
+        # noise alone gives amplitudes up to about sqrt(2 log n)
+        least = WEAK + np.sqrt(2 * np.log(max(amplitude.size, 2)))
+        seen = (modulation > least) & (amplitude > 0)
+        on_projector = (coordinate >= 0) & (coordinate <= self.extent)
+        return coordinate, error, modulation, seen & (weak <= 1) & on_projector

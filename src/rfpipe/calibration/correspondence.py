@@ -1,0 +1,172 @@
+"""Which point of the projector each camera pixel looks at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.calibration.base import Findings, Verdict, take
+from rfpipe.calibration.codes import AxisCode
+from rfpipe.photometry import CameraModel, MergeOptions
+from rfpipe.rigs.devices import Camera, Projector
+
+__all__ = [
+    "Correspondence",
+    "correspondence_findings",
+    "measure_correspondence",
+    "structured_light",
+    "take_radiance",
+]
+
+Float = NDArray[np.float32]
+Double = NDArray[np.float64]
+
+LEAST_PIXELS = 100
+WANTED = 0.1
+"""Standard error in projector pixels up to which single camera pixels are sharp."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correspondence:
+    """Where on the projector each camera pixel looks; pixels from its upper left corner.
+
+    Attributes
+    ----------
+    x, y : ndarray of float64, shape (Hc, Wc)
+        To the right and downwards; a projector pixel's middle lies at halves. Means nothing where
+        not valid.
+    error : ndarray of float64, shape (Hc, Wc)
+        Standard error by the noise, the larger of both axes.
+    modulation : ndarray of float64, shape (Hc, Wc)
+        The sinusoids' amplitude over its noise, the smaller of both axes.
+    valid : ndarray of bool, shape (Hc, Wc)
+    projector_shape : (int, int)
+    """
+
+    x: Double
+    y: Double
+    error: Double
+    modulation: Double
+    valid: NDArray[np.bool_]
+    projector_shape: tuple[int, int]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return what `from_arrays` needs, to be stored."""
+        return {
+            "x": self.x.astype(np.float32),
+            "y": self.y.astype(np.float32),
+            "error": self.error.astype(np.float32),
+            "modulation": self.modulation.astype(np.float32),
+            "valid": self.valid,
+            "projector_shape": np.array(self.projector_shape, np.int32),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> Correspondence:
+        """Return the correspondence whose `arrays` these are."""
+        height, width = map(int, arrays["projector_shape"])
+        parts = (arrays[name].astype(np.float64) for name in ("x", "y", "error", "modulation"))
+        return cls(*parts, arrays["valid"], (height, width))
+
+
+def structured_light(shape: tuple[int, int], period: int, steps: int) -> Iterator[Float]:
+    """Yield the pictures: those that tell x, then those that tell y.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Height and width of the projector in pixels.
+    period, steps : int
+        See `AxisCode`.
+    """
+    for axis, extent in ((1, shape[1]), (0, shape[0])):
+        for line in AxisCode(extent, period, steps).lines():
+            yield np.broadcast_to(np.expand_dims(line, 1 - axis), shape).astype(np.float32)
+
+
+def take_radiance(
+    projector: Projector,
+    camera: Camera,
+    model: CameraModel,
+    black: NDArray[Any],
+    black_count: int,
+    pictures: Iterable[Float],
+) -> Iterator[tuple[Float, Float]]:
+    """Show pictures; yield merged radiance and variance of each, (Hc, Wc, C)."""
+    merge = model.merging(black, MergeOptions(black_count))
+    for frames in take(projector, camera, pictures):
+        merged = merge(frames[None])
+        yield merged.radiance[0], merged.variance[0]
+
+
+def measure_correspondence(
+    images: Iterable[tuple[Float, Float]], shape: tuple[int, int], period: int, steps: int
+) -> Correspondence:
+    """Decode structured light.
+
+    Parameters
+    ----------
+    images : iterable of (radiance, variance), each float32 (Hc, Wc, C)
+        Under the pictures of `structured_light`.
+    shape : (int, int)
+        Of the projector.
+    period, steps : int
+        As the pictures were made with.
+    """
+    remaining = iter(images)
+    decoded = []
+    for extent in (shape[1], shape[0]):
+        code = AxisCode(extent, period, steps)
+        # channels together: the light is white
+        grey = [
+            (radiance.sum(axis=-1, dtype=np.float64), variance.sum(axis=-1, dtype=np.float64))
+            for _, (radiance, variance) in zip(range(code.count), remaining, strict=False)
+        ]
+        decoded.append(code.decode(*(np.stack(part) for part in zip(*grey, strict=True))))
+    (x, x_error, x_modulation, x_valid), (y, y_error, y_modulation, y_valid) = decoded
+    return Correspondence(
+        x,
+        y,
+        np.maximum(x_error, y_error),
+        np.minimum(x_modulation, y_modulation),
+        x_valid & y_valid,
+        shape,
+    )
+
+
+def correspondence_findings(correspondence: Correspondence, period: int) -> Findings:
+    """Return the step's findings, with a verdict on how many pixels are valid, and how sharp."""
+    valid = correspondence.valid
+    share = float(valid.mean())
+    error = float(np.median(correspondence.error[valid])) if valid.any() else None
+    facts = {
+        "valid_pixels": int(valid.sum()),
+        "valid_share": share,
+        "median_error_pixels": error,
+        "period_pixels": period,
+        "projector_shape": list(correspondence.projector_shape),
+    }
+    if valid.sum() < LEAST_PIXELS or error is None:
+        verdict = Verdict(
+            "poor",
+            f"Only {int(valid.sum())} camera pixels see the projector's stripes. Check focus, that "
+            "the camera sees what the projector lights, and the exposures; or make the stripes "
+            f"wider than {period} pixels a period.",
+        )
+    elif error > WANTED:
+        verdict = Verdict(
+            "poor",
+            f"{share:.0%} of the camera's pixels are decoded, but their noise is {error:.2f} "
+            f"projector pixels, above {WANTED}: use longer exposures.",
+        )
+    else:
+        verdict = Verdict(
+            "good",
+            f"{share:.0%} of the camera's pixels are decoded, with a noise of {error:.3f} "
+            "projector pixels.",
+        )
+    return Findings(verdict, facts, correspondence.arrays())

@@ -1,0 +1,243 @@
+"""Whether a coaxial rig's light transport is symmetric enough for symmetric photography."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.calibration.base import Findings, Verdict
+from rfpipe.errors import CaptureError
+from rfpipe.photometry import MergeOptions
+from rfpipe.provenance import generator
+from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY, Rig
+
+__all__ = ["SCALES", "Scale", "Symmetry", "measure_symmetry", "random_signs", "symmetry_findings",
+           "take_symmetry"]  # fmt: skip
+
+Double = NDArray[np.float64]
+
+SCALES = (1, 4, 16)
+"""Sides, in rays, of the patches that random patterns are made of."""
+
+CONFIDENCE = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """Asymmetry for patterns of patches of one size.
+
+    Attributes
+    ----------
+    side : int
+        Rays a side of the patches.
+    forward, backward, error : ndarray of float64, shape (pairs,)
+        ``p2^T T p1`` and ``p1^T T p2`` over their mean magnitude, p2 as weights on the camera's
+        side, and the standard error of their difference by the noise.
+    predicted, predicted_error : float
+        Relative error that asymmetry brings to a picture relit under such patterns; standard error.
+    """
+
+    side: int
+    forward: Double
+    backward: Double
+    error: Double
+    predicted: float
+    predicted_error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetry:
+    """What a symmetry check found; `predicted` is the largest over its scales."""
+
+    scales: tuple[Scale, ...]
+
+    @property
+    def worst(self) -> Scale:
+        """The scale of the largest predicted error."""
+        return max(self.scales, key=lambda scale: scale.predicted)
+
+
+def random_signs(shape: tuple[int, ...], side: int, count: int, seed: int) -> Double:
+    """Return patterns of patches of random sign, (count, *shape), values -1 and 1."""
+    height, width = (-(-extent // side) for extent in shape[-2:])
+    views = shape[0] if len(shape) == 3 else 1
+    random = generator(seed, side)
+    coarse = random.integers(0, 2, (count, views, height, width)) * 2.0 - 1
+    fine = coarse.repeat(side, axis=-2).repeat(side, axis=-1)
+    return np.asarray(fine[..., : shape[-2], : shape[-1]]).reshape(count, *shape)
+
+
+def take_symmetry(
+    rig: Rig, count: int, black_count: int, seed: int = 0
+) -> tuple[Double, Double, dict[int, tuple[Double, Double, Double]]]:
+    """Take what `measure_symmetry` needs.
+
+    Returns
+    -------
+    floodlit, variance : ndarray of float64, shape (N, C)
+    patterns : dict
+        For each side of patches: signs (count, N), radiance and variance (count, N, C) under the
+        pattern that is 1 where the sign is, else 0.
+    """
+    shape = rig.projector_shape
+
+    def merged(patterns: NDArray[np.float32], level: int) -> tuple[Double, Double]:
+        found: list[tuple[Any, Any]] = []
+        for index, pattern in enumerate(patterns):
+            result = merge(rig.capture(pattern[None], [(level, index)]), index)
+            found.append((result.radiance[0], result.variance[0]))
+        radiance, variance = (
+            np.stack(part).astype(np.float64) for part in zip(*found, strict=True)
+        )
+        flat = (len(patterns), -1, rig.channels)
+        return radiance.reshape(flat), variance.reshape(flat)
+
+    total = 0.0
+    off = np.zeros((1, *shape), np.float32)
+    for index in range(black_count):
+        total = total + rig.capture(off, [(BLACK_LEVEL_KEY, index)])[0].astype(np.float64)
+    black = np.asarray(total / black_count, np.float32)
+    merge = rig.sensor.merging(black, MergeOptions(black_count))
+    on, spread = merged(np.ones((black_count, *shape), np.float32), FLOODLIT_KEY)
+    patterns = {}
+    for side in SCALES:
+        if side > 1 and side * 2 > max(shape[-2:]):
+            continue
+        signs = random_signs(shape, side, count, seed)
+        patterns[side] = (signs.reshape(count, -1), *merged((signs > 0).astype(np.float32), side))
+    return on.mean(axis=0), spread.mean(axis=0) / black_count, patterns
+
+
+def measure_symmetry(
+    floodlit: Double, variance: Double, patterns: dict[int, tuple[Double, Double, Double]]
+) -> Symmetry:
+    """Measure asymmetry from pictures under random patterns.
+
+    Parameters as `take_symmetry` returns.
+
+    Raises
+    ------
+    CaptureError
+        When there are fewer than two patterns of a scale.
+
+    Notes
+    -----
+    With signs s and pictures ``c(s) = T s = 2 T p - T 1``, each pair gives
+    ``s2^T T s1 - s1^T T s2 = s2^T K s1`` with ``K = T - T^T``, whose mean square is that of
+    ``K s1`` summed over the rays; a pattern with the floodlit one gives ``||K 1||``. Symmetric
+    photography stores ``T - K / 2``, so that a picture under ``p = (1 + s) / 2`` is off by
+    ``K p / 2``. The noise's own share of the mean squares is subtracted.
+    """
+    scales = []
+    for side, (signs, radiance, spread) in patterns.items():
+        count = len(signs)
+        if count < 2:
+            raise CaptureError(f"{count} pattern of patches of {side} rays; expected 2 or more")
+        images = 2 * radiance - floodlit
+        noise = 4 * spread + variance
+        # the floodlit picture is in both terms of a pair, which its noise then is, too: less than
+        # the patterns' own, as it is the mean of several
+        forward = np.einsum("in,jnc->ijc", signs, images)
+        of_pair = noise.sum(axis=1)
+        upper = np.triu_indices(count, 1)
+        difference = forward[upper] - forward.transpose(1, 0, 2)[upper]
+        pair_noise = of_pair[upper[0]] + of_pair[upper[1]]
+        fine = difference**2 - pair_noise
+        ahead = np.einsum("in,nc->ic", signs, floodlit)
+        behind = images.sum(axis=1)
+        coarse_noise = of_pair + variance.sum(axis=0)
+        coarse = (ahead - behind) ** 2 - coarse_noise
+        light = np.square(radiance).sum(axis=1) - spread.sum(axis=1)
+        scale = np.sqrt(light.sum(axis=1).mean())
+        # ||K p||^2 = (||K 1||^2 + ||K s||^2) / 4, and half of K is the error
+        square = (fine.sum(axis=1).mean() + coarse.sum(axis=1).mean()) / 16
+        error = _error(fine, pair_noise, count) + _error(coarse, coarse_noise, count)
+        predicted, predicted_error = _root(square / scale**2, error / 16 / scale**2)
+        size = np.abs(forward).sum(axis=2).mean()
+        scales.append(
+            Scale(
+                side,
+                forward[upper].sum(axis=1) / size,
+                forward.transpose(1, 0, 2)[upper].sum(axis=1) / size,
+                np.sqrt(pair_noise.sum(axis=1)) / size,
+                predicted,
+                predicted_error,
+            )
+        )
+    return Symmetry(tuple(scales))
+
+
+def symmetry_findings(symmetry: Symmetry, tolerance: float) -> Findings:
+    """Return the step's findings: is the predicted error below the one that is accepted?
+
+    Parameters
+    ----------
+    symmetry : Symmetry
+    tolerance : float
+        Relative error of a relit picture that the rig is to stay below.
+    """
+    worst = symmetry.worst
+    low = worst.predicted - CONFIDENCE * worst.predicted_error
+    high = worst.predicted + CONFIDENCE * worst.predicted_error
+    found = (
+        f"asymmetry alone makes errors of {worst.predicted:.2%} +- {worst.predicted_error:.2%} in "
+        f"pictures relit with patches of {worst.side} rays, {tolerance:.1%} accepted"
+    )
+    if high <= tolerance:
+        verdict = Verdict("good", f"Good enough for symmetric photography: {found}.")
+    elif low > tolerance:
+        verdict = Verdict(
+            "poor",
+            f"Not good enough for symmetric photography: {found}. Largest at one ray: align the "
+            "two devices' centres, or focus. At patches of many rays: flare, or unequal vignetting "
+            "of projector and camera. Dual photography doesn't need symmetry.",
+        )
+    else:
+        verdict = Verdict(
+            "unknown", f"The noise can't tell: {found}. Use more patterns, or longer exposures."
+        )
+    facts = {
+        "tolerance": tolerance,
+        "scales": [
+            {
+                "side_rays": scale.side,
+                "pairs": len(scale.forward),
+                "predicted_error": scale.predicted,
+                "standard_error": scale.predicted_error,
+            }
+            for scale in symmetry.scales
+        ],
+    }
+    arrays = {
+        f"{name}_{scale.side}": getattr(scale, name)
+        for scale in symmetry.scales
+        for name in ("forward", "backward", "error")
+    }
+    return Findings(verdict, facts, arrays)
+
+
+def _error(squares: Double, noise: Double, count: int) -> float:
+    """Return the standard error of the mean over pairs of squares, summed over channels.
+
+    Pairs share patterns: `count` patterns have no more than that many independent ones. Where
+    nothing is left but noise, its own squares spread by 2 of their variance.
+    """
+    total = squares.sum(axis=1)
+    spread = max(float(total.std(ddof=1)), float(np.sqrt(2 * np.square(noise).sum(axis=1).mean())))
+    return spread / np.sqrt(min(len(total), count))
+
+
+def _root(square: float, error: float) -> tuple[float, float]:
+    """Return the root of a square that may be below zero by its noise, and its error."""
+    root = float(np.sqrt(max(square, 0.0)))
+    # far from zero half the relative error; near it, what the error alone would be the square of
+    return root, float(min(np.sqrt(error), error / max(2 * root, 1e-300)))
+
+
+def sides(arrays: dict[str, NDArray[Any]]) -> Sequence[int]:
+    """Return the sides of the patches that stored arrays are of."""
+    return sorted(int(name.removeprefix("forward_")) for name in arrays if "forward_" in name)
