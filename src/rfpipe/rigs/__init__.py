@@ -2,6 +2,7 @@
 
 from rfpipe.rigs.base import BLACK_LEVEL_KEY, FLOODLIT_KEY, PatternOperator, Rig
 from rfpipe.rigs.operator import OperatorRig
+from rfpipe.rigs.remote import RemoteRig
 from rfpipe.rigs.simulated import CoaxialScene, SimulatedRig
 
 __all__ = [
@@ -10,6 +11,7 @@ __all__ = [
     "CoaxialScene",
     "OperatorRig",
     "PatternOperator",
+    "RemoteRig",
     "Rig",
     "SimulatedRig",
 ]
