@@ -78,6 +78,7 @@ class Connection:
             base_url=self._url,
             headers={"Authorization": f"Bearer {token}"},
             limits=httpx.Limits(max_connections=1, keepalive_expiry=_KEEP_ALIVE_SECONDS),
+            verify=parts.scheme == "https",  # without it, certificates needn't be loaded
             trust_env=False,  # a proxy for the web doesn't lead to a rig
         )
         self._closing = threading.Event()
