@@ -1,9 +1,23 @@
-"""The settings of a run: one pydantic model, read from YAML, which also makes its own defaults.
+"""The settings of a run, and those of a rig: pydantic models, read from YAML.
 
-``python -m rfpipe.config`` writes the default file and the JSON schema from the model.
+``python -m rfpipe.config`` writes the default files and the JSON schemas from the models.
 """
 
-from rfpipe.config.files import default_yaml, json_schema, load_config, parse_config
+from rfpipe.config.devices import (
+    BenchConfig,
+    PixelFormat,
+    PylonConfig,
+    RigConfig,
+    WindowConfig,
+)
+from rfpipe.config.files import (
+    default_yaml,
+    json_schema,
+    load_config,
+    load_rig_config,
+    parse_config,
+    parse_rig_config,
+)
 from rfpipe.config.model import (
     AcquisitionConfig,
     CameraConfig,
@@ -23,6 +37,7 @@ from rfpipe.config.model import (
 
 __all__ = [
     "AcquisitionConfig",
+    "BenchConfig",
     "CameraConfig",
     "CaptureConfig",
     "Config",
@@ -31,13 +46,19 @@ __all__ = [
     "Normalization",
     "NumberFormat",
     "OccluderConfig",
+    "PixelFormat",
+    "PylonConfig",
     "ReportConfig",
     "ResourcesConfig",
+    "RigConfig",
     "SceneConfig",
     "StorageConfig",
     "Surface",
+    "WindowConfig",
     "default_yaml",
     "json_schema",
     "load_config",
+    "load_rig_config",
     "parse_config",
+    "parse_rig_config",
 ]

@@ -1,19 +1,32 @@
-"""Write the default settings and their JSON schema: ``python -m rfpipe.config [FOLDER]``."""
+"""Write the default settings and their JSON schemas: ``python -m rfpipe.config [FOLDER]``."""
 
 import json
 import sys
 from pathlib import Path
 
-from rfpipe.config.files import SCHEMA_NAME, default_yaml, json_schema
+from rfpipe.config.files import (
+    RIG_SCHEMA_NAME,
+    SCHEMA_NAME,
+    bench_yaml,
+    default_yaml,
+    json_schema,
+    rig_json_schema,
+    rig_yaml,
+)
 
 
 def main() -> None:
-    """Write config.yaml and config.schema.json into a folder, ``config`` when none is given."""
+    """Write the settings files and schemas into a folder, ``config`` when none is given."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "config")
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "config.yaml").write_text(default_yaml(), encoding="utf-8")
-    schema = json.dumps(json_schema(), indent=2) + "\n"
-    (folder / SCHEMA_NAME).write_text(schema, encoding="utf-8")
+    for name, text in (
+        ("config.yaml", default_yaml()),
+        ("rig.yaml", rig_yaml()),
+        ("bench.yaml", bench_yaml()),
+        (SCHEMA_NAME, json.dumps(json_schema(), indent=2) + "\n"),
+        (RIG_SCHEMA_NAME, json.dumps(rig_json_schema(), indent=2) + "\n"),
+    ):
+        (folder / name).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,8 @@ BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Colours of the photosites (0, 0), (0, 1), (1, 0), (1, 1)."""
 
 _GREEN = (1.0, 0.25, 0.0)
-"""Weights of a green photosite, of its direct neighbours and of its diagonal ones."""
+_RED_AND_BLUE = (1.0, 0.5, 0.25)
+"""Bilinear weights of a pixel's own photosite, of its direct neighbours and its diagonal ones."""
 
 MARGIN = 2
 """Pixels of border mirrored before the interpolation: even, so that the pattern continues."""
@@ -97,31 +98,34 @@ def demosaic_matrices(shape: tuple[int, int], pattern: str) -> list[csr_array[An
     list of 3 csr_array of float32, shape (H W, H W)
         From photosites to pixels; rows sum to 1.
     """
-    from scipy.sparse import csr_array
-
-    size = shape[0] * shape[1]
     colours = np.empty(shape, "<U1")
     for position, colour in enumerate(pattern):
         y, x = divmod(position, 2)
         colours[y::2, x::2] = colour
-    matrices: list[csr_array[Any]] = []
-    for colour in "RGB":
-        matrix: csr_array[Any] = csr_array((size, size), dtype=np.float32)
-        for dy in (-1, 0, 1):
-            for dx in (-1, 0, 1):
-                # green takes a quarter of each of four neighbours, the others go half a step in
-                # each direction
-                weight = _GREEN[abs(dy) + abs(dx)] if colour == "G" else 0.5 ** (abs(dy) + abs(dx))
-                rows = np.pad(np.arange(shape[0]), 1, mode="reflect")[1 + dy : 1 + dy + shape[0]]
-                columns = np.pad(np.arange(shape[1]), 1, mode="reflect")[1 + dx :][: shape[1]]
-                sampled = colours[np.ix_(rows, columns)].ravel() == colour
-                source = (rows[:, None] * shape[1] + columns).ravel()[sampled]
-                target = np.flatnonzero(sampled)
-                weights = np.full(len(target), weight, np.float32)
-                matrix = matrix + csr_array((weights, (target, source)), shape=(size, size))
-        matrix.eliminate_zeros()
-        matrices.append(matrix)
-    return matrices
+    return [_filling(colours, colour) for colour in "RGB"]
+
+
+def _filling(colours: NDArray[np.str_], colour: str) -> csr_array[Any]:
+    """Return the interpolation of one colour as a matrix."""
+    from scipy.sparse import coo_array
+
+    height, width = colours.shape
+    targets, sources, weights = [], [], []
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
+            away = abs(dy) + abs(dx)
+            weight = _GREEN[away] if colour == "G" else _RED_AND_BLUE[away]
+            # mirrored about the border pixel, which then counts twice
+            rows = np.pad(np.arange(height), 1, mode="reflect")[1 + dy :][:height]
+            columns = np.pad(np.arange(width), 1, mode="reflect")[1 + dx :][:width]
+            sampled = colours[np.ix_(rows, columns)].ravel() == colour
+            sources.append((rows[:, None] * width + columns).ravel()[sampled])
+            targets.append(np.flatnonzero(sampled))
+            weights.append(np.full(len(targets[-1]), weight, np.float32))
+    at = np.concatenate(targets), np.concatenate(sources)
+    matrix = coo_array((np.concatenate(weights), at), shape=(colours.size, colours.size)).tocsr()
+    matrix.eliminate_zeros()
+    return matrix
 
 
 def _spread_variance(variance: Float, pattern: str) -> Float:

@@ -28,6 +28,9 @@ Float = NDArray[np.float32]
 ROW_SUM_TOLERANCE = 1e-4
 """By how much a ray's weights may miss a sum of 1: the rounding of float32, generously."""
 
+LEAST_LEFT = 0.1
+"""A ray whose defective pixels had more than all but this share of its weight has none left."""
+
 _PREFIX = "resampling_"
 
 
@@ -46,7 +49,8 @@ class Resampling:
     camera_shape : tuple of int
         The camera's pixels, (Hc, Wc).
     matrix : csr_array of float32, shape (rays, camera pixels)
-        Both in row-major order; not negative. Each row sums to 1, or to 0 where a ray is not seen.
+        Both in row-major order. Each row sums to 1, or is empty where a ray is not seen. Weights
+        may be negative, where neighbouring rays share camera pixels.
 
     Raises
     ------
@@ -71,12 +75,13 @@ class Resampling:
                 f"matrix {expected}, not {self.matrix.shape}"
             )
         sums = np.asarray(self.matrix.sum(axis=1, dtype=np.float64))
-        wrong = ~((np.abs(sums - 1) <= ROW_SUM_TOLERANCE) | (sums == 0))  # NaN is wrong, too
-        if wrong.any() or (self.matrix.data < 0).any():
-            ray = int(np.argmax(wrong)) if wrong.any() else 0
+        used = np.diff(self.matrix.indptr) > 0
+        wrong = used & ~(np.abs(sums - 1) <= ROW_SUM_TOLERANCE)  # NaN is wrong, too
+        if wrong.any():
+            ray = int(np.argmax(wrong))
             raise InputError(
-                f"the weights of a ray must be at least 0 and sum to 1, or be none; those of ray "
-                f"{ray} sum to {sums[ray]:.6g}, the least weight is {self.matrix.data.min():.3g}"
+                f"the weights of a ray must sum to 1, or be none; those of ray {ray} sum to "
+                f"{sums[ray]:.6g}"
             )
 
     @property
@@ -133,8 +138,9 @@ class Resampling:
             )
         kept = csr_array(self.matrix @ diags_array((~pixels.ravel()).astype(np.float32)))
         kept.eliminate_zeros()
-        lost = self.seen.ravel() & (np.diff(kept.indptr) == 0)
+        lost = self.seen.ravel() & (np.asarray(kept.sum(axis=1)) < LEAST_LEFT)
         if lost.any():
+            kept = csr_array(diags_array((~lost).astype(np.float32)) @ kept)
             kept = csr_array(kept + _neighbours_of(lost.reshape(self.shape)) @ kept)
         return replace(self, matrix=normalised(kept))
 
@@ -210,7 +216,7 @@ def applied(
 
 
 def normalised(matrix: csr_array[Any]) -> csr_array[Any]:
-    """Scale the rows of non-negative weights to sum to 1; empty rows stay empty. float32."""
+    """Scale the rows of weights to sum to 1; empty rows stay empty. float32."""
     weights = matrix.astype(np.float64)
     weights.eliminate_zeros()
     sums = np.asarray(weights.sum(axis=1))

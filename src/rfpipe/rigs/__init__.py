@@ -1,6 +1,9 @@
 """Rigs: a projector and a camera that show patterns and return brackets."""
 
 from rfpipe.rigs.base import BLACK_LEVEL_KEY, FLOODLIT_KEY, PatternOperator, Rig
+from rfpipe.rigs.device_rig import DeviceRig
+from rfpipe.rigs.devices import Camera, Projector
+from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.operator import OperatorRig
 from rfpipe.rigs.remote import RemoteRig
 from rfpipe.rigs.simulated import CoaxialScene, SimulatedRig
@@ -8,9 +11,13 @@ from rfpipe.rigs.simulated import CoaxialScene, SimulatedRig
 __all__ = [
     "BLACK_LEVEL_KEY",
     "FLOODLIT_KEY",
+    "Camera",
     "CoaxialScene",
+    "DeviceRig",
     "OperatorRig",
     "PatternOperator",
+    "Projector",
+    "ProjectorLayout",
     "RemoteRig",
     "Rig",
     "SimulatedRig",

@@ -1,0 +1,140 @@
+"""A rig made of a projector and a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry.sensor import Sensor
+from rfpipe.rigs.base import Key, check_patterns
+from rfpipe.rigs.devices import Camera, Projector
+from rfpipe.rigs.layout import ProjectorLayout
+
+if TYPE_CHECKING:
+    from rfpipe.photometry.resampling import Resampling
+
+__all__ = ["DeviceRig"]
+
+
+class DeviceRig:
+    """A rig of two devices: shows a pattern on the projector, then has the camera take a bracket.
+
+    Retries of failed frames are the camera's; what reaches this rig is good or an error.
+
+    Parameters
+    ----------
+    projector : Projector
+    camera : Camera
+    layout : ProjectorLayout, optional
+        Where the rays lie on the projector. None: each of its pixels is a ray.
+    resampling : Resampling, optional
+        How the camera's merged images become images on the ray grid. None: the camera's pixels
+        are its rays.
+    seconds_per_pattern : float
+        Seconds that a bracket takes about, for estimates; at least 0.
+
+    Raises
+    ------
+    InputError
+        When devices, layout and resampling don't fit together.
+    """
+
+    def __init__(
+        self,
+        projector: Projector,
+        camera: Camera,
+        layout: ProjectorLayout | None = None,
+        resampling: Resampling | None = None,
+        seconds_per_pattern: float = 2.0,
+    ) -> None:
+        if layout is not None and layout.display_shape != tuple(projector.shape):
+            raise InputError(
+                f"the layout is of a projector of {layout.display_shape} pixels; this one has "
+                f"{tuple(projector.shape)}. Calibrate again, or set the projector's size back"
+            )
+        if resampling is not None and tuple(resampling.camera_shape) != tuple(camera.shape):
+            raise InputError(
+                f"the resampling is of a camera of {tuple(resampling.camera_shape)} pixels; this "
+                f"one has {tuple(camera.shape)}. Calibrate again, or set the camera's size back"
+            )
+        self.projector = projector
+        self.camera = camera
+        self.layout = layout
+        self.resampling = resampling
+        self.seconds_per_pattern = float(seconds_per_pattern)
+        self.projector_shape = projector.shape if layout is None else layout.shape
+        self.camera_shape = camera.shape if resampling is None else resampling.shape
+        self.channels = camera.channels
+        self.sensor = _sensor(camera, resampling)
+        self._frame_shape = camera.sensor.frame_shape(camera.shape, camera.channels)
+
+    def capture(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> NDArray[Any]:
+        """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`."""
+        patterns = check_patterns(patterns, keys, self.projector_shape)
+        dtype = self.camera.sensor.frame_dtype
+        frames = np.empty((len(patterns), *self._frame_shape), dtype)
+        for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
+            frames[index] = self._bracket(pattern, tuple(key))
+        return frames
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return {
+            "kind": "devices",
+            "projector": self.projector.describe(),
+            "camera": self.camera.describe(),
+            "layout": None if self.layout is None else self.layout.describe(),
+            "camera_shape": list(self.camera_shape),
+            "projector_shape": list(self.projector_shape),
+            "channels": self.channels,
+            "sensor": self.sensor.describe(),
+            "seconds_per_pattern": self.seconds_per_pattern,
+        }
+
+    def close(self) -> None:
+        """Give both devices back; closing twice is no error."""
+        try:
+            self.camera.close()
+        finally:
+            self.projector.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _bracket(self, pattern: NDArray[np.float32], key: Key) -> NDArray[Any]:
+        picture = pattern if self.layout is None else self.layout.picture(pattern)
+        try:
+            self.projector.show(picture)
+            frames = np.asarray(self.camera.expose())
+        except CaptureError as error:
+            raise CaptureError(f"pattern {key}: {error}") from error
+        dtype = self.camera.sensor.frame_dtype
+        if frames.shape != self._frame_shape or frames.dtype != dtype:
+            raise CaptureError(
+                f"pattern {key}: the camera returned {frames.dtype} frames of shape "
+                f"{frames.shape}; expected {dtype} {self._frame_shape}. Check the camera's size, "
+                "pixel format and exposures"
+            )
+        return frames
+
+
+def _sensor(camera: Camera, resampling: Resampling | None) -> Sensor:
+    """Return what merges the camera's brackets, onto the ray grid where there is one."""
+    if resampling is None:
+        return camera.sensor
+    from rfpipe.photometry import CameraModel
+    from rfpipe.photometry.resampling import ResampledSensor
+
+    if not isinstance(camera.sensor, CameraModel):
+        raise InputError(
+            f"a resampling needs a camera whose sensor is a CameraModel, not a "
+            f"{type(camera.sensor).__name__}"
+        )
+    return ResampledSensor(camera.sensor, resampling)

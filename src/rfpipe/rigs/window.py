@@ -1,0 +1,273 @@
+"""The projector: a full-screen window, pixel-exact, linear in the pattern."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import selectors
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.provenance import fingerprint
+from rfpipe.rigs.devices import check_picture
+
+__all__ = ["WindowProjector", "code_table", "read_response"]
+
+Float = NDArray[np.float32]
+Codes = NDArray[np.uint8]
+
+ANSWER_SECONDS = 20.0
+"""Time within which a window opens and a picture is drawn, or the display counts as dead."""
+
+STEPS = 65535
+"""Weights are told apart in steps of 1 / STEPS before they are looked up."""
+
+_PROGRAM = Path(__file__).with_name("window_process.py")
+
+_log = logging.getLogger(__name__)
+
+
+def code_table(light: NDArray[Any] | None) -> Codes:
+    """Return the code for each of `STEPS` + 1 weights from 0 to 1.
+
+    Parameters
+    ----------
+    light : ndarray, shape (256,), or None
+        Light measured at each code, never falling; None where it is in proportion to the code.
+
+    Returns
+    -------
+    ndarray of uint8, shape (STEPS + 1,)
+        The code whose light, scaled so that code 0 gives 0 and 255 gives 1, is nearest.
+
+    Raises
+    ------
+    InputError
+        When the table isn't one.
+    """
+    measured = np.arange(256.0) if light is None else np.asarray(light, np.float64)
+    if measured.shape != (256,) or not np.isfinite(measured).all():
+        raise InputError(
+            f"projector response: a table of shape {measured.shape}; expected the light of the "
+            "codes 0 to 255, 256 finite numbers"
+        )
+    falls = np.flatnonzero(np.diff(measured) < 0)
+    if falls.size or measured[-1] <= measured[0]:
+        code = int(falls[0]) + 1 if falls.size else 255
+        raise InputError(
+            f"projector response: the light of code {code} is {measured[code]:g}, below that of "
+            f"code {code - 1}, {measured[code - 1]:g}; light must not fall, and 255 must be "
+            "brighter than 0. Measure it again, with the lamp warm"
+        )
+    relative = (measured - measured[0]) / (measured[-1] - measured[0])
+    between = (relative[1:] + relative[:-1]) / 2
+    weights = np.arange(STEPS + 1) / STEPS
+    return np.searchsorted(between, weights).astype(np.uint8)
+
+
+def read_response(path: str | Path) -> NDArray[np.float64]:
+    """Read a projector's response, one number a line for the codes 0 to 255.
+
+    Raises
+    ------
+    InputError
+        When the file can't be read or holds something else.
+    """
+    try:
+        light = np.loadtxt(path, dtype=np.float64, ndmin=1)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: can't be read as a projector's response: {error}") from error
+    if light.shape != (256,):
+        raise InputError(
+            f"{path}: holds numbers of shape {light.shape}; expected 256 lines of one, the light "
+            "of the codes 0 to 255"
+        )
+    return light
+
+
+class WindowProjector:
+    """A projector as a monitor: a borderless window with one pixel for each of its pixels.
+
+    The window lives in a process of its own (`rfpipe.rigs.window_process`), so `show` may be
+    called from any thread, and the loss of the display is an error instead of the process' end.
+    `show` returns after the display's server has confirmed that it drew the picture (on X11 by
+    XSync) and after `settle_seconds`. When the light then leaves the lens is known to the
+    projector alone: set `settle_seconds` to a few frames more than its delay.
+
+    Parameters
+    ----------
+    display : str, optional
+        X display such as ``":0"``; None takes that of the environment's DISPLAY.
+    screen : int
+        Number of the monitor.
+    offset : (int, int)
+        Pixels from the monitor's upper and left edge.
+    shape : (int, int), optional
+        Height and width in pixels; None for all of the monitor from `offset` on.
+    settle_seconds : float
+        Wait after a picture was drawn.
+    response : ndarray, shape (256,), optional
+        Light measured at each code; see `code_table`.
+
+    Attributes
+    ----------
+    statistics : dict of str to int
+        ``shown``: pictures; ``reopened``: times that the window was lost and opened again.
+
+    Raises
+    ------
+    CaptureError
+        When the window can't be opened: says what to set.
+    InputError
+        When the response is none.
+    """
+
+    def __init__(
+        self,
+        display: str | None = None,
+        screen: int = 0,
+        offset: tuple[int, int] = (0, 0),
+        shape: tuple[int, int] | None = None,
+        settle_seconds: float = 0.1,
+        response: NDArray[Any] | None = None,
+    ) -> None:
+        self._codes = code_table(response)
+        self._display = display
+        self._settings = {"screen": screen, "offset": list(offset), "shape": shape and list(shape)}
+        self._settle_seconds = settle_seconds
+        self._lock = threading.Lock()
+        self._closed = False
+        self.statistics = {"shown": 0, "reopened": 0}
+        self._window = _WindowProcess(self._display, self._settings)
+        self.shape = self._window.shape
+
+    def show(self, picture: Float) -> None:
+        """Show a picture; see `rfpipe.rigs.devices.Projector.show`."""
+        picture = check_picture(picture, self.shape)
+        codes = self._codes[np.rint(picture * np.float32(STEPS)).astype(np.uint16)]
+        with self._lock:
+            if self._closed:
+                raise CaptureError("the projector's window is closed; open it anew")
+            try:
+                self._window.draw(codes)
+            except CaptureError as error:
+                _log.warning("%s; opening the window again", error)
+                self._reopen()
+                self._window.draw(codes)
+            self.statistics["shown"] += 1
+        time.sleep(self._settle_seconds)
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes the light."""
+        return {
+            "kind": "window",
+            "shape": list(self.shape),
+            "offset": self._settings["offset"],
+            "codes": fingerprint(self._codes),
+        }
+
+    def close(self) -> None:
+        """Close the window; closing twice is no error."""
+        with self._lock:
+            self._closed = True
+            self._window.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _reopen(self) -> None:
+        self._window.close()
+        self._window = _WindowProcess(self._display, self._settings)
+        self.statistics["reopened"] += 1
+        if self._window.shape != self.shape:
+            raise CaptureError(
+                f"the projector's monitor has {self._window.shape} pixels now, {self.shape} "
+                "before; set its resolution back"
+            )
+
+
+class _WindowProcess:
+    """The process that owns the window."""
+
+    def __init__(self, display: str | None, settings: dict[str, Any]) -> None:
+        environment = dict(os.environ, PYGAME_HIDE_SUPPORT_PROMPT="1")
+        if display is not None:
+            environment["DISPLAY"] = display
+        self._display = environment.get("DISPLAY")
+        self._errors = cast("IO[bytes]", tempfile.TemporaryFile())  # noqa: SIM115
+        self._process = subprocess.Popen(
+            # -P: modules of rfpipe.rigs beside the program are no top-level ones
+            [sys.executable, "-P", str(_PROGRAM), json.dumps(settings)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            env=environment,
+        )
+        try:
+            height, width = self._answer("shape")
+        except BaseException:
+            self.close()
+            raise
+        self.shape = (int(height), int(width))
+
+    def draw(self, codes: Codes) -> None:
+        """Send a picture, and wait until it is drawn."""
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(codes.tobytes())
+            self._process.stdin.flush()
+        except (BrokenPipeError, ValueError):
+            raise self._failure("the projector's window is gone") from None
+        self._answer("shown")
+
+    def close(self) -> None:
+        """End the process, which closes the window."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        with suppress(BrokenPipeError):
+            self._process.stdin.close()
+        try:
+            self._process.wait(timeout=5)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._process.stdout.close()
+        self._errors.close()
+
+    def _answer(self, name: str) -> Any:
+        """Read the next answer."""
+        assert self._process.stdout is not None
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._process.stdout, selectors.EVENT_READ)
+            if not selector.select(ANSWER_SECONDS):
+                raise self._failure(f"the display gave no answer within {ANSWER_SECONDS:g} s")
+        line = self._process.stdout.readline()
+        answer = json.loads(line) if line else {}
+        if name in answer:
+            return answer[name]
+        raise self._failure(answer.get("error", "the projector's window is gone"))
+
+    def _failure(self, what: str) -> CaptureError:
+        """Say what happened, with what the window's process said last, and what to do."""
+        self._errors.seek(0)
+        said = self._errors.read().decode(errors="replace").strip().splitlines()[-1:]
+        detail = f" ({said[0]})" if said else ""
+        return CaptureError(
+            f"projector on display {self._display or 'unset'}: {what}{detail}. Check that the "
+            "projector is a monitor of this display, and set projector.display, screen, offset "
+            "and shape, or the environment's DISPLAY (and XAUTHORITY), accordingly"
+        )

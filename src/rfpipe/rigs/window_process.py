@@ -1,0 +1,164 @@
+"""The projector's window, in a process of its own: pictures come in by stdin, answers go out.
+
+SDL wants to be called by the main thread alone, and Xlib ends the process when its display goes
+away: neither is fit for a server. Started by `rfpipe.rigs.window` as
+``python -P window_process.py SETTINGS``; ends when stdin does. Each answer is a line of JSON:
+``{"shape": [H, W]}`` once, ``{"shown": n}`` for each picture, or ``{"error": text}`` at last.
+"""
+
+import json
+import os
+import queue
+import signal
+import sys
+import threading
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+EVENT_SECONDS = 0.05
+"""How often the window's events are looked at while no picture comes."""
+
+DRIVERS = ("x11", "wayland", "windows", "cocoa")
+"""SDL's drivers that show something; without a display it takes one that doesn't."""
+
+SDL_CENTRED_ON_DISPLAY = 0x2FFF0000
+"""SDL_WINDOWPOS_CENTERED_DISPLAY(0)."""
+
+
+class WindowError(Exception):
+    """The window can't be opened, or isn't any more what it was opened as."""
+
+
+class Window:
+    """A borderless window over a display or a part of it, drawn in 8-bit grey."""
+
+    def __init__(self, screen: int, offset: tuple[int, int], shape: tuple[int, int] | None) -> None:
+        import pygame
+
+        try:
+            pygame.display.init()
+        except pygame.error as error:
+            raise WindowError(f"SDL can't open a display: {error}") from error
+        driver = pygame.display.get_driver()
+        if driver not in DRIVERS:
+            raise WindowError(f"no display answers (SDL fell back to its driver {driver!r})")
+        sizes = pygame.display.get_desktop_sizes()
+        if screen >= len(sizes):
+            raise WindowError(f"there is no monitor {screen}; this display has {len(sizes)}")
+        width, height = sizes[screen]
+        self.shape = shape or (height - offset[0], width - offset[1])
+        if min(self.shape) < 1 or any(
+            start + extent > limit
+            for start, extent, limit in zip(offset, self.shape, (height, width), strict=True)
+        ):
+            raise WindowError(
+                f"a picture of {self.shape} pixels at {offset} doesn't fit on monitor {screen}, "
+                f"{(height, width)}"
+            )
+        centred = (SDL_CENTRED_ON_DISPLAY | screen,) * 2
+        whole = pygame.Window("rfpipe", (width, height), centred, borderless=True, hidden=True)
+        left, top = whole.position  # a window as large as its monitor lies at its origin
+        whole.destroy()
+        self._place = (left + offset[1], top + offset[0])
+        self._size = self.shape[::-1]
+        self._window = pygame.Window(
+            "rfpipe", self._size, self._place, borderless=True, always_on_top=True
+        )
+        pygame.mouse.set_visible(False)
+        pygame.display.set_allow_screensaver(False)
+        self._surface = self._window.get_surface()
+        if self._surface.get_bitsize() != 32:
+            raise WindowError(
+                f"the display has {self._surface.get_bitsize()} bits a pixel; set it to 24-bit "
+                "colour"
+            )
+        red, green, blue, _ = self._surface.get_shifts()
+        self._grey = np.uint32(1 << red | 1 << green | 1 << blue)
+        self.draw(np.zeros(self.shape, np.uint8))
+
+    def draw(self, codes: NDArray[np.uint8]) -> None:
+        """Draw a picture; return when the display's server has drawn it."""
+        if self._window.size != self._size or self._window.position != self._place:
+            raise WindowError(
+                f"the window is {self._window.size} pixels at {self._window.position}, not "
+                f"{self._size} at {self._place}: something moved or resized it"
+            )
+        height, width = self.shape
+        row = self._surface.get_pitch() // 4
+        memory: Any = self._surface.get_buffer()
+        pixels = np.frombuffer(memory, np.uint32).reshape(height, row)
+        np.multiply(codes, self._grey, out=pixels[:, :width], dtype=np.uint32)
+        self._flip()
+
+    def handle_events(self) -> None:
+        """Answer the window manager, and draw again what another window hid."""
+        import pygame
+
+        exposed = pygame.WINDOWEXPOSED, pygame.WINDOWRESTORED, pygame.WINDOWSHOWN
+        if any(event.type in exposed for event in pygame.event.get()):
+            self._flip()
+
+    def _flip(self) -> None:
+        import pygame
+
+        self._window.flip()  # on X11 it ends with XSync: the server has drawn the picture
+        pygame.event.pump()
+
+
+def serve(window: Window, pictures: IO[bytes], answer: Any) -> None:
+    """Draw the pictures that come in until there are no more."""
+    incoming: queue.Queue[bytes] = queue.Queue(maxsize=1)
+    size = window.shape[0] * window.shape[1]
+
+    def read() -> None:
+        picture = pictures.read(size)
+        while len(picture) == size:
+            incoming.put(picture)
+            picture = pictures.read(size)
+        incoming.put(b"")
+
+    threading.Thread(target=read, daemon=True).start()
+    answer({"shape": window.shape})
+    shown = 0
+    while True:
+        try:
+            picture = incoming.get(timeout=EVENT_SECONDS)
+        except queue.Empty:
+            window.handle_events()
+            continue
+        if not picture:
+            return
+        window.handle_events()
+        window.draw(np.frombuffer(picture, np.uint8).reshape(window.shape))
+        shown += 1
+        answer({"shown": shown})
+
+
+def main() -> None:
+    """Open the window that the settings ask for, and serve it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's; then stdin ends
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)  # what libraries print must not get between the answers
+
+    def answer(value: dict[str, Any]) -> None:
+        answers.write(json.dumps(value) + "\n")
+        answers.flush()
+
+    settings = json.loads(sys.argv[1])
+    shape = settings["shape"]
+    try:
+        window = Window(
+            settings["screen"], tuple(settings["offset"]), None if shape is None else tuple(shape)
+        )
+        serve(window, sys.stdin.buffer, answer)
+    except WindowError as error:
+        answer({"error": str(error)})
+        sys.exit(1)
+    except BrokenPipeError:  # the parent is gone
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+"""A display in memory: an X server without a screen, whose pixels can be read."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import selectors
+import shutil
+import struct
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError
+
+__all__ = ["VirtualDisplay", "xvfb"]
+
+START_SECONDS = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualDisplay:
+    """A running Xvfb.
+
+    Parameters
+    ----------
+    name : str
+        The display's name for clients, such as ``":7"``.
+    pixels : ndarray of uint8, shape (H, W, 3)
+        Blue, green and red of each pixel as they stand now: a view of the server's memory.
+    """
+
+    name: str
+    pixels: NDArray[np.uint8]
+
+
+@contextmanager
+def xvfb(shape: tuple[int, int], *, until_unused: bool = False) -> Iterator[VirtualDisplay]:
+    """Run an X server in memory on a free display number.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Height and width in pixels.
+    until_unused : bool
+        Whether the server ends with its last client, so that none stays behind when this process
+        is killed.
+
+    Yields
+    ------
+    VirtualDisplay
+
+    Raises
+    ------
+    CaptureError
+        When Xvfb isn't installed or doesn't start.
+    """
+    program = shutil.which("Xvfb")
+    if program is None:
+        raise CaptureError("Xvfb isn't installed; on Debian: apt-get install xvfb")
+    height, width = shape
+    read, write = os.pipe()
+    with tempfile.TemporaryDirectory(prefix="rfpipe-xvfb-") as folder:
+        process = subprocess.Popen(
+            [
+                program, "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24",
+                "-fbdir", folder, "-nolisten", "tcp", "-s", "0", "-dpms",
+                "-terminate" if until_unused else "-noreset",
+            ],
+            pass_fds=[write], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        os.close(write)
+        try:
+            name = _display_name(read)
+            pixels = _pixels(Path(folder) / "Xvfb_screen0", shape)
+        except BaseException:
+            process.terminate()
+            process.wait()
+            raise
+        finally:
+            os.close(read)
+    # the memory stays mapped without its file, and nothing is left when this process is killed
+    try:
+        yield VirtualDisplay(name, pixels)
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _display_name(descriptor: int) -> str:
+    """Read the number that Xvfb writes once it takes clients."""
+    number = b""
+    with selectors.DefaultSelector() as selector:
+        selector.register(descriptor, selectors.EVENT_READ)
+        # the line's end is a write of its own, and kills the server where nobody reads it
+        while not number.endswith(b"\n") and selector.select(START_SECONDS):
+            part = os.read(descriptor, 16)
+            if not part:
+                break
+            number += part
+    if not number.endswith(b"\n"):
+        raise CaptureError(f"Xvfb didn't start within {START_SECONDS:g} s; try it by hand")
+    return f":{int(number)}"
+
+
+def _pixels(path: Path, shape: tuple[int, int]) -> NDArray[np.uint8]:
+    """Map the server's picture, an XWD file: a header of big-endian words, colours, then rows."""
+    with path.open("rb") as file:
+        memory = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    words = struct.unpack(">25I", memory[:100])
+    header_bytes, bits, row_bytes, colours = words[0], words[11], words[12], words[19]
+    if bits != 32:
+        raise CaptureError(f"Xvfb keeps {bits} bits a pixel; expected 32")
+    start = header_bytes + 12 * colours
+    height, width = shape
+    rows = np.frombuffer(memory, np.uint8, height * row_bytes, start).reshape(height, row_bytes)
+    return rows[:, : 4 * width].reshape(height, width, 4)[..., :3]

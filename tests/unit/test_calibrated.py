@@ -1,0 +1,60 @@
+"""A calibration's folder: written, read back, and refused where it isn't whole."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_array
+
+from rfpipe.errors import IntegrityError, StoreError
+from rfpipe.photometry import Resampling
+from rfpipe.rigs.calibrated import ARRAYS, Calibration, load_calibration, write_calibration
+from rfpipe.rigs.layout import ProjectorLayout
+from rfpipe.store import write_arrays
+
+
+def whole() -> Calibration:
+    return Calibration(
+        ProjectorLayout.grid((6, 8), (2, 3)),
+        Resampling((2, 3), (2, 3), csr_array(np.eye(6, dtype=np.float32))),
+        {"full_well_electrons": 9000.5},
+        np.linspace(0, 1, 256) ** 2,
+        np.full((2, 2, 3, 1), 64, np.float32),
+        np.zeros((2, 3, 1), bool),
+        {"dark": {"verdict": "good"}},
+    )
+
+
+def test_comes_back_as_written(tmp_path: Path) -> None:
+    written = whole()
+    write_calibration(tmp_path / "calibration", written)
+    read = load_calibration(tmp_path / "calibration")
+    assert read.layout is not None
+    assert read.resampling is not None
+    assert np.array_equal(
+        read.layout.ray_of_pixel, ProjectorLayout.grid((6, 8), (2, 3)).ray_of_pixel
+    )
+    assert read.layout.shape == (2, 3)
+    assert read.resampling.digest() == written.resampling.digest()
+    assert read.camera == {"full_well_electrons": 9000.5}
+    assert np.array_equal(read.projector_response, written.projector_response)
+    assert read.black.shape == (2, 2, 3, 1)
+    assert not read.hot.any()
+    assert read.facts == {"dark": {"verdict": "good"}}
+
+
+def test_parts_may_be_missing(tmp_path: Path) -> None:
+    write_calibration(tmp_path, Calibration(camera={"read_noise_electrons": 3.0}))
+    read = load_calibration(tmp_path)
+    assert read.layout is None
+    assert read.resampling is None
+    assert read.projector_response is None
+
+
+def test_none_and_damaged_ones_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="no complete calibration"):
+        load_calibration(tmp_path)
+    write_calibration(tmp_path, whole())
+    write_arrays(tmp_path / ARRAYS, {"black": np.zeros(3)}, {})
+    with pytest.raises(IntegrityError, match="calibrate again"):
+        load_calibration(tmp_path)
