@@ -13,7 +13,12 @@ SETTINGS = parse_config(config, "the configuration")
 # thrown away by an edit of the code.
 CODE = {
     "schedule": ["blocks", "conflicts", "methods", "patterns", "transport"],
-    "merge": ["photometry", "stages.calibration", "stages.merging"],
+    "merge": [
+        "photometry",
+        "stages.calibration",
+        "stages.merging",
+        "stages.sensors",
+    ],
     "normalize": ["methods", "photometry", "stages.images", "transport"],
     "refine": ["blocks", "methods", "photometry", "stages.images", "transport"],
     "assemble": ["blocks", "methods", "transport"],
@@ -45,7 +50,11 @@ def plain(settings):
 
 # All settings but those that shape no result: changing these does nothing anew.
 SHAPING = SETTINGS.model_dump(
-    mode="json", exclude={"resources": True, "capture": {"keep_raw"}}
+    mode="json",
+    exclude={
+        "resources": True,
+        "capture": {"keep_raw", "url", "token_file", "patience_seconds"},
+    },
 )
 
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
@@ -67,7 +76,7 @@ def plan(wildcards):
     scene = SETTINGS.scenes[wildcards.scene]
     return {
         "method": wildcards.method,
-        "camera_shape": list(scene.ray_shape),
+        "camera_shape": list(scene.camera_ray_shape),
         "projector_shape": list(scene.ray_shape),
         "channels": scene.channels,
         **plain(SETTINGS.acquisition),
@@ -107,7 +116,7 @@ def every_sweep(name):
     return [
         f"results/{scene}/{method}/{name}"
         for scene, method in SETTINGS.acquisitions
-        if SETTINGS.scenes[scene].sweep
+        if SETTINGS.scenes[scene].is_swept
     ]
 
 
@@ -147,6 +156,7 @@ def study_settings(wildcards):
     """The settings of the studies, which have scenes of their own."""
     settings = {
         **SHAPING,
+        "capture": {**SHAPING["capture"], "rig": "simulated"},
         "report": {"resolutions": list(SETTINGS.report.resolutions)},
     }
     del settings["scenes"]

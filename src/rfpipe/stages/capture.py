@@ -22,11 +22,12 @@ from rfpipe.stages.merging import Keys, reference_patterns
 from rfpipe.stages.plan import AcquisitionFolder
 from rfpipe.stages.progress import Progress
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.stages.sensors import write_sensor
 from rfpipe.stages.workers import Resources
 from rfpipe.store import FrameStore, bytes_on_disk, write_manifest
 from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
 
-__all__ = ["REFERENCE", "run"]
+__all__ = ["REFERENCE", "frame_settings", "run"]
 
 REFERENCE = "reference"
 """The all-off and all-on brackets, taken with level 0: their store and their manifest's key."""
@@ -81,8 +82,7 @@ def run(
         When another process captures into this folder.
     """
     schedule = read_schedule(folder, level)
-    # How long a real rig takes shapes no frame.
-    described = {name: value for name, value in rig.describe().items() if name != _TIME}
+    described = frame_settings(rig)
     counts = (1, 1) if isinstance(rig.sensor, ExactSensor) else references
     counted = {"black_frames": counts[0], "floodlit_frames": counts[1]}
 
@@ -114,6 +114,7 @@ def run(
         need = DiskNeed.of(rig, to_capture, schedule.count)
         check_level(f"level {level}", need, folder.path, present, keep_raw=keep_raw)
     batch = (resources or Resources()).fitting(_bytes_in_hand(rig), batch_patterns)
+    sensor = write_sensor(folder, rig.sensor) if level == 0 else {}
     *before, captured = [part.capture(batch) for part in parts]
     reference = {REFERENCE: {**before[0], **counted}} if before else {}
     is_counts = rig.sensor.frame_dtype == COUNTS
@@ -128,8 +129,14 @@ def run(
             "rig": described,
             **captured,
             **reference,
+            **sensor,
         },
     )
+
+
+def frame_settings(rig: Rig) -> dict[str, Any]:
+    """Return a rig's description without how long it takes, which shapes no frame."""
+    return {name: value for name, value in rig.describe().items() if name != _TIME}
 
 
 def _bytes_in_hand(rig: Rig) -> int:
