@@ -1,19 +1,10 @@
-"""The public contract suite: what every rig must do, and the dot test for operators.
-
-In a test file of your own, for pytest::
-
-    from rfpipe.testing import RigContract
-
-    class TestMyRig(RigContract):
-        def make_rig(self):
-            return MyRig(...)
-"""
+"""What every rig must do."""
 
 from __future__ import annotations
 
 import json
 from math import prod
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +13,9 @@ from rfpipe.errors import InputError
 from rfpipe.photometry import MergeOptions
 from rfpipe.provenance import generator
 from rfpipe.rigs import BLACK_LEVEL_KEY, Rig
+from rfpipe.testing.checks import require
 
-if TYPE_CHECKING:
-    from scipy.sparse.linalg import LinearOperator
-
-__all__ = ["RigContract", "dot_test"]
+__all__ = ["RigContract"]
 
 Float = NDArray[np.float32]
 
@@ -46,26 +35,41 @@ class RigContract:
     repeatable: bool = True
     significance: float = 6.0
 
+    _made: tuple[Rig, ...] = ()
+
     def make_rig(self) -> Rig:
         """Return a rig, each time anew and each time the same; small, to be quick."""
         raise NotImplementedError(f"{type(self).__name__} must define make_rig()")
 
+    def teardown_method(self) -> None:
+        """Close the rigs of a test that can be closed; pytest calls this."""
+        made, self._made = self._made, ()
+        for rig in made:
+            close = getattr(rig, "close", None)
+            if close is not None:
+                close()
+
+    def _opened(self) -> Rig:
+        rig = self.make_rig()
+        self._made = (*self._made, rig)
+        return rig
+
     def test_shapes(self) -> None:
         """Domains are (H, W) or (V, H, W), channels 1 or 3, exposures positive."""
-        rig = self.make_rig()
+        rig = self._opened()
         for name, shape in (("camera", rig.camera_shape), ("projector", rig.projector_shape)):
-            _require(len(shape) in (2, 3) and min(shape) > 0, f"{name}_shape is {shape}")
-        _require(rig.channels in (1, 3), f"channels is {rig.channels}, not 1 or 3")
-        _require(min(rig.sensor.exposures) > 0, f"exposures are {rig.sensor.exposures}")
-        _require(rig.seconds_per_pattern >= 0, "seconds_per_pattern is negative")
+            require(len(shape) in (2, 3) and min(shape) > 0, f"{name}_shape is {shape}")
+        require(rig.channels in (1, 3), f"channels is {rig.channels}, not 1 or 3")
+        require(min(rig.sensor.exposures) > 0, f"exposures are {rig.sensor.exposures}")
+        require(rig.seconds_per_pattern >= 0, "seconds_per_pattern is negative")
 
     def test_frames(self) -> None:
         """Frames have the sensor's shape and dtype, also for a batch of none."""
-        rig = self.make_rig()
+        rig = self._opened()
         expected = rig.sensor.frame_shape(rig.camera_shape, rig.channels)
         for count in (0, 1, 3):
             frames = rig.capture(*_batch(rig, count))
-            _require(
+            require(
                 frames.shape == (count, *expected) and frames.dtype == rig.sensor.frame_dtype,
                 f"frames are {frames.dtype} {frames.shape}; expected {rig.sensor.frame_dtype} "
                 f"{(count, *expected)}",
@@ -75,31 +79,31 @@ class RigContract:
         """A key's frames don't depend on batch, order, or what was captured before."""
         if not self.repeatable:
             return
-        rig = self.make_rig()
+        rig = self._opened()
         patterns, keys = _batch(rig, 7)
         frames = rig.capture(patterns, keys)
-        again = self.make_rig()
+        again = self._opened()
         for first, last in ((5, 7), (0, 1), (1, 5)):
             part = again.capture(patterns[first:last], keys[first:last])
             same = np.array_equal(part, frames[first:last])
-            _require(same, f"patterns {first} to {last} differ when captured by themselves")
+            require(same, f"patterns {first} to {last} differ when captured by themselves")
         backwards = again.capture(patterns[::-1], keys[::-1])
-        _require(np.array_equal(backwards[::-1], frames), "frames differ in another order")
+        require(np.array_equal(backwards[::-1], frames), "frames differ in another order")
 
     def test_own_noise_for_each_key(self) -> None:
         """Two keys of one pattern don't share their noise, where there is any."""
         if not self.repeatable:
             return
-        rig = self.make_rig()
+        rig = self._opened()
         pattern = np.ones((2, *rig.projector_shape), np.float32)
         frames = rig.capture(pattern, [(1, 0), (1, 1)])
         merged = rig.sensor.merge(frames, _black(rig)[0])
         if merged.variance.max() > 0 and merged.radiance[0].size > 1:
-            _require(not np.array_equal(*frames), "two keys got the same noise")
+            require(not np.array_equal(*frames), "two keys got the same noise")
 
     def test_black_is_black(self) -> None:
         """An all-off bracket merges to no light, within its variance."""
-        rig = self.make_rig()
+        rig = self._opened()
         black, options = _black(rig)
         frames = rig.capture(
             np.zeros((1, *rig.projector_shape), np.float32),
@@ -110,15 +114,15 @@ class RigContract:
 
     def test_light_adds_up(self) -> None:
         """Half of the rays and the other half together give what all rays give."""
-        rig = self.make_rig()
+        rig = self._opened()
         black, options = _black(rig)
         half = np.zeros(rig.projector_shape, np.float32)
         half.ravel()[::2] = 1
         patterns = np.stack([half, 1 - half, np.ones_like(half)])
         frames = rig.capture(patterns, [(2, index) for index in range(3)])
         merged = rig.sensor.merge(frames, black, options)
-        _require(np.isfinite(merged.radiance).all(), "merged radiance isn't finite")
-        _require((merged.variance >= 0).all(), "a variance is negative")
+        require(np.isfinite(merged.radiance).all(), "merged radiance isn't finite")
+        require((merged.variance >= 0).all(), "a variance is negative")
         if merged.saturated:
             raise AssertionError("the floodlit pattern saturates: choose shorter exposures")
         parts, whole = merged.radiance[:2].sum(axis=0, dtype=np.float64), merged.radiance[2]
@@ -126,7 +130,7 @@ class RigContract:
 
     def test_rejects_what_cannot_be_shown(self) -> None:
         """Wrong shapes, weights outside [0, 1], NaN, and missing keys raise InputError."""
-        rig = self.make_rig()
+        rig = self._opened()
         good = np.ones((1, *rig.projector_shape), np.float32)
         wrong_shape = np.ones((1, *rig.projector_shape, 2), np.float32)
         for name, patterns, keys in (
@@ -144,8 +148,11 @@ class RigContract:
 
     def test_describes_itself(self) -> None:
         """`describe` gives plain data, the same for equal rigs."""
-        described = [json.dumps(self.make_rig().describe(), sort_keys=True) for _ in range(2)]
-        _require(described[0] == described[1], f"equal rigs differ: {described}")
+        described = []
+        for _ in range(2):
+            described.append(json.dumps(self._opened().describe(), sort_keys=True))
+            self.teardown_method()  # a rig of hardware can't be had twice
+        require(described[0] == described[1], f"equal rigs differ: {described}")
 
     def _require_equal_light(
         self, difference: NDArray[Any], variance: Float, scale: Float | float, name: str
@@ -154,76 +161,10 @@ class RigContract:
         rounding = float(np.finfo(np.float32).eps) * float(np.sum(scale, dtype=np.float64)) * 4
         error = float(np.sqrt(variance.sum(dtype=np.float64)))
         total = float(np.sum(difference, dtype=np.float64))
-        _require(
+        require(
             abs(total) <= self.significance * error + rounding,
             f"{name}: light is off by {total:.4g} in all; noise {error:.4g}",
         )
-
-
-class _Relightable(Protocol):
-    """A transport, as far as the dot test needs it."""
-
-    @property
-    def channels(self) -> int: ...
-
-    def channel(self, index: int, /) -> LinearOperator: ...
-
-
-def dot_test(
-    operator: _Relightable | LinearOperator | NDArray[Any], tolerance: float = 1e-5, seed: int = 0
-) -> float:
-    """Check that an operator and its transpose belong together: ``(T p) . c = p . (T^T c)``.
-
-    Parameters
-    ----------
-    operator : transport, LinearOperator or matrix
-        A transport is tested channel by channel.
-    tolerance : float
-        Largest relative difference allowed; float32 arithmetic reaches about 1e-6.
-    seed : int
-        Seed of the random ``p`` and ``c``, uniform in [0, 1): with non-negative transport no
-        terms cancel.
-
-    Returns
-    -------
-    float
-        The largest relative difference found.
-
-    Raises
-    ------
-    AssertionError
-        When the difference is above `tolerance`, or not a number.
-    """
-    from scipy.sparse.linalg import aslinearoperator
-
-    if _is_transport(operator):
-        return max(
-            dot_test(operator.channel(index), tolerance, seed) for index in range(operator.channels)
-        )
-    linear: LinearOperator = aslinearoperator(cast("Any", operator))
-    random = generator(seed)
-    pattern, image = (random.random(extent) for extent in reversed(linear.shape))
-    seen = np.asarray(linear.matvec(pattern), np.float64)
-    dual = np.asarray(linear.rmatvec(image), np.float64)
-    forward, backward = float(image @ seen), float(dual @ pattern)
-    # where terms cancel, the sum of their magnitudes is the scale of the rounding
-    scale = max(float(image @ np.abs(seen)), float(np.abs(dual) @ pattern))
-    difference = abs(forward - backward) / scale if scale else 0.0
-    _require(
-        difference <= tolerance,
-        f"(T p) . c = {forward:.9g} but p . (T^T c) = {backward:.9g}: relative difference "
-        f"{difference:.3g}, allowed {tolerance:.3g}",
-    )
-    return difference
-
-
-def _is_transport(operator: object) -> TypeGuard[_Relightable]:
-    return callable(getattr(operator, "channel", None))
-
-
-def _require(holds: bool | np.bool_, message: str) -> None:
-    if not holds:
-        raise AssertionError(message)
 
 
 def _batch(rig: Rig, count: int) -> tuple[Float, list[tuple[int, int]]]:

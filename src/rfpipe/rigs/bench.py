@@ -1,0 +1,261 @@
+"""The optical bench in software: a scene between a real window and a real camera driver.
+
+The projector is a window on an X server in memory. At each trigger of the camera the server's
+pixels are read, sent through a scene to the camera's picture, exposed with the camera's noise, and
+handed to the driver's emulated camera as its next picture. All that stands around the scene is what
+a rig of hardware has: window, X server, camera driver.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError
+from rfpipe.photometry.camera import CameraModel, sensor_from_config
+from rfpipe.provenance import fingerprint
+from rfpipe.rigs.optics import OpticalPath, centred_corners, tilted_corners
+from rfpipe.rigs.pylon import PylonCamera
+from rfpipe.rigs.window import WindowProjector
+from rfpipe.rigs.xvfb import VirtualDisplay, xvfb
+
+if TYPE_CHECKING:
+    from rfpipe.config import BenchConfig, RigConfig, SceneConfig
+
+__all__ = ["BenchCamera", "BenchProjector", "Scenery", "optical_path", "software_bench"]
+
+Float = NDArray[np.float32]
+
+EMULATED_SERIAL = "0815-0000"
+"""Of the driver's first emulated camera."""
+
+PICTURES = "a.png", "b.png"
+"""Two names, as the driver reads a single file only once; both are always the same picture."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scenery:
+    """What is before the camera of a bench, and the camera's true numbers.
+
+    Parameters
+    ----------
+    display : VirtualDisplay
+        Where the projector's window lies.
+    offset : (int, int)
+        Rows and columns of its upper left corner on the display.
+    path : OpticalPath
+    light_of_code : ndarray of float32, shape (256,)
+        The projector's true response.
+    camera : CameraModel
+        Its noise, bits and mosaic; the exposures are those that the driver sets.
+    seed : int
+        Seed of the noise.
+    """
+
+    display: VirtualDisplay
+    offset: tuple[int, int]
+    path: OpticalPath
+    light_of_code: Float
+    camera: CameraModel
+    seed: int = 0
+
+    def codes(self) -> NDArray[np.uint8]:
+        """Return what the window shows now, (H, W)."""
+        (top, left), (height, width) = self.offset, self.path.projector_shape
+        return self.display.pixels[top : top + height, left : left + width, 1].copy()
+
+    def radiance(self, codes: NDArray[np.uint8]) -> Float:
+        """Return what the camera sees of a picture, (Hc, Wc, C)."""
+        return self.path.radiance(self.light_of_code[codes])
+
+    def frame(self, radiance: Float, exposure: float, number: int) -> NDArray[np.uint16]:
+        """Return what the camera makes of it in `exposure` seconds: counts (Hc, Wc)."""
+        camera = replace(self.camera, exposures=(exposure,))
+        return camera.expose(radiance, self.seed, (number,)).reshape(self.path.camera_shape)
+
+
+class BenchProjector(WindowProjector):
+    """The window on the bench's display, which ends with it."""
+
+    def __init__(self, display_shape: tuple[int, int], **settings: Any) -> None:
+        with ExitStack() as stack:
+            self.display = stack.enter_context(xvfb(display_shape, until_unused=True))
+            super().__init__(self.display.name, **settings)
+            self._server = stack.pop_all()
+
+    def close(self) -> None:
+        """Close the window and its display; closing twice is no error."""
+        super().close()
+        self._server.close()
+
+
+class BenchCamera(PylonCamera):
+    """The driver's emulated camera, each of its pictures made when it is triggered.
+
+    Parameters
+    ----------
+    scenery : Scenery
+    sensor : CameraModel
+        What the rig believes of the camera; its exposures are set, its noise is not used.
+    settings
+        As `PylonCamera` has them, without serial, shape, offset and nodes.
+
+    Raises
+    ------
+    CaptureError
+        When the emulated camera doesn't answer.
+    """
+
+    def __init__(self, scenery: Scenery, sensor: CameraModel, **settings: Any) -> None:
+        os.environ.setdefault("PYLON_CAMEMU", "1")  # is read when the driver is loaded
+        self._scenery = scenery
+        self._number = 0
+        self._seen: tuple[NDArray[np.uint8], Float] | None = None
+        self._folder = Path(tempfile.mkdtemp(prefix="rfpipe-bench-"))
+        (self._folder / "pictures").mkdir()
+        self._put(np.zeros(scenery.path.camera_shape, np.uint16))
+        nodes = {
+            "TestImageSelector": "Off",
+            "ImageFilename": str(self._folder / "pictures"),
+            "ImageFileMode": "On",
+        }
+        try:
+            super().__init__(
+                sensor,
+                serial=EMULATED_SERIAL,
+                shape=scenery.path.camera_shape,
+                nodes=nodes,
+                **settings,
+            )
+        except CaptureError as error:
+            self._clear()
+            raise CaptureError(
+                f"{error}. The bench needs pylon's emulated camera: set PYLON_CAMEMU=1 in the "
+                "environment before pypylon is loaded"
+            ) from error
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        true, path = self._scenery, self._scenery.path
+        numbers = true.camera.describe()
+        del numbers["exposures"]  # the sensor's are taken
+        return {
+            **super().describe(),
+            "kind": "bench",
+            "nodes": {},
+            "scene": path.describe(),
+            "camera": numbers,
+            "light_of_code": fingerprint(true.light_of_code),
+            "seed": true.seed,
+        }
+
+    def close(self) -> None:
+        """Give the camera back; closing twice is no error."""
+        super().close()
+        self._clear()
+
+    def _before_trigger(self, exposure: float) -> None:
+        """Make the picture that the driver is about to read."""
+        codes = self._scenery.codes()
+        if self._seen is None or not np.array_equal(codes, self._seen[0]):
+            self._seen = codes, self._scenery.radiance(codes)
+        self._number += 1
+        self._put(self._scenery.frame(self._seen[1], exposure, self._number))
+
+    def _put(self, counts: NDArray[np.uint16]) -> None:
+        """Put counts before the emulated camera."""
+        import cv2
+
+        full_range = counts << np.uint16(16 - self._scenery.camera.bits)
+        made = self._folder / "next.png"
+        if not cv2.imwrite(str(made), full_range, [cv2.IMWRITE_PNG_COMPRESSION, 0]):
+            raise CaptureError(f"{made}: can't be written; is the disk of {made.parent} full?")
+        first, second = (self._folder / "pictures" / name for name in PICTURES)
+        link = self._folder / "link.png"
+        os.link(made, link)
+        link.replace(first)
+        made.replace(second)
+
+    def _clear(self) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
+    """Return the projector and the camera of a rig's bench.
+
+    Parameters
+    ----------
+    config : RigConfig
+        With a bench.
+
+    Raises
+    ------
+    CaptureError
+        When Xvfb or pypylon is missing.
+    InputError
+        When the scene doesn't fit the display.
+    """
+    from rfpipe.rigs.build import camera_settings, sensor_of, window_settings
+
+    bench = config.bench
+    assert bench is not None
+    projector = BenchProjector(bench.display_shape, **window_settings(config))
+    try:
+        true = sensor_from_config(bench.camera or config.sensor)
+        assert isinstance(true, CameraModel)
+        codes = np.linspace(0, 1, 256) ** bench.projector_gamma
+        light = bench.projector_black + (1 - bench.projector_black) * codes
+        scenery = Scenery(
+            projector.display,
+            config.projector.offset,
+            optical_path(bench, projector.shape),
+            light.astype(np.float32),
+            true,
+            config.seed,
+        )
+        return projector, BenchCamera(scenery, sensor_of(config), **camera_settings(config))
+    except BaseException:
+        projector.close()
+        raise
+
+
+def optical_path(bench: BenchConfig, projector_shape: tuple[int, int]) -> OpticalPath:
+    """Return the light's way on a bench."""
+    from rfpipe.scenes import scene_from_config
+
+    scene = scene_from_config(bench.scene)
+    views = bench.scene.views or (1, 1)
+    return OpticalPath(
+        scene,
+        scene.shape,
+        projector_shape,
+        bench.camera_shape,
+        bench.projector_corners or centred_corners(scene.shape, projector_shape, views),
+        bench.camera_corners or tilted_corners(scene.shape, bench.camera_shape, views),
+        _direct_light(bench.scene),
+        bench.ambient,
+    )
+
+
+def _direct_light(config: SceneConfig) -> Float:
+    """Return the radiance (N, C) that each view sees of its own direct light."""
+    from rfpipe.scenes import scene_from_config
+
+    scene = scene_from_config(config.model_copy(update={"bounces": 1}))
+    views = 1 if len(scene.shape) == 2 else scene.shape[0]
+    light = np.repeat(np.eye(views, dtype=np.float32), prod(scene.shape) // views, axis=1)
+    images = np.asarray(scene.apply(light))
+    own = light.astype(bool)
+    direct = np.empty(images.shape[1:], np.float32)
+    for view in range(views):
+        direct[own[view]] = images[view, own[view]]
+    return direct

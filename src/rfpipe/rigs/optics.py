@@ -1,0 +1,287 @@
+"""The light's way on a bench in software: from projector pixels through a scene to the camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import prod
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.provenance import fingerprint
+from rfpipe.rigs.base import PatternOperator
+from rfpipe.rigs.layout import DARK, ProjectorLayout
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+__all__ = ["OpticalPath", "Quadrilateral", "centred_corners", "tilted_corners"]
+
+Float = NDArray[np.float32]
+Double = NDArray[np.floating[Any]]
+Quadrilateral = Sequence[tuple[float, float]]
+"""(x, y) of the upper left, upper right, lower right and lower left corner of a view's rays, in
+pixels from the picture's upper left corner: a pixel's middle lies at halves."""
+
+SAMPLES = 8
+"""Points a side at which each camera pixel looks into the scene."""
+
+
+class OpticalPath:
+    """A scene between a projector and a camera that each see its rays under a homography.
+
+    A ray is the light between a projector's patch of pixels and the camera's patch, both at the
+    same point of the scene. Inter-reflection comes from the mean light of each ray's projector
+    pixels. Where `direct` is known, direct light keeps the projector's own resolution: a point of
+    the scene that the camera sees is lit by the one projector pixel that aims at it.
+
+    Parameters
+    ----------
+    scene : PatternOperator
+        Light transport over the rays, from a ray domain to itself.
+    shape : tuple of int
+        The ray domain, (H, W) or (V, H, W), of N rays.
+    projector_shape, camera_shape : (int, int)
+        Height and width in pixels.
+    projector_corners, camera_corners : sequence of Quadrilateral
+        Of each view's rays on the projector and on the camera.
+    direct : ndarray, shape (N, C), optional
+        Radiance of each ray that the light of its own projector pixels alone gives: the part of
+        the scene's diagonal to show at the projector's resolution.
+    ambient : float
+        Radiance of other light in every camera pixel.
+
+    Raises
+    ------
+    InputError
+        When corners don't span a quadrilateral, or a ray has no projector pixel.
+    """
+
+    def __init__(
+        self,
+        scene: PatternOperator,
+        shape: tuple[int, ...],
+        projector_shape: tuple[int, int],
+        camera_shape: tuple[int, int],
+        projector_corners: Sequence[Quadrilateral],
+        camera_corners: Sequence[Quadrilateral],
+        direct: NDArray[Any] | None = None,
+        ambient: float = 0.0,
+    ) -> None:
+        self.shape = shape
+        self.projector_shape = projector_shape
+        self.camera_shape = camera_shape
+        self.channels = scene.channels
+        self._scene = scene
+        self._ambient = np.float32(ambient)
+        self._to_projector = [_homography(shape, corners) for corners in projector_corners]
+        self._to_camera = [_homography(shape, corners) for corners in camera_corners]
+        self.layout = ProjectorLayout(shape, self._ray_of_pixel())
+        self._rays = self.layout.ray_of_pixel.ravel()
+        self._lit = self._rays != DARK
+        pixels = np.bincount(self._rays[self._lit], minlength=prod(shape))
+        if not pixels.all():
+            raise InputError(
+                f"bench: {np.count_nonzero(pixels == 0)} of {prod(shape)} rays have no projector "
+                f"pixel; {projector_shape} pixels are too few, or the corners lie outside"
+            )
+        self._pixels = pixels
+        self._direct = None if direct is None else np.asarray(direct, np.float32)
+        self._seen = self._sampling()
+
+    def radiance(self, light: NDArray[Any]) -> Float:
+        """Return what the camera sees.
+
+        Parameters
+        ----------
+        light : ndarray, shape projector_shape
+            Light of each projector pixel, 1 at most.
+
+        Returns
+        -------
+        ndarray of float32, shape (*camera_shape, C)
+        """
+        of_pixels = np.asarray(light, np.float32).ravel()[self._lit]
+        rays = self._rays[self._lit]
+        of_rays = np.bincount(rays, of_pixels, prod(self.shape)) / self._pixels
+        image = self._scene.apply(of_rays[None].astype(np.float32))[0]
+        points = np.zeros((self._rays.size, self.channels), np.float32)
+        points[self._lit] = image[rays]
+        if self._direct is not None:
+            beyond_mean = of_pixels - of_rays[rays].astype(np.float32)
+            points[self._lit] += self._direct[rays] * beyond_mean[:, None]
+        seen: Float = self._seen @ points
+        return seen.reshape(*self.camera_shape, self.channels) + self._ambient
+
+    def projector_points(self, camera_points: ArrayLike) -> Double:
+        """Return where projector and camera look at one point of the scene.
+
+        Parameters
+        ----------
+        camera_points : array_like, shape (..., 2)
+            (x, y) from the corner of the camera's picture, as in `Quadrilateral`.
+
+        Returns
+        -------
+        ndarray of float64, shape (..., 2)
+            (x, y) from the corner of the projector's picture; NaN where the camera sees no ray.
+        """
+        points = np.asarray(camera_points, np.float64)
+        found = np.full(points.shape, np.nan)
+        for to_camera, to_projector in zip(self._to_camera, self._to_projector, strict=True):
+            place = _mapped(np.linalg.inv(to_camera), points)
+            inside = self._is_inside(place)
+            found[inside] = _mapped(to_projector, place[inside])
+        return found
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes the picture."""
+        describe = getattr(self._scene, "describe", None)
+        return {
+            "scene": describe() if describe else type(self._scene).__name__,
+            "layout": self.layout.describe(),
+            "to_camera": fingerprint(np.array(self._to_camera)),
+            "camera_shape": list(self.camera_shape),
+            "direct": None if self._direct is None else fingerprint(self._direct),
+            "ambient": float(self._ambient),
+        }
+
+    def _is_inside(self, place: Double) -> NDArray[np.bool_]:
+        """Whether points (..., 2) of a view's plane of rays lie on a ray."""
+        limits = np.array(self.shape[:-3:-1])  # width, height
+        return np.asarray(((place >= 0) & (place < limits)).all(axis=-1))
+
+    def _ray_of_pixel(self) -> NDArray[np.int32]:
+        """Return the ray that each projector pixel's middle belongs to."""
+        rays = np.full(self.projector_shape, DARK, np.int32)
+        middles = _middles(self.projector_shape)
+        height, width = self.shape[-2:]
+        for view, to_projector in enumerate(self._to_projector):
+            # a grid's edges fall on whole numbers, which must not depend on rounding
+            place = _mapped(np.linalg.inv(to_projector), middles).round(9)
+            inside = self._is_inside(place)
+            x, y = np.floor(place[inside]).astype(np.int32).T
+            rays[inside] = (view * height + y) * width + x
+        return rays
+
+    def _sampling(self) -> csr_array[Any]:
+        """Return the mean of the projector pixels' points that each camera pixel looks at."""
+        from scipy.sparse import csr_array, vstack
+
+        height, width = self.camera_shape
+        columns = self.projector_shape[1]
+        steps = (np.arange(SAMPLES) + 0.5) / SAMPLES
+        x = (np.arange(width)[:, None] + steps).ravel()
+        rows = []
+        for row in range(height):
+            points = np.stack(np.meshgrid(x, row + steps), axis=-1)
+            target = self.projector_points(points).reshape(SAMPLES, width, SAMPLES, 2)
+            pixel = np.broadcast_to(np.arange(width)[None, :, None], target.shape[:-1])
+            inside = self._on_projector(target)
+            u, v = np.floor(target[inside]).astype(np.int64).T
+            weights = np.full(u.size, 1 / SAMPLES**2, np.float32)
+            extent = (width, prod(self.projector_shape))
+            rows.append(csr_array((weights, (pixel[inside], v * columns + u)), shape=extent))
+        return csr_array(vstack(rows, "csr"))
+
+    def _on_projector(self, points: Double) -> NDArray[np.bool_]:
+        limits = np.array(self.projector_shape[::-1])
+        return np.asarray(((points >= 0) & (points < limits)).all(axis=-1))  # NaN is not
+
+
+def centred_corners(
+    shape: tuple[int, ...], picture_shape: tuple[int, int], views: tuple[int, int] = (1, 1)
+) -> list[Quadrilateral]:
+    """Return the corners of views side by side in the middle, each ray a square of whole pixels.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The ray domain, (H, W) or (V, H, W).
+    picture_shape : (int, int)
+        Height and width in pixels.
+    views : (int, int)
+        Rows and columns of views.
+
+    Raises
+    ------
+    InputError
+        When a ray doesn't get a pixel.
+    """
+    height, width = (extent * count for extent, count in zip(shape[-2:], views, strict=True))
+    side = min(picture_shape[0] // height, picture_shape[1] // width)
+    if side < 1:
+        raise InputError(
+            f"bench: {height} x {width} rays don't fit into a display of {picture_shape} pixels"
+        )
+    top, left = (picture_shape[0] - side * height) // 2, (picture_shape[1] - side * width) // 2
+    tall, wide = side * shape[-2], side * shape[-1]
+    return [
+        _rectangle(left + column * wide, top + row * tall, wide, tall)
+        for row in range(views[0])
+        for column in range(views[1])
+    ]
+
+
+def tilted_corners(
+    shape: tuple[int, ...], picture_shape: tuple[int, int], views: tuple[int, int] = (1, 1)
+) -> list[Quadrilateral]:
+    """Return the corners of views in cells side by side, turned and distorted a little.
+
+    Parameters as `centred_corners`; the rays keep their aspect.
+    """
+    cell_height, cell_width = (
+        extent / count for extent, count in zip(picture_shape, views, strict=True)
+    )
+    side = 0.9 * min(cell_height / shape[-2], cell_width / shape[-1])
+    tall, wide = side * shape[-2], side * shape[-1]
+    corners: list[Quadrilateral] = []
+    for row in range(views[0]):
+        for column in range(views[1]):
+            left = (column + 0.5) * cell_width - wide / 2
+            top = (row + 0.5) * cell_height - tall / 2
+            upright = np.array(_rectangle(left, top, wide, tall))
+            moved = upright + _TILT * (wide, tall)
+            corners.append([(float(x), float(y)) for x, y in moved])
+    return corners
+
+
+_TILT = np.array([(0.020, -0.010), (0.012, 0.018), (-0.016, 0.012), (-0.024, -0.020)])
+"""How far corners are moved, in fractions of the width and the height: less than the margin."""
+
+
+def _rectangle(left: float, top: float, width: float, height: float) -> Quadrilateral:
+    right, bottom = left + width, top + height
+    return [(left, top), (right, top), (right, bottom), (left, bottom)]
+
+
+def _middles(shape: tuple[int, int]) -> Double:
+    """Return (x, y) of the pixels' middles, (H, W, 2)."""
+    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
+    return np.stack([x, y], axis=-1)
+
+
+def _homography(shape: tuple[int, ...], corners: Quadrilateral) -> Double:
+    """Return the matrix (3, 3) from a view's plane of rays to a picture."""
+    height, width = shape[-2:]
+    equations, values = [], []
+    for (x, y), (u, v) in zip(_rectangle(0, 0, width, height), corners, strict=True):
+        equations.append([x, y, 1, 0, 0, 0, -u * x, -u * y])
+        equations.append([0, 0, 0, x, y, 1, -v * x, -v * y])
+        values += [u, v]
+    try:
+        solution = np.linalg.solve(np.array(equations, np.float64), np.array(values, np.float64))
+        matrix = np.append(solution, 1.0).reshape(3, 3)
+        np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        raise InputError(f"bench: the corners {list(corners)} span no quadrilateral") from None
+    return matrix
+
+
+def _mapped(homography: Double, points: Double) -> Double:
+    """Map points (..., 2)."""
+    x, y, w = np.moveaxis(points @ homography[:, :2].T + homography[:, 2], -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([x / w, y / w], axis=-1)

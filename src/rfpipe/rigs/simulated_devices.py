@@ -1,0 +1,109 @@
+"""A projector and a camera without hardware, as devices: for tests, and for trying out drivers."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError
+from rfpipe.photometry.camera import CameraModel
+from rfpipe.rigs.devices import check_picture
+
+__all__ = ["SimulatedCamera", "SimulatedProjector"]
+
+Float = NDArray[np.float32]
+
+
+class SimulatedProjector:
+    """A projector whose light is known exactly.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Height and width in pixels.
+
+    Attributes
+    ----------
+    light : ndarray of float32, shape `shape`
+        What it shows now; dark at first.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.shape = shape
+        self.light: Float = np.zeros(shape, np.float32)
+        self._closed = False
+
+    def show(self, picture: Float) -> None:
+        """Show a picture; see `rfpipe.rigs.devices.Projector.show`."""
+        picture = check_picture(picture, self.shape)
+        if self._closed:
+            raise CaptureError("the simulated projector is closed")
+        self.light = picture.copy()
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests."""
+        return {"kind": "simulated", "shape": list(self.shape)}
+
+    def close(self) -> None:
+        """Switch off."""
+        self._closed = True
+
+
+class SimulatedCamera:
+    """A camera that sees what a function says.
+
+    Parameters
+    ----------
+    radiance : callable
+        Returns what is before the camera now, shape (*shape, C).
+    shape : (int, int)
+        Height and width in pixels.
+    channels : int
+        1 or 3.
+    sensor : CameraModel
+    seed : int
+        Seed of the noise, which differs from bracket to bracket.
+    """
+
+    def __init__(
+        self,
+        radiance: Callable[[], NDArray[Any]],
+        shape: tuple[int, int],
+        channels: int,
+        sensor: CameraModel,
+        seed: int = 0,
+    ) -> None:
+        self.shape = shape
+        self.channels = channels
+        self.sensor = sensor
+        self._radiance = radiance
+        self._seed = seed
+        self._brackets = 0
+        self._closed = False
+        self._lock = threading.Lock()
+
+    def expose(self) -> NDArray[np.uint16]:
+        """Take one bracket; see `rfpipe.rigs.devices.Camera.expose`."""
+        if self._closed:
+            raise CaptureError("the simulated camera is closed")
+        with self._lock:
+            self._brackets += 1
+            number = self._brackets
+        return self.sensor.expose(self._radiance(), self._seed, (number,))
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests."""
+        return {
+            "kind": "simulated",
+            "shape": list(self.shape),
+            "channels": self.channels,
+            "seed": self._seed,
+        }
+
+    def close(self) -> None:
+        """Switch off."""
+        self._closed = True

@@ -1,0 +1,16 @@
+"""The public contract suites: what every rig, projector and camera must do; and the dot test.
+
+In a test file of your own, for pytest::
+
+    from rfpipe.testing import CameraContract
+
+    class TestMyCamera(CameraContract):
+        def make_camera(self):
+            return MyCamera(...)
+"""
+
+from rfpipe.testing.devices import CameraContract, ProjectorContract
+from rfpipe.testing.operators import dot_test
+from rfpipe.testing.rigs import RigContract
+
+__all__ = ["CameraContract", "ProjectorContract", "RigContract", "dot_test"]

@@ -1,0 +1,279 @@
+"""What every projector and every camera must do."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.provenance import generator
+from rfpipe.rigs import Camera, Projector
+from rfpipe.testing.checks import require
+
+__all__ = ["CameraContract", "ProjectorContract"]
+
+Float = NDArray[np.float32]
+
+
+class ProjectorContract:
+    """Tests that any projector must pass; subclass it as ``Test...``, define `make_projector`.
+
+    Attributes
+    ----------
+    accuracy : float
+        By how much the light of a pixel may miss its weight: half a step of an 8-bit display,
+        unless set otherwise.
+    """
+
+    accuracy: float = 0.5 / 255 + 1e-6
+
+    def make_projector(self) -> Projector:
+        """Return a projector, each time anew and each time the same."""
+        raise NotImplementedError(f"{type(self).__name__} must define make_projector()")
+
+    def read_back(self, projector: Projector) -> Float | None:
+        """Return the light that each pixel gives now, (H, W), or None where nobody can tell."""
+        del projector
+        return None
+
+    def test_shape(self) -> None:
+        """A display has a height and a width."""
+        with self._projector() as projector:
+            shape = projector.shape
+            require(len(shape) == 2 and min(shape) > 0, f"shape is {shape}")
+
+    def test_shows_pixel_by_pixel(self) -> None:
+        """Every pixel gives the light of its weight, and no other does."""
+        with self._projector() as projector:
+            for name, picture in _pictures(projector.shape).items():
+                projector.show(picture)
+                self._require_shown(projector, picture, name)
+
+    def test_keeps_no_hold_of_the_picture(self) -> None:
+        """What is done to the array afterwards doesn't change the light."""
+        with self._projector() as projector:
+            picture = _pictures(projector.shape)["noise"]
+            given = picture.copy()
+            projector.show(given)
+            given[...] = 0
+            self._require_shown(projector, picture, "a picture that was changed since")
+
+    def test_takes_any_memory_layout(self) -> None:
+        """Pictures may be transposed, strided or read-only."""
+        with self._projector() as projector:
+            picture = _pictures(projector.shape)["noise"]
+            strided = np.repeat(picture, 2, axis=1)[:, ::2]
+            frozen = picture.copy()
+            frozen.flags.writeable = False
+            for given in (np.asfortranarray(picture), strided, frozen):
+                projector.show(given)
+                self._require_shown(projector, picture, "a picture in another memory layout")
+
+    def test_is_called_from_any_thread(self) -> None:
+        """Pictures may come from threads other than that which opened the projector."""
+        with self._projector() as projector:
+            for name, picture in _pictures(projector.shape).items():
+                _in_a_thread(partial(projector.show, picture))
+                self._require_shown(projector, picture, f"{name}, from another thread")
+
+    def test_rejects_what_cannot_be_shown(self) -> None:
+        """Wrong shapes, weights outside [0, 1] and NaN are InputErrors, and show nothing."""
+        with self._projector() as projector:
+            height, width = projector.shape
+            picture = _pictures(projector.shape)["noise"]
+            projector.show(picture)
+            one_wrong = picture.copy()
+            one_wrong[-1, -1] = np.nan
+            for name, wrong in (
+                ("another shape", np.zeros((height + 1, width), np.float32)),
+                ("three channels", np.zeros((height, width, 3), np.float32)),
+                ("a weight of 1.5", np.full_like(picture, 1.5)),
+                ("a negative weight", np.full_like(picture, -0.5)),
+                ("NaN", one_wrong),
+            ):
+                _require_raises(InputError, partial(projector.show, wrong), f"shows {name}")
+            self._require_shown(projector, picture, "the picture before")
+
+    def test_describes_itself(self) -> None:
+        """`describe` gives plain data, the same for equal projectors."""
+        described = []
+        for _ in range(2):
+            with self._projector() as device:
+                described.append(json.dumps(device.describe(), sort_keys=True))
+        require(described[0] == described[1], f"equal projectors differ: {described}")
+
+    def test_closes(self) -> None:
+        """Closing twice is no error; a closed projector raises CaptureError."""
+        with self._projector() as projector:
+            picture = _pictures(projector.shape)["noise"]
+            projector.close()
+            projector.close()
+            _require_raises(CaptureError, partial(projector.show, picture), "shows while closed")
+
+    @contextmanager
+    def _projector(self) -> Iterator[Projector]:
+        projector = self.make_projector()
+        try:
+            yield projector
+        finally:
+            projector.close()
+
+    def _require_shown(self, projector: Projector, picture: Float, name: str) -> None:
+        light = self.read_back(projector)
+        if light is None:
+            return
+        require(light.shape == picture.shape, f"light of {light.shape} for {picture.shape}")
+        off = np.abs(light - picture)
+        where = np.unravel_index(int(off.argmax()), off.shape)
+        require(
+            bool(off.max() <= self.accuracy),
+            f"{name}: pixel {tuple(map(int, where))} gives {light[where]:.6g}, its weight is "
+            f"{picture[where]:.6g}; {np.count_nonzero(off > self.accuracy)} pixels are off by "
+            f"more than {self.accuracy:.3g}",
+        )
+
+
+class CameraContract:
+    """Tests that any camera must pass; subclass it as ``Test...`` and define `make_camera`.
+
+    What is before the camera should not change, nor be brighter than the shortest exposure takes.
+
+    Attributes
+    ----------
+    steadiness : float
+        Fraction of the mean counts by which two pictures of one thing may differ.
+    """
+
+    steadiness: float = 0.02
+
+    def make_camera(self) -> Camera:
+        """Return a camera, each time anew and each time the same; small, to be quick."""
+        raise NotImplementedError(f"{type(self).__name__} must define make_camera()")
+
+    def test_shapes(self) -> None:
+        """Frames have a height and a width, merged images 1 or 3 channels."""
+        with self._camera() as camera:
+            require(len(camera.shape) == 2 and min(camera.shape) > 0, f"shape is {camera.shape}")
+            require(camera.channels in (1, 3), f"channels is {camera.channels}, not 1 or 3")
+            exposures = camera.sensor.exposures
+            require(min(exposures) > 0, f"exposures are {exposures}")
+
+    def test_brackets(self) -> None:
+        """Brackets have the sensor's shape and dtype, and counts that its bits can hold."""
+        with self._camera() as camera:
+            sensor = camera.sensor
+            expected = sensor.frame_shape(camera.shape, camera.channels)
+            for _ in range(3):
+                frames = camera.expose()
+                require(
+                    frames.shape == expected and frames.dtype == sensor.frame_dtype,
+                    f"a bracket is {frames.dtype} {frames.shape}; expected "
+                    f"{sensor.frame_dtype} {expected}",
+                )
+                if isinstance(sensor, CameraModel):
+                    largest = int(frames.max())
+                    require(
+                        largest <= sensor.white_level,
+                        f"counts reach {largest}; full scale is {sensor.white_level}",
+                    )
+
+    def test_longer_exposures_are_not_darker(self) -> None:
+        """The exposures of a bracket come in their order."""
+        with self._camera() as camera:
+            means = camera.expose().reshape(len(camera.sensor.exposures), -1).mean(axis=1)
+            steps = np.diff(means) >= -self.steadiness * means[:-1]
+            require(bool(steps.all()), f"mean counts of ascending exposures: {means}")
+
+    def test_is_steady(self) -> None:
+        """Two brackets of one thing are alike: no frame is an old or a foreign one."""
+        with self._camera() as camera:
+            first, second = (
+                camera.expose().reshape(len(camera.sensor.exposures), -1).mean(axis=1)
+                for _ in range(2)
+            )
+            alike = np.abs(first - second) <= self.steadiness * np.maximum(first, second) + 1
+            require(bool(alike.all()), f"mean counts are {first}, then {second}")
+
+    def test_keeps_no_hold_of_its_frames(self) -> None:
+        """A bracket doesn't change when the next one is taken."""
+        with self._camera() as camera:
+            frames = camera.expose()
+            before = frames.copy()
+            camera.expose()
+            require(np.array_equal(frames, before), "a bracket changed when the next was taken")
+
+    def test_merges(self) -> None:
+        """The sensor merges what the camera takes."""
+        with self._camera() as camera:
+            frames = camera.expose()
+            merged = camera.sensor.merge(frames[None], np.zeros(frames.shape, np.float32))
+            expected = (1, *camera.shape, camera.channels)
+            require(merged.radiance.shape == expected, f"merged images {merged.radiance.shape}")
+            require(np.isfinite(merged.radiance).all(), "merged radiance isn't finite")
+
+    def test_is_called_from_any_thread(self) -> None:
+        """Brackets may be asked for by threads other than that which opened the camera."""
+        with self._camera() as camera:
+            frames = _in_a_thread(camera.expose)
+            expected = camera.sensor.frame_shape(camera.shape, camera.channels)
+            require(frames.shape == expected, f"from another thread: {frames.shape}")
+
+    def test_describes_itself(self) -> None:
+        """`describe` gives plain data, the same for equal cameras."""
+        described = []
+        for _ in range(2):
+            with self._camera() as device:
+                described.append(json.dumps(device.describe(), sort_keys=True))
+        require(described[0] == described[1], f"equal cameras differ: {described}")
+
+    def test_closes(self) -> None:
+        """Closing twice is no error; a closed camera raises CaptureError."""
+        with self._camera() as camera:
+            camera.close()
+            camera.close()
+            _require_raises(CaptureError, camera.expose, "exposes while closed")
+
+    @contextmanager
+    def _camera(self) -> Iterator[Camera]:
+        camera = self.make_camera()
+        try:
+            yield camera
+        finally:
+            camera.close()
+
+
+def _pictures(shape: tuple[int, int]) -> dict[str, Float]:
+    """Return pictures that show a mistake in place, scale or level."""
+    random = generator(0)
+    corner = np.zeros(shape, np.float32)
+    corner[0, -1] = 1
+    ramp = np.linspace(0, 1, shape[0] * shape[1], dtype=np.float32).reshape(shape)
+    return {
+        "black": np.zeros(shape, np.float32),
+        "white": np.ones(shape, np.float32),
+        "one pixel": corner,
+        "noise": random.random(shape, np.float32),
+        "random pixels": (random.random(shape) < 0.5).astype(np.float32),
+        "a ramp": ramp,
+    }
+
+
+def _in_a_thread(call: Callable[[], Any]) -> Any:
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(call).result()
+
+
+def _require_raises(kind: type[Exception], call: Callable[[], Any], what: str) -> None:
+    try:
+        call()
+    except kind:
+        return
+    raise AssertionError(f"the device {what} without raising {kind.__name__}")

@@ -1,0 +1,220 @@
+"""The projector's window, read back from the X server's memory, pixel for pixel."""
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.rigs.window import WindowProjector, code_table, read_response
+from rfpipe.rigs.xvfb import VirtualDisplay, xvfb
+from rfpipe.testing import ProjectorContract
+
+GAMMA = np.linspace(0.01, 1, 256) ** 2.2
+
+
+class OnDisplay(ProjectorContract):
+    """The suite on an X server in memory."""
+
+    light_of_code = np.linspace(0, 1, 256)
+    offset = (0, 0)
+
+    @pytest.fixture(autouse=True)
+    def _on(self, display: VirtualDisplay) -> None:
+        self.display = display
+
+    def read_back(self, projector):  # type: ignore[no-untyped-def]
+        (top, left), (height, width) = self.offset, projector.shape
+        codes = self.display.pixels[top : top + height, left : left + width]
+        assert (codes == codes[..., :1]).all(), "the window isn't grey"
+        return self.light_of_code[codes[..., 0]].astype(np.float32)
+
+
+class TestWholeDisplay(OnDisplay):
+    def make_projector(self) -> WindowProjector:
+        return WindowProjector(self.display.name, settle_seconds=0)
+
+
+class TestPartOfTheDisplay(OnDisplay):
+    offset = (11, 23)
+
+    def make_projector(self) -> WindowProjector:
+        return WindowProjector(
+            self.display.name, offset=self.offset, shape=(50, 61), settle_seconds=0
+        )
+
+
+class TestWithAMeasuredResponse(OnDisplay):
+    light_of_code = (GAMMA - GAMMA[0]) / (GAMMA[-1] - GAMMA[0])
+    accuracy = float(np.diff(light_of_code).max() / 2) + 1e-4
+
+    def make_projector(self) -> WindowProjector:
+        return WindowProjector(self.display.name, settle_seconds=0, response=GAMMA)
+
+
+def test_random_pictures_are_on_display_when_show_returns(display: VirtualDisplay) -> None:
+    random = np.random.default_rng(0)
+    with WindowProjector(display.name, settle_seconds=0) as projector:
+        for _ in range(40):
+            codes = random.integers(0, 256, projector.shape, dtype=np.uint8)
+            projector.show(codes.astype(np.float32) / 255)
+            assert (display.pixels == codes[..., None]).all()
+        assert projector.statistics == {"shown": 40, "reopened": 0}
+
+
+def test_a_window_is_black_until_told_otherwise(display: VirtualDisplay) -> None:
+    with WindowProjector(display.name, settle_seconds=0) as projector:
+        projector.show(np.ones(projector.shape, np.float32))
+    with WindowProjector(display.name):
+        assert not display.pixels.any()
+
+
+def test_it_waits_until_the_picture_settled(display: VirtualDisplay) -> None:
+    with WindowProjector(display.name, settle_seconds=0.2) as projector:
+        start = time.monotonic()
+        projector.show(np.ones(projector.shape, np.float32))
+        assert time.monotonic() - start >= 0.2
+
+
+def test_what_another_window_hid_is_drawn_again(display: VirtualDisplay) -> None:
+    from Xlib.display import Display
+
+    with WindowProjector(display.name, settle_seconds=0) as projector:
+        projector.show(np.ones(projector.shape, np.float32))
+        client = Display(display.name)
+        screen = client.screen()
+        cover = screen.root.create_window(
+            0, 0, 90, 70, 0, screen.root_depth, background_pixel=0, override_redirect=True
+        )
+        cover.map()
+        client.sync()
+        until(lambda: not display.pixels[:70, :90].any())
+        cover.destroy()
+        client.sync()
+        until(lambda: bool((display.pixels == 255).all()))
+        client.close()
+
+
+def test_pictures_of_many_threads_come_whole(display: VirtualDisplay) -> None:
+    with WindowProjector(display.name, settle_seconds=0) as projector:
+        levels = [np.full(projector.shape, level / 4, np.float32) for level in range(5)]
+        threads = [threading.Thread(target=projector.show, args=(level,)) for level in levels * 4]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert projector.statistics["shown"] == 20
+        assert (display.pixels == display.pixels[0, 0]).all()
+
+
+def test_a_window_that_was_killed_is_opened_again(display: VirtualDisplay) -> None:
+    with WindowProjector(display.name, settle_seconds=0) as projector:
+        white = np.ones(projector.shape, np.float32)
+        os.kill(projector._window._process.pid, signal.SIGKILL)
+        projector._window._process.wait()
+        projector.show(white)
+        assert (display.pixels == 255).all()
+        assert projector.statistics["reopened"] == 1
+
+
+def test_a_window_that_is_moved_is_put_back(display: VirtualDisplay) -> None:
+    from Xlib.display import Display
+
+    with WindowProjector(display.name, settle_seconds=0) as projector:
+        client = Display(display.name)
+        for window in client.screen().root.query_tree().children:
+            window.configure(x=7, y=5)
+        client.sync()
+        client.close()
+        time.sleep(0.2)
+        projector.show(np.ones(projector.shape, np.float32))
+        assert (display.pixels == 255).all()
+
+
+def test_a_lost_display_is_an_error_and_not_the_end() -> None:
+    with xvfb((40, 50)) as server:
+        projector = WindowProjector(server.name, settle_seconds=0)
+    with pytest.raises(CaptureError, match=rf"display {server.name}.*DISPLAY"):
+        projector.show(np.ones((40, 50), np.float32))
+    projector.close()
+
+
+def test_without_a_display_it_says_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(CaptureError, match=r"display unset: no display answers.*DISPLAY"):
+        WindowProjector()
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"screen": 3}, "there is no monitor 3; this display has 1"),
+        ({"shape": (200, 160)}, r"\(200, 160\) pixels at \(0, 0\) doesn't fit on monitor 0"),
+        ({"offset": (120, 0)}, "doesn't fit"),
+    ],
+)
+def test_what_does_not_fit_is_explained(display, settings, expected) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(CaptureError, match=expected):
+        WindowProjector(display.name, **settings)
+
+
+def test_the_window_ends_with_its_owner(display: VirtualDisplay) -> None:
+    projector = WindowProjector(display.name)
+    process = projector._window._process
+    process.stdin.close()
+    assert process.wait(timeout=5) == 0
+
+
+def test_codes_without_response_are_proportional() -> None:
+    codes = code_table(None)
+    assert (codes[0], codes[-1], len(codes)) == (0, 255, 65536)
+    weights = np.arange(65536) / 65535
+    assert np.abs(codes / 255 - weights).max() <= 0.5 / 255 + 1e-9
+
+
+def test_codes_give_the_nearest_light() -> None:
+    weights = np.arange(65536) / 65535
+    light = (GAMMA - GAMMA[0]) / (GAMMA[-1] - GAMMA[0])
+    off = np.abs(light[code_table(GAMMA)] - weights)
+    best = np.abs(light[:, None] - weights[::97]).min(axis=0)
+    assert off[::97] == pytest.approx(best, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("light", "expected"),
+    [
+        (np.ones(256), "255 must be brighter than 0"),
+        (np.r_[np.linspace(0, 1, 255), 0.5], "light of code 255 is 0.5, below that of code 254"),
+        (np.linspace(0, 1, 100), r"shape \(100,\)"),
+        (np.r_[np.linspace(0, 1, 255), np.nan], "finite"),
+    ],
+)
+def test_a_response_must_be_one(light: np.ndarray, expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        code_table(light)
+
+
+def test_a_response_is_read_from_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "response.txt"
+    np.savetxt(path, GAMMA)
+    assert read_response(path) == pytest.approx(GAMMA)
+    np.savetxt(path, GAMMA[:200])
+    with pytest.raises(InputError, match=r"response\.txt: holds numbers of shape \(200,\)"):
+        read_response(path)
+    path.write_text("light\n")
+    with pytest.raises(InputError, match=r"response\.txt: can't be read"):
+        read_response(path)
+    with pytest.raises(InputError, match="can't be read"):
+        read_response(tmp_path / "absent.txt")
+
+
+def until(holds, seconds: float = 5.0) -> None:  # type: ignore[no-untyped-def]
+    """Wait for something that another process does."""
+    end = time.monotonic() + seconds
+    while not holds():
+        assert time.monotonic() < end, "it didn't happen"
+        time.sleep(0.01)
