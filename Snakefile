@@ -24,7 +24,7 @@ if not workflow.overwrite_configfiles:
 
 include: "workflow/rules/common.smk"
 include: "workflow/rules/schedule.smk"
-include: "workflow/rules/capture_simulated.smk"
+include: f"workflow/rules/capture_{SETTINGS.capture.rule}.smk"
 include: "workflow/rules/merge.smk"
 include: "workflow/rules/normalize.smk"
 include: "workflow/rules/refine.smk"

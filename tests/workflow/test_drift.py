@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from tests.workflow.stagewise import CAMERA, RAYS, Acquisition, matrix_rig
 
+from rfpipe.config.model import CaptureConfig
 from rfpipe.errors import CaptureError
 from rfpipe.rigs import DRIFT_KEY, WARM_UP_KEY, OperatorRig
 from rfpipe.stages import warm_up
-from rfpipe.stages.drift import Drift, item_count, item_due, patterns_between, positions
+from rfpipe.stages.drift import Drift, item_count, item_due, positions
 from rfpipe.stages.plan import Plan
 from rfpipe.store import FrameStore
 
 EVERY = 3
-MINUTES = EVERY * 2 / 60  # a pattern takes two seconds
 
 
 class DimmingRig:
@@ -87,7 +87,7 @@ def test_what_the_lamp_lost_is_measured_and_told(
 ) -> None:
     mine = begun(tmp_path)
     with caplog.at_level(logging.INFO):
-        mine.capture(1, drift_minutes=MINUTES)
+        mine.capture(1, drift_patterns=EVERY)
     assert "drift watch before pattern 18: 8" in caplog.text
     mine.merge(1)
     drift = mine.folder.read_manifest(1, "merge")["drift"]
@@ -102,7 +102,7 @@ def test_what_the_lamp_lost_is_measured_and_told(
 def test_a_steady_lamp_is_called_steady(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     mine = begun(tmp_path, loss=0.0)
     with caplog.at_level(logging.INFO):
-        mine.capture(1, drift_minutes=MINUTES)
+        mine.capture(1, drift_patterns=EVERY)
         mine.merge(1)
     assert "the light kept steady" in caplog.text
     assert mine.folder.read_manifest(1, "merge")["drift"]["local"] == [0.0] * 8
@@ -111,7 +111,7 @@ def test_a_steady_lamp_is_called_steady(tmp_path: Path, caplog: pytest.LogCaptur
 def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> None:
     steady, dimming = begun(tmp_path / "steady", loss=0.0), begun(tmp_path / "dimming")
     for mine in (steady, dimming):
-        mine.capture(1, drift_minutes=MINUTES)
+        mine.capture(1, drift_patterns=EVERY)
         mine.merge(1)
     expected, left = images(steady), images(dimming)
     dimming.merge(1, divide_out_drift=True)
@@ -129,10 +129,10 @@ def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
     whole, stopped = begun(tmp_path / "whole"), begun(tmp_path / "stopped")
     stopped.rig.stops_at = stops_at
     with pytest.raises(CaptureError, match="broken"):
-        stopped.capture(1, drift_minutes=MINUTES, batch_patterns=2)
+        stopped.capture(1, drift_patterns=EVERY, batch_patterns=2)
     stopped.rig.stops_at = None
     for mine in (whole, stopped):
-        mine.capture(1, drift_minutes=MINUTES)
+        mine.capture(1, drift_patterns=EVERY)
         mine.merge(1, divide_out_drift=True)
     assert len(set(stopped.rig.keys)) == len(stopped.rig.keys)  # nothing is taken twice
     manifests = [mine.folder.read_manifest(1, "merge") for mine in (whole, stopped)]
@@ -148,7 +148,7 @@ def test_a_level_begun_without_a_watch_goes_on_without(
     with pytest.raises(CaptureError, match="broken"):
         mine.capture(1, batch_patterns=2)
     mine.rig.stops_at = None
-    mine.capture(1, drift_minutes=MINUTES)
+    mine.capture(1, drift_patterns=EVERY)
     assert "begun without a drift watch" in caplog.text
     assert "drift" not in mine.folder.read_manifest(1, "capture")
     mine.merge(1, divide_out_drift=True)
@@ -157,18 +157,18 @@ def test_a_level_begun_without_a_watch_goes_on_without(
 
 def test_a_changed_interval_leaves_a_level_that_was_begun_as_it_is(tmp_path: Path) -> None:
     mine = begun(tmp_path)
-    mine.capture(1, drift_minutes=MINUTES)
+    mine.capture(1, drift_patterns=EVERY)
     taken = len(mine.rig.keys)
-    for minutes in (None, 10 * MINUTES):
-        mine.capture(1, drift_minutes=minutes)
+    for every in (0, 10 * EVERY):
+        mine.capture(1, drift_patterns=every)
         assert mine.folder.read_manifest(1, "capture")["drift"]["every"] == EVERY
     assert len(mine.rig.keys) == taken
 
 
 def test_looks_stand_before_their_patterns_and_after_the_last() -> None:
-    assert patterns_between(None, 2.0) == 0
-    assert patterns_between(10, 2.0) == 300
-    assert patterns_between(0.001, 60.0) == 1
+    assert CaptureConfig().drift_patterns == 0
+    assert CaptureConfig(drift_minutes=10, seconds_per_pattern=2.0).drift_patterns == 300
+    assert CaptureConfig(drift_minutes=0.001, seconds_per_pattern=60.0).drift_patterns == 1
     for patterns, every in ((1, 1), (7, 3), (9, 3), (5, 100)):
         at = positions(patterns, every)
         assert len(at) == item_count(patterns, every)

@@ -12,6 +12,7 @@ from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.operator import OperatorRig
+from rfpipe.rigs.remote import RemoteRig
 from rfpipe.rigs.simulated import CoaxialScene, SimulatedRig
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "PatternOperator",
     "Projector",
     "ProjectorLayout",
+    "RemoteRig",
     "Rig",
     "SimulatedRig",
 ]

@@ -13,17 +13,18 @@ from rfpipe.rigs import Rig
 from rfpipe.stages.aside import settle
 from rfpipe.stages.brackets import Brackets
 from rfpipe.stages.disk import DiskNeed, check_level, check_run
-from rfpipe.stages.drift import DRIFT, patterns_between
+from rfpipe.stages.drift import DRIFT
 from rfpipe.stages.merging import Keys, reference_patterns
 from rfpipe.stages.plan import REFERENCE, AcquisitionFolder
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.stages.sensors import write_sensor
 from rfpipe.stages.warm_up import seconds_since_capture, warm_up
 from rfpipe.stages.watch import watch_of
 from rfpipe.stages.workers import Resources
 from rfpipe.store import bytes_on_disk, write_manifest
 from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
 
-__all__ = ["run"]
+__all__ = ["frame_settings", "run"]
 
 _TIME = "seconds_per_pattern"
 
@@ -39,7 +40,7 @@ def run(
     expected_patterns: int = 0,
     keep_raw: bool = True,
     warm_up_minutes: float = 0.0,
-    drift_minutes: float | None = None,
+    drift_patterns: int = 0,
     resources: Resources | None = None,
 ) -> None:
     """Capture what isn't captured yet of a level, and write its manifest.
@@ -62,8 +63,8 @@ def run(
         Whether the brackets will stay once they are merged.
     warm_up_minutes : float
         For how long the lamp warms up when no bracket was taken for as long.
-    drift_minutes : float, optional
-        Time between two looks at the floodlit image, from level 1 on.
+    drift_patterns : int
+        Patterns from one look at the floodlit image to the next, from level 1 on; 0 for none.
     resources : Resources, optional
         Memory for the patterns in hand. What the rig itself takes comes on top.
 
@@ -79,8 +80,7 @@ def run(
         When another process captures into this folder.
     """
     schedule = read_schedule(folder, level)
-    # How long a real rig takes shapes no frame.
-    described = {name: value for name, value in rig.describe().items() if name != _TIME}
+    described = frame_settings(rig)
     counts = (1, 1) if isinstance(rig.sensor, ExactSensor) else references
     counted = {"black_frames": counts[0], "floodlit_frames": counts[1]}
 
@@ -115,11 +115,10 @@ def run(
         if warm_up_minutes * 60 > 0 and seconds_since_capture(folder.path) > warm_up_minutes * 60:
             warm_up(rig, warm_up_minutes)
     batch = (resources or Resources()).fitting(_bytes_in_hand(rig), batch_patterns)
-    beside: dict[str, Any] = {}
+    beside: dict[str, Any] = {} if level else write_sensor(folder, rig.sensor)
     for part in parts[:-1]:
         beside[REFERENCE] = {**part.capture(batch), **counted}
-    every = patterns_between(drift_minutes, rig.seconds_per_pattern) if level else 0
-    with watch_of(of_level, folder, level, every) as watch:
+    with watch_of(of_level, folder, level, drift_patterns if level else 0) as watch:
         captured = of_level.capture(batch, watch)
         if watch:
             beside[DRIFT] = watch.entry()
@@ -137,6 +136,11 @@ def run(
             **beside,
         },
     )
+
+
+def frame_settings(rig: Rig) -> dict[str, Any]:
+    """Return a rig's description without how long it takes, which shapes no frame."""
+    return {name: value for name, value in rig.describe().items() if name != _TIME}
 
 
 def _bytes_in_hand(rig: Rig) -> int:

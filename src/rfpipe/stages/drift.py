@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rfpipe.stages.merging import Merger
     from rfpipe.store import FrameStore
 
-__all__ = ["DRIFT", "Drift", "item_count", "item_due", "measure", "patterns_between", "positions"]
+__all__ = ["DRIFT", "Drift", "item_count", "item_due", "look", "measure", "positions"]
 
 Double = NDArray[np.float64]
 
@@ -32,16 +32,6 @@ _CELLS = 16
 _SIGNIFICANCE = 5.0
 
 _log = logging.getLogger(__name__)
-
-
-def patterns_between(minutes: float | None, seconds_per_pattern: float) -> int:
-    """Return how many patterns stand between two looks, 0 for no watch.
-
-    Counted in patterns, so that a capture that was resumed has the same looks.
-    """
-    if minutes is None:
-        return 0
-    return max(1, round(60 * minutes / max(seconds_per_pattern, 1e-3)))
 
 
 def item_count(patterns: int, every: int) -> int:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from rfpipe.photometry import ExactSensor, Sensor
 from rfpipe.stages.disk import DiskNeed, expected_patterns, most_patterns
-from rfpipe.stages.drift import item_count, patterns_between
+from rfpipe.stages.drift import item_count
 from rfpipe.stages.plan import Plan
 
 if TYPE_CHECKING:
@@ -81,7 +81,8 @@ def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
     found = []
     for name, method in settings.acquisitions:
         scene = settings.scenes[name]
-        plan = Plan(method, scene.ray_shape, scene.ray_shape, scene.channels, tolerance=1.0)
+        rays = scene.camera_ray_shape, scene.ray_shape
+        plan = Plan(method, *rays, scene.channels, tolerance=1.0)
         camera = _Camera(plan.camera.shape, plan.channels, sensor)
         shape, levels = plan.projector.shape, plan.n_levels
         needs = (
@@ -100,8 +101,7 @@ def _need(settings: Config, camera: _Camera, patterns: int) -> Need:
     references = capture.black_frames + capture.floodlit_frames
     if isinstance(camera.sensor, ExactSensor):
         references = 2
-    every = patterns_between(capture.drift_minutes, capture.seconds_per_pattern)
-    looks = item_count(patterns, every) if every else 0
+    looks = item_count(patterns, capture.drift_patterns) if capture.drift_patterns else 0
     brackets = patterns + references + looks
     seconds = 60 * capture.warm_up_minutes + brackets * capture.seconds_per_pattern
     kept = references + looks + capture.keep_raw * patterns
