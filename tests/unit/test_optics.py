@@ -66,9 +66,7 @@ def test_a_projector_pixel_appears_where_the_points_say(pixel: tuple[int, int]) 
     image = (optics.radiance(light) - optics.radiance(whole))[..., 0]
     image[image < 0.5 * image.max()] = 0  # the mean of its ray, without the pixel's own
     centroid = (image[..., None] * middles(CAMERA)).sum(axis=(0, 1)) / image.sum()
-    assert optics.projector_points(centroid) == pytest.approx(
-        np.array(pixel[::-1]) + 0.5, abs=0.75
-    )
+    assert optics.projector_points(centroid) == pytest.approx(np.array(pixel[::-1]) + 0.5, abs=0.75)
 
 
 def test_direct_light_changes_nothing_where_a_ray_is_lit_evenly() -> None:
