@@ -239,6 +239,15 @@ def test_the_description_is_plain_and_tells_of_the_scene(rig: DeviceRig) -> None
         assert other.describe() != rig.describe()
 
 
+def test_the_devices_count_what_happens() -> None:
+    with bench() as rig:
+        rig.capture(np.ones((3, *RAYS), np.float32), [(0, index) for index in range(3)])
+        assert rig.statistics == {
+            "projector": {"shown": 3, "reopened": 0},
+            "camera": {"frames": 6, "failed": 0, "timed_out": 0, "reconnected": 0},
+        }
+
+
 def test_a_simulated_rig_has_no_devices() -> None:
     scene = {"geometry": "plane", "surfaces": ["white"], "shape": [4, 5]}
     config = parse_rig_config({"kind": "simulated", "scene": scene}, "mine.yaml")
