@@ -43,7 +43,9 @@ class Bins:
     @classmethod
     def none(cls, count: int) -> Bins:
         """Return bins without pairs."""
-        return cls(*(np.zeros(count) for _ in range(4)), np.ones(count))
+        return cls(
+            np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count), np.ones(count)
+        )
 
     def plus(self, other: Bins) -> Bins:
         """Return the pairs of both."""

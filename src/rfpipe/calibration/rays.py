@@ -141,8 +141,8 @@ def fit_rays(
     outlines = _areas(maps, layout, camera_shape, shares)
     pixels_of_ray = np.bincount(layout.ray_of_pixel[layout.ray_of_pixel != DARK],
                                 minlength=prod(layout.shape))  # fmt: skip
-    seen_pixels = np.asarray(shares.T @ outlines)
-    seen = seen_pixels > LEAST_SEEN * np.maximum(pixels_of_ray, 1)
+    seen_pixels: Double = np.asarray(shares.T @ outlines)
+    seen: NDArray[np.bool_] = seen_pixels > LEAST_SEEN * np.maximum(pixels_of_ray, 1)
     if not seen.any():
         raise CaptureError(
             "the camera sees none of the rays; check their place on the projector, and the "
@@ -153,7 +153,7 @@ def fit_rays(
     largest = used.max(axis=1).toarray().ravel()
     weight = np.where(whole, 1 / (1 - np.minimum(largest, 1) + DOUBT) ** 2, 0) * DOUBT**2
     weighted = csr_array(used.T @ diags_array(weight))
-    seen &= np.asarray(weighted.sum(axis=1)) > 0
+    seen = seen & (np.asarray(weighted.sum(axis=1)) > 0)
     inverse = _local_inverse(csr_array(weighted @ used), seen, layout.shape)
     matrix = _pruned(csr_array(inverse @ weighted))
     unseen = ~seen.reshape(layout.shape)
