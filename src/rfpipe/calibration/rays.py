@@ -142,7 +142,7 @@ def fit_rays(
     pixels_of_ray = np.bincount(layout.ray_of_pixel[layout.ray_of_pixel != DARK],
                                 minlength=prod(layout.shape))  # fmt: skip
     seen_pixels: Double = np.asarray(shares.T @ outlines)
-    seen: NDArray[np.bool_] = seen_pixels > LEAST_SEEN * np.maximum(pixels_of_ray, 1)
+    seen = np.greater(seen_pixels, LEAST_SEEN * np.maximum(pixels_of_ray, 1), dtype=bool)
     if not seen.any():
         raise CaptureError(
             "the camera sees none of the rays; check their place on the projector, and the "
