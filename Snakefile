@@ -24,7 +24,7 @@ if not workflow.overwrite_configfiles:
 
 include: "workflow/rules/common.smk"
 include: "workflow/rules/schedule.smk"
-include: "workflow/rules/capture_simulated.smk"
+include: f"workflow/rules/capture_{SETTINGS.capture.rule}.smk"
 include: "workflow/rules/merge.smk"
 include: "workflow/rules/normalize.smk"
 include: "workflow/rules/refine.smk"
@@ -42,6 +42,7 @@ rule all:
 
 onsuccess:
     print("rfpipe: done.")
+    notify(SETTINGS.notify, "done", log[0])
 
 
 onerror:
@@ -50,3 +51,4 @@ onerror:
         "detail, in the .log file beside its results. What was captured is kept: the next run goes "
         "on from there."
     )
+    notify(SETTINGS.notify, "failed", log[0])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,23 +140,6 @@ class BlockTree:
         """Block id of each ray, an int32 image of the domain's shape."""
         return self.block_of_position(level)[self.inverse].reshape(self.domain.shape)
 
-    @cached_property
-    def parents(self) -> list[Index]:
-        """For each level but the first: the parent block's id of each block."""
-        return [
-            np.repeat(np.arange(len(children) - 1), np.diff(children))
-            for children in self.child_starts
-        ]
-
     def ancestors(self, level: int, coarse_level: int) -> Index:
         """Id at `coarse_level` of the block that holds each block of `level`."""
         return np.searchsorted(self.starts[coarse_level], self.starts[level][:-1], "right") - 1
-
-    def to_tree(self, images: NDArray[np.generic]) -> NDArray[np.generic]:
-        """Reorder images ``(..., *shape)`` into tree order ``(..., N)``."""
-        lead = images.shape[: images.ndim - len(self.domain.shape)]
-        return images.reshape(*lead, self.domain.size)[..., self.order]
-
-    def from_tree(self, values: NDArray[np.generic]) -> NDArray[np.generic]:
-        """Reorder values ``(..., N)`` in tree order into images ``(..., *shape)``."""
-        return values[..., self.inverse].reshape(*values.shape[:-1], *self.domain.shape)

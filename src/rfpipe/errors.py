@@ -14,6 +14,7 @@ __all__ = [
     "RfpipeError",
     "StaleStoreError",
     "StoreError",
+    "TransferError",
 ]
 
 
@@ -51,3 +52,7 @@ class StaleStoreError(StoreError):
 
 class LockedError(StoreError):
     """Another process holds the lock of this store."""
+
+
+class TransferError(RfpipeError):
+    """A message between the acquisition server and its client is malformed or damaged."""

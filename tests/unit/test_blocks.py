@@ -50,6 +50,5 @@ def test_a_single_ray_is_a_tree_of_one_level() -> None:
 
 def test_tree_order_there_and_back() -> None:
     tree = BlockTree(RayDomain((3, 4)))
-    images = np.arange(24.0).reshape(2, 3, 4)
-    np.testing.assert_array_equal(tree.from_tree(tree.to_tree(images)), images)
-    np.testing.assert_array_equal(tree.to_tree(images)[0], images[0].ravel()[tree.order])
+    rays = np.arange(12)
+    np.testing.assert_array_equal(rays[tree.order][tree.inverse], rays)

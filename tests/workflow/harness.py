@@ -49,7 +49,7 @@ class Workflow:
         """Write the settings: CONFIG, its groups updated, its scenes and methods replaced."""
         settings = dict(CONFIG)
         for name, value in changes.items():
-            is_whole = name in ("scenes", "methods")
+            is_whole = name in ("scenes", "methods") or not isinstance(value, dict)
             settings[name] = value if is_whole else {**settings.get(name, {}), **value}
         self.config.write_text(yaml.safe_dump(settings))
 

@@ -23,8 +23,6 @@ rule capture_simulated:
         seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
         references=references,
         expected_patterns=expected,
-        keep_raw=SETTINGS.capture.keep_raw,
-        batch_patterns=SETTINGS.capture.batch_patterns,
-        when_patterns_change=SETTINGS.capture.when_patterns_change,
+        capture=CAPTURE,
     script:
         "../scripts/capture_simulated.py"

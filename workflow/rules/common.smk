@@ -3,6 +3,7 @@
 from rfpipe.config import load_config, parse_config
 from rfpipe.provenance import code_fingerprint
 from rfpipe.stages.disk import expected_patterns
+from rfpipe.stages.notify import notify
 from rfpipe.stages.plan import Plan
 
 if len(workflow.configfiles) == 1:
@@ -13,7 +14,12 @@ SETTINGS = parse_config(config, "the configuration")
 # thrown away by an edit of the code.
 CODE = {
     "schedule": ["blocks", "conflicts", "methods", "patterns", "transport"],
-    "merge": ["photometry", "stages.calibration", "stages.merging"],
+    "merge": [
+        "photometry",
+        "stages.calibration",
+        "stages.merging",
+        "stages.sensors",
+    ],
     "normalize": ["methods", "photometry", "stages.images", "transport"],
     "refine": ["blocks", "methods", "photometry", "stages.images", "transport"],
     "assemble": ["blocks", "methods", "transport"],
@@ -45,8 +51,22 @@ def plain(settings):
 
 # All settings but those that shape no result: changing these does nothing anew.
 SHAPING = SETTINGS.model_dump(
-    mode="json", exclude={"resources": True, "capture": {"keep_raw"}}
+    mode="json",
+    exclude={
+        "resources": True,
+        "notify": True,
+        "capture": {"keep_raw", "url", "token_file", "patience_seconds"},
+    },
 )
+
+# How any rig captures a level.
+CAPTURE = {
+    "batch_patterns": SETTINGS.capture.batch_patterns,
+    "drift_patterns": SETTINGS.capture.drift_patterns,
+    "keep_raw": SETTINGS.capture.keep_raw,
+    "warm_up_minutes": SETTINGS.capture.warm_up_minutes,
+    "when_patterns_change": SETTINGS.capture.when_patterns_change,
+}
 
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
 
@@ -67,7 +87,7 @@ def plan(wildcards):
     scene = SETTINGS.scenes[wildcards.scene]
     return {
         "method": wildcards.method,
-        "camera_shape": list(scene.ray_shape),
+        "camera_shape": list(scene.camera_ray_shape),
         "projector_shape": list(scene.ray_shape),
         "channels": scene.channels,
         **plain(SETTINGS.acquisition),
@@ -107,7 +127,7 @@ def every_sweep(name):
     return [
         f"results/{scene}/{method}/{name}"
         for scene, method in SETTINGS.acquisitions
-        if SETTINGS.scenes[scene].sweep
+        if SETTINGS.scenes[scene].is_swept
     ]
 
 
@@ -147,6 +167,7 @@ def study_settings(wildcards):
     """The settings of the studies, which have scenes of their own."""
     settings = {
         **SHAPING,
+        "capture": {**SHAPING["capture"], "rig": "simulated"},
         "report": {"resolutions": list(SETTINGS.report.resolutions)},
     }
     del settings["scenes"]

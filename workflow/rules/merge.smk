@@ -16,7 +16,6 @@ rule merge:
         mem_mib=MEMORY_MIB,
         cluster=SETTINGS.resources.cluster or "",
     params:
-        camera=SETTINGS.camera and plain(SETTINGS.camera),
         merge=plain(SETTINGS.merge),
         keep_raw=SETTINGS.capture.keep_raw,
         code=stage_code("merge"),

@@ -22,9 +22,7 @@ capture.run(
     AcquisitionFolder.of_manifest(snakemake.output[0]),
     int(snakemake.wildcards.level),
     references=tuple(params.references),
-    batch_patterns=params.batch_patterns,
-    when_patterns_change=params.when_patterns_change,
     expected_patterns=params.expected_patterns,
-    keep_raw=params.keep_raw,
+    **params.capture,
     resources=resources,
 )

@@ -47,6 +47,29 @@ def validate(
 
 
 @app.command()
+def plan(
+    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")],
+    folder: Annotated[
+        Path, typer.Option(help="Where the results are to lie, for the disk's free space.")
+    ] = Path("results"),
+) -> None:
+    """Tell what a run will take, before the lamp is switched on: patterns, time and disk.
+
+    Expected are the counts of the thesis for scenes of as many levels; at most, those of a scene
+    without any structure.
+    """
+    from rfpipe.cli.plan import table
+    from rfpipe.config import load_config
+    from rfpipe.photometry import sensor_from_config
+    from rfpipe.stages.disk import free_bytes
+    from rfpipe.stages.forecast import forecast
+
+    settings = load_config(config)
+    found = forecast(settings, sensor_from_config(settings.camera))
+    typer.echo(table(found, free_bytes(folder)))
+
+
+@app.command()
 def schema() -> None:
     """Print the JSON schema of a settings file."""
     from rfpipe.config import json_schema

@@ -59,7 +59,28 @@ class AcquisitionConfig(Settings):
 class CaptureConfig(Settings):
     """How patterns are shown and pictures taken."""
 
-    rig: Literal["simulated"] = Field("simulated", description="The rig: simulated.")
+    rig: Literal["simulated", "remote"] = Field(
+        "simulated",
+        description="The rig: simulated, or remote, behind an acquisition server ('rfpipe serve').",
+    )
+    url: str = Field(
+        "http://127.0.0.1:8750",
+        pattern=r"^https?://[^\s/]+/?$",
+        description="Address of the acquisition server, such as http://127.0.0.1:8750.",
+    )
+    token_file: str | None = Field(
+        None,
+        min_length=1,
+        description="File with the server's token, readable by its owner alone, or null for the "
+        "environment variable RFPIPE_TOKEN.",
+    )
+    patience_seconds: float = Field(
+        600.0,
+        ge=0,
+        le=604_800,
+        description="How long to wait for a server that doesn't answer before the run ends, in "
+        "seconds, 0 to 604800, a week.",
+    )
     seconds_per_pattern: float = Field(
         2.0,
         gt=0,
@@ -85,11 +106,40 @@ class CaptureConfig(Settings):
         description="Whether a level's raw exposures stay after their merge: true or false. "
         "Without them, other merge settings mean to capture again.",
     )
+    warm_up_minutes: float = Field(
+        0.0,
+        ge=0,
+        le=240,
+        description="Time for which the projector shows white before a capture, when no bracket "
+        "was taken for as long: 0 (none) to 240 minutes. A simulated lamp waits, too.",
+    )
+    drift_minutes: float | None = Field(
+        None,
+        gt=0,
+        le=1440,
+        description="Time between two looks at the floodlit image during a level, above 0 and at "
+        "most 1440 minutes, or null for none: what the lamp drifts by is reported.",
+    )
     when_patterns_change: Literal["recapture", "refuse"] = Field(
         "recapture",
         description="What to do with a level's pictures when a changed setting changes its "
         "patterns: recapture (it says so first) or refuse.",
     )
+
+    @property
+    def rule(self) -> Literal["simulated", "hardware"]:
+        """Which of the workflow's two rules of capture."""
+        return "simulated" if self.rig == "simulated" else "hardware"
+
+    @property
+    def drift_patterns(self) -> int:
+        """Patterns from one look at the floodlit image to the next, 0 for no looks.
+
+        Counted, not timed: a capture that was resumed has the looks of one that ran through.
+        """
+        if self.drift_minutes is None:
+            return 0
+        return max(1, round(60 * self.drift_minutes / self.seconds_per_pattern))
 
 
 class MergeConfig(Settings):
@@ -104,6 +154,11 @@ class MergeConfig(Settings):
     )
     repair_defects: bool = Field(
         True, description="Replace dead and hot pixels by their neighbours' median: true or false."
+    )
+    divide_out_drift: bool = Field(
+        False,
+        description="Divide images by the light's brightness at their time, where "
+        "capture.drift_minutes had it measured: true or false.",
     )
 
 
@@ -207,6 +262,13 @@ class Config(Settings):
     resources: ResourcesConfig = Field(
         default_factory=ResourcesConfig, description="What a job may use; no result depends on it."
     )
+    notify: str | None = Field(
+        None,
+        min_length=1,
+        description="Command to run when a run has ended or failed, such as a script that sends a "
+        "message, or null for none. It finds RFPIPE_STATUS (done or failed) and RFPIPE_LOG in its "
+        "environment.",
+    )
     report: ReportConfig = Field(default_factory=ReportConfig, description="What the report shows.")
 
     def methods_of(self, scene: str) -> tuple[MethodName, ...]:
@@ -228,10 +290,31 @@ class Config(Settings):
         return each_once(methods)
 
     @model_validator(mode="after")
+    def _rig_fits_the_scenes(self) -> Self:
+        captured = [name for name, scene in self.scenes.items() if scene.is_captured]
+        if captured and self.capture.rig == "simulated":
+            raise ValueError(
+                f"capture.rig should be remote for scenes.{captured[0]}, whose geometry is "
+                "captured, not simulated"
+            )
+        if self.capture.rig == "remote" and len(self.scenes) > 1:
+            raise ValueError(
+                f"scenes should be one with capture.rig remote, not {', '.join(self.scenes)}: a "
+                "rig sees one at a time; give each settings of its own"
+            )
+        for name in captured:
+            if self.scenes[name].camera_shape and "symmetric" in self.methods_of(name):
+                raise ValueError(
+                    f"scenes.{name}.camera_shape should be null, for a coaxial rig, with the "
+                    "method symmetric; other rigs take dual or brute_force"
+                )
+        return self
+
+    @model_validator(mode="after")
     def _mosaic_has_colour(self) -> Self:
         if self.camera is not None and self.camera.bayer is not None:
             for name, scene in self.scenes.items():
-                if scene.channels != 3:
+                if scene.channels != 3 and not scene.is_captured:
                     raise ValueError(
                         f"camera.bayer {self.camera.bayer} needs scenes of 3 channels, but "
                         f"scenes.{name}.channels is {scene.channels}; set it to 3, or bayer to null"

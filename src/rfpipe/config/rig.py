@@ -1,4 +1,4 @@
-"""The settings of what is acquired, and with what: simulated scenes, and the camera."""
+"""The settings of what is acquired, and with what: scenes, and the simulated camera."""
 
 from __future__ import annotations
 
@@ -42,19 +42,20 @@ class OccluderConfig(Settings):
 
 
 class SceneConfig(Settings):
-    """A simulated scene seen by a coaxial rig."""
+    """A scene: a simulated one seen by a coaxial rig, or one before a real rig."""
 
-    geometry: Literal["plane", "wedge", "room"] = Field(
+    geometry: Literal["plane", "wedge", "room", "captured"] = Field(
         description="plane: one plane across the line of sight; wedge: two planes that meet in "
         "a concave edge, farthest from the camera; room: the corner of a room with a box, a "
-        "poster and a card in it."
+        "poster and a card in it; captured: a real scene, without ground truth."
     )
     surfaces: tuple[Surface, ...] = Field(
-        min_length=1,
+        (),
         max_length=3,
         description="Albedo of each surface: one for a plane, left and right for a wedge, left "
         "wall, right wall and floor for a room. white: albedo 0.8; texture: text-like strokes of "
-        "albedo 0.15 and 0.85. A room's surfaces are tinted, too.",
+        "albedo 0.15 and 0.85. A room's surfaces are tinted, too; a "
+        "captured scene has none here.",
     )
     shape: tuple[Extent, Extent] = Field(
         (62, 70),
@@ -63,8 +64,14 @@ class SceneConfig(Settings):
     )
     views: tuple[ViewCount, ViewCount] | None = Field(
         None,
-        description="A room's rig as a planar array of coaxial projectors and cameras, a light "
-        "field [5.2]: rows and columns, 1 to 16 each; null for a single pair.",
+        description="The rig of a room or a captured scene as a planar array of coaxial "
+        "projectors and cameras, a light field [5.2]: rows and columns, 1 to 16 each; null for a "
+        "single pair.",
+    )
+    camera_shape: tuple[Extent, Extent] | None = Field(
+        None,
+        description="Height and width of the camera's rays of a captured scene whose rig is not "
+        "coaxial, 1 to 4096 each; null where camera and projector share their rays.",
     )
     span_degrees: tuple[SpanDegrees, SpanDegrees] = Field(
         (37.0, 29.0),
@@ -100,6 +107,21 @@ class SceneConfig(Settings):
         """Shape of the ray domain: (H, W), or (V, H, W) for an array of views."""
         return self.shape if self.views is None else (math.prod(self.views), *self.shape)
 
+    @property
+    def camera_ray_shape(self) -> tuple[int, ...]:
+        """Shape of the camera's ray domain, the same as `ray_shape` for a coaxial rig."""
+        return self.ray_shape if self.camera_shape is None else self.camera_shape
+
+    @property
+    def is_captured(self) -> bool:
+        """Whether it is a real scene, without ground truth."""
+        return self.geometry == "captured"
+
+    @property
+    def is_swept(self) -> bool:
+        """Whether it is acquired at several tolerances; a real one isn't."""
+        return self.sweep and not self.is_captured
+
     @field_validator("methods", mode="after")
     @classmethod
     def _no_method_twice(cls, methods: tuple[MethodName, ...] | None) -> Any:
@@ -107,19 +129,26 @@ class SceneConfig(Settings):
 
     @model_validator(mode="after")
     def _fits_the_geometry(self) -> Self:
-        expected = {"plane": 1, "wedge": 2, "room": 3}[self.geometry]
+        expected = {"plane": 1, "wedge": 2, "room": 3, "captured": 0}[self.geometry]
         if len(self.surfaces) != expected:
             raise ValueError(
                 f"geometry {self.geometry} should have {expected} surfaces, "
                 f"not {len(self.surfaces)} ({', '.join(self.surfaces)})"
             )
-        if self.views is not None and self.geometry != "room":
+        if self.views is not None and self.geometry not in ("room", "captured"):
             raise ValueError(
                 f"views should be null with geometry {self.geometry}, not {self.views}: only a "
                 "room is seen by an array of views"
             )
+        if self.camera_shape is not None and not self.is_captured:
+            raise ValueError(
+                f"camera_shape should be null with geometry {self.geometry}, not "
+                f"{self.camera_shape}: simulated scenes have coaxial rigs"
+            )
         if self.occluders and self.geometry == "room":
             raise ValueError("occluders should be empty with geometry room, which has its own")
+        if self.occluders and self.is_captured:
+            raise ValueError("occluders should be empty with geometry captured")
         return self
 
 

@@ -119,7 +119,9 @@ def setup_section(inputs: Inputs) -> Section:
     """Camera, scenes and versions."""
     config = inputs.config
     blocks: list[Illustration | Tabulation] = []
-    if config.camera is None:
+    if config.capture.rig == "remote":
+        text = [_REMOTE]
+    elif config.camera is None:
         text = ["The camera is ideal: exact radiance, no noise."]
     else:
         text = [_CAMERA]
@@ -137,8 +139,12 @@ def setup_section(inputs: Inputs) -> Section:
         ],
         text_columns=3,
     )  # fmt: skip
-    about = "Radiosity of planes seen by a coaxial pinhole rig; ground truth by exact transport."
-    if inputs.light_fields:
+    about = (
+        "Radiosity of planes seen by a coaxial pinhole rig; ground truth by exact transport."
+        if inputs.has_truth
+        else "A real scene; its ground truth is unknown."
+    )
+    if inputs.light_fields and inputs.has_truth:
         about += (
             " A room has a box, a poster and a card in it besides; a light field's array of views "
             "spans "
@@ -152,7 +158,7 @@ def setup_section(inputs: Inputs) -> Section:
     acquisition = {
         "seed": config.seed,
         **config.acquisition.model_dump(mode="json"),
-        **config.capture.model_dump(mode="json"),
+        **config.capture.model_dump(mode="json", exclude={"url", "token_file", "patience_seconds"}),
         **config.merge.model_dump(mode="json"),
         "normalization": config.normalization,
     }
@@ -163,6 +169,11 @@ def setup_section(inputs: Inputs) -> Section:
     ]
     return Section("setup", "Camera, scenes and versions", text, blocks)
 
+
+_REMOTE = (
+    "The pictures were taken by a rig behind an acquisition server. Its projector, camera and "
+    "calibration are described in L00/capture.json beside each acquisition's results."
+)
 
 _CAMERA = (
     "The simulated camera takes a bracket of each pattern. Photon shot noise, dark current, read "

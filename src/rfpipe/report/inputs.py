@@ -53,7 +53,7 @@ class Run:
     facts : dict
         The manifest ``relight.json``.
     images : ArrayBundle
-        ``relight.zarr``, see `rfpipe.stages.relight.relit_arrays`.
+        ``relight.zarr``, see `relit_arrays` and `relit_of_captured` in `rfpipe.stages.relight`.
     """
 
     scene: str
@@ -94,9 +94,15 @@ class Run:
         return rows // 2 * columns + columns // 2
 
     @property
+    def has_truth(self) -> bool:
+        """Whether the scene's light transport is known, to be compared with."""
+        return "truth" in self.images.names
+
+    @property
     def white(self) -> float:
-        """Radiance shown as white: the maximum of the true floodlit image."""
-        return float(self.read("floodlit_truth").max(initial=0.0)) or 1.0
+        """Radiance shown as white: the maximum of the floodlit image, the true one if known."""
+        name = "floodlit_truth" if self.has_truth else "floodlit_captured"
+        return float(self.read(name).max(initial=0.0)) or 1.0
 
     @property
     def has_indirect_light(self) -> bool:
@@ -153,6 +159,11 @@ class Inputs:
     speed_error: pd.DataFrame
     times: pd.DataFrame
     benchmarks: dict[str, pd.DataFrame]
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether the scenes' light transport is known; a captured scene is a run's only one."""
+        return all(run.has_truth for run in self.runs)
 
     @property
     def methods(self) -> list[str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from rfpipe.config import Config
 from rfpipe.errors import StoreError
-from rfpipe.report import background, benchmarks, light_fields, sections
+from rfpipe.report import background, benchmarks, captured, light_fields, sections
 from rfpipe.report.blocks import Illustration, Section, Tabulation
 from rfpipe.report.drawing import png
 from rfpipe.report.inputs import METHOD_TITLES, Inputs, load_inputs
@@ -67,13 +67,19 @@ def write_page(page: Path, title: str, lead: str, sections: Sequence[Section]) -
 
 def make_sections(inputs: Inputs) -> list[Section]:
     """Return the sections that there is something to show in."""
+    if inputs.has_truth:
+        pictures = [
+            sections.summary_section(inputs),
+            sections.matrices_section(inputs),
+            light_fields.light_fields_section(inputs),
+            sections.cost_section(inputs),
+            sections.methods_section(inputs),
+            sections.levels_section(inputs),
+        ]
+    else:
+        pictures = [captured.captured_section(inputs), sections.cost_section(inputs)]
     candidates = [
-        sections.summary_section(inputs),
-        sections.matrices_section(inputs),
-        light_fields.light_fields_section(inputs),
-        sections.cost_section(inputs),
-        sections.methods_section(inputs),
-        sections.levels_section(inputs),
+        *pictures,
         sections.leaves_section(inputs),
         sections.speed_section(inputs),
         background.resolution_section(inputs),
@@ -128,16 +134,18 @@ def _lead(inputs: Inputs) -> str:
     sizes = list(dict.fromkeys(ray_size(scene) for scene in scenes))
     methods = [METHOD_TITLES[method].lower() for method in inputs.methods]
     camera = inputs.config.camera
-    taken = (
-        "from exact radiance"
-        if camera is None
-        else f"through a simulated {camera.bits}-bit camera with noise"
-    )
+    if inputs.config.capture.rig == "remote":
+        taken = "by a rig behind an acquisition server"
+    elif camera is None:
+        taken = "from exact radiance"
+    else:
+        taken = f"through a simulated {camera.bits}-bit camera with noise"
+    compared = ", and compared with ground truth" if inputs.has_truth else ""
     count = "one scene" if len(scenes) == 1 else f"{len(scenes)} scenes"
     return (
         f"The light transport between a projector and a coaxial camera, {count} of "
-        f"{' and '.join(sizes)} rays, acquired {taken} with {' and '.join(methods)}, and compared "
-        "with ground truth. Figures and tables are numbered as in the thesis that they follow: "
+        f"{' and '.join(sizes)} rays, acquired {taken} with {' and '.join(methods)}"
+        f"{compared}. Figures and tables are numbered as in the thesis that they follow: "
         "G. Garg, Efficiently Acquiring Reflectance Fields Using Patterned Illumination, PhD "
         "thesis, Stanford University, 2006."
     )

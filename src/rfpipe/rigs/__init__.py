@@ -1,15 +1,25 @@
 """Rigs: a projector and a camera that show patterns and return brackets."""
 
-from rfpipe.rigs.base import BLACK_LEVEL_KEY, FLOODLIT_KEY, PatternOperator, Rig
+from rfpipe.rigs.base import (
+    BLACK_LEVEL_KEY,
+    DRIFT_KEY,
+    FLOODLIT_KEY,
+    WARM_UP_KEY,
+    PatternOperator,
+    Rig,
+)
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.operator import OperatorRig
+from rfpipe.rigs.remote import RemoteRig
 from rfpipe.rigs.simulated import CoaxialScene, SimulatedRig
 
 __all__ = [
     "BLACK_LEVEL_KEY",
+    "DRIFT_KEY",
     "FLOODLIT_KEY",
+    "WARM_UP_KEY",
     "Camera",
     "CoaxialScene",
     "DeviceRig",
@@ -17,6 +27,7 @@ __all__ = [
     "PatternOperator",
     "Projector",
     "ProjectorLayout",
+    "RemoteRig",
     "Rig",
     "SimulatedRig",
 ]

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.photometry.sensor import Sensor
 
-__all__ = ["BLACK_LEVEL_KEY", "FLOODLIT_KEY", "PatternOperator", "Rig", "check_patterns"]
+__all__ = [
+    "BLACK_LEVEL_KEY",
+    "DRIFT_KEY",
+    "FLOODLIT_KEY",
+    "WARM_UP_KEY",
+    "PatternOperator",
+    "Rig",
+    "check_patterns",
+]
 
 Float = NDArray[np.float32]
 Key = tuple[int, ...]
@@ -21,6 +29,12 @@ BLACK_LEVEL_KEY = 1_000_000
 
 FLOODLIT_KEY = 1_000_001
 """The same of the all-on brackets that an acquisition begins with."""
+
+DRIFT_KEY = 1_000_002
+"""The same of the all-on brackets that are repeated during a level: (this, level, i)."""
+
+WARM_UP_KEY = 1_000_003
+"""The same of those that are shown while the lamp warms up, and not kept."""
 
 
 class PatternOperator(Protocol):

@@ -189,7 +189,14 @@ def scene_from_config(config: SceneConfig, compress: bool | None = None) -> Scen
     Returns
     -------
     Scene
+
+    Raises
+    ------
+    InputError
+        When it is a captured scene, of which no light transport is known.
     """
+    if config.is_captured:
+        raise InputError("a scene of geometry captured can't be simulated; take plane or wedge")
     if config.geometry == "room":
         return room_scene(
             config.surfaces,

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.photometry.sensor import MergeOptions, Sensor
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.capture import REFERENCE
 from rfpipe.stages.merging import Merger
-from rfpipe.stages.plan import AcquisitionFolder, advice_on_damage
+from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, advice_on_damage
 from rfpipe.stages.raw import RawFrames
 from rfpipe.stages.results import bundle_entry, intact_bundle
 from rfpipe.stages.workers import Resources

@@ -2,36 +2,29 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable
-from dataclasses import dataclass
 from math import prod
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError
 from rfpipe.photometry import ExactSensor
-from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
 from rfpipe.stages.aside import settle
+from rfpipe.stages.brackets import Brackets
 from rfpipe.stages.disk import DiskNeed, check_level, check_run
+from rfpipe.stages.drift import DRIFT
 from rfpipe.stages.merging import Keys, reference_patterns
-from rfpipe.stages.plan import AcquisitionFolder
-from rfpipe.stages.progress import Progress
+from rfpipe.stages.plan import REFERENCE, AcquisitionFolder
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.stages.sensors import write_sensor
+from rfpipe.stages.warm_up import seconds_since_capture, warm_up
+from rfpipe.stages.watch import watch_of
 from rfpipe.stages.workers import Resources
-from rfpipe.store import FrameStore, bytes_on_disk, write_manifest
+from rfpipe.store import bytes_on_disk, write_manifest
 from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
 
-__all__ = ["REFERENCE", "run"]
-
-REFERENCE = "reference"
-"""The all-off and all-on brackets, taken with level 0: their store and their manifest's key."""
-
-_log = logging.getLogger(__name__)
+__all__ = ["frame_settings", "run"]
 
 _TIME = "seconds_per_pattern"
 
@@ -46,6 +39,8 @@ def run(
     when_patterns_change: Literal["recapture", "refuse"] = "recapture",
     expected_patterns: int = 0,
     keep_raw: bool = True,
+    warm_up_minutes: float = 0.0,
+    drift_patterns: int = 0,
     resources: Resources | None = None,
 ) -> None:
     """Capture what isn't captured yet of a level, and write its manifest.
@@ -66,6 +61,10 @@ def run(
         Patterns that all levels may take, if known: level 0 warns when they don't fit on the disk.
     keep_raw : bool
         Whether the brackets will stay once they are merged.
+    warm_up_minutes : float
+        For how long the lamp warms up when no bracket was taken for as long.
+    drift_patterns : int
+        Patterns from one look at the floodlit image to the next, from level 1 on; 0 for none.
     resources : Resources, optional
         Memory for the patterns in hand. What the rig itself takes comes on top.
 
@@ -81,8 +80,7 @@ def run(
         When another process captures into this folder.
     """
     schedule = read_schedule(folder, level)
-    # How long a real rig takes shapes no frame.
-    described = {name: value for name, value in rig.describe().items() if name != _TIME}
+    described = frame_settings(rig)
     counts = (1, 1) if isinstance(rig.sensor, ExactSensor) else references
     counted = {"black_frames": counts[0], "floodlit_frames": counts[1]}
 
@@ -94,12 +92,13 @@ def run(
 
     shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
     path = folder.store(level, "capture")
-    parts = [_Brackets(rig, path, f"level {level}", schedule.count, shown, of_schedule)]
+    of_level = Brackets(rig, path, f"level {level}", schedule.count, shown, of_schedule)
+    parts = [of_level]
     if level == 0:
         path = folder.store(level, REFERENCE)
-        shown = {**counted, "rig": described}
+        of_rig = {**counted, "rig": described}
         parts.insert(
-            0, _Brackets(rig, path, "reference brackets", sum(counts), shown, of_references)
+            0, Brackets(rig, path, "reference brackets", sum(counts), of_rig, of_references)
         )
     for part in parts:
         settle(part.path, part.made_for, part.shown, when_patterns_change)
@@ -113,9 +112,16 @@ def run(
         present = bytes_on_disk(merged) if merged.exists() else 0
         need = DiskNeed.of(rig, to_capture, schedule.count)
         check_level(f"level {level}", need, folder.path, present, keep_raw=keep_raw)
+        if warm_up_minutes * 60 > 0 and seconds_since_capture(folder.path) > warm_up_minutes * 60:
+            warm_up(rig, warm_up_minutes)
     batch = (resources or Resources()).fitting(_bytes_in_hand(rig), batch_patterns)
-    *before, captured = [part.capture(batch) for part in parts]
-    reference = {REFERENCE: {**before[0], **counted}} if before else {}
+    beside: dict[str, Any] = {} if level else write_sensor(folder, rig.sensor)
+    for part in parts[:-1]:
+        beside[REFERENCE] = {**part.capture(batch), **counted}
+    with watch_of(of_level, folder, level, drift_patterns if level else 0) as watch:
+        captured = of_level.capture(batch, watch)
+        if watch:
+            beside[DRIFT] = watch.entry()
     is_counts = rig.sensor.frame_dtype == COUNTS
     write_manifest(
         folder.manifest(level, "capture"),
@@ -127,9 +133,14 @@ def run(
             "exposures_s": list(rig.sensor.exposures),
             "rig": described,
             **captured,
-            **reference,
+            **beside,
         },
     )
+
+
+def frame_settings(rig: Rig) -> dict[str, Any]:
+    """Return a rig's description without how long it takes, which shapes no frame."""
+    return {name: value for name, value in rig.describe().items() if name != _TIME}
 
 
 def _bytes_in_hand(rig: Rig) -> int:
@@ -139,77 +150,3 @@ def _bytes_in_hand(rig: Rig) -> int:
     # the noise of an exposure from some float32 images.
     doubles = 2 * prod(rig.projector_shape) + 4 * prod(rig.camera_shape) * rig.channels
     return 2 * bracket * rig.sensor.frame_dtype.itemsize + 8 * doubles
-
-
-@dataclass(frozen=True)
-class _Brackets:
-    """One store of brackets to be captured, and the patterns to show for them."""
-
-    rig: Rig
-    path: Path
-    name: str
-    count: int
-    shown: dict[str, Any]
-    patterns: Callable[[int, int], tuple[NDArray[np.float32], Keys]]
-
-    @property
-    def made_for(self) -> str:
-        """Fingerprint of all that shapes the frames."""
-        return fingerprint(self.shown)
-
-    def count_missing(self) -> int:
-        """Count the brackets that aren't captured yet."""
-        if not self.path.exists():
-            return self.count
-        with FrameStore.open(self.path) as frames:
-            return self.count - int(np.count_nonzero(frames.done))
-
-    def capture(self, batch: int) -> dict[str, Any]:
-        """Capture the items that are missing; return the store's entry for the manifest."""
-        sensor = self.rig.sensor
-        shape = tuple(sensor.frame_shape(self.rig.camera_shape, self.rig.channels))
-        with FrameStore.create(
-            self.path,
-            (self.count, *shape),
-            sensor.frame_dtype,
-            self.made_for,
-            self.shown,
-            # a twelfth more bytes than by zstd, written and read in half the time
-            compression="lz4",
-        ) as frames:
-            done = int(np.count_nonzero(frames.done))
-            if frames.complete:
-                _log.info("%s: all %d patterns are captured", self.name, self.count)
-            elif done:
-                _log.info(
-                    "%s: %d of %d patterns are captured; going on at pattern %d",
-                    self.name, done, self.count, frames.missing()[0][0],
-                )  # fmt: skip
-            with Progress(self.name, self.count, done) as progress:
-                for first, last in frames.missing(batch):
-                    block = self.rig.capture(*self.patterns(first, last))
-                    frames.write(first, self._checked(block, first, shape))
-                    progress.advance(last - first)
-            return {
-                "digest": frames.digest(),
-                "dtype": frames.dtype.str,
-                "shape": list(frames.shape),
-                "fingerprint": self.made_for,
-            }
-
-    def _checked(self, block: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
-        """Refuse what is no bracket before it is entered as captured."""
-        dtype = self.rig.sensor.frame_dtype
-        if block.shape[1:] != shape or block.dtype != dtype:
-            raise CaptureError(
-                f"{self.name}, pattern {first}: the rig returned {block.dtype} frames of shape "
-                f"{block.shape[1:]}; expected {dtype} {shape}. Check the camera's size, pixel "
-                "format and exposures, then run again: it goes on at this pattern"
-            )
-        if block.dtype.kind == "f" and not np.isfinite(block).all():
-            bad = first + int(np.argwhere(~np.isfinite(block))[0][0])
-            raise CaptureError(
-                f"{self.name}, pattern {bad}: the rig returned NaN or infinity; light is finite. "
-                "Check the rig, then run again: it goes on at this batch"
-            )
-        return block

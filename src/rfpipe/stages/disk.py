@@ -7,14 +7,24 @@ import shutil
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
+from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import StoreError
-from rfpipe.rigs import Rig
+from rfpipe.photometry import Sensor
 from rfpipe.units import RADIANCE
 
-__all__ = ["DiskNeed", "check_level", "check_run", "expected_patterns", "free_bytes"]
+__all__ = [
+    "DiskNeed",
+    "Imaging",
+    "check_level",
+    "check_run",
+    "expected_patterns",
+    "free_bytes",
+    "most_patterns",
+]
 
 # A file takes whole blocks of its file system.
 _BLOCK_BYTES = 4096
@@ -45,6 +55,39 @@ def expected_patterns(method: str, projector_shape: tuple[int, ...], n_levels: i
     return min(rays, round(n_levels * _PATTERNS_PER_LEVEL[method]))
 
 
+def most_patterns(method: str, projector_shape: tuple[int, ...]) -> int:
+    """Return the patterns of an acquisition of a scene without any structure.
+
+    All blocks of all levels one after the other, for the methods that descend by levels.
+
+    Parameters
+    ----------
+    method : str
+        A name in `rfpipe.methods.METHODS`.
+    projector_shape : tuple of int
+    """
+    if method not in _PATTERNS_PER_LEVEL:
+        return prod(projector_shape)
+    tree = BlockTree(RayDomain(projector_shape))
+    return sum(tree.n_blocks(level) for level in range(tree.n_levels))
+
+
+class Imaging(Protocol):
+    """A rig, as far as the size of its pictures goes."""
+
+    @property
+    def camera_shape(self) -> tuple[int, ...]:
+        """As that of `rfpipe.rigs.Rig`."""
+
+    @property
+    def channels(self) -> int:
+        """As that of `rfpipe.rigs.Rig`."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """As that of `rfpipe.rigs.Rig`."""
+
+
 @dataclass(frozen=True)
 class DiskNeed:
     """Bytes on the disk, before compression.
@@ -64,7 +107,7 @@ class DiskNeed:
     rest: int
 
     @classmethod
-    def of(cls, rig: Rig, to_capture: int, patterns: int) -> DiskNeed:
+    def of(cls, rig: Imaging, to_capture: int, patterns: int) -> DiskNeed:
         """Return that of some brackets still to be captured, and of patterns to be merged."""
         bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
         image = prod(rig.camera_shape) * rig.channels

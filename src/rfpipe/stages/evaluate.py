@@ -55,6 +55,8 @@ def error_rows(
 def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
     """Return the errors of each run's own transport: scene, method and `ERROR_COLUMNS`.
 
+    A captured scene has none: its truth is unknown.
+
     Parameters
     ----------
     relight_manifests : iterable of Path
@@ -65,6 +67,8 @@ def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
     rows = []
     for path in relight_manifests:
         run, images = _opened(path)
+        if "truth" not in images.names:
+            continue
         errors = error_rows(images.read("relit"), *_truth(run, images))
         rows += [{"scene": run["scene"], "method": run["method"], **row} for row in errors]
     return pd.DataFrame(rows, columns=["scene", "method", *ERROR_COLUMNS])
@@ -96,7 +100,8 @@ def speed_error_table(
     truths = {}
     for path in relight_manifests:
         run, images = _opened(path)
-        truths[run["scene"]] = _truth(run, images)
+        if "truth" in images.names:
+            truths[run["scene"]] = _truth(run, images)
     columns = ["scene", "method", "tolerance", "patterns", "capture_s", "processing_s"]
     columns += ["simulation_s", "bytes", *ERROR_COLUMNS]
     rows = []

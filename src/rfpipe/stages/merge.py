@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.photometry.sensor import Sensor
+from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.calibration import CALIBRATION, calibrate, read_merger
-from rfpipe.stages.capture import REFERENCE
+from rfpipe.stages.drift import DRIFT, measure
 from rfpipe.stages.merging import LevelSum, Merger, chunk_patterns, runs
-from rfpipe.stages.plan import AcquisitionFolder, advice_on_damage
+from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, advice_on_damage
 from rfpipe.stages.raw import RawFrames
 from rfpipe.stages.results import bundle_entry, intact_bundle
 from rfpipe.stages.workers import Resources
@@ -37,6 +37,7 @@ from rfpipe.units import RADIANCE, RADIANCE_UNIT
 __all__ = ["SUMS", "MergedFrames", "merged_frames", "read_level_sum", "run"]
 
 Float = NDArray[np.float32]
+Double = NDArray[np.float64]
 
 SUMS = "sums"
 """Sum of the level's images and of their variance: their store and manifest's key."""
@@ -54,6 +55,7 @@ def run(
     saturation_fraction: float,
     repair_defects: bool,
     code: str,
+    divide_out_drift: bool = False,
     keep_raw: bool = True,
     resources: Resources | None = None,
 ) -> None:
@@ -72,6 +74,9 @@ def run(
         Whether dead and hot pixels are filled in from their neighbours.
     code : str
         Fingerprint of the code behind the stage.
+    divide_out_drift : bool
+        Whether images are divided by the light's brightness at their time, where a drift watch
+        measured it.
     keep_raw : bool
         Whether the brackets stay when they are merged. Where they don't, merged images that other
         code made are kept.
@@ -100,23 +105,28 @@ def run(
     else:
         calibration = folder.read_manifest(0, "merge")[CALIBRATION]
         merger = read_merger(sensor, folder, saturation_fraction)
+    captured = folder.read_manifest(level, "capture")
     made_of = {
         "settings": settings,
-        "captured": folder.read_manifest(level, "capture")["digest"],
+        "captured": captured["digest"],
         "calibration": calibration["digest"],
     }
+    if DRIFT in captured:
+        made_of[DRIFT] = [captured[DRIFT]["digest"], divide_out_drift]
     made_from = fingerprint([made_of, code])
     store = folder.store(level, "merge")
     facts = _kept(folder, level, made_of, made_from)
     if facts is None:
         # A merge is quick beside its capture, so that one that was interrupted starts anew.
         FrameStore.discard(store)
+        gains, drift = _drift(merger, folder, level, divide_out_drift)
         facts = {
             "stage": "merge",
             "level": level,
             "units": RADIANCE_UNIT,
             **({CALIBRATION: calibration} if level == 0 else {}),
-            **_merge(merger, folder, level, made_from, resources),
+            **_merge(merger, gains, folder, level, made_from, resources),
+            **drift,
             "made_of": made_of,
             "fingerprint": made_from,
             "versions": versions(),
@@ -132,6 +142,7 @@ class _MergeRun:
     """Merges runs of a level's brackets and writes their images; any thread or process may."""
 
     merger: Merger
+    gains: Double | None
     captured: Path
     merged: Path
     made_from: str
@@ -142,6 +153,8 @@ class _MergeRun:
         for start in range(first, last, self.chunk):
             stop = min(start + self.chunk, last)
             merged = self.merger.merge(self._frames.read(start, stop), start)
+            if self.gains is not None:
+                merged = _divided(merged, self.gains[start:stop])
             run.total.add(merged)
             images = np.stack([merged.radiance, merged.variance], axis=1)
             run.digests.extend(self._images.write(start, images))
@@ -180,8 +193,36 @@ class _Run:
     saturated: int
 
 
+def _drift(
+    merger: Merger, folder: AcquisitionFolder, level: int, divide_out: bool
+) -> tuple[Double | None, dict[str, Any]]:
+    """Report what a drift watch saw: return gains (patterns, C) to divide by, and facts."""
+    captured = folder.read_manifest(level, "capture")
+    if DRIFT not in captured:
+        return None, {}
+    every = captured[DRIFT]["every"]
+    with folder.frames(level, "capture", DRIFT) as frames:
+        drift = measure(merger, frames)
+    drift.report(f"level {level}", divided_out=divide_out)
+    gains = drift.gains_at(captured["patterns"], every) if divide_out else None
+    return gains, {DRIFT: {**drift.facts(every), "divided_out": divide_out}}
+
+
+def _divided(merged: Merged, gains: Double) -> Merged:
+    """Return images (B, *camera_shape, C) over gains (B, C); their noise is small beside theirs."""
+    over = gains.reshape(len(gains), *[1] * (merged.radiance.ndim - 2), -1)
+    radiance = (merged.radiance / over).astype(np.float32)
+    variance = (merged.variance / over**2).astype(np.float32)
+    return Merged(radiance, variance, merged.saturated)
+
+
 def _merge(
-    merger: Merger, folder: AcquisitionFolder, level: int, made_from: str, resources: Resources
+    merger: Merger,
+    gains: Double | None,
+    folder: AcquisitionFolder,
+    level: int,
+    made_from: str,
+    resources: Resources,
 ) -> dict[str, Any]:
     image_shape = merger.floodlit.shape
     store = folder.store(level, "merge")
@@ -194,7 +235,7 @@ def _merge(
     # a cluster's workers have working folders of their own
     captured = folder.store(level, "capture").absolute()
     chunk = chunk_patterns(image_shape)
-    work = _MergeRun(merger, captured, store.absolute(), made_from, chunk)
+    work = _MergeRun(merger, gains, captured, store.absolute(), made_from, chunk)
     with (
         FrameStore.create(
             store,

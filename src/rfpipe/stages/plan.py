@@ -13,7 +13,10 @@ from rfpipe.errors import IntegrityError
 from rfpipe.methods import Method, Pack, Settings, get_method
 from rfpipe.store import ArrayBundle, FrameStore, open_arrays, read_manifest
 
-__all__ = ["AcquisitionFolder", "Plan", "advice_on_damage", "restore_state"]
+__all__ = ["REFERENCE", "AcquisitionFolder", "Plan", "advice_on_damage", "restore_state"]
+
+REFERENCE = "reference"
+"""The all-off and all-on brackets, taken with level 0: their store and their manifest's key."""
 
 
 class Plan:

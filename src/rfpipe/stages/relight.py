@@ -1,4 +1,4 @@
-"""Stage: relight a transport with the reference patterns, and compute what is true of the scene."""
+"""Stage: relight a transport with the reference patterns, beside the truth where it is known."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
+from rfpipe.stages.calibration import read_floodlit
+from rfpipe.stages.plan import AcquisitionFolder
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.slices import leaf_levels, line_patterns
 from rfpipe.store import read_manifest
@@ -21,7 +23,14 @@ if TYPE_CHECKING:
     from rfpipe.config import SceneConfig
     from rfpipe.scenes import Scene
 
-__all__ = ["images_of", "one_view_at_a_time", "relit_arrays", "right_half", "run"]
+__all__ = [
+    "images_of",
+    "one_view_at_a_time",
+    "relit_arrays",
+    "relit_of_captured",
+    "right_half",
+    "run",
+]
 
 Float = NDArray[np.float32]
 
@@ -93,8 +102,6 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     patterns = np.stack(list(relighting_patterns(shape).values()))
     every = np.concatenate([patterns, np.ones((1, *shape), np.float32)])
     relit, truth = transport.relight_batch(every), images_of(scene, every)
-    n_levels = 1 + max((int(entry["level"]) for entry in transport.level_rows), default=0)
-    bar = patterns[0]
     return {
         "patterns": patterns,
         "relit": relit[:-1],
@@ -102,9 +109,45 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
         "floodlit_relit": relit[-1],
         "floodlit_truth": truth[-1],
         "albedo": scene.albedo,
-        "levels_relit": np.stack([transport.truncate(n).relight(bar) for n in range(n_levels)]),
+        "levels_relit": _at_each_level(transport, patterns[0]),
         **(_between_views if len(shape) == 3 else _within_image)(transport, scene),
     }
+
+
+def relit_of_captured(transport: Transport, floodlit: Float) -> dict[str, NDArray[Any]]:
+    """Compute what the report shows of a transport whose scene is a real one.
+
+    Parameters
+    ----------
+    transport : Transport
+    floodlit : ndarray of float32, shape (*camera_shape, C)
+        The image that the rig took under the all-on pattern.
+
+    Returns
+    -------
+    dict of ndarray
+        ``patterns`` (P, *projector_shape), ``relit`` (P, *camera_shape, C), ``levels_relit``
+        (L, *camera_shape, C), ``floodlit_relit`` and ``floodlit_captured`` (*camera_shape, C), as
+        in `relit_arrays`.
+    """
+    from rfpipe.scenes import relighting_patterns
+
+    shape = transport.projector_shape
+    patterns = np.stack(list(relighting_patterns(shape).values()))
+    relit = transport.relight_batch(np.concatenate([patterns, np.ones((1, *shape), np.float32)]))
+    return {
+        "patterns": patterns,
+        "relit": relit[:-1],
+        "floodlit_relit": relit[-1],
+        "floodlit_captured": floodlit,
+        "levels_relit": _at_each_level(transport, patterns[0]),
+    }
+
+
+def _at_each_level(transport: Transport, pattern: Float) -> Float:
+    """Relight by the transport truncated at each level, (L, *camera_shape, C)."""
+    n_levels = 1 + max((int(entry["level"]) for entry in transport.level_rows), default=0)
+    return np.stack([transport.truncate(level).relight(pattern) for level in range(n_levels)])
 
 
 def _between_views(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
@@ -153,7 +196,8 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
     Parameters
     ----------
     folder : Path
-        ``results/{scene}/{method}``, with ``transport.zarr`` and ``transport.json``.
+        ``results/{scene}/{method}``, with ``transport.zarr`` and ``transport.json``; for a
+        captured scene with what the merge of level 0 left, too.
     scene : SceneConfig
         The scene that it was acquired from.
     code : str
@@ -167,17 +211,22 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
     if accept_bundle(store, manifest, made_from):
         return
     transport = open_transport(folder / "transport.zarr")
-    exact = scene_from_config(scene)
+    if scene.is_captured:
+        floodlit, _ = read_floodlit(AcquisitionFolder(folder))
+        arrays = relit_of_captured(transport, floodlit)
+    else:
+        arrays = relit_arrays(transport, scene_from_config(scene))
+    shape = transport.projector_shape
     facts = {
         "stage": "relight",
         "scene": acquired["scene"],
         "method": acquired["method"],
-        "names": list(relighting_patterns(exact.shape)),
-        "row": exact.shape[-2] // 2,
+        "names": list(relighting_patterns(shape)),
+        "row": shape[-2] // 2,
         "patterns": acquired["patterns"],
         "bytes": transport.nbytes,
         "levels": transport.level_rows,
         "tolerance": acquired["tolerance"],
         "units": RADIANCE_UNIT,
     }
-    write_bundle(store, manifest, made_from, relit_arrays(transport, exact), facts)
+    write_bundle(store, manifest, made_from, arrays, facts)

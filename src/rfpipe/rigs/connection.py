@@ -1,0 +1,173 @@
+"""HTTP to an acquisition server that may be away for a while."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
+
+from rfpipe.errors import CaptureError, InputError
+
+if TYPE_CHECKING:
+    import httpx
+
+__all__ = ["Connection", "RefusedError"]
+
+_CONNECT_SECONDS = 5.0
+_ANSWER_SECONDS = 30.0
+# a bracket may take some times what the rig says: retries of the camera, a device that reconnects
+_SLACK = 4.0
+_KEEP_ALIVE_SECONDS = 60.0
+_FIRST_PAUSE_SECONDS = 0.1
+_LONGEST_PAUSE_SECONDS = 5.0
+_REMIND_SECONDS = 30.0
+_COME_AGAIN = (408, 409, 429, 503)
+
+_log = logging.getLogger(__name__)
+
+
+class RefusedError(CaptureError):
+    """The server's answer is an error that waiting doesn't mend.
+
+    Attributes
+    ----------
+    status : int
+    detail : str
+    """
+
+    def __init__(self, url: str, status: int, detail: str) -> None:
+        super().__init__(f"{url}: the server refused with status {status}: {detail}")
+        self.status = status
+        self.detail = detail
+
+
+class Connection:
+    """Sends requests until they are answered.
+
+    Parameters
+    ----------
+    url : str
+        Of the server, without a path.
+    token : str
+    patience_seconds : float
+        How long to wait since the server last answered, at least 0.
+
+    Raises
+    ------
+    InputError
+        When a parameter is wrong.
+    """
+
+    def __init__(self, url: str, token: str, patience_seconds: float) -> None:
+        import httpx
+
+        parts = urlsplit(url)
+        if parts.scheme not in ("http", "https") or not parts.hostname or parts.path.strip("/"):
+            raise InputError(
+                f"url is {url!r}; expected that of an acquisition server without a path, such as "
+                "http://127.0.0.1:8750"
+            )
+        if not 0 <= patience_seconds < float("inf"):
+            raise InputError(f"patience_seconds is {patience_seconds}; expected at least 0")
+        self._settings = (url, token, patience_seconds)
+        self._url = url.rstrip("/")
+        self._patience = patience_seconds
+        self._http = httpx.Client(
+            base_url=self._url,
+            headers={"Authorization": f"Bearer {token}"},
+            limits=httpx.Limits(max_connections=1, keepalive_expiry=_KEEP_ALIVE_SECONDS),
+            verify=parts.scheme == "https",  # without it, certificates needn't be loaded
+            trust_env=False,  # a proxy for the web doesn't lead to a rig
+        )
+        self._closing = threading.Event()
+        self._waiting_since: float | None = None
+        self._reminded = 0.0
+        self._pause = _FIRST_PAUSE_SECONDS
+
+    def another(self) -> Connection:
+        """Return a second connection to the same server, for another thread."""
+        return Connection(*self._settings)
+
+    def send(self, method: str, path: str, seconds: float = 0.0, **request: Any) -> httpx.Response:
+        """Send a request until the server answers it; `seconds` is the rig's part of the time.
+
+        Raises
+        ------
+        RefusedError
+            When the answer is an error.
+        CaptureError
+            When there is no answer, or others hold the rig, for longer than the patience.
+        """
+        import httpx
+
+        while True:
+            try:
+                response = self.try_once(method, path, seconds, **request)
+            except httpx.TransportError as error:
+                self.pause(
+                    f"no answer ({type(error).__name__}: {error}); check that 'rfpipe serve' runs "
+                    "there, and the network"
+                )
+                continue
+            if response.status_code not in _COME_AGAIN:
+                break
+            self.pause(_detail(response))
+        if self._waiting_since is not None:
+            _log.warning("%s: answers again; going on", self._url)
+            self._waiting_since = None
+        if response.is_success:
+            return response
+        detail = _detail(response)
+        if response.status_code == 401:
+            detail += "; see capture.token_file, or the environment variable with the token"
+        raise RefusedError(self._url, response.status_code, detail)
+
+    def try_once(
+        self, method: str, path: str, seconds: float = 0.0, **request: Any
+    ) -> httpx.Response:
+        """Send a request and return whatever answer; raises httpx.TransportError without one."""
+        import httpx
+
+        timeout = httpx.Timeout(_ANSWER_SECONDS + _SLACK * seconds, connect=_CONNECT_SECONDS)
+        return self._http.request(method, path, timeout=timeout, **request)
+
+    def pause(self, reason: str) -> None:
+        """Wait a little before the next attempt, longer each time; tell why from time to time.
+
+        Raises
+        ------
+        CaptureError
+            When the patience is at its end.
+        """
+        now = time.monotonic()
+        if self._waiting_since is None:
+            self._waiting_since, self._pause = now, _FIRST_PAUSE_SECONDS
+            self._reminded = now
+            _log.warning("%s: %s; waiting for up to %g s", self._url, reason, self._patience)
+        waited = now - self._waiting_since
+        if waited >= self._patience:
+            raise CaptureError(
+                f"{self._url}: {reason}. Waited for {waited:.0f} s (capture.patience_seconds); "
+                "what is captured is kept: run again when the server is back"
+            )
+        if now - self._reminded >= _REMIND_SECONDS:
+            self._reminded = now
+            _log.warning("%s: %s; waiting since %.0f s", self._url, reason, waited)
+        self._closing.wait(min(self._pause, self._patience - waited))
+        self._pause = min(2 * self._pause, _LONGEST_PAUSE_SECONDS)
+
+    def close(self) -> None:
+        """Close the connection; closing twice is no error."""
+        self._closing.set()
+        self._http.close()
+
+
+def _detail(response: httpx.Response) -> str:
+    """Return what an error says of itself."""
+    try:
+        detail = response.json()["detail"]
+    except (ValueError, KeyError, TypeError):
+        detail = response.text[:200]
+    return f"{detail} (status {response.status_code})"

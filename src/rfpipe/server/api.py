@@ -1,0 +1,318 @@
+"""The endpoints of the acquisition server, version 1."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from math import prod
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, FastAPI, Header, HTTPException, Request, Response
+from fastapi.security import HTTPBearer
+from numpy.typing import NDArray
+
+import rfpipe
+from rfpipe.errors import CaptureError, InputError, TransferError
+from rfpipe.provenance import fingerprint
+from rfpipe.rigs import Rig
+from rfpipe.rigs.wire import MEDIA_TYPE, decode_patterns, pack
+from rfpipe.server.guard import CAPTURE_PATH, Guard
+from rfpipe.server.lease import Lease, LeaseHeldError, LeaseLapsedError, Leases
+from rfpipe.server.models import (
+    Health,
+    LeaseAnswer,
+    LeaseRequest,
+    Limits,
+    RigAnswer,
+    StatusAnswer,
+)
+from rfpipe.server.preview import preview_png
+from rfpipe.server.problems import PROBLEM_TYPE, Problem, add_handlers
+from rfpipe.server.settings import ServerSettings
+from rfpipe.server.worker import (
+    CaptureConflictError,
+    CaptureStoppedError,
+    RigBusyError,
+    RigWorker,
+)
+
+__all__ = ["create_app"]
+
+_RETRY_SOON = {"Retry-After": "1"}
+
+_open = APIRouter(prefix="/v1")
+_closed = APIRouter(prefix="/v1", dependencies=[Depends(HTTPBearer(auto_error=False))])
+
+
+def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Say in the OpenAPI description which errors an endpoint has."""
+    content = {PROBLEM_TYPE: {"schema": Problem.model_json_schema()}}
+    return {
+        status: {"description": "See detail.", "content": content}
+        for status in (400, 401, 405, 413, *statuses)
+    }
+
+
+@dataclass
+class _Served:
+    """What the endpoints share."""
+
+    worker: RigWorker
+    leases: Leases
+    rig: RigAnswer
+    began: float = field(default_factory=time.monotonic)
+    drawn: tuple[int, bytes] = (0, b"")
+    drawing: asyncio.Lock = field(default_factory=asyncio.Lock)
+
+
+def create_app(
+    rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings | None = None
+) -> FastAPI:
+    """Return the ASGI application that serves a rig.
+
+    Parameters
+    ----------
+    rig : Rig, or callable that returns one
+        A callable is called, once and now, in the thread that will use the rig.
+    token : str
+        The bearer token that clients must send.
+    settings : ServerSettings, optional
+
+    Returns
+    -------
+    FastAPI
+        Its shutdown closes the rig. `rfpipe.server.run` adds deadlines for slow clients.
+
+    Raises
+    ------
+    RfpipeError
+        When the rig can't be opened.
+    """
+    settings = settings or ServerSettings()
+    leases = Leases(settings.lease_seconds)
+    worker = RigWorker(rig, leases, settings.kept_captures)
+
+    @asynccontextmanager
+    async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+        yield
+        await asyncio.to_thread(worker.close)
+
+    app = FastAPI(
+        title="rfpipe acquisition server",
+        description="Shows patterns on a projector and returns the brackets of a camera.",
+        version=rfpipe.__version__,
+        openapi_url="/v1/openapi.json",
+        docs_url=None,
+        redoc_url=None,
+        lifespan=lifespan,
+        redirect_slashes=False,
+    )
+    app.state.worker = worker
+    app.state.served = _Served(worker, leases, _described(worker.rig, settings))
+    app.include_router(_open)
+    app.include_router(_closed)
+    app.add_middleware(Guard, token=token, settings=settings)
+    add_handlers(app)
+    return app
+
+
+def _served(request: Request) -> _Served:
+    served: _Served = request.app.state.served
+    return served
+
+
+Served = Annotated[_Served, Depends(_served)]
+LeaseHeader = Annotated[
+    str, Header(alias="Rig-Lease", min_length=8, max_length=128, description="The lease's id.")
+]
+KeyHeader = Annotated[
+    str,
+    Header(
+        alias="Idempotency-Key",
+        pattern="^[A-Za-z0-9_-]{16,64}$",
+        description="Random, the client's own; the same when the request is sent again.",
+    ),
+]
+
+
+@_open.get("/health", responses=_problems())
+async def health(served: Served) -> Health:
+    """Say that the server is there."""
+    status = "stopping" if served.worker.is_stopping else "ok"
+    return Health(status=status, version=rfpipe.__version__, api=1)
+
+
+@_closed.get("/status", responses=_problems())
+async def status(served: Served) -> StatusAnswer:
+    """Say who holds the rig and what happened since the start."""
+    metrics, lease = served.worker.metrics, served.leases.current
+    return StatusAnswer(
+        up_seconds=time.monotonic() - served.began,
+        holder=lease and lease.client,
+        brackets=metrics.brackets,
+        answered_again=metrics.answered_again,
+        failures=metrics.failures,
+        last_error=metrics.last_error,
+        exposing_seconds=metrics.exposing_seconds,
+    )
+
+
+@_closed.get("/rig", responses=_problems())
+async def rig(served: Served) -> RigAnswer:
+    """Describe the rig."""
+    return served.rig
+
+
+@_closed.get(
+    "/rig/arrays",
+    response_class=Response,
+    responses={200: {"content": {MEDIA_TYPE: {}}}, **_problems()},
+)
+async def rig_arrays(served: Served) -> Response:
+    """Return the arrays of a resampled sensor; none of another one."""
+    arrays = getattr(served.worker.rig.sensor, "arrays", dict)
+    message = await asyncio.to_thread(lambda: pack({}, arrays(), deflate=True))
+    return Response(message, media_type=MEDIA_TYPE)
+
+
+@_closed.post("/lease", responses=_problems(409, 422))
+async def acquire(request: LeaseRequest, served: Served) -> LeaseAnswer:
+    """Take the rig for oneself."""
+    try:
+        lease = served.leases.acquire(request.client)
+    except LeaseHeldError as error:
+        raise HTTPException(
+            409,
+            f"{error}, and for {error.seconds_left:.1f} s yet if its heart stops; wait until it "
+            "is released",
+            _RETRY_SOON,
+        ) from None
+    return _answer(lease, served)
+
+
+@_closed.put("/lease", responses=_problems(410, 422))
+async def renew(lease: LeaseHeader, served: Served) -> LeaseAnswer:
+    """Keep the rig: the heart-beat of its holder."""
+    try:
+        return _answer(served.leases.renew(lease), served)
+    except LeaseLapsedError:
+        raise _lapsed() from None
+
+
+@_closed.delete("/lease", status_code=204, responses=_problems(410, 422))
+async def release(lease: LeaseHeader, served: Served) -> None:
+    """Give the rig back."""
+    try:
+        served.leases.release(lease)
+    except LeaseLapsedError:
+        raise _lapsed() from None
+
+
+@_closed.post(
+    CAPTURE_PATH.removeprefix("/v1"),
+    response_class=Response,
+    responses={
+        200: {"content": {MEDIA_TYPE: {}}, "description": "The brackets, in the patterns' order."},
+        **_problems(409, 410, 415, 422, 429, 502, 503),
+    },
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}},
+        }
+    },
+)
+async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: Served) -> Response:
+    """Show patterns and return their brackets; the same request again isn't exposed again."""
+    try:
+        served.leases.renew(lease)
+    except LeaseLapsedError:
+        raise _lapsed() from None
+    if request.headers.get("content-type") != MEDIA_TYPE:
+        raise HTTPException(415, f"the body must be of the type {MEDIA_TYPE}")
+    body = await request.body()
+    projector = tuple(served.rig.projector_shape)
+
+    def submitted() -> Any:
+        patterns, keys = decode_patterns(body, projector, served.rig.limits.patterns)
+        digest = hashlib.sha256(body).hexdigest()
+        return served.worker.submit(key, digest, lease, patterns, keys), keys
+
+    try:
+        future, keys = await asyncio.to_thread(submitted)
+        # shielded: a client that goes away doesn't take the exposure back
+        brackets = await asyncio.shield(asyncio.wrap_future(future))
+    except (TransferError, InputError) as error:
+        raise HTTPException(422, str(error)) from None
+    except CaptureConflictError:
+        raise HTTPException(
+            422, "this Idempotency-Key was used with other patterns; take a new one"
+        ) from None
+    except RigBusyError:
+        raise HTTPException(
+            429, "another capture of this lease is under way; send one at a time", _RETRY_SOON
+        ) from None
+    except CaptureStoppedError as error:
+        raise HTTPException(503, f"{error}; send it again", _RETRY_SOON) from None
+    except CaptureError as error:
+        raise HTTPException(502, str(error)) from None
+    return Response(await asyncio.to_thread(_message, keys, brackets), media_type=MEDIA_TYPE)
+
+
+@_closed.get(
+    "/preview.png",
+    response_class=Response,
+    responses={200: {"content": {"image/png": {}}}, **_problems(404)},
+)
+async def preview(served: Served) -> Response:
+    """Draw the last bracket: exposures, saturation and histograms."""
+    shown = served.worker.last
+    if shown is None:
+        raise HTTPException(404, "nothing was captured since the server's start")
+    async with served.drawing:
+        if served.drawn[0] != shown.number:
+            exposures = served.worker.rig.sensor.exposures
+            picture = await asyncio.to_thread(preview_png, shown, served.rig.sensor, exposures)
+            served.drawn = (shown.number, picture)
+        return Response(served.drawn[1], media_type="image/png")
+
+
+def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
+    """Describe a rig, and how much of it a request may ask for."""
+    described = rig.describe()
+    bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
+    fitting = settings.most_response_bytes // (bracket * rig.sensor.frame_dtype.itemsize)
+    return RigAnswer(
+        camera_shape=list(rig.camera_shape),
+        projector_shape=list(rig.projector_shape),
+        channels=rig.channels,
+        seconds_per_pattern=rig.seconds_per_pattern,
+        sensor=rig.sensor.describe(),
+        has_arrays=hasattr(rig.sensor, "arrays"),
+        description=described,
+        digest=fingerprint(described),
+        limits=Limits(
+            patterns=max(1, min(settings.most_patterns, fitting)),
+            request_bytes=settings.most_request_bytes,
+            lease_seconds=settings.lease_seconds,
+        ),
+    )
+
+
+def _answer(lease: Lease, served: _Served) -> LeaseAnswer:
+    return LeaseAnswer(lease=lease.id, seconds=served.leases.seconds)
+
+
+def _lapsed() -> HTTPException:
+    return HTTPException(
+        410, "this lease is not in force: it lapsed or the server was started anew; acquire again"
+    )
+
+
+def _message(keys: list[tuple[int, ...]], brackets: list[NDArray[Any]]) -> bytes:
+    facts = {"keys": [list(key) for key in keys]}
+    return pack(facts, {str(index): bracket for index, bracket in enumerate(brackets)})

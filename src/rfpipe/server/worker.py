@@ -1,0 +1,249 @@
+"""The one thread that uses the rig, and the captures that it was asked for."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.rigs import Rig
+from rfpipe.server.lease import Leases
+
+__all__ = [
+    "CaptureConflictError",
+    "CaptureStoppedError",
+    "Metrics",
+    "RigBusyError",
+    "RigWorker",
+    "Shown",
+]
+
+Frames = list[NDArray[Any]]
+Patterns = NDArray[np.float32]
+
+_log = logging.getLogger("rfpipe.server")
+
+
+class CaptureConflictError(Exception):
+    """A request came again under its key with other patterns."""
+
+
+class RigBusyError(Exception):
+    """Another capture is under way."""
+
+
+class CaptureStoppedError(Exception):
+    """The server is being stopped, or the client's lease lapsed; the rest wasn't exposed."""
+
+
+@dataclass
+class Metrics:
+    """What happened since the start.
+
+    Attributes
+    ----------
+    brackets : int
+        Patterns exposed.
+    answered_again : int
+        Requests that were answered with what was exposed for them before.
+    failures : int
+        Captures that ended with an error of the rig.
+    last_error : str or None
+    exposing_seconds : float
+        Time that the rig took for all brackets.
+    """
+
+    brackets: int = 0
+    answered_again: int = 0
+    failures: int = 0
+    last_error: str | None = None
+    exposing_seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The last bracket: its number since the start, its pattern's key and its frames."""
+
+    number: int
+    key: tuple[int, ...]
+    bracket: NDArray[Any]
+
+
+@dataclass
+class _Capture:
+    """The patterns of one request, and the brackets of those exposed so far."""
+
+    digest: str
+    lease: str
+    patterns: Patterns
+    keys: list[tuple[int, ...]]
+    brackets: Frames = field(default_factory=list)
+    result: Future[Frames] | None = None
+
+    @property
+    def is_under_way(self) -> bool:
+        return self.result is not None and not self.result.done()
+
+
+class RigWorker:
+    """Shows patterns one after the other; whatever thread asks, one thread uses the rig.
+
+    Parameters
+    ----------
+    rig : Rig, or callable that returns one
+        A callable is called in the thread that uses the rig: windows and drivers may want that.
+    leases : Leases
+        A capture ends before its next pattern when its lease is no longer in force.
+    kept : int
+        Captures kept for requests that come again.
+
+    Raises
+    ------
+    RfpipeError
+        When the rig can't be opened.
+    """
+
+    def __init__(self, rig: Rig | Callable[[], Rig], leases: Leases, kept: int) -> None:
+        self._leases = leases
+        self._kept = kept
+        self._captures: dict[str, _Capture] = {}
+        self._lock = threading.Lock()
+        self._stopping = threading.Event()
+        self._is_closed = False
+        self._thread = ThreadPoolExecutor(1, "rig")
+        self.metrics = Metrics()
+        self.last: Shown | None = None
+        try:
+            self.rig: Rig = self._thread.submit(rig).result() if callable(rig) else rig
+        except BaseException:
+            self._thread.shutdown()
+            raise
+
+    def submit(
+        self,
+        identity: str,
+        digest: str,
+        lease: str,
+        patterns: Patterns,
+        keys: list[tuple[int, ...]],
+    ) -> Future[Frames]:
+        """Have patterns exposed that weren't yet under this identity.
+
+        Parameters
+        ----------
+        identity : str
+            Of the request; the same when it comes again.
+        digest : str
+            Of its content.
+        lease : str
+        patterns : ndarray of float32, shape (B, *projector_shape)
+        keys : list of B tuples of int
+
+        Returns
+        -------
+        Future
+            Of B brackets. Raises CaptureError, InputError or CaptureStoppedError; what was exposed
+            until then is kept, and the same request goes on from there.
+
+        Raises
+        ------
+        CaptureConflictError
+            When the identity was used with another content.
+        RigBusyError
+            When another request's capture is under way.
+        """
+        with self._lock:
+            capture = self._captures.get(identity)
+            if capture is not None:
+                if capture.digest != digest:
+                    raise CaptureConflictError
+                capture.lease = lease
+                if capture.is_under_way or len(capture.brackets) == len(capture.keys):
+                    self.metrics.answered_again += 1
+                    assert capture.result is not None
+                    return capture.result
+            busy = [other for other in self._captures.values() if other.is_under_way]
+            # one that has lost its lease ends before its next pattern
+            if any(self._leases.is_held_by(other.lease) for other in busy):
+                raise RigBusyError
+            if capture is None:
+                self._forget()
+                capture = _Capture(digest, lease, patterns, keys)
+                self._captures[identity] = capture
+            capture.result = self._thread.submit(self._expose, capture)
+            return capture.result
+
+    def stop(self) -> None:
+        """Let the pattern that is being exposed be the last one; a signal handler may call it."""
+        self._stopping.set()
+
+    @property
+    def is_stopping(self) -> bool:
+        """Whether no more patterns are exposed."""
+        return self._stopping.is_set()
+
+    def close(self) -> None:
+        """Wait for the exposure in hand and close the devices; closing twice is no error."""
+        self.stop()
+        close = getattr(self.rig, "close", None)
+        with self._lock:
+            if self._is_closed:
+                return
+            self._is_closed = True
+        try:
+            if close is not None:
+                self._thread.submit(close).result()
+        finally:
+            self._thread.shutdown()
+
+    def _forget(self) -> None:
+        """Make room for another capture: forget the oldest ones, none of them under way."""
+        done = [name for name, capture in self._captures.items() if not capture.is_under_way]
+        for name in done[: max(0, len(done) + 1 - self._kept)]:
+            del self._captures[name]
+
+    def _expose(self, capture: _Capture) -> Frames:
+        """Expose the patterns that are missing, one by one."""
+        for index in range(len(capture.brackets), len(capture.keys)):
+            if self.is_stopping:
+                raise CaptureStoppedError("the server is being stopped")
+            if not self._leases.is_held_by(capture.lease):
+                raise CaptureStoppedError("the lease lapsed")
+            began = time.perf_counter()
+            bracket = self._bracket(capture.patterns[index], capture.keys[index])
+            self.metrics.exposing_seconds += time.perf_counter() - began
+            self.metrics.brackets += 1
+            self.last = Shown(self.metrics.brackets, capture.keys[index], bracket)
+            capture.brackets.append(bracket)
+        return capture.brackets
+
+    def _bracket(self, pattern: Patterns, key: tuple[int, ...]) -> NDArray[Any]:
+        try:
+            return self._checked(self.rig.capture(pattern[None], [key]))
+        except InputError:
+            raise
+        except Exception as error:
+            self.metrics.failures += 1
+            self.metrics.last_error = f"pattern {key}: {error}"
+            _log.exception("the rig failed at pattern %s", key)
+            if isinstance(error, CaptureError):
+                raise
+            raise CaptureError(f"the rig failed: {type(error).__name__}: {error}") from error
+
+    def _checked(self, frames: NDArray[Any]) -> NDArray[Any]:
+        sensor = self.rig.sensor
+        shape = (1, *sensor.frame_shape(self.rig.camera_shape, self.rig.channels))
+        if frames.shape != shape or frames.dtype != sensor.frame_dtype:
+            raise CaptureError(
+                f"the rig returned {frames.dtype} frames of shape {frames.shape}; expected "
+                f"{sensor.frame_dtype} {shape}. Check the camera's size, pixel format and exposures"
+            )
+        return np.ascontiguousarray(frames[0])

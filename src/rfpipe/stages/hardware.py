@@ -1,0 +1,171 @@
+"""Stage: the capture of a level by a rig behind an acquisition server."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError, InputError, StoreError
+from rfpipe.photometry import Sensor, sensor_from_description
+from rfpipe.rigs import RemoteRig, Rig
+from rfpipe.rigs.token import read_token
+from rfpipe.stages import capture
+from rfpipe.stages.aside import differing
+from rfpipe.stages.capture import frame_settings
+from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, Plan
+from rfpipe.stages.sensors import SENSOR
+from rfpipe.store import FrameStore, open_arrays
+
+__all__ = ["BegunRig", "begun_rig", "check_rig", "run"]
+
+
+def run(
+    plan: Plan,
+    folder: AcquisitionFolder,
+    level: int,
+    *,
+    url: str,
+    token_file: str | None,
+    patience_seconds: float,
+    **options: Any,
+) -> None:
+    """Capture what isn't captured yet of a level; see `rfpipe.stages.capture.run`.
+
+    The server is asked for patterns only where some are missing, so that what was captured can be
+    processed anew without it.
+
+    Parameters
+    ----------
+    plan : Plan
+        Its rays and channels must be the rig's.
+    folder : AcquisitionFolder
+    level : int
+    url : str
+    token_file : str or None
+        None takes the token from the environment.
+    patience_seconds : float
+    **options
+        Of `rfpipe.stages.capture.run`.
+
+    Raises
+    ------
+    ConfigError
+        When there is no token.
+    CaptureError
+        When the rig isn't there, is another than the plan's, or than that of what was captured
+        before.
+    """
+
+    def connected() -> RemoteRig:
+        file = None if token_file is None else Path(token_file)
+        rig = RemoteRig(url, read_token(file), patience_seconds)
+        try:
+            check_rig(rig, plan, url)
+        except BaseException:
+            rig.close()
+            raise
+        return rig
+
+    rig = begun_rig(plan, folder, connected) or connected()
+    try:
+        capture.run(rig, folder, level, **options)
+    finally:
+        rig.close()
+
+
+def check_rig(rig: Rig, plan: Plan, name: str) -> None:
+    """Raise CaptureError where a rig has other rays or channels than a plan."""
+    for what, found, expected in (
+        ("projector rays (shape, views)", rig.projector_shape, plan.projector.shape),
+        ("camera rays (camera_shape; null for a coaxial rig)", rig.camera_shape, plan.camera.shape),
+        ("channels", rig.channels, plan.channels),
+    ):
+        if found != expected:
+            raise CaptureError(
+                f"{name}: the rig has {found} {what}; the settings of the scene say {expected}. "
+                "Set them to the rig's"
+            )
+
+
+def begun_rig(
+    plan: Plan, folder: AcquisitionFolder, connect: Callable[[], RemoteRig]
+) -> BegunRig | None:
+    """Return the rig that an acquisition was begun with, None where nothing is captured yet."""
+    try:
+        with FrameStore.open(folder.store(0, REFERENCE)) as frames:
+            if not frames.done.any():
+                return None
+            described = frames.attributes["rig"]
+        arrays = None
+        if folder.store(0, SENSOR).exists():
+            bundle = open_arrays(folder.store(0, SENSOR))
+            arrays = {name: bundle.read(name) for name in bundle.names}
+        sensor = sensor_from_description(described["sensor"], arrays)
+    except (StoreError, InputError, KeyError):
+        return None  # the rig itself will say, and whoever reads the frames
+    return BegunRig(plan, described, sensor, connect)
+
+
+class BegunRig:
+    """The rig of frames that are on disk, which is connected to only for more of them.
+
+    Parameters
+    ----------
+    plan : Plan
+    described : dict
+        Its description when the first frames were captured.
+    sensor : Sensor
+    connect : callable
+        Returns the rig.
+    """
+
+    seconds_per_pattern = 0.0
+
+    def __init__(
+        self,
+        plan: Plan,
+        described: dict[str, Any],
+        sensor: Sensor,
+        connect: Callable[[], RemoteRig],
+    ) -> None:
+        self.camera_shape = plan.camera.shape
+        self.projector_shape = plan.projector.shape
+        self.channels = plan.channels
+        self.sensor = sensor
+        self._described = described
+        self._connect = connect
+        self._rig: RemoteRig | None = None
+
+    def capture(
+        self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
+    ) -> NDArray[Any]:
+        """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`.
+
+        Raises
+        ------
+        CaptureError
+            Also when the rig is another than at the beginning.
+        """
+        if self._rig is None:
+            self._rig = self._connect()
+            described = frame_settings(self._rig)
+            if described != self._described:
+                raise CaptureError(
+                    f"{self._rig.url}: the rig is not that of the patterns captured before ("
+                    f"{differing(self._described, described)}). Serve it with those settings, or "
+                    "remove the acquisition's folder to begin anew"
+                )
+        return self._rig.capture(patterns, keys)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description at the beginning."""
+        return self._described
+
+    def close(self) -> None:
+        """Give the rig back, if it was needed."""
+        if self._rig is not None:
+            self._rig.close()

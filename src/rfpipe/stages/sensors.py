@@ -1,0 +1,44 @@
+"""The sensor that took an acquisition's frames, as its capture left it on disk."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rfpipe.photometry import Sensor, sensor_from_description
+from rfpipe.stages.plan import AcquisitionFolder, advice_on_damage
+from rfpipe.stages.results import bundle_entry
+from rfpipe.store import open_arrays, write_arrays
+
+__all__ = ["SENSOR", "read_sensor", "write_sensor"]
+
+SENSOR = "sensor"
+"""A resampled sensor's arrays, beside the frames of level 0: their store and manifest's key."""
+
+
+def write_sensor(folder: AcquisitionFolder, sensor: Sensor) -> dict[str, Any]:
+    """Write what a description can't hold of a sensor; return its entry for the manifest."""
+    arrays = getattr(sensor, "arrays", None)
+    if arrays is None:
+        return {}
+    store = folder.store(0, SENSOR)
+    write_arrays(store, arrays(), {"sensor": sensor.describe()})
+    return {SENSOR: bundle_entry(open_arrays(store))}
+
+
+def read_sensor(folder: AcquisitionFolder) -> Sensor:
+    """Return the sensor that took the frames of an acquisition.
+
+    Raises
+    ------
+    StoreError
+        When level 0 isn't captured.
+    IntegrityError
+        When what it left is damaged.
+    """
+    captured = folder.read_manifest(0, "capture")
+    arrays = None
+    if SENSOR in captured:
+        bundle = folder.bundle(0, "capture", SENSOR)
+        with advice_on_damage(folder.manifest(0, "capture")):
+            arrays = {name: bundle.read(name) for name in bundle.names}
+    return sensor_from_description(captured["rig"]["sensor"], arrays)

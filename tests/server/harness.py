@@ -1,0 +1,95 @@
+"""A real server on a real port, in a thread of the test's process."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import httpx
+import numpy as np
+
+from rfpipe.rigs import OperatorRig, RemoteRig, Rig
+from rfpipe.server import ServerSettings
+from rfpipe.server.run import bound_socket, make_server
+
+TOKEN = "a-token-for-tests-only"
+RIGHT = {"Authorization": f"Bearer {TOKEN}"}
+
+
+@dataclass
+class Running:
+    """A server that runs."""
+
+    url: str
+    port: int
+    app: Any
+
+    @property
+    def worker(self) -> Any:
+        return self.app.state.worker
+
+    def client(self, patience_seconds: float = 20.0) -> RemoteRig:
+        return RemoteRig(self.url, TOKEN, patience_seconds)
+
+    def http(self) -> httpx.Client:
+        return httpx.Client(base_url=self.url, headers=RIGHT, trust_env=False, timeout=20)
+
+
+@contextmanager
+def running(rig: Rig | Callable[[], Rig], **settings: Any) -> Iterator[Running]:
+    """Serve a rig until the end of the block."""
+    allowed = ServerSettings(**{"port": 0, "lease_seconds": 2.0, **settings})
+    with bound_socket(allowed) as bound:
+        port = bound.getsockname()[1]
+        server = make_server(rig, TOKEN, allowed)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [bound]})
+        thread.start()
+        try:
+            while not server.started and thread.is_alive():
+                time.sleep(0.005)
+            yield Running(f"http://127.0.0.1:{port}", port, server.config.app)
+        finally:
+            server.should_exit = True
+            thread.join(20)
+            assert not thread.is_alive()
+
+
+def free_port() -> int:
+    """Return a port that nobody listens on now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def transport(rows: int, columns: int) -> np.ndarray:
+    """Diagonal light and a dim rest, in radiance that a camera can take."""
+    random = np.random.default_rng(0)
+    matrix = random.uniform(0, 0.2 / columns, (3, rows, columns))
+    matrix += np.eye(rows, columns) * random.uniform(0.2, 1, (3, 1, columns))
+    return matrix
+
+
+class SlowRig(OperatorRig):
+    """Counts its exposures and takes its time for them."""
+
+    def __init__(self, seconds: float = 0.0, **options: Any) -> None:
+        super().__init__(transport(20, 21), (4, 5), (3, 7), **options)
+        self.seconds = seconds
+        self.shown: list[tuple[int, ...]] = []
+        self.closed = 0
+        self.faults: list[Exception] = []
+
+    def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
+        time.sleep(self.seconds * len(keys))
+        if self.faults:
+            raise self.faults.pop(0)
+        self.shown.extend(map(tuple, keys))
+        return super().capture(patterns, keys)
+
+    def close(self) -> None:
+        self.closed += 1

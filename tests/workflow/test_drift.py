@@ -1,0 +1,203 @@
+"""A lamp that changes during a capture: watched, reported, divided out; and warmed up before."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.workflow.stagewise import CAMERA, RAYS, Acquisition, matrix_rig
+
+from rfpipe.config.model import CaptureConfig
+from rfpipe.errors import CaptureError
+from rfpipe.rigs import DRIFT_KEY, WARM_UP_KEY, OperatorRig
+from rfpipe.stages import warm_up
+from rfpipe.stages.drift import Drift, item_count, item_due, positions
+from rfpipe.stages.plan import Plan
+from rfpipe.store import FrameStore
+
+EVERY = 3
+
+
+class DimmingRig:
+    """A rig whose lamp loses light from pattern to pattern of a level, and may stop."""
+
+    def __init__(self, rig: OperatorRig, loss: float = 0.2) -> None:
+        self._rig = rig
+        self._loss = loss
+        self.keys: list[tuple[int, ...]] = []
+        self.stops_at: tuple[int, ...] | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rig, name)
+
+    def brightness(self, key: tuple[int, ...]) -> float:
+        if key[0] == DRIFT_KEY:
+            return 1 - self._loss * min(key[2] * EVERY, RAYS) / RAYS
+        return 1 - self._loss * (key[1] + 0.5) / RAYS if key[0] == 1 else 1.0
+
+    def capture(self, patterns: Any, keys: Any) -> Any:
+        if self.stops_at in keys:
+            raise CaptureError("the lamp is broken")
+        self.keys += keys
+        dimmed = [
+            pattern * np.float32(self.brightness(key))
+            for pattern, key in zip(patterns, keys, strict=True)
+        ]
+        return self._rig.capture(np.reshape(dimmed, patterns.shape), keys)
+
+
+def begun(path: Path, loss: float = 0.2) -> Acquisition:
+    """An acquisition that is about to capture level 1."""
+    mine = Acquisition(path, DimmingRig(matrix_rig(noise=CAMERA), loss))
+    mine.plan = Plan("symmetric", (4, 5), (4, 5), 1, tolerance=1e-6)
+    mine.level(0)
+    mine.schedule(1)
+    return mine
+
+
+@pytest.fixture
+def every_ray(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Show a pattern for each ray on level 1: enough of them for a lamp to change."""
+    from rfpipe.methods import symmetric
+    from rfpipe.patterns import Schedule
+
+    def one_ray_each(_self: Any, state: Any) -> Schedule:
+        if state.level == 0:
+            return Schedule.floodlit((4, 5))
+        return Schedule(
+            1, (4, 5), RAYS, pattern_of_ray=np.arange(RAYS, dtype=np.int32).reshape(4, 5)
+        )
+
+    monkeypatch.setattr(symmetric.Symmetric, "schedule", one_ray_each)
+
+
+def images(mine: Acquisition) -> np.ndarray:
+    with mine.folder.frames(1, "merge") as frames:
+        return frames.read(0, RAYS)[:, 0]
+
+
+pytestmark = pytest.mark.usefixtures("every_ray")
+
+
+def test_what_the_lamp_lost_is_measured_and_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    mine = begun(tmp_path)
+    with caplog.at_level(logging.INFO):
+        mine.capture(1, drift_patterns=EVERY)
+    assert "drift watch before pattern 18: 8" in caplog.text
+    mine.merge(1)
+    drift = mine.folder.read_manifest(1, "merge")["drift"]
+    expected = [1 - 0.2 * position / RAYS for position in positions(RAYS, EVERY)]
+    noise = np.array(drift["deviation"])
+    assert 1e-4 < noise.max() < 0.02
+    assert np.abs(np.array(drift["gain"])[:, 0] - expected).max() < 4 * noise.max()
+    assert "the light changed by" in caplog.text
+    assert "merge.divide_out_drift" in caplog.text
+
+
+def test_a_steady_lamp_is_called_steady(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    mine = begun(tmp_path, loss=0.0)
+    with caplog.at_level(logging.INFO):
+        mine.capture(1, drift_patterns=EVERY)
+        mine.merge(1)
+    assert "the light kept steady" in caplog.text
+    assert mine.folder.read_manifest(1, "merge")["drift"]["local"] == [0.0] * 8
+
+
+def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> None:
+    steady, dimming = begun(tmp_path / "steady", loss=0.0), begun(tmp_path / "dimming")
+    for mine in (steady, dimming):
+        mine.capture(1, drift_patterns=EVERY)
+        mine.merge(1)
+    expected, left = images(steady), images(dimming)
+    dimming.merge(1, divide_out_drift=True)
+    found = images(dimming)
+    late = slice(RAYS // 2, None)
+    assert left[late].sum() < 0.9 * expected[late].sum()
+    assert found[late].sum() == pytest.approx(expected[late].sum(), rel=0.01)
+    assert found.sum() == pytest.approx(expected.sum(), rel=0.01)
+
+
+@pytest.mark.parametrize("stops_at", [(1, 4), (DRIFT_KEY, 1, 2), (DRIFT_KEY, 1, 7)])
+def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
+    tmp_path: Path, stops_at: tuple[int, ...]
+) -> None:
+    whole, stopped = begun(tmp_path / "whole"), begun(tmp_path / "stopped")
+    stopped.rig.stops_at = stops_at
+    with pytest.raises(CaptureError, match="broken"):
+        stopped.capture(1, drift_patterns=EVERY, batch_patterns=2)
+    stopped.rig.stops_at = None
+    for mine in (whole, stopped):
+        mine.capture(1, drift_patterns=EVERY)
+        mine.merge(1, divide_out_drift=True)
+    assert len(set(stopped.rig.keys)) == len(stopped.rig.keys)  # nothing is taken twice
+    manifests = [mine.folder.read_manifest(1, "merge") for mine in (whole, stopped)]
+    assert manifests[0]["digest"] == manifests[1]["digest"]
+    assert manifests[0]["drift"] == manifests[1]["drift"]
+
+
+def test_a_level_begun_without_a_watch_goes_on_without(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    mine = begun(tmp_path)
+    mine.rig.stops_at = (1, 4)
+    with pytest.raises(CaptureError, match="broken"):
+        mine.capture(1, batch_patterns=2)
+    mine.rig.stops_at = None
+    mine.capture(1, drift_patterns=EVERY)
+    assert "begun without a drift watch" in caplog.text
+    assert "drift" not in mine.folder.read_manifest(1, "capture")
+    mine.merge(1, divide_out_drift=True)
+    assert "drift" not in mine.folder.read_manifest(1, "merge")
+
+
+def test_a_changed_interval_leaves_a_level_that_was_begun_as_it_is(tmp_path: Path) -> None:
+    mine = begun(tmp_path)
+    mine.capture(1, drift_patterns=EVERY)
+    taken = len(mine.rig.keys)
+    for every in (0, 10 * EVERY):
+        mine.capture(1, drift_patterns=every)
+        assert mine.folder.read_manifest(1, "capture")["drift"]["every"] == EVERY
+    assert len(mine.rig.keys) == taken
+
+
+def test_looks_stand_before_their_patterns_and_after_the_last() -> None:
+    assert CaptureConfig().drift_patterns == 0
+    assert CaptureConfig(drift_minutes=10, seconds_per_pattern=2.0).drift_patterns == 300
+    assert CaptureConfig(drift_minutes=0.001, seconds_per_pattern=60.0).drift_patterns == 1
+    for patterns, every in ((1, 1), (7, 3), (9, 3), (5, 100)):
+        at = positions(patterns, every)
+        assert len(at) == item_count(patterns, every)
+        assert at[-1] == patterns
+        for position in range(patterns):
+            assert at[item_due(position, patterns, every)] <= position
+        assert item_due(patterns, patterns, every) == len(at) - 1
+    drift = Drift(np.array([[1.0], [0.9], [0.8]]), np.full((3, 1), 1e-3), np.zeros(3))
+    gains = drift.gains_at(4, 2)
+    np.testing.assert_allclose(gains[:, 0], [0.975, 0.925, 0.875, 0.825])
+    assert drift.change == pytest.approx(0.2)
+
+
+def test_the_lamp_warms_up_when_it_may_have_been_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(warm_up, "_SECONDS_BETWEEN_LOOKS", 0.02)
+    mine = Acquisition(tmp_path, DimmingRig(matrix_rig(noise=CAMERA)))
+    mine.schedule(0)
+    with caplog.at_level(logging.INFO):
+        mine.capture(0, warm_up_minutes=0.1 / 60)
+    shown = [key for key in mine.rig.keys if key[0] == WARM_UP_KEY]
+    assert 2 <= len(shown) <= 6
+    assert mine.rig.keys[: len(shown)] == shown
+    assert "the picture's mean changed by" in caplog.text
+    with FrameStore.open(mine.folder.store(0, "capture")) as frames:
+        assert frames.shape[0] == 1
+    for stage in (mine.merge, mine.normalize, mine.refine, mine.schedule):
+        stage(1 if stage == mine.schedule else 0)
+    taken = len(mine.rig.keys)
+    mine.capture(1, warm_up_minutes=60)  # it was on a moment ago
+    assert not [key for key in mine.rig.keys[taken:] if key[0] == WARM_UP_KEY]
