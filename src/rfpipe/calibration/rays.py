@@ -142,7 +142,7 @@ def fit_rays(
     pixels_of_ray = np.bincount(layout.ray_of_pixel[layout.ray_of_pixel != DARK],
                                 minlength=prod(layout.shape))  # fmt: skip
     seen_pixels: Double = np.asarray(shares.T @ outlines)
-    seen = np.greater(seen_pixels, LEAST_SEEN * np.maximum(pixels_of_ray, 1), dtype=bool)
+    seen = seen_pixels > LEAST_SEEN * np.maximum(pixels_of_ray, 1)
     if not seen.any():
         raise CaptureError(
             "the camera sees none of the rays; check their place on the projector, and the "
@@ -179,7 +179,7 @@ def _near(corners: Double, region: NDArray[np.bool_]) -> NDArray[np.bool_]:
     low = np.array([columns[0], rows[0]])
     high = np.array([columns[-1] + 1, rows[-1] + 1])
     with np.errstate(invalid="ignore"):
-        inside = ((corners > low - 1) & (corners < high + 1)).all(axis=-1)
+        inside = np.asarray(((corners > low - 1) & (corners < high + 1)).all(axis=-1))
     return np.asarray(inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:])
 
 

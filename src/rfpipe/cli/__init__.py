@@ -157,11 +157,16 @@ def calibrate(
 
     Steps that are done, for the same devices and settings, are not repeated.
     """
+    import logging
+
     from rfpipe.calibration.job import calibrate_rig
     from rfpipe.config import load_rig_config
+    from rfpipe.report.calibration import build_calibration_report
 
-    page = calibrate_rig(load_rig_config(rig), output, step, typer.echo)
-    typer.echo(f"report: {page}")
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger("rfpipe").setLevel(logging.INFO)
+    folder = calibrate_rig(load_rig_config(rig), output, step)
+    typer.echo(f"report: {build_calibration_report(folder)}")
 
 
 def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.float32]:

@@ -33,40 +33,58 @@ _STANDINGS = {"good": "good", "poor": "NOT GOOD", "unknown": "can't tell"}
 _CAPTIONS: dict[str, tuple[Callable[[Findings], Figure], str]] = {
     "dark": (
         dark_figure,
-        "Left: counts without light against the exposure time; the slope is the dark current and "
-        "what light is left. Right: the black level of each photosite at the longest exposure.",
+        (
+            "Left: counts without light against the exposure time; the slope is the dark "
+            "current and what light is left. Right: the black level of each photosite at "
+            "the longest exposure."
+        ),
     ),
     "linearity": (
         linearity_figure,
-        "Light by the shorter of two exposures over that by the longer one, less 1, against the "
-        "longer one's counts as a fraction of full scale; bars are two standard errors.",
+        (
+            "Light by the shorter of two exposures over that by the longer one, less 1, "
+            "against the longer one's counts as a fraction of full scale; bars are two "
+            "standard errors."
+        ),
     ),
     "light": (
         light_figure,
-        "Light of each code as a fraction of that of 255: median over the lit camera pixels, and "
-        "the monotone curve through them. Right: what the curve adds to a gamma of 2.2.",
+        (
+            "Light of each code as a fraction of that of 255: median over the lit camera "
+            "pixels, and the monotone curve through them. Right: what the curve adds to a "
+            "gamma of 2.2."
+        ),
     ),
     "transfer": (
         transfer_figure,
-        "Variance between two pictures of the same light against their mean signal, in counts: "
-        "measured (filled: used) and the fit of read noise, photon noise and rounding. Right: "
-        "measured over fitted; bars are two standard errors.",
+        (
+            "Variance between two pictures of the same light against their mean signal, in "
+            "counts: measured (filled: used) and the fit of read noise, photon noise and "
+            "rounding. Right: measured over fitted; bars are two standard errors."
+        ),
     ),
     "correspondence": (
         correspondence_figure,
-        "Where on the projector each camera pixel looks (x and y in projector pixels), and how far "
-        "the stripes rise above their noise. Grey: not valid.",
+        (
+            "Where on the projector each camera pixel looks (x and y in projector pixels), "
+            "and how far the stripes rise above their noise. Grey: not valid."
+        ),
     ),
     "rays": (
         rays_figure,
-        "Camera pixels a ray; light of other rays that leaks into each, per unit of theirs; and "
-        "the noise of a ray over that of a camera pixel. Views one above the other.",
+        (
+            "Camera pixels a ray; light of other rays that leaks into each, per unit of "
+            "theirs; and the noise of a ray over that of a camera pixel. Views one above "
+            "the other."
+        ),
     ),
     "symmetry": (
         symmetry_figure,
-        "Left: pairs of random patterns, lit one way and the other; bars are two standard errors "
-        "of the noise. Right: the error that asymmetry predicts for relit pictures, with two "
-        "standard errors, and what is accepted.",
+        (
+            "Left: pairs of random patterns, lit one way and the other; bars are two "
+            "standard errors of the noise. Right: the error that asymmetry predicts for "
+            "relit pictures, with two standard errors, and what is accepted."
+        ),
     ),
 }
 

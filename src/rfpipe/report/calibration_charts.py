@@ -74,7 +74,10 @@ def light_figure(findings: Findings) -> Figure:
     left.plot(codes, measured, "o", markersize=3, color=_BLUE)
     label_left(left, "light, fraction of code 255")
     right.plot(
-        every, 100 * (arrays["projector_response"] - (every / 255) ** 2.2), color=_RED, linewidth=0.9
+        every,
+        100 * (arrays["projector_response"] - (every / 255) ** 2.2),
+        color=_RED,
+        linewidth=0.9,
     )
     right.errorbar(
         codes,
