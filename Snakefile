@@ -31,6 +31,7 @@ include: "workflow/rules/refine.smk"
 include: "workflow/rules/assemble.smk"
 include: "workflow/rules/relight.smk"
 include: "workflow/rules/report.smk"
+include: "workflow/rules/calibrate.smk"
 
 
 rule all:

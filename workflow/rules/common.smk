@@ -55,6 +55,7 @@ SHAPING = SETTINGS.model_dump(
     exclude={
         "resources": True,
         "notify": True,
+        "rig_file": True,
         "capture": {"keep_raw", "url", "token_file", "patience_seconds"},
     },
 )
@@ -172,3 +173,19 @@ def study_settings(wildcards):
     }
     del settings["scenes"]
     return settings
+
+
+def calibration_needs(wildcards):
+    """Manifests of the steps that a step builds on."""
+    needs = CALIBRATION_STEPS[wildcards.step].needs
+    return [f"{CALIBRATION}/steps/{name}.json" for name in needs]
+
+
+def calibration_settings(wildcards):
+    """The rig's settings, with those of the calibration that shape this step alone."""
+    step = CALIBRATION_STEPS[wildcards.step]
+    shaping = RIG.calibrate.model_dump(mode="json", include={"coaxial", *step.settings})
+    rig = RIG.model_dump(
+        mode="json", exclude={"calibrate", "calibration", "seconds_per_pattern"}
+    )
+    return {**rig, "calibrate": shaping}

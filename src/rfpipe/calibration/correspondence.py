@@ -69,8 +69,10 @@ class Correspondence:
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> Correspondence:
         """Return the correspondence whose `arrays` these are."""
         height, width = map(int, arrays["projector_shape"])
-        parts = (arrays[name].astype(np.float64) for name in ("x", "y", "error", "modulation"))
-        return cls(*parts, arrays["valid"], (height, width))
+        x, y, error, modulation = (
+            arrays[name].astype(np.float64) for name in ("x", "y", "error", "modulation")
+        )
+        return cls(x, y, error, modulation, arrays["valid"], (height, width))
 
 
 def structured_light(shape: tuple[int, int], period: int, steps: int) -> Iterator[Float]:

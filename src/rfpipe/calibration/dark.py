@@ -158,6 +158,6 @@ def _line(x: Double, y: Double, error: Double) -> tuple[tuple[float, float], Dou
     if len(x) == 1:
         return (float(y[0]), 0.0), np.diag([error[0] ** 2, 0.0])
     design = np.stack([np.ones_like(x), x], axis=1) / error[:, None]
-    covariance = np.linalg.inv(design.T @ design)
+    covariance = np.asarray(np.linalg.inv(design.T @ design), np.float64)
     intercept, slope = covariance @ design.T @ (y / error)
     return (float(intercept), float(slope)), covariance

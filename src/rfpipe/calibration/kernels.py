@@ -71,9 +71,10 @@ def overlaps(corners, chosen, height, width):  # type: ignore[no-untyped-def]
             if not chosen[i, j]:
                 continue
             for k in range(4):
-                di, dj = k // 2, (k == 1) or (k == 2)
-                outline_x[k] = corners[i + di, j + int(dj), 0]
-                outline_y[k] = corners[i + di, j + int(dj), 1]
+                # around the pixel: upper left, upper right, lower right, lower left
+                row, column = i + k // 2, j + (k + 1) // 2 % 2
+                outline_x[k] = corners[row, column, 0]
+                outline_y[k] = corners[row, column, 1]
             whole = _area(outline_x, outline_y, 4)
             if not whole > 0:  # NaN is not, either
                 continue

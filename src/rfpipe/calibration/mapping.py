@@ -138,7 +138,7 @@ def fit_map(camera: Double, projector: Double) -> SmoothMap:
             for train, test in (even, even[::-1])
         ]
         if np.square(np.concatenate(left)).mean() < GAIN**2 * np.square(rest[near]).mean():
-            distortion = np.linalg.lstsq(terms[near], rest[near])[0]
+            distortion = np.asarray(np.linalg.lstsq(terms[near], rest[near])[0], np.float64)
             rest = rest - terms @ distortion
             inlier = _inliers(rest)
     rms = float(np.sqrt(np.square(rest[inlier]).sum(axis=1).mean()))

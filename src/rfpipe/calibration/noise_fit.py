@@ -43,7 +43,9 @@ class Bins:
     @classmethod
     def none(cls, count: int) -> Bins:
         """Return bins without pairs."""
-        return cls(*(np.zeros(count) for _ in range(4)), np.ones(count))
+        return cls(
+            np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count), np.ones(count)
+        )
 
     def plus(self, other: Bins) -> Bins:
         """Return the pairs of both."""
@@ -184,13 +186,14 @@ def fit_noise(bins: Bins, dark: Bins | None = None) -> NoiseFit:
         dark = dark.chosen(dark.variance > DITHERED)
     joined = bins.joined(dark)
     signal, measured, pairs = joined.signal, joined.variance, joined.pairs
-    # pairs that rarely differ spread more than a squared Gaussian, whose fourth moment is 3
-    excess = np.maximum((joined.fourths / pairs - measured**2) / (2 * measured**2 + 1e-30), 1.0)
     slope = max(float(np.median(measured / np.maximum(signal, 0.1))), 1e-9)
     read = max(float(measured[np.argmin(signal)]) - float(signal.min()) * slope, 1e-4)
     for _ in range(ROUNDS):
         model, derivative = rounded_variance(read + slope * signal, joined.steps)
-        weight = pairs / (2 * model**2 * excess)
+        # half the squares of differences that are 0 or 1, of mean v, spread by v / 2 - v^2; those
+        # of Gaussian ones by 2 v^2. The expected spread: the measured one goes with the measured
+        # variance, and would pull the fit down
+        weight = pairs / np.maximum(2 * model**2, joined.steps**2 * model / 2 - model**2)
         design = derivative[:, None] * np.stack([signal, np.ones_like(signal)], axis=1)
         covariance = np.linalg.pinv(design.T @ (weight[:, None] * design), hermitian=True)
         change = covariance @ design.T @ (weight * (measured - model))

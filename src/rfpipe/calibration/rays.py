@@ -141,7 +141,7 @@ def fit_rays(
     outlines = _areas(maps, layout, camera_shape, shares)
     pixels_of_ray = np.bincount(layout.ray_of_pixel[layout.ray_of_pixel != DARK],
                                 minlength=prod(layout.shape))  # fmt: skip
-    seen_pixels = np.asarray(shares.T @ outlines)
+    seen_pixels: Double = np.asarray(shares.T @ outlines)
     seen = seen_pixels > LEAST_SEEN * np.maximum(pixels_of_ray, 1)
     if not seen.any():
         raise CaptureError(
@@ -153,7 +153,7 @@ def fit_rays(
     largest = used.max(axis=1).toarray().ravel()
     weight = np.where(whole, 1 / (1 - np.minimum(largest, 1) + DOUBT) ** 2, 0) * DOUBT**2
     weighted = csr_array(used.T @ diags_array(weight))
-    seen &= np.asarray(weighted.sum(axis=1)) > 0
+    seen = seen & (np.asarray(weighted.sum(axis=1)) > 0)
     inverse = _local_inverse(csr_array(weighted @ used), seen, layout.shape)
     matrix = _pruned(csr_array(inverse @ weighted))
     unseen = ~seen.reshape(layout.shape)
@@ -179,7 +179,7 @@ def _near(corners: Double, region: NDArray[np.bool_]) -> NDArray[np.bool_]:
     low = np.array([columns[0], rows[0]])
     high = np.array([columns[-1] + 1, rows[-1] + 1])
     with np.errstate(invalid="ignore"):
-        inside = ((corners > low - 1) & (corners < high + 1)).all(axis=-1)
+        inside = np.asarray(((corners > low - 1) & (corners < high + 1)).all(axis=-1))
     return np.asarray(inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:])
 
 

@@ -172,7 +172,7 @@ def measure_symmetry(
 
 
 def symmetry_findings(symmetry: Symmetry, tolerance: float) -> Findings:
-    """Return the step's findings: is the predicted error below the one that is accepted?
+    """Return the step's findings, with a verdict whether the predicted error is accepted.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def _error(squares: Double, noise: Double, count: int) -> float:
     """
     total = squares.sum(axis=1)
     spread = max(float(total.std(ddof=1)), float(np.sqrt(2 * np.square(noise).sum(axis=1).mean())))
-    return spread / np.sqrt(min(len(total), count))
+    return spread / float(np.sqrt(min(len(total), count)))
 
 
 def _root(square: float, error: float) -> tuple[float, float]:

@@ -47,6 +47,9 @@ PHASES = 8
 FINER = 10.0
 """A signal is known finer than rounding where all exposures together are this many times longer."""
 
+ABOVE_DARK = 4.0
+"""Deviations of noise that a bin's signal lies above darkness."""
+
 SAFE = 0.9
 """Fraction of full scale up to which an exposure tells the signal of the others."""
 
@@ -326,8 +329,10 @@ def _usable(bins: Bins, limit: float) -> NDArray[np.bool_]:
     """Choose bins with enough pairs, above darkness, and too low to be cut off by saturation."""
     enough = bins.pairs >= LEAST_PAIRS
     enough[0] = False
+    # darker photosites that noise lifted into a bin have less noise than its signal says
+    above = bins.signal > ABOVE_DARK * np.sqrt(bins.variance)
     spread = np.sqrt(np.maximum.accumulate(np.where(enough, bins.variance, 0)))
-    return np.asarray(enough & (bins.signal * RATIO + CLIP * spread < limit))
+    return np.asarray(enough & above & (bins.signal * RATIO + CLIP * spread < limit))
 
 
 def _dark_bins(dark: Dark, current: Double) -> Bins:

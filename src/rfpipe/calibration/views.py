@@ -103,7 +103,7 @@ def layout_of_views(
     middles = camera_points(display_shape)
     height, width = shape
     for view, quad in enumerate(corners):
-        place = apply_homography(np.linalg.inv(_from_rays(shape, quad)), middles).round(6)
+        place = apply_homography(_to_rays(shape, quad), middles).round(6)
         inside = ((place >= 0) & (place < (width, height))).all(axis=-1)
         x, y = np.floor(place[inside]).astype(np.int32).T
         rays[inside] = (view * height + y) * width + x
@@ -121,11 +121,11 @@ def maps_of_views(
     correspondence: Correspondence, corners: Sequence[Quadrilateral]
 ) -> list[SmoothMap]:
     """Fit the map from camera to projector of each view, to the pixels that look into it."""
-    points = camera_points(correspondence.valid.shape)  # type: ignore[arg-type]
+    points = camera_points(correspondence.valid.shape)
     there = np.stack([correspondence.x, correspondence.y], axis=-1)
     maps = []
     for quad in corners:
-        place = apply_homography(np.linalg.inv(_from_rays((1, 1), quad)), there)
+        place = apply_homography(_to_rays((1, 1), quad), there)
         inside = correspondence.valid & ((place >= 0) & (place <= 1)).all(axis=-1)
         maps.append(fit_map(points[inside], there[inside]))
     return maps
@@ -168,13 +168,15 @@ def _trimmed(points: Double) -> Double:
     """Leave out the points that lie apart from the others."""
     low, high = np.percentile(points, [TRIM, 100 - TRIM], axis=0)
     margin = 0.02 * (high - low)
-    return points[((points >= low - margin) & (points <= high + margin)).all(axis=1)]
+    inside = ((points >= low - margin) & (points <= high + margin)).all(axis=1)
+    return np.asarray(points[inside])
 
 
-def _from_rays(shape: tuple[int, int], quad: Quadrilateral) -> Double:
-    """Return the homography from a view's plane of rays to the projector."""
+def _to_rays(shape: tuple[int, int], quad: Quadrilateral) -> Double:
+    """Return the homography from the projector to a view's plane of rays."""
     import cv2
 
     height, width = shape
     plane = np.array([(0, 0), (width, 0), (width, height), (0, height)], np.float32)
-    return np.asarray(cv2.getPerspectiveTransform(plane, np.array(quad, np.float32)), np.float64)
+    found = cv2.getPerspectiveTransform(np.array(quad, np.float32), plane)
+    return np.asarray(found, np.float64)

@@ -142,6 +142,33 @@ def relight(
     typer.echo(f"{output}: {_times(lit.camera_shape)}, radiance up to {image.max():.4g}")
 
 
+@app.command()
+def calibrate(
+    rig: Annotated[Path, typer.Argument(metavar="RIG", help="A YAML file of a rig's settings.")],
+    output: Annotated[
+        Path, typer.Option(help="Folder of the calibration; steps that are done there stay.")
+    ] = Path("calibration"),
+    step: Annotated[
+        list[str] | None,
+        typer.Option(help="Do this step alone, those that it needs being done; may be repeated."),
+    ] = None,
+) -> None:
+    """Calibrate a rig: noise, responses, correspondence, rays and symmetry; write a report.
+
+    Steps that are done, for the same devices and settings, are not repeated.
+    """
+    import logging
+
+    from rfpipe.calibration.job import calibrate_rig
+    from rfpipe.config import load_rig_config
+    from rfpipe.report.calibration import build_calibration_report
+
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger("rfpipe").setLevel(logging.INFO)
+    folder = calibrate_rig(load_rig_config(rig), output, step)
+    typer.echo(f"report: {build_calibration_report(folder)}")
+
+
 def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.float32]:
     """Make a named pattern, or read a picture: its views one above the other."""
     import numpy as np

@@ -3,6 +3,7 @@
 ``python -m rfpipe.config`` writes the default files and the JSON schemas from the models.
 """
 
+from rfpipe.config.calibration import CalibrationConfig
 from rfpipe.config.devices import (
     BenchConfig,
     PixelFormat,
@@ -38,6 +39,7 @@ from rfpipe.config.model import (
 __all__ = [
     "AcquisitionConfig",
     "BenchConfig",
+    "CalibrationConfig",
     "CameraConfig",
     "CaptureConfig",
     "Config",

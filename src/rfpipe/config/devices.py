@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from rfpipe.config.base import Extent, Settings
+from rfpipe.config.calibration import CalibrationConfig, Quadrilateral
 from rfpipe.config.rig import CameraConfig, SceneConfig
 
 __all__ = ["BenchConfig", "PixelFormat", "PylonConfig", "RigConfig", "WindowConfig"]
@@ -20,8 +21,6 @@ PixelFormat = Literal[
 ]  # fmt: skip
 Offset = Annotated[int, Field(ge=0, le=32768)]
 PictureExtent = Annotated[int, Field(ge=1, le=32768)]
-Point = tuple[float, float]
-Quadrilateral = tuple[Point, Point, Point, Point]
 
 _MOSAICS = {"RG": "RGGB", "GR": "GRBG", "GB": "GBRG", "BG": "BGGR"}
 
@@ -216,6 +215,9 @@ class RigConfig(Settings):
         None,
         min_length=1,
         description="Folder of the rig's calibration, relative to where rfpipe runs, or null.",
+    )
+    calibrate: CalibrationConfig = Field(
+        default_factory=CalibrationConfig, description="How the rig is calibrated."
     )
     bench: BenchConfig | None = Field(
         None,

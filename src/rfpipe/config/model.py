@@ -256,6 +256,12 @@ class Config(Settings):
         "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
         "to each image's energy, for the colours that a mosaic loses).",
     )
+    rig_file: str | None = Field(
+        None,
+        min_length=1,
+        description="Settings of the rig that 'snakemake calibrate' calibrates, a YAML file, or "
+        "null; its setting calibration names the folder.",
+    )
     storage: StorageConfig = Field(
         default_factory=StorageConfig, description="How the transport is stored."
     )

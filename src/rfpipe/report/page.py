@@ -17,7 +17,7 @@ from rfpipe.report.inputs import METHOD_TITLES, Inputs, load_inputs
 from rfpipe.report.text import ray_size
 from rfpipe.store.files import write_atomically
 
-__all__ = ["build_report", "make_sections"]
+__all__ = ["build_report", "make_sections", "write_page"]
 
 
 def build_report(
@@ -47,8 +47,22 @@ def build_report(
             f"{results}: holds no relit acquisition of the scenes "
             f"{', '.join(config.scenes)}; run the relight stage first"
         )
-    shown = [_placed(section, page.parent) for section in make_sections(inputs)]
-    write_atomically(page, _render(config.report.title, _lead(inputs), shown).encode())
+    write_page(page, config.report.title, _lead(inputs), make_sections(inputs))
+
+
+def write_page(page: Path, title: str, lead: str, sections: Sequence[Section]) -> None:
+    """Write a page that opens from disk, its pictures embedded.
+
+    Parameters
+    ----------
+    page : Path
+        ``figures/*.png`` and ``tables/*.csv`` come to lie beside it.
+    title, lead : str
+        Its heading, and a sentence on what it is about.
+    sections : sequence of Section
+    """
+    shown = [_placed(section, page.parent) for section in sections]
+    write_atomically(page, _render(title, lead, shown).encode())
 
 
 def make_sections(inputs: Inputs) -> list[Section]:

@@ -1,0 +1,53 @@
+"""Calibrating the rig of a settings file: its devices are opened, driven and given back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from rfpipe.calibration.folder import CalibrationFolder, calibrate
+from rfpipe.config import RigConfig
+from rfpipe.rigs.build import devices_from_config
+
+__all__ = ["calibrate_rig", "uncalibrated"]
+
+
+def uncalibrated(config: RigConfig) -> RigConfig:
+    """Return the settings without what an earlier calibration, or a file, knows of the devices."""
+    projector = config.projector.model_copy(update={"response": None})
+    return config.model_copy(update={"calibration": None, "projector": projector})
+
+
+def calibrate_rig(
+    config: RigConfig, folder: Path, only: Iterable[str] | None = None
+) -> CalibrationFolder:
+    """Do the steps of a rig's calibration that aren't done yet.
+
+    Parameters
+    ----------
+    config : RigConfig
+        Of a rig of devices.
+    folder : Path
+        Where the calibration is to lie.
+    only : iterable of str, optional
+        Steps to do; None for all, and then the calibration itself.
+
+    Returns
+    -------
+    CalibrationFolder
+
+    Raises
+    ------
+    ConfigError
+        When the rig is a simulated one, which has no devices.
+    CaptureError
+        When a device fails; steps that are done stay.
+    """
+    place = CalibrationFolder(folder)
+    projector, camera = devices_from_config(uncalibrated(config))
+    try:
+        calibrate(projector, camera, place, config.calibrate, config.rays, only)
+    finally:
+        camera.close()
+        projector.close()
+    return place

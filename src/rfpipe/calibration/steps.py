@@ -1,0 +1,333 @@
+"""The steps of a calibration: what each shows and takes, given what the others found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.calibration.base import (
+    Findings,
+    Verdict,
+    brackets_of,
+    camera_model,
+    uniform,
+)
+from rfpipe.calibration.correspondence import (
+    Correspondence,
+    correspondence_findings,
+    measure_correspondence,
+    structured_light,
+    take_radiance,
+)
+from rfpipe.calibration.dark import Dark, dark_findings, measure_dark, take_dark
+from rfpipe.calibration.light import (
+    LinearProjector,
+    codes_of,
+    light_findings,
+    measure_light,
+)
+from rfpipe.calibration.linearity import (
+    LEVELS,
+    linearity_findings,
+    measure_linearity,
+    power_law,
+)
+from rfpipe.calibration.mapping import SmoothMap, camera_points, fit_map
+from rfpipe.calibration.rays import RayFit, fit_rays
+from rfpipe.calibration.symmetry import measure_symmetry, symmetry_findings, take_symmetry
+from rfpipe.calibration.transfer import (
+    levels_of,
+    measure_transfer,
+    take_levels,
+    transfer_facts,
+)
+from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
+from rfpipe.config import CalibrationConfig
+from rfpipe.photometry import CameraModel, Resampling
+from rfpipe.rigs.device_rig import DeviceRig
+from rfpipe.rigs.devices import Camera, Projector
+from rfpipe.rigs.layout import ProjectorLayout
+
+__all__ = ["STEPS", "Bench", "Step", "camera_numbers", "steps_of"]
+
+Float = NDArray[np.float32]
+
+MAP_WANTED = 0.1
+"""Standard error of the smooth map in projector pixels that the rays bear."""
+
+LEAST_PIXELS_A_RAY = 3.0
+"""Camera pixels a ray below which few pixels look at one ray alone."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What a step has at hand.
+
+    Attributes
+    ----------
+    projector : Projector
+        Shows codes: weight times 255.
+    camera : Camera
+    settings : CalibrationConfig
+    rays : (int, int) or None
+        Ray domain, or that of each view; None: each projector pixel is a ray.
+    found : mapping of str to Findings
+        Of the steps that this one needs.
+    """
+
+    projector: Projector
+    camera: Camera
+    settings: CalibrationConfig
+    rays: tuple[int, int] | None
+    found: Mapping[str, Findings]
+
+    @property
+    def dark(self) -> Dark:
+        """What the dark step found."""
+        facts, arrays = self.found["dark"].facts, self.found["dark"].arrays
+        return Dark(
+            facts["frames"],
+            arrays["black"],
+            np.array(facts["level_counts"]),
+            np.array(facts["variance_counts2"]),
+            facts["black_level_counts"],
+            facts["black_level_error"],
+            facts["current_counts_per_s"],
+            facts["current_error"],
+            arrays["hot"],
+        )
+
+    @property
+    def model(self) -> CameraModel:
+        """The camera with the numbers found so far."""
+        model: CameraModel = camera_model(self.camera, camera_numbers(self.found))
+        return model
+
+    @property
+    def lit(self) -> Projector:
+        """The projector in linear light."""
+        return LinearProjector(self.projector, self.found["light"].arrays["projector_response"])
+
+    def radiance(
+        self, projector: Projector, pictures: Iterable[Float]
+    ) -> Iterator[tuple[Float, Float]]:
+        """Show pictures; yield merged radiance and variance of each."""
+        dark = self.dark
+        return take_radiance(projector, self.camera, self.model, dark.black, dark.count, pictures)
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of a calibration.
+
+    Attributes
+    ----------
+    name, title : str
+    needs : tuple of str
+        Steps whose findings it builds on.
+    settings : tuple of str
+        Settings that shape its findings.
+    measure : callable
+        Drives the devices and returns the findings.
+    """
+
+    name: str
+    title: str
+    needs: tuple[str, ...]
+    settings: tuple[str, ...]
+    measure: Callable[[Bench], Findings]
+
+
+def camera_numbers(found: Mapping[str, Findings]) -> dict[str, Any]:
+    """Return the parameters of `CameraModel` that were found."""
+    numbers: dict[str, Any] = {}
+    if "dark" in found:
+        numbers["black_level_counts"] = max(0, round(found["dark"].facts["black_level_counts"]))
+    if "linearity" in found:
+        numbers["response_gamma"] = found["linearity"].facts["response_gamma"]
+    if "transfer" in found:
+        names = "full_well_electrons", "read_noise_electrons", "dark_current_electrons"
+        numbers |= {name: found["transfer"].facts[name] for name in names}
+    return numbers
+
+
+def _dark(bench: Bench) -> Findings:
+    exposures = bench.camera.sensor.exposures
+    frames = take_dark(bench.projector, bench.camera, bench.settings.dark_frames)
+    white_level = camera_model(bench.camera).white_level
+    return dark_findings(measure_dark(frames, exposures), exposures, white_level)
+
+
+def _linearity(bench: Bench) -> Findings:
+    pictures = (uniform(bench.projector, level) for level in LEVELS)
+    frames = list(brackets_of(bench.projector, bench.camera, pictures))
+    model, tolerance = bench.model, bench.settings.tolerance / 2
+    found = measure_linearity(frames, bench.dark, model.exposures, model.white_level, tolerance)
+    return linearity_findings(found, tolerance)
+
+
+def _light(bench: Bench) -> Findings:
+    codes = codes_of(bench.settings.codes)
+    pictures = (uniform(bench.projector, code / 255) for code in codes)
+    curve = measure_light(bench.radiance(bench.projector, pictures), codes)
+    return light_findings(curve, bench.settings.tolerance / 2)
+
+
+def _transfer(bench: Bench) -> Findings:
+    settings, model, dark = bench.settings, bench.model, bench.dark
+    frames = take_levels(bench.lit, bench.camera, levels_of(settings.levels), settings.repeats)
+    gamma = model.response_gamma
+    response = None if gamma == 1 else power_law(gamma)
+    transfer = measure_transfer(frames, dark, model.exposures, model.white_level, response)
+    return transfer_facts(transfer, dark)
+
+
+def _correspondence(bench: Bench) -> Findings:
+    shape, settings = bench.projector.shape, bench.settings
+    code = settings.period_pixels, settings.phase_steps
+    images = bench.radiance(bench.lit, structured_light(shape, *code))
+    found = measure_correspondence(images, shape, *code)
+    return correspondence_findings(found, settings.period_pixels)
+
+
+def _rays(bench: Bench) -> Findings:
+    settings, display = bench.settings, bench.projector.shape
+    found = Correspondence.from_arrays(bench.found["correspondence"].arrays)
+    points = camera_points(bench.camera.shape)
+    corners = settings.corners
+    if settings.views is not None and corners is None:
+        corners = tuple(find_views(found, settings.views))  # type: ignore[arg-type]
+    if corners is None:
+        layout = ProjectorLayout.grid(display, bench.rays or display)
+        there = np.stack([found.x, found.y], axis=-1)
+        maps = [fit_map(points[found.valid], there[found.valid])]
+    else:
+        layout = layout_of_views(corners, bench.rays or _rays_a_view(corners), display)
+        maps = maps_of_views(found, corners)
+    fit = fit_rays(maps, layout, bench.camera.shape)
+    arrays = {
+        **fit.layout.arrays(),
+        **fit.resampling.arrays(),
+        "leak": fit.leak.reshape(layout.shape),
+        "noise": fit.noise.reshape(layout.shape),
+        "pixels": fit.pixels.reshape(layout.shape),
+    }
+    facts = {
+        "shape": list(layout.shape),
+        "corners": None if corners is None else [list(map(list, quad)) for quad in corners],
+        "unseen_rays": int((~fit.resampling.seen).sum()),
+        "pixels_a_ray": float(np.median(fit.pixels)),
+        "mean_leak": float(fit.leak.mean()),
+        "largest_leak": float(fit.leak.max()),
+        "largest_noise": float(fit.noise.max()),
+        "maps": [one.facts() for one in maps],
+    }
+    return Findings(_rays_verdict(fit, maps, settings.tolerance), facts, arrays)
+
+
+def _symmetry(bench: Bench) -> Findings:
+    arrays = bench.found["rays"].arrays
+    camera = _Modelled(bench.camera, bench.model)
+    layout = ProjectorLayout.from_arrays(arrays)
+    rig = DeviceRig(bench.lit, camera, layout, Resampling.from_arrays(arrays))
+    taken = take_symmetry(rig, bench.settings.symmetry_patterns, bench.settings.dark_frames)
+    return symmetry_findings(measure_symmetry(*taken), bench.settings.tolerance)
+
+
+STEPS: dict[str, Step] = {
+    step.name: step
+    for step in (
+        Step("dark", "Black level and dark frames", (), ("dark_frames",), _dark),
+        Step("linearity", "Linearity of the camera", ("dark",), ("tolerance",), _linearity),
+        Step(
+            "light", "Response of the projector", ("dark", "linearity"), ("codes", "tolerance"),
+            _light,
+        ),
+        Step(
+            "transfer", "Photon-transfer curve", ("dark", "linearity", "light"),
+            ("levels", "repeats"), _transfer,
+        ),
+        Step(
+            "correspondence", "Correspondence of projector and camera",
+            ("dark", "linearity", "light", "transfer"), ("period_pixels", "phase_steps"),
+            _correspondence,
+        ),
+        Step(
+            "rays", "Rays of camera and projector", ("correspondence",),
+            ("views", "corners", "tolerance"), _rays,
+        ),
+        Step(
+            "symmetry", "Symmetry", ("dark", "linearity", "light", "transfer", "rays"),
+            ("dark_frames", "symmetry_patterns", "tolerance"), _symmetry,
+        ),
+    )
+}  # fmt: skip
+"""The steps in their order."""
+
+
+def steps_of(settings: CalibrationConfig) -> list[Step]:
+    """Return the steps of a rig: those of rays and symmetry are for coaxial ones."""
+    coaxial = {"rays", "symmetry"}
+    return [step for step in STEPS.values() if settings.coaxial or step.name not in coaxial]
+
+
+class _Modelled:
+    """A camera whose sensor has the numbers that were found."""
+
+    def __init__(self, camera: Camera, sensor: CameraModel) -> None:
+        self._camera = camera
+        self.shape, self.channels, self.sensor = camera.shape, camera.channels, sensor
+
+    def expose(self) -> NDArray[Any]:
+        """Take one bracket."""
+        return self._camera.expose()
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests."""
+        return self._camera.describe()
+
+    def close(self) -> None:
+        """Give the camera back."""
+        self._camera.close()
+
+
+def _rays_a_view(corners: Iterable[Any]) -> tuple[int, int]:
+    """Return as many rays a view as the smallest view has projector pixels a side."""
+    sides = []
+    for quad in corners:
+        upper_left, upper_right, lower_right, lower_left = np.array(quad)
+        tall = min(np.hypot(*(lower_left - upper_left)), np.hypot(*(lower_right - upper_right)))
+        wide = min(np.hypot(*(upper_right - upper_left)), np.hypot(*(lower_right - lower_left)))
+        sides.append((tall, wide))
+    tall, wide = np.min(sides, axis=0)
+    return max(1, int(tall)), max(1, int(wide))
+
+
+def _rays_verdict(fit: RayFit, maps: list[SmoothMap], tolerance: float) -> Verdict:
+    """Say whether rays are told apart to the tolerance, and whether the map is known."""
+    unseen = int((~fit.resampling.seen).sum())
+    error = max(one.error for one in maps)
+    leak = float(np.percentile(fit.leak, 99))
+    pixels = float(np.median(fit.pixels))
+    faults = []
+    if error > MAP_WANTED:
+        faults.append(
+            f"The map from camera to projector is known to {error:.2f} projector pixels only, "
+            f"above {MAP_WANTED}: it is no smooth one. Is the rig coaxial?"
+        )
+    if leak > tolerance / 2:
+        faults.append(
+            f"Rays share camera pixels: {leak:.1%} of other rays' light leaks into them, more than "
+            f"{tolerance / 2:.1%}. There are {pixels:.1f} camera pixels a ray; "
+            f"{LEAST_PIXELS_A_RAY:.0f} or more are wanted: use larger rays, or a longer lens."
+        )
+    text = (
+        f"{pixels:.1f} camera pixels a ray, a leak of {leak:.2%}; the map fits within "
+        f"{max(one.rms for one in maps):.2f} projector pixels a camera pixel, its own error is "
+        f"{error:.3f}. {unseen} rays are not seen, and stay dark."
+    )
+    return Verdict.of(faults, text)

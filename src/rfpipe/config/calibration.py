@@ -1,0 +1,80 @@
+"""The settings of a rig's calibration."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from rfpipe.config.base import Settings, Tolerance
+from rfpipe.config.rig import ViewCount
+
+__all__ = ["CalibrationConfig", "Quadrilateral"]
+
+Point = tuple[float, float]
+Quadrilateral = tuple[Point, Point, Point, Point]
+Count = Annotated[int, Field(ge=2, le=1000)]
+
+
+class CalibrationConfig(Settings):
+    """How a rig is calibrated: what is shown and taken, and how good the rig is to be."""
+
+    tolerance: Tolerance = Field(
+        0.02,
+        description="Error in total of a relit picture that the rig is to stay below, a fraction "
+        "above 0 and below 1; verdicts follow it.",
+    )
+    coaxial: bool = Field(
+        True,
+        description="Whether camera and projector share their rays: then the camera is resampled "
+        "onto the projector's rays, and symmetry is checked. true or false.",
+    )
+    dark_frames: Count = Field(8, description="Brackets of the all-off picture, 2 to 1000.")
+    levels: Count = Field(
+        8, description="Flat pictures of the photon-transfer curve, from dark to bright, 2 to 1000."
+    )
+    repeats: Count = Field(
+        2, description="Brackets of each of them, taken in pairs, 2 to 1000; an even number."
+    )
+    codes: int = Field(
+        33, ge=5, le=256, description="Codes at which the projector's light is measured, 5 to 256."
+    )
+    period_pixels: int = Field(
+        16,
+        ge=8,
+        le=1024,
+        multiple_of=4,
+        description="Period of the stripes in projector pixels, a multiple of 4, 8 to 1024: about "
+        "four camera pixels or more.",
+    )
+    phase_steps: int = Field(
+        6, ge=3, le=64, description="Pictures of stripes an axis, 3 to 64, beside the Gray code."
+    )
+    views: tuple[ViewCount, ViewCount] | None = Field(
+        None,
+        description="Rows and columns of an array of mirrors, found in the camera's picture, 1 to "
+        "16 each; null for a single view over the whole projector.",
+    )
+    corners: tuple[Quadrilateral, ...] | None = Field(
+        None,
+        min_length=1,
+        description="Where the views lie, instead of finding them: (x, y) of upper left, upper "
+        "right, lower right and lower left corner of each, in projector pixels from the picture's "
+        "upper left corner. null: found, or the middle of the projector.",
+    )
+    symmetry_patterns: Count = Field(
+        12, description="Random patterns of each size that symmetry is checked with, 2 to 1000."
+    )
+
+    @model_validator(mode="after")
+    def _pairs_and_views(self) -> Self:
+        if self.repeats % 2:
+            raise ValueError(f"repeats should be even, not {self.repeats}: they are taken in pairs")
+        if self.corners is not None and self.views is not None:
+            count = self.views[0] * self.views[1]
+            if len(self.corners) != count:
+                raise ValueError(
+                    f"corners should name four points for each of {count} views, not for "
+                    f"{len(self.corners)}"
+                )
+        return self
