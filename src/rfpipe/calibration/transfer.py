@@ -35,7 +35,7 @@ RATIO = 1.12
 LEAST_WIDTH = 2.0
 """Counts that a bin is wide at least: then rounding meets all fractions of a count in it."""
 
-LEAST_PAIRS = 50
+LEAST_PAIRS = 10
 """Pairs of photosites in a bin that is used."""
 
 HIDDEN = 0.4
