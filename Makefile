@@ -16,7 +16,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-.PHONY: help install run thesis unlock test lint format bench config lock clean
+.PHONY: help install run calibrate thesis unlock test lint format bench config lock clean
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
@@ -47,6 +47,9 @@ run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the
 thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/
 	@snakemake --directory thesis --configfile config/thesis.yaml $(ARGS)
 	@echo "report: thesis/$(REPORT)"
+
+calibrate: $(INSTALLED) ## calibrate the rig of the setting rig_file
+	@snakemake $(ARGS) calibrate
 
 unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock run (or thesis)
 	@snakemake --unlock
