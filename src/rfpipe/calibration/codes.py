@@ -132,8 +132,10 @@ class AxisCode:
         noise = np.sqrt(variance[split:].mean(axis=0) * 2 / self.steps)
         fine = self.period * np.arctan2(sine, cosine) / (2 * np.pi)
         coordinate = fine + self.period * np.round((coarse - fine) / self.period)
-        tiny = np.finfo(np.float64).tiny
-        error = self.period / (2 * np.pi) * noise / np.maximum(amplitude, tiny)
+        # an error of more than a period means nothing
+        noisy = noise >= 2 * np.pi * amplitude
+        ratio = np.divide(noise, amplitude, out=np.full(noise.shape, 2 * np.pi), where=~noisy)
+        error = self.period / (2 * np.pi) * ratio
         modulation = np.divide(amplitude, noise, out=np.full(noise.shape, np.inf), where=noise > 0)
         # noise alone gives amplitudes up to about sqrt(2 log n)
         least = WEAK + np.sqrt(2 * np.log(max(amplitude.size, 2)))

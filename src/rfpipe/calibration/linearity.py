@@ -103,7 +103,8 @@ def measure_linearity(
         signal = frames[:, good] - dark.black[:, good].astype(np.float64)
         for k in range(pairs):
             at = np.searchsorted(edges, signal[k + 1] / span) - 1
-            inside = (at >= 0) & (at < BINS)
+            # glow under the all-off picture takes up room below full scale, too
+            inside = (at >= 0) & (at < BINS) & (frames[k + 1][good] < TOP * white_level)
             index, ratio = at[inside], exposures[k + 1] / exposures[k]
             short[k] += np.bincount(index, signal[k][inside] * ratio, BINS)
             long[k] += np.bincount(index, signal[k + 1][inside], BINS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,8 +34,8 @@ class Scale:
     side : int
         Rays a side of the patches.
     forward, backward, error : ndarray of float64, shape (pairs,)
-        ``p2^T T p1`` and ``p1^T T p2`` over their mean magnitude, p2 as weights on the camera's
-        side, and the standard error of their difference by the noise.
+        ``p2^T T p1`` and ``p1^T T p2`` over their RMS, p1 of such patches and p2 of single rays;
+        the standard error of their difference by the noise.
     predicted, predicted_error : float
         Relative error that asymmetry brings to a picture relit under such patterns; standard error.
     """
@@ -127,48 +126,77 @@ def measure_symmetry(
     Notes
     -----
     With signs s and pictures ``c(s) = T s = 2 T p - T 1``, each pair gives
-    ``s2^T T s1 - s1^T T s2 = s2^T K s1`` with ``K = T - T^T``, whose mean square is that of
-    ``K s1`` summed over the rays; a pattern with the floodlit one gives ``||K 1||``. Symmetric
-    photography stores ``T - K / 2``, so that a picture under ``p = (1 + s) / 2`` is off by
+    ``s2^T T s1 - s1^T T s2 = s2^T K s1`` with ``K = T - T^T``. With independent signs for each ray
+    in s2 its mean square is ``||K s1||^2``, whatever s1: of patches, or all ones. Symmetric
+    photography stores ``T - K / 2``, so that a picture under ``p = (1 + s1) / 2`` is off by
     ``K p / 2``. The noise's own share of the mean squares is subtracted.
     """
-    scales = []
-    for side, (signs, radiance, spread) in patterns.items():
-        count = len(signs)
-        if count < 2:
-            raise CaptureError(f"{count} pattern of patches of {side} rays; expected 2 or more")
-        images = 2 * radiance - floodlit
-        noise = 4 * spread + variance
-        # the floodlit picture is in both terms of a pair, which its noise then is, too: less than
-        # the patterns' own, as it is the mean of several
-        forward = np.einsum("in,jnc->ijc", signs, images)
-        of_pair = noise.sum(axis=1)
-        upper = np.triu_indices(count, 1)
-        difference = forward[upper] - forward.transpose(1, 0, 2)[upper]
-        pair_noise = of_pair[upper[0]] + of_pair[upper[1]]
-        fine = difference**2 - pair_noise
-        ahead = np.einsum("in,nc->ic", signs, floodlit)
-        behind = images.sum(axis=1)
-        coarse_noise = of_pair + variance.sum(axis=0)
-        coarse = (ahead - behind) ** 2 - coarse_noise
-        light = np.square(radiance).sum(axis=1) - spread.sum(axis=1)
-        scale = np.sqrt(light.sum(axis=1).mean())
-        # ||K p||^2 = (||K 1||^2 + ||K s||^2) / 4, and half of K is the error
-        square = (fine.sum(axis=1).mean() + coarse.sum(axis=1).mean()) / 16
-        error = _error(fine, pair_noise, count) + _error(coarse, coarse_noise, count)
-        predicted, predicted_error = _root(square / scale**2, error / 16 / scale**2)
-        size = np.abs(forward).sum(axis=2).mean()
-        scales.append(
-            Scale(
-                side,
-                forward[upper].sum(axis=1) / size,
-                forward.transpose(1, 0, 2)[upper].sum(axis=1) / size,
-                np.sqrt(pair_noise.sum(axis=1)) / size,
-                predicted,
-                predicted_error,
-            )
-        )
-    return Symmetry(tuple(scales))
+    fine, *_ = pictures = [
+        _Pictures(side, signs, 2 * radiance - floodlit, 4 * spread + variance, radiance, spread)
+        for side, (signs, radiance, spread) in sorted(patterns.items())
+    ]
+    if min(len(one.signs) for one in pictures) < 2:
+        raise CaptureError("one pattern of patches of a size makes no pair; expected 2 or more")
+    ahead = np.einsum("in,nc->ic", fine.signs, floodlit)
+    noise = fine.noise.sum(axis=1) + variance.sum(axis=0)
+    of_ones = _Square.of(ahead - fine.images.sum(axis=1), noise, len(fine.signs))
+    return Symmetry(tuple(_scale(one, fine, of_ones) for one in pictures))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pictures:
+    """Pictures under random signs of one size of patches, (count, N, C)."""
+
+    side: int
+    signs: Double
+    images: Double
+    noise: Double
+    radiance: Double
+    spread: Double
+
+
+@dataclass(frozen=True)
+class _Square:
+    """A mean square, summed over channels, with its standard error; without the noise's share."""
+
+    value: float
+    error: float
+
+    @classmethod
+    def of(cls, difference: Double, noise: Double, count: int) -> _Square:
+        """Estimate it from pairs (n, C), which `count` independent patterns were made of."""
+        squares = (difference**2 - noise).sum(axis=1)
+        # where nothing but noise is left, its squares spread by twice their variance
+        least = np.sqrt(2 * np.square(noise).sum(axis=1).mean())
+        spread = max(float(squares.std(ddof=1)), float(least))
+        return cls(float(squares.mean()), spread / float(np.sqrt(min(len(squares), count))))
+
+
+def _scale(coarse: _Pictures, fine: _Pictures, of_ones: _Square) -> Scale:
+    """Measure patterns of one size of patches against those of single rays."""
+    forward = np.einsum("jn,inc->ijc", fine.signs, coarse.images)
+    backward = np.einsum("in,jnc->ijc", coarse.signs, fine.images)
+    noise = coarse.noise.sum(axis=1)[:, None] + fine.noise.sum(axis=1)[None]
+    count = len(coarse.signs)
+    chosen = np.ones(forward.shape[:2], bool)
+    if coarse is fine:
+        chosen = np.triu(chosen, 1)  # each pair once
+    forward, backward, noise = (values[chosen] for values in (forward, backward, noise))
+    of_signs = _Square.of(forward - backward, noise, count)
+    light = np.square(coarse.radiance).sum(axis=1) - coarse.spread.sum(axis=1)
+    scale = 16 * float(light.sum(axis=1).mean())
+    predicted, error = _root(
+        (of_ones.value + of_signs.value) / scale, np.hypot(of_ones.error, of_signs.error) / scale
+    )
+    size = float(np.sqrt(np.square(forward).sum(axis=1).mean()))
+    return Scale(
+        coarse.side,
+        forward.sum(axis=1) / size,
+        backward.sum(axis=1) / size,
+        np.sqrt(noise.sum(axis=1)) / size,
+        predicted,
+        error,
+    )
 
 
 def symmetry_findings(symmetry: Symmetry, tolerance: float) -> Findings:
@@ -220,24 +248,8 @@ def symmetry_findings(symmetry: Symmetry, tolerance: float) -> Findings:
     return Findings(verdict, facts, arrays)
 
 
-def _error(squares: Double, noise: Double, count: int) -> float:
-    """Return the standard error of the mean over pairs of squares, summed over channels.
-
-    Pairs share patterns: `count` patterns have no more than that many independent ones. Where
-    nothing is left but noise, its own squares spread by 2 of their variance.
-    """
-    total = squares.sum(axis=1)
-    spread = max(float(total.std(ddof=1)), float(np.sqrt(2 * np.square(noise).sum(axis=1).mean())))
-    return spread / float(np.sqrt(min(len(total), count)))
-
-
 def _root(square: float, error: float) -> tuple[float, float]:
     """Return the root of a square that may be below zero by its noise, and its error."""
     root = float(np.sqrt(max(square, 0.0)))
     # far from zero half the relative error; near it, what the error alone would be the square of
     return root, float(min(np.sqrt(error), error / max(2 * root, 1e-300)))
-
-
-def sides(arrays: dict[str, NDArray[Any]]) -> Sequence[int]:
-    """Return the sides of the patches that stored arrays are of."""
-    return sorted(int(name.removeprefix("forward_")) for name in arrays if "forward_" in name)

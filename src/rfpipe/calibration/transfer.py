@@ -35,7 +35,7 @@ RATIO = 1.12
 LEAST_WIDTH = 2.0
 """Counts that a bin is wide at least: then rounding meets all fractions of a count in it."""
 
-LEAST_PAIRS = 50
+LEAST_PAIRS = 10
 """Pairs of photosites in a bin that is used."""
 
 HIDDEN = 0.4
@@ -160,7 +160,9 @@ def measure_transfer(
             raw = frames[first : first + 2][:, :, good]
             pair = _linear(raw, dark, good, response, span)
             light, finer = _pooled(pair, raw < SAFE * white_level, times)
-            for k, glow in enumerate(current):
+            for k in range(len(times)):
+                # a photosite's own, fixed differences between them averaging to zero
+                glow = dark.black[k][good] - dark.black_level
                 signal = pair[:, k].mean(axis=0)
                 total = total.plus(
                     _binned(pair[:, k], signal + glow, _bin_of(signal, edges), len(total.pairs))
@@ -169,7 +171,7 @@ def measure_transfer(
                 signal = times[k] * light[known]
                 phase = (signal + dark.black[k][good][known]) % 1
                 at = PHASES * _bin_of(signal, edges) + (PHASES * phase).astype(int)
-                finely = _binned(pair[:, k][:, known], signal + glow, at, len(fine.pairs))
+                finely = _binned(pair[:, k][:, known], signal + glow[known], at, len(fine.pairs))
                 fine = fine.plus(finely)
     saturation, saturated = _saturation(counts, white_level)
     # where rounding hides noise, the two pictures' own mean tells whether they differ: there,

@@ -1,0 +1,122 @@
+"""Simulated projectors and cameras before a known scene, for the tests of calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rfpipe.config import SceneConfig
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs.optics import OpticalPath, Quadrilateral, centred_corners, tilted_corners
+from rfpipe.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
+from rfpipe.scenes import scene_from_config
+
+CAMERA = CameraModel()
+
+GAMMA = 2.2
+
+
+@dataclass
+class Bench:
+    """A projector, a camera, and the light's way between them."""
+
+    path: OpticalPath
+    projector: SimulatedProjector
+    camera: SimulatedCamera
+
+
+class Surface:
+    """A scene of direct light alone: radiance is albedo times light."""
+
+    channels = 1
+
+    def __init__(self, albedo: np.ndarray) -> None:
+        self.albedo = albedo.reshape(-1, 1).astype(np.float32)
+
+    def apply(self, patterns: np.ndarray) -> np.ndarray:
+        return patterns[:, :, None] * self.albedo
+
+
+def bench_of(
+    path: OpticalPath, sensor: CameraModel = CAMERA, gamma: float = 1.0, seed: int = 0
+) -> Bench:
+    """Put a projector of some gamma and a camera around a path."""
+    projector = SimulatedProjector(path.projector_shape)
+    light = np.linspace(0, 1, 256) ** gamma
+
+    def radiance() -> np.ndarray:
+        codes = np.rint(projector.light * 255).astype(int)
+        shown = projector.light if gamma == 1 else light[codes]
+        return path.radiance(shown)
+
+    shape, channels = path.camera_shape, path.channels
+    return Bench(path, projector, SimulatedCamera(radiance, shape, channels, sensor, seed))
+
+
+def wedge_bench(
+    rays: tuple[int, int] = (16, 16),
+    display: tuple[int, int] = (144, 160),
+    camera: tuple[int, int] = (48, 54),
+    sensor: CameraModel = CAMERA,
+    gamma: float = 1.0,
+    seed: int = 0,
+) -> Bench:
+    """Return a bench before two planes that light each other."""
+    config = SceneConfig(geometry="wedge", surfaces=("white", "texture"), shape=rays, channels=1)
+    scene = scene_from_config(config)
+    direct = scene_from_config(config.model_copy(update={"bounces": 1}))
+    path = OpticalPath(
+        scene,
+        rays,
+        display,
+        camera,
+        centred_corners(rays, display),
+        tilted_corners(rays, camera),
+        np.asarray(direct.apply(np.ones((1, rays[0] * rays[1]), np.float32)))[0],
+    )
+    return bench_of(path, sensor, gamma, seed)
+
+
+def surface_bench(
+    rays: tuple[int, ...],
+    display: tuple[int, int],
+    camera: tuple[int, int],
+    views: tuple[int, int] = (1, 1),
+    camera_corners: Sequence[Quadrilateral] | None = None,
+    sensor: CameraModel = CAMERA,
+    seed: int = 0,
+) -> Bench:
+    """Return a bench before a surface of random albedo, seen by one view or by an array."""
+    albedo = np.random.default_rng(seed).uniform(0.3, 0.9, rays)
+    path = OpticalPath(
+        Surface(albedo),
+        rays,
+        display,
+        camera,
+        centred_corners(rays, display, views),
+        camera_corners or tilted_corners(rays, camera, views),
+        albedo.reshape(-1, 1),
+    )
+    return bench_of(path, sensor, seed=seed)
+
+
+def flat_frames(
+    camera: CameraModel, light: np.ndarray, count: int, key: tuple[int, ...], seed: int = 0
+) -> np.ndarray:
+    """Return brackets of a radiance image (H, W)."""
+    image = light[..., None].astype(np.float32)
+    return np.stack([camera.expose(image, seed, (*key, index)) for index in range(count)])
+
+
+def uneven(shape: tuple[int, int] = (64, 64), seed: int = 0) -> np.ndarray:
+    """Return the radiance of a textured surface under uneven light, up to 1."""
+    y, x = np.mgrid[: shape[0], : shape[1]] / shape[0]
+    falloff = 0.3 + 0.7 * np.exp(-3 * ((x - 0.5) ** 2 + (y - 0.5) ** 2))
+    return falloff * np.random.default_rng(seed).choice([0.2, 1.0], shape)
+
+
+def brighter(camera: CameraModel, factor: float) -> CameraModel:
+    """Return a camera that collects more light."""
+    return replace(camera, electrons_per_radiance=factor * camera.electrons_per_radiance)

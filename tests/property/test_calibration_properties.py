@@ -1,0 +1,90 @@
+"""Facts of structured light and of coverage that hold for any sizes."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rfpipe.calibration.codes import AxisCode, gray_bits, gray_index
+from rfpipe.calibration.kernels import overlaps
+from rfpipe.calibration.mapping import SmoothMap
+from rfpipe.calibration.rays import coverage, fit_rays
+from rfpipe.rigs.layout import ProjectorLayout
+
+
+def exact_map(homography: np.ndarray) -> SmoothMap:
+    return SmoothMap(homography, None, np.zeros(2), 1.0, 100, 100, 0.0, 0.0)
+
+
+@given(st.integers(1, 14), st.data())
+def test_gray_code_decodes_and_neighbours_differ_in_one_bit(bits: int, data: st.DataObject) -> None:
+    index = np.array(data.draw(st.lists(st.integers(0, 2**bits - 1), min_size=1, max_size=30)))
+    assert np.array_equal(gray_index(gray_bits(index, bits)), index)
+    code = gray_bits(np.arange(2**bits), bits).astype(int)
+    assert (np.abs(np.diff(code, axis=1)).sum(axis=0) == 1).all()
+
+
+@given(
+    st.integers(4, 700), st.sampled_from([8, 12, 16, 20, 32]), st.integers(3, 9),
+    st.floats(0.01, 5), st.floats(0, 3), st.integers(0, 2**32 - 1),
+)  # fmt: skip
+def test_every_pixel_is_found_exactly(
+    extent: int, period: int, steps: int, albedo: float, ambient: float, seed: int
+) -> None:
+    code = AxisCode(extent, period, steps)
+    lines = np.stack(list(code.lines())).astype(float)
+    assert lines.shape == (code.count, extent)
+    assert lines.min() >= 0
+    assert lines.max() <= 1
+    found, _, _, valid = code.decode(albedo * lines + ambient, np.full(lines.shape, 1e-12))
+    assert valid.all()
+    assert np.abs(found - np.arange(extent) - 0.5).max() < 1e-3
+    # one bit of the finest two misread beside a cell's edge does no harm
+    flipped = lines.copy()
+    pixel = np.random.default_rng(seed).integers(0, extent)
+    pair = 2 * (code.bits - 1)
+    near_edge = pixel % code.cell in (0, code.cell - 1)
+    if near_edge:
+        flipped[pair : pair + 2, pixel] = 0.5
+    found, *_ = code.decode(albedo * flipped + ambient, np.full(lines.shape, 1e-12))
+    assert abs(found[pixel] - pixel - 0.5) < 1e-3
+
+
+@given(
+    st.integers(1, 6), st.integers(1, 6), st.floats(0.3, 4), st.floats(-0.7, 0.7),
+    st.floats(-2, 8), st.floats(-2, 8),
+)  # fmt: skip
+def test_overlaps_have_the_area_of_the_outline(
+    rows: int, columns: int, scale: float, angle: float, left: float, top: float
+) -> None:
+    y, x = np.mgrid[: rows + 1, : columns + 1].astype(float)
+    turn = scale * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    corners = np.stack([x, y], -1) @ turn + (left + 40, top + 40)
+    camera, projector, share = overlaps(corners, np.ones((rows, columns), bool), 120, 120)
+    total = np.bincount(camera.astype(int), share, rows * columns)
+    assert np.abs(total - 1).max() < 1e-9
+    # what all camera pixels take of a projector pixel inside them is its whole area
+    taken = np.bincount(projector.astype(int), share * scale**2, 120 * 120)
+    assert taken.max() < 1 + 1e-9
+    assert np.isclose(taken.sum(), rows * columns * scale**2)
+
+
+@given(st.floats(2.0, 4.5), st.floats(-0.2, 0.2), st.floats(0, 1), st.floats(0, 1))
+def test_resampling_inverts_what_the_camera_mixes(
+    pixels: float, angle: float, left: float, top: float
+) -> None:
+    side = 8  # projector pixels a ray
+    step = side / pixels
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * step
+    centre = np.array([32, 32]) - turn @ np.array([20, 20]) + np.array([left, top])
+    homography = np.block([[turn, centre[:, None]], [np.zeros((1, 2)), np.ones((1, 1))]])
+    maps = [exact_map(homography)]
+    layout = ProjectorLayout.grid((64, 64), (8, 8))
+    fit = fit_rays(maps, layout, (40, 40))
+    light = np.random.default_rng(0).random(64)
+    camera = coverage(maps, layout, (40, 40)) @ light
+    rays = fit.resampling.apply(camera.reshape(1, 40, 40, 1).astype(np.float32)).ravel()
+    seen = fit.resampling.seen.ravel()
+    assert seen.any()
+    bound = fit.leak[seen] * light.max() + 1e-4
+    assert (np.abs(rays - light)[seen] <= bound).all()
+    assert np.median(fit.leak[seen]) < 0.01

@@ -1,0 +1,219 @@
+"""A whole calibration on simulated devices: its steps, its folder, its report and its command."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.benches import CAMERA, GAMMA, Bench, brighter, wedge_bench
+from typer.testing import CliRunner
+
+from rfpipe import acquire
+from rfpipe.calibration import STEPS, CalibrationFolder, calibrate, finish, load, steps_of
+from rfpipe.calibration.job import calibrate_rig, uncalibrated
+from rfpipe.calibration.light import LinearProjector
+from rfpipe.cli import app
+from rfpipe.config import CalibrationConfig, parse_rig_config
+from rfpipe.errors import CaptureError, ConfigError, InputError, IntegrityError, StoreError
+from rfpipe.report.calibration import build_calibration_report
+from rfpipe.rigs.device_rig import DeviceRig
+from rfpipe.scenes.relighting import relighting_patterns
+from rfpipe.store import write_arrays
+
+RAYS = (16, 16)
+SETTINGS = CalibrationConfig(dark_frames=4, levels=6, codes=17, symmetry_patterns=6, tolerance=0.03)
+
+
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, CalibrationFolder]:
+    """A bench of a gamma of 2.2, calibrated."""
+    bench = wedge_bench(RAYS, gamma=GAMMA)
+    folder = CalibrationFolder(tmp_path_factory.mktemp("calibrated") / "calibration")
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    return bench, folder
+
+
+def test_a_calibration_finds_the_bench(calibrated: tuple[Bench, CalibrationFolder]) -> None:
+    bench, folder = calibrated
+    found = load(folder.path)
+    true = bench.camera.sensor
+    assert found.camera["full_well_electrons"] == pytest.approx(true.full_well_electrons, rel=0.1)
+    assert found.camera["read_noise_electrons"] == pytest.approx(5.0, rel=0.1)
+    assert found.camera["black_level_counts"] == 64
+    assert found.camera["response_gamma"] == 1
+    light = np.linspace(0, 1, 256) ** GAMMA
+    assert np.abs(found.projector_response - light).max() < 3e-3
+    assert np.array_equal(found.layout.ray_of_pixel, bench.path.layout.ray_of_pixel)
+    assert found.resampling.seen.all()
+    assert set(found.facts) == set(STEPS)
+    standings = {name: facts["standing"] for name, facts in found.facts.items()}
+    assert set(standings.values()) <= {"good", "unknown"}, standings
+    json.dumps(found.facts)
+
+
+def test_a_calibrated_rig_acquires_the_scene(calibrated: tuple[Bench, CalibrationFolder]) -> None:
+    bench, folder = calibrated
+    found = load(folder.path)
+    projector = LinearProjector(bench.projector, found.projector_response)
+    rig = DeviceRig(projector, bench.camera, found.layout, found.resampling)
+    transport = acquire(rig, method="symmetric", tolerance=3e-3, progress=False).transport
+    for name, pattern in relighting_patterns(RAYS).items():
+        true = bench.path._scene.apply(pattern.reshape(1, -1))[0].reshape(*RAYS, 1)
+        error = np.linalg.norm(transport.relight(pattern) - true) / np.linalg.norm(true)
+        assert error < 0.02, name
+
+
+def test_steps_that_are_done_are_not_repeated(
+    calibrated: tuple[Bench, CalibrationFolder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench, folder = calibrated
+    before = {name: folder.manifest(name).read_bytes() for name in STEPS}
+
+    def refuse(_: object) -> None:
+        raise AssertionError("a picture was shown")
+
+    monkeypatch.setattr(bench.projector, "show", refuse)
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    assert before == {name: folder.manifest(name).read_bytes() for name in STEPS}
+
+
+def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
+    bench = wedge_bench(RAYS)
+    folder = CalibrationFolder(tmp_path / "calibration")
+    expose, left = bench.camera.expose, [20]
+
+    def failing() -> np.ndarray:
+        left[0] -= 1
+        if left[0] < 0:
+            raise CaptureError("the camera is lost")
+        return expose()
+
+    bench.camera.expose = failing  # type: ignore[method-assign]
+    with pytest.raises(CaptureError, match="lost"):
+        calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    assert folder.is_done("dark")
+    assert folder.is_done("linearity")
+    assert not folder.is_done("light")
+    with pytest.raises(StoreError, match="light isn't done"):
+        finish(folder, SETTINGS)
+    dark = folder.manifest("dark").stat().st_mtime_ns
+    left[0] = 1000
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, only=["light"])
+    assert folder.manifest("dark").stat().st_mtime_ns == dark
+    assert folder.is_done("light")
+    assert not (folder.path / "calibration.json").exists()
+
+
+def test_what_a_change_concerns_is_done_anew(tmp_path: Path) -> None:
+    bench = wedge_bench(RAYS)
+    folder = CalibrationFolder(tmp_path / "calibration")
+    only = ["dark", "linearity"]
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, only)
+    first = {name: folder.made_for(name) for name in only}
+    changed = SETTINGS.model_copy(update={"tolerance": 0.05})
+    calibrate(bench.projector, bench.camera, folder, changed, RAYS, only)
+    assert folder.made_for("dark") == first["dark"]
+    assert folder.made_for("linearity") != first["linearity"]
+    other = wedge_bench(RAYS, seed=1)
+    calibrate(other.projector, other.camera, folder, changed, RAYS, only)
+    assert folder.made_for("dark") != first["dark"]
+
+
+def test_a_rig_that_is_not_coaxial_has_no_rays(tmp_path: Path) -> None:
+    settings = SETTINGS.model_copy(update={"coaxial": False})
+    names = [step.name for step in steps_of(settings)]
+    assert "rays" not in names
+    assert "symmetry" not in names
+    bench = wedge_bench(RAYS)
+    folder = CalibrationFolder(tmp_path / "calibration")
+    calibrate(bench.projector, bench.camera, folder, settings, RAYS)
+    assert load(folder.path).layout is None
+    with pytest.raises(InputError, match="none of this rig's"):
+        calibrate(bench.projector, bench.camera, folder, settings, RAYS, only=["symmetry"])
+
+
+def test_damage_is_found(tmp_path: Path) -> None:
+    bench = wedge_bench(RAYS)
+    folder = CalibrationFolder(tmp_path / "calibration")
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, only=["dark"])
+    write_arrays(folder.store("dark"), {"black": np.zeros(3)}, {})
+    with pytest.raises(IntegrityError, match="remove both"):
+        folder.read("dark")
+
+
+def test_a_rig_out_of_order_is_said_to_be(tmp_path: Path) -> None:
+    # a light so strong that the shortest exposure is saturated nearly everywhere
+    bench = wedge_bench(RAYS, sensor=brighter(CAMERA, 200.0))
+    folder = CalibrationFolder(tmp_path / "calibration")
+    with pytest.raises(CaptureError):
+        calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    assert folder.is_done("dark")
+
+
+def test_the_report_is_one_page(calibrated: tuple[Bench, CalibrationFolder]) -> None:
+    _, folder = calibrated
+    page = build_calibration_report(folder)
+    text = page.read_text(encoding="utf-8")
+    for name, step in STEPS.items():
+        assert f'id="{name}"' in text
+        assert step.title in text
+        assert (folder.path / "figures" / f"{name}.png").stat().st_size > 5000
+        assert (folder.path / "tables" / f"{name}.csv").is_file()
+    assert text.count("data:image/png;base64") == len(STEPS)
+    assert "http" not in text.replace("http://www.w3.org", "")
+
+
+def test_there_is_no_report_of_nothing(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="holds no calibration"):
+        build_calibration_report(CalibrationFolder(tmp_path))
+
+
+def test_an_earlier_calibration_is_not_built_upon() -> None:
+    config = parse_rig_config(
+        {"calibration": "old", "projector": {"response": "old.txt"}}, "rig.yaml"
+    )
+    bare = uncalibrated(config)
+    assert bare.calibration is None
+    assert bare.projector.response is None
+
+
+def test_the_command_calibrates_and_reports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = wedge_bench(RAYS)
+    monkeypatch.setattr(
+        "rfpipe.calibration.job.devices_from_config",
+        lambda config: (bench.projector, bench.camera),
+    )
+    rig = tmp_path / "rig.yaml"
+    rig.write_text("rays: [16, 16]\ncalibrate: {dark_frames: 4}\n")
+    output = str(tmp_path / "calibration")
+    arguments = ["calibrate", str(rig), "--output", output, "--step", "dark"]
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0
+    assert f"report: {output}/report.html" in done.output
+    with pytest.raises(CaptureError, match="closed"):
+        bench.camera.expose()
+
+
+def test_a_simulated_rig_has_nothing_to_calibrate(tmp_path: Path) -> None:
+    scene = {"geometry": "plane", "surfaces": ["white"]}
+    config = parse_rig_config({"kind": "simulated", "scene": scene}, "rig.yaml")
+    with pytest.raises(ConfigError, match="simulated"):
+        calibrate_rig(config, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"repeats": 3}, "repeats should be even"),
+        ({"period_pixels": 10}, "period_pixels is 10"),
+        (
+            {"views": [1, 2], "corners": [[[0, 0], [1, 0], [1, 1], [0, 1]]]},
+            "four points for each of 2 views",
+        ),
+    ],
+)
+def test_wrong_settings_are_said(settings: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse_rig_config({"calibrate": settings}, "rig.yaml")

@@ -1,0 +1,246 @@
+"""Structured light, the map behind it, rays and views, against homographies that are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.benches import CAMERA, Bench, surface_bench, wedge_bench
+
+from rfpipe.calibration.codes import AxisCode
+from rfpipe.calibration.correspondence import (
+    Correspondence,
+    correspondence_findings,
+    measure_correspondence,
+    structured_light,
+    take_radiance,
+)
+from rfpipe.calibration.dark import measure_dark, take_dark
+from rfpipe.calibration.mapping import apply_homography, camera_points, fit_map
+from rfpipe.calibration.rays import coverage, fit_rays
+from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel, MergeOptions
+from rfpipe.rigs.device_rig import DeviceRig
+from rfpipe.rigs.layout import DARK, ProjectorLayout
+from rfpipe.scenes.relighting import relighting_patterns
+
+HOMOGRAPHY = np.array([[4.1, 0.12, 3.0], [-0.2, 3.9, 5.0], [2e-4, -1e-4, 1.0]])
+
+
+def correspondence_of(bench: Bench, period: int = 16, steps: int = 6) -> Correspondence:
+    sensor, shape = bench.camera.sensor, bench.projector.shape
+    dark = measure_dark(take_dark(bench.projector, bench.camera, 4), sensor.exposures)
+    pictures = structured_light(shape, period, steps)
+    images = take_radiance(bench.projector, bench.camera, sensor, dark.black, 4, pictures)
+    return measure_correspondence(images, shape, period, steps)
+
+
+def errors_of(bench: Bench, found: Correspondence) -> tuple[float, float]:
+    """Return the mean error of single pixels and of the smooth map, in projector pixels."""
+    points = camera_points(bench.camera.shape)
+    true = bench.path.projector_points(points)
+    seen = np.isfinite(true[..., 0])
+    measured = np.stack([found.x, found.y], axis=-1)
+    smooth = fit_map(points[found.valid], measured[found.valid])
+    single = np.hypot(*(measured - true)[seen & found.valid].T)
+    return float(single.mean()), float(np.hypot(*(smooth(points) - true)[seen].T).mean())
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"bits": 8},
+        {"electrons_per_radiance": 20_000.0},
+    ],
+    ids=["default", "8 bits", "little light"],
+)
+def test_the_correspondence_is_found_within_a_tenth_of_a_pixel(changes: dict) -> None:
+    bench = wedge_bench(sensor=replace(CAMERA, **changes))
+    found = correspondence_of(bench)
+    single, smooth = errors_of(bench, found)
+    # one camera pixel sees nine projector pixels, with texture in them
+    assert single < 0.3
+    assert smooth < 0.05
+    findings = correspondence_findings(found, 16)
+    assert findings.verdict.standing == "good"
+    again = Correspondence.from_arrays(findings.arrays)
+    assert np.array_equal(again.valid, found.valid)
+    assert again.projector_shape == (144, 160)
+
+
+def test_pixels_that_see_no_stripes_are_not_valid() -> None:
+    bench = wedge_bench()
+    bench.path.projector_points(camera_points(bench.camera.shape))
+    found = correspondence_of(bench)
+    outside = np.isnan(bench.path.projector_points(camera_points((48, 54)))[..., 0])
+    # a pixel whose middle is outside may still see the edge
+    assert found.valid[outside].sum() < 0.1 * outside.sum()
+    assert found.valid[~outside].mean() > 0.97
+
+
+def test_darkness_has_no_correspondence() -> None:
+    bench = wedge_bench(rays=(8, 8), display=(32, 32), camera=(24, 24))
+    bench.path.radiance = lambda light: np.zeros((24, 24, 1), np.float32)  # type: ignore[method-assign]
+    found = correspondence_of(bench, 8, 4)
+    assert found.valid.sum() == 0
+    verdict = correspondence_findings(found, 8).verdict
+    assert verdict.standing == "poor"
+    assert "Only 0 camera pixels" in verdict.text
+
+
+def test_noise_of_single_pixels_is_said() -> None:
+    bench = wedge_bench(sensor=replace(CAMERA, electrons_per_radiance=300.0))
+    verdict = correspondence_findings(correspondence_of(bench), 16).verdict
+    assert verdict.standing == "poor"
+
+
+def test_wrong_codes_are_refused() -> None:
+    with pytest.raises(InputError, match="period of 10"):
+        AxisCode(100, 10)
+    with pytest.raises(InputError, match="2 phase steps"):
+        AxisCode(100, 16, 2)
+
+
+def test_a_map_is_robust_and_knows_its_error() -> None:
+    random = np.random.default_rng(0)
+    points = random.uniform(0, 60, (2000, 2))
+    true = apply_homography(HOMOGRAPHY, points)
+    measured = true + 0.2 * random.standard_normal(true.shape)
+    measured[::4] += random.uniform(-50, 50, measured[::4].shape)
+    smooth = fit_map(points, measured)
+    error = np.hypot(*(smooth(points) - true).T)
+    assert error.mean() < 0.03
+    assert error.mean() < 3 * smooth.error
+    assert smooth.distortion is None
+    assert smooth.rms == pytest.approx(0.2 * 2**0.5, rel=0.15)
+    assert 1400 < smooth.inliers < 1650
+    assert smooth.facts()["points"] == 2000
+
+
+def test_a_map_bends_with_the_lens() -> None:
+    random = np.random.default_rng(0)
+    points = random.uniform(0, 60, (3000, 2))
+    from_centre = (points - 30) / 30
+    bent = points + from_centre * np.square(from_centre).sum(axis=1, keepdims=True)
+    true = apply_homography(HOMOGRAPHY, bent)
+    smooth = fit_map(points, true + 0.1 * random.standard_normal(true.shape))
+    assert smooth.distortion is not None
+    assert np.hypot(*(smooth(points) - true).T).mean() < 0.05
+
+
+def test_too_few_points_make_no_map() -> None:
+    with pytest.raises(CaptureError, match="30 or more"):
+        fit_map(np.zeros((5, 2)), np.zeros((5, 2)))
+    with pytest.raises(CaptureError, match="span no plane"):
+        fit_map(np.zeros((40, 2)), np.zeros((40, 2)))
+
+
+def relit_errors(bench: Bench, rays: tuple[int, int]) -> dict[str, float]:
+    """Calibrate, show patterns, and return errors against the scene's own simulation."""
+    found = correspondence_of(bench)
+    points = camera_points(bench.camera.shape)
+    smooth = fit_map(points[found.valid], np.stack([found.x, found.y], -1)[found.valid])
+    fit = fit_rays([smooth], ProjectorLayout.grid(bench.projector.shape, rays), bench.camera.shape)
+    rig = DeviceRig(bench.projector, bench.camera, fit.layout, fit.resampling)
+    named = {"floodlit": np.ones(rays, np.float32), **relighting_patterns(rays)}
+    off = rig.capture(np.zeros((8, *rays), np.float32), [(9, i) for i in range(8)])
+    patterns = np.stack(list(named.values()))
+    frames = rig.capture(patterns, [(1, i) for i in range(len(patterns))])
+    images = rig.sensor.merge(frames, off.mean(axis=0), MergeOptions(8)).radiance
+    scene = bench.path._scene
+    true = scene.apply(patterns.reshape(len(patterns), -1)).reshape(images.shape)
+    return {
+        name: float(np.linalg.norm(image - light) / np.linalg.norm(light))
+        for name, image, light in zip(named, images, true, strict=True)
+    }
+
+
+@pytest.mark.parametrize("camera", [(40, 45), (64, 72)], ids=["2 pixels a ray", "3.6 pixels"])
+def test_pictures_on_the_rays_are_those_of_the_scene(camera: tuple[int, int]) -> None:
+    errors = relit_errors(wedge_bench(camera=camera), (16, 16))
+    assert max(errors.values()) < 0.02, errors
+
+
+def test_rays_that_the_camera_cannot_see_stay_dark() -> None:
+    bench = wedge_bench()
+    found = correspondence_of(bench)
+    points = camera_points((48, 54))
+    smooth = fit_map(points[found.valid], np.stack([found.x, found.y], -1)[found.valid])
+    layout = ProjectorLayout.grid((144, 160), (16, 16))
+    half = fit_rays([smooth], layout, (24, 54))  # the camera's upper half
+    seen = half.resampling.seen
+    assert 100 < seen.sum() < 156
+    assert seen[:6].all()
+    assert not seen[9:].any()
+    lit = np.unique(half.layout.ray_of_pixel)
+    assert set(lit[lit != DARK]) == set(np.flatnonzero(seen))
+    beside = replace(smooth, homography=np.array([[1.0, 0, 900], [0, 1, 0], [0, 0, 1]]))
+    with pytest.raises(CaptureError, match="sees none of the rays"):
+        fit_rays([beside], layout, (48, 54))
+
+
+def test_too_coarse_a_camera_leaks_and_says_so() -> None:
+    bench = wedge_bench(camera=(20, 22))
+    found = correspondence_of(bench, 32)
+    points = camera_points((20, 22))
+    smooth = fit_map(points[found.valid], np.stack([found.x, found.y], -1)[found.valid])
+    fit = fit_rays([smooth], ProjectorLayout.grid((144, 160), (16, 16)), (20, 22))
+    assert fit.leak.max() > 0.02
+    assert fit.noise.max() > 1.2
+
+
+def test_coverage_takes_one_map_a_view() -> None:
+    layout = ProjectorLayout.grid((32, 32), (8, 8))
+    with pytest.raises(CaptureError, match="one each"):
+        coverage([], layout, (8, 8))
+
+
+def test_views_of_an_array_are_found_and_rectified() -> None:
+    rays, grid = (9, 8, 8), (3, 3)
+    bench = surface_bench(rays, (192, 192), (144, 144), grid)
+    found = correspondence_of(bench)
+    corners = find_views(found, grid)
+    for quad, (row, column) in zip(corners, np.ndindex(grid), strict=True):
+        expected = 64 * np.array([column, row]) + np.array([(0, 0), (64, 0), (64, 64), (0, 64)])
+        assert np.abs(np.array(quad) - expected).max() < 3
+    layout = layout_of_views(corners, (8, 8), (192, 192))
+    assert layout.shape == rays
+    maps = maps_of_views(found, corners)
+    true = bench.path.projector_points(camera_points((144, 144)))
+    seen = found.valid & np.isfinite(true[..., 0])
+    view = (true[seen] // 64).astype(int) @ [1, 3]
+    mapped = np.stack([one(camera_points((144, 144))[seen]) for one in maps])
+    error = np.hypot(*(mapped[view, np.arange(len(view))] - true[seen]).T)
+    assert error.mean() < 0.1
+    fit = fit_rays(maps, layout, (144, 144))
+    assert fit.resampling.seen.all()
+    assert fit.leak.max() < 0.01
+    rig = DeviceRig(bench.projector, bench.camera, fit.layout, fit.resampling)
+    pattern = np.zeros((2, *rays), np.float32)
+    pattern[1, 4] = 1
+    frames = rig.capture(pattern, [(0, 0), (0, 1)])
+    lit = rig.sensor.merge(frames[1:], frames[0].astype(np.float32)).radiance[0, ..., 0]
+    others = np.delete(lit, 4, axis=0)
+    assert lit[4].mean() > 0.3
+    assert np.abs(others).mean() < 0.01 * lit[4].mean()
+
+
+def test_views_that_are_not_there_are_said() -> None:
+    bench = surface_bench((4, 8, 8), (128, 128), (96, 96), (2, 2))
+    found = correspondence_of(bench)
+    with pytest.raises(CaptureError, match="4 views are told apart"):
+        find_views(found, (3, 3))
+    corners = find_views(found, (2, 2))
+    with pytest.raises(CaptureError, match="too many"):
+        layout_of_views(corners, (100, 100), (128, 128))
+
+
+def test_a_mosaic_is_calibrated_by_the_sum_of_its_colours() -> None:
+    sensor = CameraModel(bayer="RGGB")
+    bench = wedge_bench(sensor=CAMERA)
+    grey = bench.path.radiance
+    bench.path.radiance = lambda light: np.repeat(grey(light), 3, -1)  # type: ignore[method-assign]
+    bench.camera.sensor, bench.camera.channels = sensor, 3
+    _, smooth = errors_of(bench, correspondence_of(bench))
+    assert smooth < 0.1

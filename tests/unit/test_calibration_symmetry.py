@@ -1,0 +1,99 @@
+"""The symmetry check: what it predicts, against the error that asymmetry makes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rfpipe.calibration.symmetry import (
+    measure_symmetry,
+    random_signs,
+    symmetry_findings,
+    take_symmetry,
+)
+from rfpipe.config import SceneConfig
+from rfpipe.errors import CaptureError
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs import OperatorRig
+from rfpipe.scenes import scene_from_config
+
+SHAPE = (16, 16)
+RAYS = 256
+
+
+def wedge() -> np.ndarray:
+    config = SceneConfig(geometry="wedge", surfaces=("white", "texture"), shape=SHAPE, channels=1)
+    scene = scene_from_config(config)
+    return scene.apply(np.eye(RAYS, dtype=np.float32))[:, :, 0].T.astype(float)
+
+
+def shifted(share: float) -> np.ndarray:
+    """A camera that sees a share of the next ray to the right."""
+    matrix = (1 - share) * np.eye(RAYS)
+    for ray in range(RAYS):
+        matrix[ray, ray if ray % 16 == 15 else ray + 1] += share
+    return matrix @ wedge()
+
+
+def checked(matrix: np.ndarray, noise: CameraModel | None = None, count: int = 12):
+    rig = OperatorRig(matrix, SHAPE, SHAPE, noise=noise)
+    return measure_symmetry(*take_symmetry(rig, count, 4))
+
+
+def true_error(matrix: np.ndarray, side: int) -> float:
+    """Relative RMS error of pictures that ``(T + T^T) / 2`` gives."""
+    patterns = (random_signs(SHAPE, side, 200, 99) > 0).reshape(200, -1).T
+    off = (matrix - matrix.T) @ patterns / 2
+    return float(np.linalg.norm(off) / np.linalg.norm(matrix @ patterns))
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 0.5])
+def test_misalignment_is_predicted(share: float) -> None:
+    matrix = shifted(share)
+    for scale in checked(matrix).scales:
+        assert scale.predicted == pytest.approx(true_error(matrix, scale.side), rel=0.35)
+
+
+def test_flare_and_unequal_gains_are_predicted() -> None:
+    gains = np.linspace(0.5, 1.5, RAYS)[:, None] * wedge()
+    flare = 0.9 * wedge() + 0.1 * wedge().mean(axis=0)
+    for matrix in (gains, flare):
+        found = checked(matrix, count=24)
+        expected = max(true_error(matrix, scale.side) for scale in found.scales)
+        assert found.worst.predicted == pytest.approx(expected, rel=0.5)
+
+
+def test_a_symmetric_rig_is_good_and_half_a_pixel_is_not() -> None:
+    camera = CameraModel()
+    good = symmetry_findings(checked(wedge(), camera, 16), 0.02)
+    assert good.verdict.standing == "good"
+    poor = symmetry_findings(checked(shifted(0.5), camera), 0.02)
+    assert poor.verdict.standing == "poor"
+    assert "Dual photography" in poor.verdict.text
+    assert poor.facts["scales"][0]["side_rays"] == 1
+
+
+def test_noise_alone_is_no_asymmetry_and_no_proof_of_symmetry() -> None:
+    dim = replace(CameraModel(), electrons_per_radiance=300.0)
+    findings = symmetry_findings(checked(wedge(), dim), 0.005)
+    assert findings.verdict.standing == "unknown"
+    assert "noise can't tell" in findings.verdict.text
+
+
+def test_error_bars_are_those_of_the_noise() -> None:
+    found = checked(wedge(), CameraModel(), 30)
+    for scale in found.scales:
+        misses = (scale.forward - scale.backward) / scale.error
+        assert np.sqrt(np.mean(misses**2)) == pytest.approx(1, abs=0.3)
+
+
+def test_views_have_signs_of_their_own() -> None:
+    signs = random_signs((3, 8, 10), 4, 5, 0)
+    assert signs.shape == (5, 3, 8, 10)
+    assert set(np.unique(signs)) == {-1, 1}
+    assert (signs[:, :, :4, :4] == signs[:, :, :1, :1]).all()
+
+
+def test_one_pattern_makes_no_pair() -> None:
+    with pytest.raises(CaptureError, match="2 or more"):
+        checked(wedge(), count=1)

@@ -1,0 +1,39 @@
+"""`snakemake calibrate` on the bench in software: one job a step, none of them twice."""
+
+import re
+from pathlib import Path
+
+import yaml
+from tests.workflow.harness import Workflow
+
+RIG = {
+    "rays": [8, 8],
+    "projector": {"settle_seconds": 0.0},
+    "bench": {
+        "scene": {"geometry": "wedge", "surfaces": ["white", "white"], "shape": [8, 8],
+                  "channels": 1},
+        "display_shape": [64, 64],
+        "camera_shape": [32, 32],
+    },
+    "calibrate": {"dark_frames": 2, "levels": 3, "codes": 9, "symmetry_patterns": 3},
+    "calibration": "mine",
+}  # fmt: skip
+STEPS = {"dark", "linearity", "light", "transfer", "correspondence", "rays", "symmetry"}
+
+
+def test_calibrate_is_a_target_of_its_own(tmp_path: Path) -> None:
+    workflow = Workflow(tmp_path / "run")
+    (workflow.folder / "rig.yaml").write_text(yaml.safe_dump(RIG))
+    workflow.configure(rig_file="rig.yaml")
+    assert "calibration_step" not in workflow.run("--dry-run")
+    workflow.run("calibrate")
+    folder = workflow.folder / "mine"
+    assert {path.stem for path in (folder / "steps").glob("*.json")} == STEPS
+    assert (folder / "calibration.json").is_file()
+    assert (folder / "report.html").is_file()
+    assert "Nothing to be done" in workflow.run("calibrate")
+    changed = {**RIG, "calibrate": {**RIG["calibrate"], "symmetry_patterns": 4}}
+    (workflow.folder / "rig.yaml").write_text(yaml.safe_dump(changed))
+    again = workflow.run("calibrate", "--dry-run")
+    # of the steps, that of symmetry alone
+    assert re.search(r"calibration_step\s+1\s", again)
