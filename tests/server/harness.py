@@ -82,12 +82,12 @@ class SlowRig(OperatorRig):
         self.seconds = seconds
         self.shown: list[tuple[int, ...]] = []
         self.closed = 0
-        self.faults: list[Exception] = []
+        self.faults: dict[tuple[int, ...], list[Exception]] = {}
 
     def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
         time.sleep(self.seconds * len(keys))
-        if self.faults:
-            raise self.faults.pop(0)
+        if faults := self.faults.get(tuple(keys[0])):
+            raise faults.pop(0)
         self.shown.extend(map(tuple, keys))
         return super().capture(patterns, keys)
 

@@ -23,7 +23,7 @@ __all__ = ["MEDIA_TYPE", "decode_patterns", "encode_patterns", "pack", "unpack"]
 
 Float = NDArray[np.float32]
 
-MEDIA_TYPE = "application/vnd.rfpipe.message"
+MEDIA_TYPE = "application/octet-stream"
 
 _MAGIC = b"RFP1"
 _PREFIX = struct.Struct("<4sI")
