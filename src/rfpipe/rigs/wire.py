@@ -95,6 +95,8 @@ def unpack(message: bytes, most_bytes: int) -> tuple[dict[str, Any], dict[str, N
     view = memoryview(message)
     for entry in entries:
         name, dtype, shape, length = _checked_entry(entry)
+        if name in arrays:
+            raise TransferError(f"the message holds two arrays {name!r}")
         expected = prod(shape) * dtype.itemsize
         most_bytes -= expected
         if most_bytes < 0:

@@ -19,6 +19,7 @@ import rfpipe
 from rfpipe.errors import CaptureError, InputError, TransferError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
+from rfpipe.rigs.base import check_patterns
 from rfpipe.rigs.wire import MEDIA_TYPE, decode_patterns, pack
 from rfpipe.server.guard import CAPTURE_PATH, Guard
 from rfpipe.server.lease import Lease, LeaseHeldError, LeaseLapsedError, Leases
@@ -239,6 +240,7 @@ async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: 
 
     def submitted() -> Any:
         patterns, keys = decode_patterns(body, projector, served.rig.limits.patterns)
+        check_patterns(patterns, keys, projector)  # all, before the first is shown
         digest = hashlib.sha256(body).hexdigest()
         return served.worker.submit(key, digest, lease, patterns, keys), keys
 
