@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import logging
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -42,6 +43,8 @@ from rfpipe.server.worker import (
 )
 
 __all__ = ["create_app"]
+
+_log = logging.getLogger("rfpipe.server")
 
 _RETRY_SOON = {"Retry-After": "1"}
 
@@ -192,6 +195,7 @@ async def acquire(request: LeaseRequest, served: Served) -> LeaseAnswer:
             "is released",
             _RETRY_SOON,
         ) from None
+    _log.info("%s takes the rig", lease.client)
     return _answer(lease, served)
 
 
@@ -208,9 +212,10 @@ async def renew(lease: LeaseHeader, served: Served) -> LeaseAnswer:
 async def release(lease: LeaseHeader, served: Served) -> None:
     """Give the rig back."""
     try:
-        served.leases.release(lease)
+        released = served.leases.release(lease)
     except LeaseLapsedError:
         raise _lapsed() from None
+    _log.info("%s gives the rig back", released.client)
 
 
 @_closed.post(
