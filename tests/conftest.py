@@ -1,6 +1,23 @@
-"""Shared by all tests: hypothesis draws the same examples in every run, without a time limit."""
+"""Shared by all tests: examples are the same in every run, and loggers as they were before each."""
 
+import logging
+from collections.abc import Iterator
+
+import pytest
 from hypothesis import settings
 
 settings.register_profile("rfpipe", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("rfpipe")
+
+_LOGGERS = (logging.getLogger(), logging.getLogger("rfpipe"), logging.getLogger("rfpipe.server"))
+
+
+@pytest.fixture(autouse=True)
+def _loggers_as_before() -> Iterator[None]:
+    """Commands and servers set up their logs: a test that runs one in process leaves none behind."""
+    before = [(logger.level, list(logger.handlers), logger.propagate) for logger in _LOGGERS]
+    yield
+    for logger, (level, handlers, propagate) in zip(_LOGGERS, before, strict=True):
+        logger.setLevel(level)
+        logger.handlers = handlers
+        logger.propagate = propagate
