@@ -14,7 +14,7 @@ _LOGGERS = (logging.getLogger(), logging.getLogger("rfpipe"), logging.getLogger(
 
 @pytest.fixture(autouse=True)
 def _loggers_as_before() -> Iterator[None]:
-    """Commands and servers set up their logs: a test that runs one in process leaves none behind."""
+    """Commands and servers set up their logs: one that a test runs in process leaves none."""
     before = [(logger.level, list(logger.handlers), logger.propagate) for logger in _LOGGERS]
     yield
     for logger, (level, handlers, propagate) in zip(_LOGGERS, before, strict=True):
