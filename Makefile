@@ -5,6 +5,8 @@ VENV := .venv
 INSTALLED := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip
 REPORT := results/report/index.html
+# the settings of a rig, for calibrate and serve
+RIG ?= config/bench.yaml
 # more options for snakemake, as in: make run ARGS="--dry-run"
 ARGS ?=
 
@@ -16,7 +18,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-.PHONY: help install run calibrate thesis unlock test lint format bench config lock clean
+.PHONY: help install run thesis calibrate serve unlock test lint format bench config lock clean
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
@@ -48,8 +50,11 @@ thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the fo
 	@snakemake --directory thesis --configfile config/thesis.yaml $(ARGS)
 	@echo "report: thesis/$(REPORT)"
 
-calibrate: $(INSTALLED) ## calibrate the rig of the setting rig_file
-	@snakemake $(ARGS) calibrate
+calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (docs/rig.md)
+	@rfpipe calibrate $(RIG)
+
+serve: $(INSTALLED) ## run a rig's acquisition server until Ctrl-C: make serve RIG=config/rig.yaml
+	@rfpipe serve $(RIG)
 
 unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock run (or thesis)
 	@snakemake --unlock

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
-import numpy as np
 import pytest
-from scipy.sparse import csr_array
-from tests.server.harness import Running, running, transport
+from tests.server.harness import ResampledRig, Running, running, transport
 
-from rfpipe.photometry import CameraModel, ResampledSensor, Resampling
+from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig, RemoteRig, Rig
 from rfpipe.testing import RigContract
 
@@ -58,27 +55,6 @@ class TestRemoteRigOfViewsWithMosaic(Contract):
     def served_rig() -> Rig:
         camera = CameraModel(bayer="GRBG")
         return OperatorRig(transport(24, 24), (2, 3, 4), (2, 3, 4), noise=camera)
-
-
-class ResampledRig:
-    """A rig whose camera has twice as many pixels as there are rays, each ray the mean of two."""
-
-    camera_shape = projector_shape = (4, 5)
-    channels = 3
-    seconds_per_pattern = 0.0
-
-    def __init__(self) -> None:
-        camera = CameraModel()
-        matrix = np.repeat(transport(20, 20), 2, axis=1)
-        shares = csr_array(np.repeat(np.eye(20, dtype=np.float32), 2, axis=1) / 2)
-        self.raw = OperatorRig(matrix, (4, 10), (4, 5), noise=camera)
-        self.sensor = ResampledSensor(camera, Resampling((4, 5), (4, 10), shares))
-
-    def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
-        return self.raw.capture(patterns, keys)
-
-    def describe(self) -> dict[str, Any]:
-        return {**self.raw.describe(), "sensor": self.sensor.describe()}
 
 
 class TestResampledRemoteRig(Contract):

@@ -12,7 +12,9 @@ from typing import Any
 
 import httpx
 import numpy as np
+from scipy.sparse import csr_array
 
+from rfpipe.photometry import CameraModel, ResampledSensor, Resampling
 from rfpipe.rigs import OperatorRig, RemoteRig, Rig
 from rfpipe.server import ServerSettings
 from rfpipe.server.run import bound_socket, make_server
@@ -82,14 +84,35 @@ class SlowRig(OperatorRig):
         self.seconds = seconds
         self.shown: list[tuple[int, ...]] = []
         self.closed = 0
-        self.faults: list[Exception] = []
+        self.faults: dict[tuple[int, ...], list[Exception]] = {}
 
     def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
         time.sleep(self.seconds * len(keys))
-        if self.faults:
-            raise self.faults.pop(0)
+        if faults := self.faults.get(tuple(keys[0])):
+            raise faults.pop(0)
         self.shown.extend(map(tuple, keys))
         return super().capture(patterns, keys)
 
     def close(self) -> None:
         self.closed += 1
+
+
+class ResampledRig:
+    """A rig whose camera has twice as many pixels as there are rays, each ray the mean of two."""
+
+    camera_shape = projector_shape = (4, 5)
+    channels = 3
+    seconds_per_pattern = 0.0
+
+    def __init__(self) -> None:
+        camera = CameraModel()
+        matrix = np.repeat(transport(20, 20), 2, axis=1)
+        shares = csr_array(np.repeat(np.eye(20, dtype=np.float32), 2, axis=1) / 2)
+        self.raw = OperatorRig(matrix, (4, 10), (4, 5), noise=camera)
+        self.sensor = ResampledSensor(camera, Resampling((4, 5), (4, 10), shares))
+
+    def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
+        return self.raw.capture(patterns, keys)
+
+    def describe(self) -> dict[str, Any]:
+        return {**self.raw.describe(), "sensor": self.sensor.describe()}

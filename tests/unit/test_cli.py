@@ -184,3 +184,24 @@ def test_picture_that_can_not_be_read(tmp_path: Path) -> None:
     path.write_text("no picture")
     with pytest.raises(InputError, match=r"text\.png: can't be read as a picture"):
         read_image(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "expected"),
+    [
+        (("--host", "0.0.0.0"), "0.0.0.0 is no loopback address"),
+        (("--port", "70000"), "port is 70000"),
+        ((), "RFPIPE_TOKEN is not set"),
+        (("--token-file", "absent.token"), "absent.token: can't be read as a token file"),
+    ],
+)
+def test_serve_refuses_before_a_device_is_opened(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    expected: str,
+) -> None:
+    monkeypatch.delenv("RFPIPE_TOKEN", raising=False)
+    text = failure(monkeypatch, capsys, "serve", CONFIG.with_name("rig.yaml"), *arguments)
+    assert expected in text
+    assert "Traceback" not in text

@@ -27,6 +27,11 @@ def test_import_is_light(statement: str) -> None:
     assert loaded_after(statement).isdisjoint(HEAVY)
 
 
+def test_rigs_and_server_load_no_device_and_no_http_before_they_are_used() -> None:
+    loaded = loaded_after("import rfpipe.rigs, rfpipe.server")
+    assert loaded.isdisjoint({"fastapi", "uvicorn", "httpx", "pypylon", "pygame", "matplotlib"})
+
+
 def test_import_of_rfpipe_alone_loads_not_even_numpy() -> None:
     assert "numpy" not in loaded_after("import rfpipe")
 

@@ -20,7 +20,7 @@ __all__ = ["app", "main"]
 
 app = typer.Typer(
     name="rfpipe",
-    help="Inspect and relight the light transport between a projector and a camera.",
+    help="Serve a rig; inspect and relight the light transport between a projector and a camera.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -167,6 +167,50 @@ def calibrate(
     logging.getLogger("rfpipe").setLevel(logging.INFO)
     folder = calibrate_rig(load_rig_config(rig), output, step)
     typer.echo(f"report: {build_calibration_report(folder)}")
+
+
+@app.command()
+def serve(
+    rig: Annotated[
+        Path, typer.Argument(metavar="RIG.yaml", help="The rig's settings; see config/rig.yaml.")
+    ],
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 8750,
+    allow_remote: Annotated[
+        bool,
+        typer.Option(
+            "--allow-remote",
+            help="Let other machines connect, over plain HTTP: an SSH tunnel is safer.",
+        ),
+    ] = False,
+    token_file: Annotated[
+        Path | None,
+        typer.Option(
+            help="File with the token that clients must send, readable by you alone; without it, "
+            "the environment variable RFPIPE_TOKEN."
+        ),
+    ] = None,
+    lease_seconds: Annotated[
+        float, typer.Option(help="How long a client keeps the rig without a sign of life.")
+    ] = 15.0,
+    log_file: Annotated[Path | None, typer.Option(help="File to log to beside stderr.")] = None,
+) -> None:
+    """Run the acquisition server, next to a rig's devices, until Ctrl-C or SIGTERM."""
+    from rfpipe.config import load_rig_config
+    from rfpipe.rigs.build import rig_from_config
+    from rfpipe.rigs.token import read_token
+    from rfpipe.server import ServerSettings
+    from rfpipe.server import serve as run
+
+    settings = ServerSettings(
+        host=host,
+        port=port,
+        allow_remote=allow_remote,
+        lease_seconds=lease_seconds,
+        log_file=log_file,
+    )
+    config = load_rig_config(rig)
+    run(lambda: rig_from_config(config), read_token(token_file), settings)
 
 
 def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.float32]:

@@ -116,10 +116,15 @@ def bench_yaml() -> str:
         "# The optical bench in software: a rig without hardware, of a real window, X server and",
         "# camera driver. Made from the settings' model by `make config`, as rig.yaml.",
     )
-    bench = RigConfig(
-        projector=WindowConfig(settle_seconds=0), bench=BenchConfig(), seconds_per_pattern=0.2
+    bench = BenchConfig()
+    bench_rig = RigConfig(
+        projector=WindowConfig(settle_seconds=0),
+        bench=bench,
+        rays=bench.scene.shape,
+        calibration="calibration",
+        seconds_per_pattern=0.2,
     )
-    return _file_of(bench, RIG_SCHEMA_NAME, head)
+    return _file_of(bench_rig, RIG_SCHEMA_NAME, head)
 
 
 def _read(path: str | Path) -> object:

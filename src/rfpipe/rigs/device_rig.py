@@ -95,6 +95,15 @@ class DeviceRig:
             "seconds_per_pattern": self.seconds_per_pattern,
         }
 
+    @property
+    def statistics(self) -> dict[str, dict[str, int]]:
+        """What the devices counted so far, such as failed frames, of those that count."""
+        counts = {
+            name: getattr(device, "statistics", None)
+            for name, device in (("projector", self.projector), ("camera", self.camera))
+        }
+        return {name: dict(count) for name, count in counts.items() if count is not None}
+
     def close(self) -> None:
         """Give both devices back; closing twice is no error."""
         try:

@@ -16,8 +16,8 @@ TOKEN_VARIABLE = "RFPIPE_TOKEN"
 _LEAST_CHARACTERS = 16
 _MOST_CHARACTERS = 512
 _ADVICE = (
-    "make one with: python -c 'import secrets; print(secrets.token_urlsafe(32))' "
-    "> rig.token && chmod 600 rig.token"
+    "make one with: (umask 077; python -c 'import secrets; print(secrets.token_urlsafe(32))' "
+    "> rig.token)"
 )
 
 

@@ -23,7 +23,7 @@ __all__ = ["MEDIA_TYPE", "decode_patterns", "encode_patterns", "pack", "unpack"]
 
 Float = NDArray[np.float32]
 
-MEDIA_TYPE = "application/vnd.rfpipe.message"
+MEDIA_TYPE = "application/octet-stream"
 
 _MAGIC = b"RFP1"
 _PREFIX = struct.Struct("<4sI")
@@ -95,6 +95,8 @@ def unpack(message: bytes, most_bytes: int) -> tuple[dict[str, Any], dict[str, N
     view = memoryview(message)
     for entry in entries:
         name, dtype, shape, length = _checked_entry(entry)
+        if name in arrays:
+            raise TransferError(f"the message holds two arrays {name!r}")
         expected = prod(shape) * dtype.itemsize
         most_bytes -= expected
         if most_bytes < 0:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import logging
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
@@ -19,6 +20,7 @@ import rfpipe
 from rfpipe.errors import CaptureError, InputError, TransferError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
+from rfpipe.rigs.base import check_patterns
 from rfpipe.rigs.wire import MEDIA_TYPE, decode_patterns, pack
 from rfpipe.server.guard import CAPTURE_PATH, Guard
 from rfpipe.server.lease import Lease, LeaseHeldError, LeaseLapsedError, Leases
@@ -41,6 +43,8 @@ from rfpipe.server.worker import (
 )
 
 __all__ = ["create_app"]
+
+_log = logging.getLogger("rfpipe.server")
 
 _RETRY_SOON = {"Retry-After": "1"}
 
@@ -191,6 +195,7 @@ async def acquire(request: LeaseRequest, served: Served) -> LeaseAnswer:
             "is released",
             _RETRY_SOON,
         ) from None
+    _log.info("%s takes the rig", lease.client)
     return _answer(lease, served)
 
 
@@ -207,9 +212,10 @@ async def renew(lease: LeaseHeader, served: Served) -> LeaseAnswer:
 async def release(lease: LeaseHeader, served: Served) -> None:
     """Give the rig back."""
     try:
-        served.leases.release(lease)
+        released = served.leases.release(lease)
     except LeaseLapsedError:
         raise _lapsed() from None
+    _log.info("%s gives the rig back", released.client)
 
 
 @_closed.post(
@@ -239,6 +245,7 @@ async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: 
 
     def submitted() -> Any:
         patterns, keys = decode_patterns(body, projector, served.rig.limits.patterns)
+        check_patterns(patterns, keys, projector)  # all, before the first is shown
         digest = hashlib.sha256(body).hexdigest()
         return served.worker.submit(key, digest, lease, patterns, keys), keys
 

@@ -77,11 +77,12 @@ class Leases:
             self._lease = replace(held, until=self._clock() + self.seconds)
             return self._lease
 
-    def release(self, identity: str) -> None:
+    def release(self, identity: str) -> Lease:
         """Give the rig back; raises LeaseLapsedError where it isn't held by this lease."""
         with self._lock:
-            self._checked(identity)
+            released = self._checked(identity)
             self._lease = None
+            return released
 
     def is_held_by(self, identity: str) -> bool:
         """Whether this lease is in force."""

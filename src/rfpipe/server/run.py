@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import socket
 from collections.abc import Callable
@@ -23,6 +22,8 @@ __all__ = ["bound_socket", "make_server", "serve"]
 _MOST_HEAD_BYTES = 16 * 2**10
 _KEEP_ALIVE_SECONDS = 120
 _BACKLOG = 512
+# for requests under way; the exposure in hand has what time it takes
+_SHUTDOWN_SECONDS = 30
 
 _log = logging.getLogger("rfpipe.server")
 
@@ -32,16 +33,14 @@ class _Server(uvicorn.Server):
 
     def __init__(self, config: uvicorn.Config, worker: RigWorker) -> None:
         super().__init__(config)
-        self._worker = worker
+        self.worker = worker
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        self._worker.stop()
+        self.worker.stop()
         super().handle_exit(sig, frame)
 
 
-def make_server(
-    rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings
-) -> uvicorn.Server:
+def make_server(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> _Server:
     """Return the server of a rig, whose `run` takes the `bound_socket`."""
     app = create_app(rig, token, settings)
     config = uvicorn.Config(
@@ -54,6 +53,7 @@ def make_server(
         server_header=False,
         backlog=_BACKLOG,
         timeout_keep_alive=_KEEP_ALIVE_SECONDS,
+        timeout_graceful_shutdown=_SHUTDOWN_SECONDS,
         h11_max_incomplete_event_size=_MOST_HEAD_BYTES,
     )
     return _Server(config, app.state.worker)
@@ -68,10 +68,11 @@ def bound_socket(settings: ServerSettings) -> socket.socket:
         When it is taken or not this machine's.
     """
     try:
-        family, _, _, _, address = socket.getaddrinfo(
+        family, kind, protocol, _, address = socket.getaddrinfo(
             settings.host, settings.port, type=socket.SOCK_STREAM
         )[0]
-        bound = socket.socket(family, socket.SOCK_STREAM)
+        # with its protocol named: else asyncio leaves Nagle's delay of 40 ms in each answer
+        bound = socket.socket(family, kind, protocol)
         try:
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             bound.bind(address)
@@ -115,5 +116,9 @@ def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) ->
             _log.warning(
                 "other machines can connect, over plain HTTP: whoever listens in reads the token"
             )
-        with contextlib.suppress(KeyboardInterrupt):  # raised again by uvicorn after its end
+        try:
             server.run(sockets=[bound])
+        except KeyboardInterrupt:
+            pass  # raised again by uvicorn after its end
+        finally:
+            server.worker.close()

@@ -15,6 +15,6 @@ def acquire_options(config: Config) -> dict[str, Any]:
     return {
         **config.acquisition.model_dump(exclude={"tolerance"}),
         **config.capture.model_dump(include={"black_frames", "floodlit_frames"}),
-        **config.merge.model_dump(),
+        **config.merge.model_dump(exclude={"divide_out_drift"}),  # in process none is watched
         "normalization": config.normalization,
     }

@@ -1,0 +1,75 @@
+"""Milliseconds of the devices that need no hardware: results/bench/devices.csv.
+
+Usage: ``python benchmarks/bench_devices.py``. Needs Xvfb. Medians over repeats: a picture on the
+projector's window, an exposure of the driver's emulated camera, a bracket of the bench.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from rfpipe.config import load_rig_config
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs.build import rig_from_config
+from rfpipe.rigs.pylon import PylonCamera
+from rfpipe.rigs.window import WindowProjector
+from rfpipe.rigs.xvfb import xvfb
+
+OUTPUT = Path("results/bench/devices.csv")
+REPEATS = 50
+DISPLAYS = (288, 320), (768, 1024), (1080, 1920)
+CAMERAS = (310, 350), (1024, 1280)
+
+
+def median_ms(step: Callable[[], object]) -> float:
+    step()
+    times = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        step()
+        times.append(time.perf_counter() - start)
+    return 1e3 * float(np.median(times))
+
+
+def window(shape: tuple[int, int]) -> float:
+    picture = np.random.default_rng(0).random(shape, np.float32)
+    with xvfb(shape) as display, WindowProjector(display.name, settle_seconds=0) as projector:
+        return median_ms(lambda: projector.show(picture))
+
+
+def emulated_camera(shape: tuple[int, int]) -> float:
+    with PylonCamera(CameraModel(exposures=(0.01,)), shape=shape) as camera:
+        return median_ms(camera.expose)
+
+
+def bench() -> float:
+    config = load_rig_config("config/bench.yaml").model_copy(update={"rays": (32, 32)})
+    rig = rig_from_config(config)
+    pattern = np.random.default_rng(0).random((1, 32, 32)).astype(np.float32)
+    lights = iter(np.linspace(0, 1, REPEATS + 1, dtype=np.float32))
+    try:
+        return median_ms(lambda: rig.capture(pattern * next(lights), [(0, 0)]))
+    finally:
+        rig.close()  # type: ignore[attr-defined]
+
+
+def main() -> None:
+    """Measure each, and write the table."""
+    os.environ["PYLON_CAMEMU"] = "1"
+    rows = [("window", f"{h} x {w}", window((h, w))) for h, w in DISPLAYS]
+    rows += [("emulated camera", f"{h} x {w}", emulated_camera((h, w))) for h, w in CAMERAS]
+    rows.append(("bench, 32 x 32 rays, four exposures", "72 x 80", bench()))
+    table = pd.DataFrame(rows, columns=["step", "pixels", "ms"])
+    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
+    table.to_csv(OUTPUT, index=False, float_format="%.3g")
+    print(table.to_string(index=False, float_format="%.3g"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,261 @@
+"""The optical bench in software: what comes through X server and camera driver is the simulation.
+
+And the rig's contract on it, as on any rig of hardware.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rfpipe.config import RigConfig, parse_rig_config
+from rfpipe.errors import CaptureError, ConfigError
+from rfpipe.photometry import MergeOptions
+from rfpipe.rigs import BLACK_LEVEL_KEY, DeviceRig
+from rfpipe.rigs.bench import optical_path
+from rfpipe.rigs.build import devices_from_config, rig_from_config, sensor_of
+from rfpipe.testing import CameraContract, ProjectorContract, RigContract
+
+RAYS = (8, 10)
+
+
+def settings(**changes: Any) -> RigConfig:
+    scene = {"geometry": "wedge", "surfaces": ["white", "texture"], "shape": RAYS, "channels": 1}
+    bench = {
+        "scene": scene,
+        "display_shape": [60, 70],
+        "camera_shape": [22, 28],
+        **changes.pop("bench", {}),
+    }
+    plain = {
+        "rays": RAYS,
+        "projector": {"settle_seconds": 0},
+        "sensor": {"exposures": [1 / 64, 1 / 8]},
+        "bench": bench,
+        **changes,
+    }
+    return parse_rig_config(plain, "bench")
+
+
+COLOUR = {
+    "camera": {"pixel_format": "BayerRG12"},
+    "sensor": {"exposures": [1 / 64, 1 / 8], "bayer": "RGGB"},
+    "bench": {
+        "scene": {
+            "geometry": "wedge", "surfaces": ["white", "texture"], "shape": RAYS, "channels": 3
+        }
+    },
+}  # fmt: skip
+
+
+def bench(**changes: Any) -> DeviceRig:
+    rig = rig_from_config(settings(**changes))
+    assert isinstance(rig, DeviceRig)
+    return rig
+
+
+@pytest.fixture(scope="module")
+def rig() -> Iterator[DeviceRig]:
+    with bench() as rig:
+        yield rig
+
+
+class TestBenchAsARig(RigContract):
+    repeatable = False
+
+    def make_rig(self) -> DeviceRig:
+        return bench()
+
+
+class TestBenchInColour(RigContract):
+    repeatable = False
+
+    def make_rig(self) -> DeviceRig:
+        return bench(**COLOUR)
+
+
+class TestBenchCamera(CameraContract):
+    @pytest.fixture(autouse=True)
+    def _projectors(self) -> Iterator[None]:
+        with ExitStack() as self.open:
+            yield
+
+    def make_camera(self):  # type: ignore[no-untyped-def]
+        rig = bench()
+        self.open.callback(rig.projector.close)
+        rig.projector.show(np.ones(rig.projector.shape, np.float32))
+        return rig.camera
+
+
+class TestBenchProjector(ProjectorContract):
+    def make_projector(self):  # type: ignore[no-untyped-def]
+        rig = bench()
+        rig.camera.close()
+        return rig.projector
+
+    def read_back(self, projector):  # type: ignore[no-untyped-def]
+        return projector.display.pixels[..., 0].astype(np.float32) / 255
+
+
+def merged(rig: DeviceRig, patterns: np.ndarray):  # type: ignore[no-untyped-def]
+    """Capture patterns, and the black level before them; return the radiance images."""
+    dark = np.zeros((8, *rig.projector_shape), np.float32)
+    black = rig.capture(dark, [(BLACK_LEVEL_KEY, index) for index in range(8)])
+    frames = rig.capture(patterns, [(0, index) for index in range(len(patterns))])
+    mean = black.mean(axis=0, dtype=np.float64).astype(np.float32)
+    return rig.sensor.merge(frames, mean, MergeOptions(black_count=8))
+
+
+def test_a_bracket_is_the_simulation_within_its_noise(rig: DeviceRig) -> None:
+    patterns = (np.random.default_rng(0).random((6, *RAYS)) < 0.5).astype(np.float32)
+    images = merged(rig, patterns)
+    config = settings()
+    assert config.bench is not None
+    path = optical_path(config.bench, rig.projector.shape)
+    expected = np.stack([path.radiance(path.layout.picture(pattern)) for pattern in patterns])
+    deviation = (images.radiance - expected) / np.sqrt(images.variance)
+    assert images.saturated == 0
+    assert abs(deviation.mean()) < 6 / np.sqrt(deviation.size / 9)  # eight black frames are shared
+    assert np.square(deviation).mean() == pytest.approx(1, abs=0.1)
+    assert np.abs(images.radiance - expected).mean() < 0.01 * expected.mean()
+
+
+def test_a_bracket_in_colour_is_the_simulation() -> None:
+    white = np.ones((1, *RAYS), np.float32)
+    config = settings(**COLOUR)
+    assert config.bench is not None
+    with bench(**COLOUR) as rig:
+        seen = merged(rig, white).radiance[0]
+        path = optical_path(config.bench, rig.projector.shape)
+        light = path.radiance(path.layout.picture(white))
+        simulated = rig.sensor.expose(light, 1, (0,))[None]
+        dark = rig.sensor.expose(np.zeros_like(light), 1, (1,)).astype(np.float32)
+        expected = rig.sensor.merge(simulated, dark).radiance[0]
+    assert seen.mean(axis=(0, 1)) == pytest.approx(expected.mean(axis=(0, 1)), rel=0.01)
+    assert np.abs(seen - expected).mean() < 0.03 * expected.mean()
+
+
+def test_the_projector_bends_light_until_its_response_is_known(tmp_path: Path) -> None:
+    grey = np.full((1, *RAYS), 0.5, np.float32)
+    with bench() as rig:
+        bent = merged(rig, np.concatenate([grey, np.ones_like(grey)])).radiance.sum(axis=(1, 2, 3))
+    np.savetxt(tmp_path / "response.txt", (np.arange(256) / 255) ** 2.2)
+    known = {"settle_seconds": 0, "response": str(tmp_path / "response.txt")}
+    with bench(projector=known) as rig:
+        straight = merged(rig, np.concatenate([grey, np.ones_like(grey)])).radiance.sum(
+            axis=(1, 2, 3)
+        )
+    assert bent[0] / bent[1] == pytest.approx((128 / 255) ** 2.2, rel=0.01)
+    assert straight[0] / straight[1] == pytest.approx(0.5, rel=0.01)
+
+
+def test_the_camera_has_its_own_numbers() -> None:
+    true = {"black_level_counts": 200, "read_noise_electrons": 30, "dark_current_electrons": 0}
+    with bench(bench={"camera": true}) as rig:
+        dark = np.zeros((1, *rig.projector_shape), np.float32)
+        frames = rig.capture(dark, [(0, 0)])
+        assert frames.mean() == pytest.approx(200, abs=1)
+        per_count = 20_000 / (4095 - 200)
+        assert frames.std() == pytest.approx(30 / per_count, rel=0.1)
+        assert rig.sensor.describe()["black_level_counts"] == 64
+
+
+def test_frames_of_one_pattern_have_their_own_noise(rig: DeviceRig) -> None:
+    white = np.ones((2, *RAYS), np.float32)
+    first, second = rig.capture(white, [(0, 0), (0, 1)])
+    assert not np.array_equal(first, second)
+
+
+def test_a_lost_camera_does_not_lose_the_bench(rig: DeviceRig) -> None:
+    white = np.ones((1, *RAYS), np.float32)
+    before = rig.capture(white, [(0, 0)])
+    device = rig.camera._camera  # type: ignore[attr-defined]
+    device.FirePnPCallbackValue.Value = 0
+    device.FirePnPCallback.Execute()
+    rig.camera._reconnect_seconds = 0  # type: ignore[attr-defined]
+    after = rig.capture(white, [(0, 0)])
+    assert after.mean() == pytest.approx(before.mean(), rel=0.01)
+
+
+def test_a_lost_display_names_the_pattern() -> None:
+    with bench() as rig:
+        rig.projector._server.close()  # type: ignore[attr-defined]
+        with pytest.raises(CaptureError, match=r"pattern \(3, 14\): projector on display"):
+            rig.capture(np.ones((1, *RAYS), np.float32), [(3, 14)])
+
+
+def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    rig = bench()
+    assert list(tmp_path.iterdir())
+    rig.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_killed_bench_leaves_no_process_behind(tmp_path: Path) -> None:
+    code = (
+        "import sys, json, time, os\n"
+        "from rfpipe.config import parse_rig_config\n"
+        "from rfpipe.rigs.build import rig_from_config\n"
+        "rig = rig_from_config(parse_rig_config(json.loads(sys.argv[1]), 'bench'))\n"
+        "window = rig.projector._window._process.pid\n"
+        "print(window, rig.projector.display.name, flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    plain = settings().model_dump_json()
+    process = subprocess.Popen(
+        [sys.executable, "-W", "ignore", "-c", code, plain],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+    )
+    assert process.stdout is not None
+    window, name = process.stdout.readline().split()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    socket = Path(f"/tmp/.X11-unix/X{name.removeprefix(':')}")
+    end = time.monotonic() + 10
+    while socket.exists() or Path(f"/proc/{window}").exists():
+        assert time.monotonic() < end, "window or display still run"
+        time.sleep(0.05)
+
+
+def test_the_description_is_plain_and_tells_of_the_scene(rig: DeviceRig) -> None:
+    described = json.loads(json.dumps(rig.describe()))
+    assert described["camera"]["kind"] == "bench"
+    assert described["camera"]["scene"]["scene"]["shape"] == list(RAYS)
+    with bench(bench={"projector_gamma": 1.8}) as other:
+        assert other.describe() != rig.describe()
+
+
+def test_the_devices_count_what_happens() -> None:
+    with bench() as rig:
+        rig.capture(np.ones((3, *RAYS), np.float32), [(0, index) for index in range(3)])
+        assert rig.statistics == {
+            "projector": {"shown": 3, "reopened": 0},
+            "camera": {"frames": 6, "failed": 0, "timed_out": 0, "reconnected": 0},
+        }
+
+
+def test_a_simulated_rig_has_no_devices() -> None:
+    scene = {"geometry": "plane", "surfaces": ["white"], "shape": [4, 5]}
+    config = parse_rig_config({"kind": "simulated", "scene": scene}, "mine.yaml")
+    rig = rig_from_config(config)
+    assert rig.capture(np.ones((1, 4, 5), np.float32), [(0, 0)]).shape == (1, 4, 4, 5, 3)
+    with pytest.raises(ConfigError, match="kind is simulated; expected devices"):
+        devices_from_config(config)
+
+
+def test_the_sensor_is_that_of_the_settings() -> None:
+    assert sensor_of(settings()).exposures == (1 / 64, 1 / 8)

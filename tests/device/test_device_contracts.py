@@ -1,0 +1,222 @@
+"""The public suites of projectors, cameras and rigs on simulated devices, and on broken ones."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.photometry.resampling import ResampledSensor, Resampling
+from rfpipe.rigs import DeviceRig, ProjectorLayout
+from rfpipe.rigs.matrices import as_pattern_operator
+from rfpipe.rigs.optics import OpticalPath, centred_corners, tilted_corners
+from rfpipe.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
+from rfpipe.testing import CameraContract, ProjectorContract, RigContract
+
+SENSOR = CameraModel(exposures=(1 / 64, 1 / 16))
+RAYS, PROJECTOR, CAMERA = (4, 5), (18, 22), (11, 14)
+
+
+def optics() -> OpticalPath:
+    scene = as_pattern_operator(np.eye(20) + 0.01, 20, 20)
+    corners = centred_corners(RAYS, PROJECTOR), tilted_corners(RAYS, CAMERA)
+    return OpticalPath(scene, RAYS, PROJECTOR, CAMERA, *corners)
+
+
+def devices() -> tuple[SimulatedProjector, SimulatedCamera]:
+    path, projector = optics(), SimulatedProjector(PROJECTOR)
+    camera = SimulatedCamera(lambda: path.radiance(projector.light), CAMERA, 1, SENSOR)
+    return projector, camera
+
+
+class TestSimulatedProjector(ProjectorContract):
+    accuracy = 0.0
+
+    def make_projector(self) -> SimulatedProjector:
+        return SimulatedProjector(PROJECTOR)
+
+    def read_back(self, projector):  # type: ignore[no-untyped-def]
+        return projector.light
+
+
+class TestSimulatedCamera(CameraContract):
+    def make_camera(self) -> SimulatedCamera:
+        projector, camera = devices()
+        projector.show(np.ones(PROJECTOR, np.float32))
+        return camera
+
+
+class TestSimulatedColourCamera(CameraContract):
+    def make_camera(self) -> SimulatedCamera:
+        sensor = CameraModel(exposures=(1 / 64, 1 / 16), bayer="GBRG")
+        return SimulatedCamera(lambda: np.full((10, 12, 3), 0.5), (10, 12), 3, sensor)
+
+
+class TestRigOfDevices(RigContract):
+    repeatable = False
+
+    def make_rig(self) -> DeviceRig:
+        return DeviceRig(*devices(), ProjectorLayout.grid(PROJECTOR, RAYS))
+
+
+class TestRigWithoutLayout(RigContract):
+    repeatable = False
+
+    def make_rig(self) -> DeviceRig:
+        return DeviceRig(*devices())
+
+
+class TestResampledRig(RigContract):
+    repeatable = False
+
+    def make_rig(self) -> DeviceRig:
+        return DeviceRig(*devices(), ProjectorLayout.grid(PROJECTOR, RAYS), resampling())
+
+
+def resampling() -> Resampling:
+    """Each ray is the camera pixel that its middle falls on."""
+    from scipy.sparse import csr_array
+
+    y, x = np.mgrid[: CAMERA[0], : CAMERA[1]]
+    points = optics().projector_points(np.stack([x, y], axis=-1) + 0.5)
+    u, v = np.nan_to_num(np.floor(points), nan=0).astype(int).reshape(-1, 2).T
+    ray = ProjectorLayout.grid(PROJECTOR, RAYS).ray_of_pixel[v, u]
+    pixels = [int(np.flatnonzero(ray == index)[0]) for index in range(20)]
+    weights = np.ones(20, np.float32)
+    return Resampling(RAYS, CAMERA, csr_array((weights, (range(20), pixels)), shape=(20, 154)))
+
+
+def test_a_resampled_rig_has_the_rays_of_its_calibration() -> None:
+    with DeviceRig(*devices(), ProjectorLayout.grid(PROJECTOR, RAYS), resampling()) as rig:
+        assert rig.camera_shape == rig.projector_shape == RAYS
+        assert isinstance(rig.sensor, ResampledSensor)
+        frames = rig.capture(np.ones((2, *RAYS), np.float32), [(0, 0), (0, 1)])
+        assert frames.shape == (2, 2, *CAMERA, 1)
+
+
+def test_devices_that_do_not_fit_are_refused() -> None:
+    projector, camera = devices()
+    with pytest.raises(InputError, match=r"layout is of a projector of \(9, 22\) pixels"):
+        DeviceRig(projector, camera, ProjectorLayout.grid((9, 22), RAYS))
+    camera.shape = (5, 5)
+    with pytest.raises(InputError, match=r"resampling is of a camera of \(11, 14\) pixels"):
+        DeviceRig(projector, camera, None, resampling())
+
+
+@pytest.mark.parametrize(
+    ("frames", "what"),
+    [
+        (np.zeros((1, *CAMERA, 1), np.uint16), r"uint16 frames of shape \(1, 11, 14, 1\)"),
+        (np.zeros((2, 14, 11, 1), np.uint16), r"shape \(2, 14, 11, 1\)"),
+        (np.zeros((2, *CAMERA, 1), np.uint8), "uint8"),
+    ],
+)
+def test_a_wrong_bracket_names_the_pattern(frames: np.ndarray, what: str) -> None:
+    projector, camera = devices()
+    camera.expose = lambda: frames  # type: ignore[method-assign]
+    with (
+        DeviceRig(projector, camera) as rig,
+        pytest.raises(CaptureError, match=rf"pattern \(2, 7\): the camera returned {what}|{what}"),
+    ):
+        rig.capture(np.ones((1, *PROJECTOR), np.float32), [(2, 7)])
+
+
+def test_a_device_that_fails_names_the_pattern() -> None:
+    projector, camera = devices()
+    camera.close()
+    with pytest.raises(CaptureError, match=r"pattern \(2, 7\): the simulated camera is closed"):
+        DeviceRig(projector, camera).capture(np.ones((1, *PROJECTOR), np.float32), [(2, 7)])
+
+
+class BrokenProjector(SimulatedProjector):
+    def __init__(self, fault: str) -> None:
+        super().__init__(PROJECTOR)
+        self._fault = fault
+
+    def show(self, picture: np.ndarray) -> None:
+        if self._fault == "clips":
+            picture = np.nan_to_num(picture).clip(0, 1)
+        if self._fault == "one pixel off":
+            picture = np.roll(picture, 1, axis=1)
+        if self._fault == "never closes":
+            self._closed = False
+        super().show(picture)
+        if self._fault == "keeps a view":
+            self.light = picture
+        if self._fault == "bends light":
+            self.light = self.light**2.2
+
+
+class BrokenCamera(SimulatedCamera):
+    def __init__(self, fault: str) -> None:
+        super().__init__(lambda: np.full((*CAMERA, 1), 0.5), CAMERA, 1, SENSOR)
+        self._fault = fault
+        self._buffer = np.empty((2, *CAMERA, 1), np.uint16)
+
+    def expose(self) -> np.ndarray:
+        if self._fault == "never closes":
+            self._closed = False
+        frames = super().expose()
+        if self._fault == "turns exposures round":
+            frames = frames[::-1].copy()
+        if self._fault == "loses a frame":
+            frames = frames[:1]
+        if self._fault == "late by a frame":
+            frames = frames // self._brackets
+        if self._fault == "too many bits":
+            frames = frames << np.uint16(4)
+        if self._fault == "reuses its buffer":
+            self._buffer[...] = frames
+            return self._buffer
+        return frames
+
+    def describe(self) -> dict[str, Any]:
+        return {"at": id(self)} if self._fault == "unstable description" else super().describe()
+
+
+@pytest.mark.parametrize(
+    ("fault", "test"),
+    [
+        ("clips", "rejects_what_cannot_be_shown"),
+        ("one pixel off", "shows_pixel_by_pixel"),
+        ("bends light", "shows_pixel_by_pixel"),
+        ("keeps a view", "keeps_no_hold_of_the_picture"),
+        ("never closes", "closes"),
+    ],
+)
+def test_the_contract_finds_what_is_wrong_with_a_projector(fault: str, test: str) -> None:
+    class Contract(TestSimulatedProjector):
+        def make_projector(self) -> SimulatedProjector:
+            return BrokenProjector(fault)
+
+    with pytest.raises(AssertionError):
+        getattr(Contract(), f"test_{test}")()
+
+
+@pytest.mark.parametrize(
+    ("fault", "test"),
+    [
+        ("turns exposures round", "longer_exposures_are_not_darker"),
+        ("loses a frame", "brackets"),
+        ("late by a frame", "is_steady"),
+        ("too many bits", "brackets"),
+        ("reuses its buffer", "keeps_no_hold_of_its_frames"),
+        ("unstable description", "describes_itself"),
+        ("never closes", "closes"),
+    ],
+)
+def test_the_contract_finds_what_is_wrong_with_a_camera(fault: str, test: str) -> None:
+    class Contract(CameraContract):
+        def make_camera(self) -> SimulatedCamera:
+            return BrokenCamera(fault)
+
+    with pytest.raises(AssertionError):
+        getattr(Contract(), f"test_{test}")()
+
+
+def test_subclasses_must_make_their_device() -> None:
+    with pytest.raises(NotImplementedError, match=r"must define make_projector\(\)"):
+        ProjectorContract().test_shape()
+    with pytest.raises(NotImplementedError, match=r"must define make_camera\(\)"):
+        CameraContract().test_shapes()

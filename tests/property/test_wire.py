@@ -1,0 +1,95 @@
+"""Messages between server and client: whatever goes in comes out, bit for bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from rfpipe.errors import TransferError
+from rfpipe.rigs.wire import decode_patterns, encode_patterns, pack, unpack
+
+SHAPES = npst.array_shapes(min_dims=3, max_dims=4, min_side=1, max_side=6)
+DTYPES = st.sampled_from(
+    [np.bool_, np.uint8, np.uint16, np.int32, np.int64, np.float32, np.float64]
+)
+BLOCKS = np.kron(np.arange(36).reshape(6, 6), np.ones((32, 32), int))
+
+
+@st.composite
+def patterns(draw: st.DrawFn) -> np.ndarray:
+    """Patterns of every kind that is sent in its own way."""
+    shape = draw(SHAPES)
+    kind = draw(st.sampled_from(["disjoint", "binary", "levels", "weights"]))
+    if kind == "disjoint":
+        labels = draw(npst.arrays(np.int64, shape[1:], elements=st.integers(-1, shape[0] - 1)))
+        numbers = np.arange(shape[0]).reshape(-1, *(1,) * labels.ndim)
+        return (labels == numbers).astype(np.float32)
+    if kind == "binary":
+        return draw(npst.arrays(np.bool_, shape)).astype(np.float32)
+    if kind == "levels":
+        return np.divide(draw(npst.arrays(np.uint8, shape)), 255, dtype=np.float32)
+    return draw(npst.arrays(np.float32, shape, elements=st.floats(0, 1, width=32)))
+
+
+@given(patterns())
+def test_patterns_come_back_exactly(shown: np.ndarray) -> None:
+    keys = [(1, index) for index in range(len(shown))]
+    message = encode_patterns(shown, keys)
+    found, found_keys = decode_patterns(message, shown.shape[1:], len(shown))
+    assert found.dtype == np.float32
+    np.testing.assert_array_equal(found, shown)
+    assert found_keys == keys
+
+
+@given(st.data(), npst.array_shapes(min_dims=0, min_side=0), DTYPES, st.booleans())
+def test_arrays_come_back_exactly(
+    data: st.DataObject, shape: tuple[int, ...], dtype: type, deflate: bool
+) -> None:
+    array = data.draw(npst.arrays(dtype, shape))
+    message = pack(
+        {"a": 1, "b": [2, None]}, {"one": array, "two": array[..., None]}, deflate=deflate
+    )
+    facts, arrays = unpack(message, 2 * array.nbytes)
+    assert facts == {"a": 1, "b": [2, None]}
+    assert arrays["one"].dtype == array.dtype
+    assert arrays["one"].tobytes() == array.tobytes()
+    assert arrays["two"].shape == (*shape, 1)
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_are_a_message_or_an_error(content: bytes) -> None:
+    for message in (content, b"RFP1" + content):
+        with pytest.raises(TransferError):
+            unpack(message, 1000)
+
+
+def test_big_endian_and_strided_arrays() -> None:
+    array = np.arange(12, dtype=">u2").reshape(3, 4)[:, ::2]
+    _, arrays = unpack(pack({}, {"a": array}), 100)
+    np.testing.assert_array_equal(arrays["a"], array)
+
+
+@pytest.mark.parametrize(
+    ("shown", "most"),
+    [
+        (np.arange(36)[:, None, None] == BLOCKS, 1500),  # 36 patterns of 192 x 192, as labels
+        (np.ones((1, 192, 192)), 500),
+        (np.repeat(BLOCKS[None] % 2, 16, axis=0), 192 * 192 * 16 // 8),  # bits
+        (np.divide(BLOCKS[None] * 7, 255, dtype=np.float32), 192 * 192 + 400),
+        (np.linspace(0, 1, 192 * 192).reshape(1, 192, 192), 4 * 192 * 192 + 400),
+    ],
+)
+def test_patterns_travel_compactly(shown: np.ndarray, most: int) -> None:
+    message = encode_patterns(shown.astype(np.float32), [(1, i) for i in range(len(shown))])
+    assert len(message) <= most
+
+
+def test_more_than_255_disjoint_patterns() -> None:
+    shown = np.zeros((300, 1, 300), np.float32)
+    shown[range(300), 0, range(300)] = 1
+    keys = [(0, index) for index in range(300)]
+    found, _ = decode_patterns(encode_patterns(shown, keys), (1, 300), 300)
+    np.testing.assert_array_equal(found, shown)

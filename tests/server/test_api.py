@@ -1,0 +1,419 @@
+"""The server's endpoints over a real HTTP connection, and its client when things go wrong."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from PIL import Image
+from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, free_port, running
+
+import rfpipe
+from rfpipe.errors import CaptureError, ConfigError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs import OperatorRig, RemoteRig
+from rfpipe.rigs.wire import MEDIA_TYPE, encode_patterns, unpack
+from rfpipe.server import ServerSettings
+from rfpipe.server.log import start_log
+from rfpipe.server.run import bound_socket
+
+ON = np.ones((1, 3, 7), np.float32)
+
+
+@pytest.fixture
+def rig() -> SlowRig:
+    return SlowRig(noise=CameraModel(), seed=1)
+
+
+@pytest.fixture
+def server(rig: SlowRig) -> Iterator[Running]:
+    with running(rig) as server:
+        yield server
+
+
+@pytest.fixture
+def http(server: Running) -> Iterator[httpx.Client]:
+    with server.http() as client:
+        yield client
+
+
+def lease_of(http: httpx.Client) -> str:
+    return str(http.post("/v1/lease", json={"client": "test"}).json()["lease"])
+
+
+def headers_of(lease: str, key: str = "a-key-of-the-test") -> dict[str, str]:
+    return {"Rig-Lease": lease, "Idempotency-Key": key, "Content-Type": MEDIA_TYPE}
+
+
+def test_health_needs_no_token_and_tells_nothing_of_the_rig(server: Running) -> None:
+    answer = httpx.get(f"{server.url}/v1/health", trust_env=False)
+    assert answer.json() == {"status": "ok", "version": rfpipe.__version__, "api": 1}
+    assert answer.headers["cache-control"] == "no-store"
+
+
+def test_a_request_sent_again_is_not_exposed_again(http: httpx.Client, rig: SlowRig) -> None:
+    headers, body = headers_of(lease_of(http)), encode_patterns(ON, [(1, 5)])
+    first, again = (http.post("/v1/captures", content=body, headers=headers) for _ in range(2))
+    assert first.status_code == again.status_code == 200
+    assert first.content == again.content
+    assert rig.shown == [(1, 5)]
+    status = http.get("/v1/status").json()
+    assert (status["brackets"], status["answered_again"]) == (1, 1)
+    other = encode_patterns(0 * ON, [(1, 5)])
+    answer = http.post("/v1/captures", content=other, headers=headers)
+    assert answer.status_code == 422
+    assert "used with other patterns" in answer.json()["detail"]
+
+
+def test_a_request_sent_again_while_it_is_exposed_waits_for_that_exposure(
+    server: Running, rig: SlowRig
+) -> None:
+    rig.seconds = 0.3
+    with server.http() as http:
+        headers, body = headers_of(lease_of(http)), encode_patterns(ON, [(1, 5)])
+        answers = []
+
+        def post() -> None:
+            with server.http() as own:
+                answers.append(own.post("/v1/captures", content=body, headers=headers))
+
+        threads = [threading.Thread(target=post) for _ in range(3)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert [answer.status_code for answer in answers] == [200] * 3
+        assert rig.shown == [(1, 5)]
+
+
+def test_the_same_pattern_of_another_acquisition_is_exposed_anew(
+    http: httpx.Client, rig: SlowRig
+) -> None:
+    lease, body = lease_of(http), encode_patterns(ON, [(1, 5)])
+    for key in ("the-first-acquisition", "the-second-acquisition"):
+        assert http.post("/v1/captures", content=body, headers=headers_of(lease, key)).is_success
+    assert rig.shown == [(1, 5)] * 2
+
+
+def test_one_client_at_a_time_holds_the_rig(http: httpx.Client) -> None:
+    lease = lease_of(http)
+    answer = http.post("/v1/lease", json={"client": "another"})
+    assert answer.status_code == 409
+    assert "the rig is held by 'test'" in answer.json()["detail"]
+    assert http.put("/v1/lease", headers={"Rig-Lease": "not-the-lease"}).status_code == 410
+    assert http.put("/v1/lease", headers={"Rig-Lease": lease}).json()["seconds"] == 2.0
+    assert http.delete("/v1/lease", headers={"Rig-Lease": lease}).status_code == 204
+    assert http.delete("/v1/lease", headers={"Rig-Lease": lease}).status_code == 410
+    assert http.post("/v1/lease", json={"client": "another"}).is_success
+
+
+def test_a_client_that_falls_silent_loses_the_rig() -> None:
+    with running(SlowRig(), lease_seconds=0.5) as server, server.http() as http:
+        lease = lease_of(http)
+        time.sleep(0.6)
+        body = encode_patterns(ON, [(1, 5)])
+        answer = http.post("/v1/captures", content=body, headers=headers_of(lease))
+        assert answer.status_code == 410
+        assert http.post("/v1/lease", json={"client": "another"}).is_success
+
+
+def test_a_heart_beats_between_captures(rig: SlowRig) -> None:
+    with running(rig, lease_seconds=0.5) as server, server.client() as client:
+        client.capture(ON, [(1, 0)])
+        time.sleep(1.2)
+        with server.http() as other:
+            assert other.post("/v1/lease", json={"client": "another"}).status_code == 409
+        client.capture(ON, [(1, 1)])
+    assert rig.shown == [(1, 0), (1, 1)]
+    assert rig.closed == 1
+
+
+def test_a_second_client_waits_for_the_first_and_says_so(
+    server: Running, rig: SlowRig, caplog: pytest.LogCaptureFixture
+) -> None:
+    first, second = server.client(), server.client()
+    first.capture(ON, [(1, 0)])
+    release = threading.Timer(0.5, first.close)
+    release.start()
+    with second, caplog.at_level(logging.WARNING):
+        second.capture(ON, [(1, 1)])
+    release.join()
+    assert rig.shown == [(1, 0), (1, 1)]
+    assert "the rig is held by" in caplog.text
+
+
+def test_the_capture_of_a_client_that_died_ends_before_the_next_pattern(
+    rig: SlowRig,
+) -> None:
+    rig.seconds = 0.2
+    with running(rig, lease_seconds=0.5) as server, server.http() as http:
+        headers = headers_of(lease_of(http))
+        many = encode_patterns(np.repeat(ON, 20, axis=0), [(1, i) for i in range(20)])
+        with pytest.raises(httpx.ReadTimeout), server.http() as dying:
+            dying.post("/v1/captures", content=many, headers=headers, timeout=0.1)
+        with server.client() as next_one:
+            next_one.capture(ON, [(2, 0)])
+        assert rig.shown[-1] == (2, 0)
+        assert 1 < len(rig.shown) < 10
+
+
+def test_one_capture_at_a_time(server: Running, rig: SlowRig) -> None:
+    rig.seconds = 0.5
+    with server.http() as http:
+        lease, body = lease_of(http), encode_patterns(ON, [(1, 5)])
+        with pytest.raises(httpx.ReadTimeout):
+            http.post("/v1/captures", content=body, headers=headers_of(lease), timeout=0.1)
+        answer = http.post("/v1/captures", content=body, headers=headers_of(lease, "x" * 20))
+        assert answer.status_code == 429
+        assert answer.headers["retry-after"] == "1"
+
+
+def test_a_preview_shows_the_last_bracket(http: httpx.Client) -> None:
+    assert http.get("/v1/preview.png").status_code == 404
+    body = encode_patterns(ON, [(1, 5)])
+    assert http.post("/v1/captures", content=body, headers=headers_of(lease_of(http))).is_success
+    picture = http.get("/v1/preview.png")
+    assert picture.headers["content-type"] == "image/png"
+    image = Image.open(io.BytesIO(picture.content))
+    assert image.width > image.height  # four exposures side by side
+    assert http.get("/v1/preview.png").content == picture.content
+
+
+@pytest.mark.parametrize("camera", [None, CameraModel(bayer="RGGB")])
+def test_a_preview_of_other_sensors(camera: CameraModel | None) -> None:
+    with running(SlowRig(noise=camera)) as server, server.http() as http:
+        body = encode_patterns(ON, [(1, 5)])
+        headers = headers_of(lease_of(http))
+        assert http.post("/v1/captures", content=body, headers=headers).is_success
+        assert http.get("/v1/preview.png").content.startswith(b"\x89PNG")
+
+
+def test_brackets_come_with_their_digests(http: httpx.Client, rig: SlowRig) -> None:
+    body = encode_patterns(np.concatenate([ON, 0 * ON]), [(1, 5), (1, 6)])
+    answer = http.post("/v1/captures", content=body, headers=headers_of(lease_of(http)))
+    facts, arrays = unpack(answer.content, 10**6)
+    assert facts["keys"] == [[1, 5], [1, 6]]
+    frames = rig.capture(np.concatenate([ON, 0 * ON]), [(1, 5), (1, 6)])
+    np.testing.assert_array_equal(np.stack([arrays["0"], arrays["1"]]), frames)
+
+
+def test_a_rig_that_fails_is_tried_again_and_then_given_up(
+    server: Running, rig: SlowRig, caplog: pytest.LogCaptureFixture
+) -> None:
+    with server.client() as client:
+        rig.faults = {(1, 0): [CaptureError("the lamp flickers"), OSError("USB")]}
+        client.capture(ON, [(1, 0)])
+        rig.faults = {(1, 1): [CaptureError(f"no light {i}") for i in range(3)]}
+        with pytest.raises(CaptureError, match=r"failed 3 times: no light 2 .*run again"):
+            client.capture(ON, [(1, 1)])
+        client.capture(ON, [(1, 1)])
+    assert rig.shown == [(1, 0), (1, 1)]
+    assert "the lamp flickers" in caplog.text
+    with server.http() as http:
+        status = http.get("/v1/status").json()
+    assert status["failures"] == 5
+    assert "no light 2" in status["last_error"]
+
+
+def test_a_failed_request_goes_on_where_it_was(server: Running, rig: SlowRig) -> None:
+    patterns, keys = np.repeat(ON, 3, axis=0), [(1, index) for index in range(3)]
+    rig.faults = {(1, 1): [CaptureError("once")]}
+    with server.client() as client:
+        frames = client.capture(patterns, keys)
+    assert rig.shown == keys
+    np.testing.assert_array_equal(frames, OperatorRig.capture(rig, patterns, keys))
+
+
+def test_a_rig_that_returns_something_else_is_named(server: Running, rig: SlowRig) -> None:
+    rig.capture = lambda p, k: np.zeros((len(k), 2, 2), np.uint16)  # type: ignore[method-assign]
+    with server.client() as client, pytest.raises(CaptureError, match=r"shape \(1, 2, 2\)"):
+        client.capture(ON, [(1, 0)])
+
+
+def test_a_restart_is_waited_for_and_the_request_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+    port = free_port()
+    first = SlowRig(noise=CameraModel(), seed=1)
+    with running(first, port=port) as server:
+        client = server.client()
+        before = client.capture(ON, [(1, 0)])
+    second = SlowRig(noise=CameraModel(), seed=1)
+
+    def restart() -> None:
+        with running(second, port=port):
+            stopped.wait(20)
+
+    stopped = threading.Event()
+    thread = threading.Timer(0.5, restart)
+    thread.start()
+    try:
+        with client, caplog.at_level(logging.WARNING):
+            np.testing.assert_array_equal(client.capture(ON, [(1, 0)]), before)
+    finally:
+        stopped.set()
+        thread.join()
+    assert second.shown == [(1, 0)]
+    assert "check that 'rfpipe serve' runs there" in caplog.text
+
+
+def test_another_rig_after_a_restart_is_refused() -> None:
+    port = free_port()
+    with running(SlowRig(seed=1), port=port) as server:
+        client = server.client()
+        client.capture(ON, [(1, 0)])
+    with (
+        running(SlowRig(seed=2), port=port),
+        client,
+        pytest.raises(CaptureError, match="serves another rig"),
+    ):
+        client.capture(ON, [(1, 0)])
+
+
+def test_a_server_that_is_not_there_is_given_up() -> None:
+    with pytest.raises(CaptureError, match=r"no answer .*check that 'rfpipe serve' runs there"):
+        RemoteRig(f"http://127.0.0.1:{free_port()}", TOKEN, patience_seconds=0.3)
+
+
+def test_a_wrong_token_is_named_at_once(server: Running) -> None:
+    with pytest.raises(CaptureError, match=r"token is missing or wrong.*capture\.token_file"):
+        RemoteRig(server.url, "another-token-entirely", patience_seconds=60)
+
+
+@pytest.mark.parametrize("url", ["ftp://rig", "rig:8750", "http://", "http://rig/v1", ""])
+def test_an_url_that_is_none(url: str) -> None:
+    with pytest.raises(InputError, match="expected that of an acquisition server"):
+        RemoteRig(url, TOKEN)
+
+
+def test_a_damaged_answer_is_asked_for_again(
+    server: Running, rig: SlowRig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    send = httpx.Client.request
+    harmed = []
+
+    def through_a_bad_cable(self: httpx.Client, method: str, url: str, **rest: Any) -> Any:
+        answer = send(self, method, url, **rest)
+        if url == "/v1/captures" and not harmed:
+            harmed.append(url)
+            answer._content = answer.content[:-1] + bytes([answer.content[-1] ^ 1])
+        return answer
+
+    monkeypatch.setattr(httpx.Client, "request", through_a_bad_cable)
+    with server.client() as client:
+        frames = client.capture(ON, [(1, 0)])
+    assert harmed
+    assert rig.shown == [(1, 0)]  # not exposed again
+    np.testing.assert_array_equal(frames, OperatorRig.capture(rig, ON, [(1, 0)]))
+
+
+def test_the_exposure_in_hand_ends_before_the_server_does(rig: SlowRig) -> None:
+    rig.seconds = 0.3
+    with running(rig) as server, server.http() as http:
+        headers = headers_of(lease_of(http))
+        many = encode_patterns(np.repeat(ON, 20, axis=0), [(1, i) for i in range(20)])
+        answers = []
+        posting = threading.Thread(
+            target=lambda: answers.append(http.post("/v1/captures", content=many, headers=headers))
+        )
+        posting.start()
+        time.sleep(0.1)
+        server.worker.stop()
+        posting.join()
+        assert http.get("/v1/health").json()["status"] == "stopping"
+    assert answers[0].status_code == 503
+    assert "being stopped" in answers[0].json()["detail"]
+    assert (len(rig.shown), rig.closed) == (1, 1)
+
+
+def test_a_rig_is_opened_and_used_in_one_thread() -> None:
+    threads = []
+
+    class Watching(SlowRig):
+        def __init__(self) -> None:
+            threads.append(threading.get_ident())
+            super().__init__()
+
+        def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
+            threads.append(threading.get_ident())
+            return super().capture(patterns, keys)
+
+        def close(self) -> None:
+            threads.append(threading.get_ident())
+
+    with running(Watching) as server, server.client() as client:
+        client.capture(ON, [(1, 0)])
+    assert len(threads) == 3
+    assert len(set(threads)) == 1
+    assert threads[0] != threading.get_ident()
+
+
+def test_a_rig_that_can_not_be_opened_is_an_error() -> None:
+    def broken() -> SlowRig:
+        raise CaptureError("no camera is connected")
+
+    with pytest.raises(CaptureError, match="no camera is connected"), running(broken):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"host": "0.0.0.0"}, "no loopback address"),
+        ({"host": "rig.example.org"}, "no loopback address"),
+        ({"port": 70000}, "port is 70000"),
+        ({"lease_seconds": 0}, "lease_seconds is 0"),
+        ({"most_request_bytes": 1}, "most_request_bytes is 1"),
+    ],
+)
+def test_settings_out_of_range(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        ServerSettings(**settings)
+
+
+def test_addresses_that_are_allowed() -> None:
+    for host in ("127.0.0.1", "localhost", "::1", "127.3.2.1"):
+        assert ServerSettings(host=host).is_loopback
+    assert not ServerSettings(host="0.0.0.0", allow_remote=True).is_loopback
+
+
+def test_a_port_that_is_taken_is_named(server: Running) -> None:
+    with (
+        pytest.raises(ConfigError, match=rf"port {server.port}.*choose another --port"),
+        bound_socket(ServerSettings(port=server.port)),
+    ):
+        pass
+
+
+def test_logs_are_lines_of_json(tmp_path: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    names = ("rfpipe", "uvicorn.error")
+    kept = {name: logging.getLogger(name).__dict__.copy() for name in names}
+    try:
+        start_log(tmp_path / "server.log")
+        with running(SlowRig()) as server, server.http() as http:
+            http.get("/v1/rig", headers={"Authorization": "Bearer wrong"})
+        logging.getLogger("rfpipe.server").error("with a traceback", exc_info=ValueError("x"))
+    finally:
+        for name in names:
+            for handler in logging.getLogger(name).handlers:
+                handler.close()
+            logging.getLogger(name).__dict__.update(kept[name])
+    lines = [json.loads(line) for line in (tmp_path / "server.log").read_text().splitlines()]
+    (refused,) = (line for line in lines if line["message"] == "GET /v1/rig: 401")
+    assert refused["level"] == "warning"
+    assert refused["client"].startswith("127.0.0.1:")
+    assert "ValueError: x" in lines[-1]["traceback"]
+    assert capsys.readouterr().err.splitlines()[-1] == json.dumps(lines[-1])
+    with pytest.raises(ConfigError, match="can't be written as a log file"):
+        start_log(tmp_path / "nowhere" / "server.log")
+
+
+def test_the_token_is_in_no_answer(http: httpx.Client) -> None:
+    for path in ("/v1/health", "/v1/status", "/v1/rig", "/v1/openapi.json", "/v1/nothing"):
+        assert TOKEN not in http.get(path, headers=RIGHT).text

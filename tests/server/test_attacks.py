@@ -1,0 +1,406 @@
+"""What must be refused, with a clear status, while the holder's capture goes on undisturbed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import socket
+import struct
+import threading
+import time
+import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, running
+
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs import OperatorRig
+from rfpipe.rigs.wire import MEDIA_TYPE, encode_patterns, pack
+from rfpipe.server import ServerSettings
+from rfpipe.server.run import bound_socket
+
+ON = np.ones((1, 3, 7), np.float32)
+PATHS = ("/v1/status", "/v1/rig", "/v1/rig/arrays", "/v1/preview.png")
+LIMITS = {"most_request_bytes": 100_000, "head_seconds": 0.4, "body_seconds": 0.6}
+
+
+@pytest.fixture
+def rig() -> SlowRig:
+    return SlowRig(0.02, noise=CameraModel(), seed=1)
+
+
+@pytest.fixture
+def server(rig: SlowRig) -> Iterator[Running]:
+    with running(rig, **LIMITS) as server:
+        yield server
+
+
+@contextmanager
+def undisturbed_capture(server: Running, rig: SlowRig) -> Iterator[None]:
+    """Capture all the while, as the holder of the rig; each pattern once, bytes as they must be."""
+    patterns = np.random.default_rng(0).random((40, 3, 7), np.float32)
+    keys = [(1, index) for index in range(40)]
+    expected = OperatorRig.capture(rig, patterns, keys)
+    frames: list[np.ndarray] = []
+    first = threading.Event()
+
+    def capture() -> None:
+        with server.client() as client:
+            for pattern, key in zip(patterns, keys, strict=True):
+                frames.append(client.capture(pattern[None], [key])[0])
+                first.set()
+
+    thread = threading.Thread(target=capture)
+    thread.start()
+    assert first.wait(20)
+    try:
+        yield
+    finally:
+        thread.join(60)
+    np.testing.assert_array_equal(np.array(frames), expected)
+    assert rig.shown == keys
+
+
+def connected(server: Running) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", server.port), timeout=20)
+
+
+def status_of(connection: socket.socket) -> int:
+    """Read an answer to its end; 0 where the connection was closed without one."""
+    received = b""
+    try:
+        while chunk := connection.recv(65536):
+            received += chunk
+    except ConnectionResetError:
+        pass
+    return int(received.split()[1]) if received else 0
+
+
+@pytest.mark.parametrize(
+    "authorization",
+    [
+        None, "", "Bearer", "Bearer wrong", f"Basic {TOKEN}", TOKEN,
+        f"Bearer {TOKEN}x", f"Bearer {TOKEN[:-1]}", f"Bearer {TOKEN.upper()}",
+        "Bearer " + "x" * 9000, b"Bearer \xff\xfe",
+    ],
+)  # fmt: skip
+def test_no_token_and_wrong_tokens(server: Running, authorization: str | bytes | None) -> None:
+    headers: Any = {} if authorization is None else {"Authorization": authorization}
+    with httpx.Client(base_url=server.url, trust_env=False) as http:
+        for path in PATHS:
+            answer = http.get(path, headers=headers)
+            assert answer.status_code == 401
+            assert answer.headers["www-authenticate"] == "Bearer"
+            assert answer.json()["detail"].startswith("the bearer token is missing or wrong")
+        for method in ("POST", "PUT", "DELETE"):
+            assert http.request(method, "/v1/lease", headers=headers).status_code == 401
+        body = encode_patterns(ON, [(1, 0)])
+        assert http.post("/v1/captures", content=body, headers=headers).status_code == 401
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/", "/v1", "/v1/", "/v2/rig", "/v1/rig/", "/v1/rig/arrays/../../../etc/passwd",
+        "/../../etc/passwd", "/v1/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/v1/preview.png/..",
+        "/v1/%00", "/docs", "/redoc", "/openapi.json", "/v1/health/../rig", "/v1/rig%0d%0aX: 1",
+        "/" + "x" * 10_000,
+    ],
+)  # fmt: skip
+def test_path_tricks_lead_nowhere(server: Running, path: str) -> None:
+    request = f"GET {path} HTTP/1.1\r\nHost: rig\r\nAuthorization: Bearer {TOKEN}\r\n"
+    with connected(server) as connection:
+        connection.sendall(request.encode() + b"Connection: close\r\n\r\n")
+        status = status_of(connection)
+    assert status in (400, 404)
+    with connected(server) as connection:  # nor is the way round the token any shorter
+        connection.sendall(
+            f"GET {path} HTTP/1.1\r\nHost: rig\r\nConnection: close\r\n\r\n".encode()
+        )
+        assert status_of(connection) in (400, 401)
+
+
+@pytest.mark.parametrize(
+    "request_bytes",
+    [
+        b"\x16\x03\x01\x02\x00\x01\x00", b"GET\r\n\r\n", b"NONSENSE " * 100 + b"\r\n\r\n",
+        b"GET /v1/rig HTTP/1.1\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\nHost: b\r\n\r\n",
+        b"POST /v1/lease HTTP/1.1\r\nHost: a\r\nContent-Length: -1\r\n\r\n",
+        b"POST /v1/lease HTTP/1.1\r\nHost: a\r\nContent-Length: 1\r\nContent-Length: 2\r\n\r\n",
+        b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: " + b"y" * 400_000,
+    ],
+)  # fmt: skip
+def test_what_is_no_http(server: Running, request_bytes: bytes) -> None:
+    with connected(server) as connection:
+        connection.sendall(request_bytes)
+        assert status_of(connection) == 400
+
+
+def test_methods_that_there_are_not(server: Running) -> None:
+    with server.http() as http:
+        for method in ("PATCH", "TRACE", "OPTIONS", "PUT", "NONSENSE"):
+            answer = http.request(method, "/v1/rig")
+            assert answer.status_code == 405
+            assert answer.headers["content-type"] == "application/problem+json"
+
+
+def post(server: Running, body: Any, **changes: str) -> httpx.Response:
+    """Send a body as the holder of the rig."""
+    with server.http() as http:
+        lease = http.post("/v1/lease", json={"client": "attacker"}).json()["lease"]
+        headers = {
+            "Rig-Lease": lease,
+            "Idempotency-Key": "an-attack-of-the-test",
+            "Content-Type": MEDIA_TYPE,
+            **changes,
+        }
+        try:
+            return http.post("/v1/captures", content=body, headers=headers)
+        finally:
+            http.delete("/v1/lease", headers={"Rig-Lease": lease})
+
+
+def message(patterns: np.ndarray, /, **facts: Any) -> bytes:
+    given = {"patterns": "weights", "shape": list(patterns.shape), "keys": [[1, 0]]}
+    return pack({**given, **facts}, {"patterns": patterns})
+
+
+def raw(header: dict[str, Any] | bytes, content: bytes = b"", length: int | None = None) -> bytes:
+    text = header if isinstance(header, bytes) else json.dumps(header).encode()
+    return struct.pack("<4sI", b"RFP1", len(text) if length is None else length) + text + content
+
+
+def entry(**changes: Any) -> dict[str, Any]:
+    digest = hashlib.sha256(bytes(21)).hexdigest()
+    array = {"name": "patterns", "dtype": "|u1", "shape": [3, 7], "sha256": digest, "bytes": 21}
+    return {
+        "patterns": "labels",
+        "shape": [1, 3, 7],
+        "keys": [[1, 0]],
+        "arrays": [{**array, **changes}],
+    }
+
+
+BOMB = zlib.compress(bytes(50_000_000), 9)
+
+MALFORMED = {
+    "empty": b"",
+    "short": b"RFP",
+    "other magic": b"PK\x03\x04" + bytes(100),
+    "header cut off": raw({}, length=1000),
+    "header of 4 GB": raw({}, length=2**32 - 1),
+    "no json": raw(b"{nope"),
+    "no object": raw(b"[1]"),
+    "deep json": raw(b"[" * 50_000),
+    "long integer": raw(b'{"a": ' + b"9" * 10_000 + b"}"),
+    "no text": raw(b"\xff\xfe\xfd"),
+    "no arrays": raw({"patterns": "labels", "shape": [1, 3, 7], "keys": [[1, 0]]}),
+    "NaN in the header": raw(b'{"arrays": [], "shape": NaN}'),
+    "many arrays": raw({"arrays": [{}] * 5000}),
+    "array is no object": raw({"arrays": [1]}),
+    "object dtype": raw(entry(dtype="|O"), bytes(21)),
+    "negative extent": raw(entry(shape=[-3, -7]), bytes(21)),
+    "true as extent": raw(entry(shape=[True, 21]), bytes(21)),
+    "huge shape": raw(entry(shape=[2**39, 2**39]), bytes(21)),
+    "cut off": raw(entry(), bytes(20)),
+    "too long": raw(entry(), bytes(22)),
+    "altered": raw(entry(), bytes(20) + b"\x01"),
+    "bomb": raw(entry(deflate=True, bytes=len(BOMB)), BOMB),
+    "deflate of nothing": raw(entry(deflate=True), bytes(21)),
+    "two arrays": raw({**entry(), "arrays": entry()["arrays"] * 2}, bytes(42)),
+    "other encoding": raw({**entry(), "patterns": "pickle"}, bytes(21)),
+    "unhashable encoding": raw({**entry(), "patterns": {}}, bytes(21)),
+    "other dtype": raw(entry(dtype="|b1"), bytes(21)),
+    "no keys": raw({**entry(), "keys": []}, bytes(21)),
+    "keys of text": raw({**entry(), "keys": [["a"]]}, bytes(21)),
+    "negative key": raw({**entry(), "keys": [[-1, 0]]}, bytes(21)),
+    "huge key": raw({**entry(), "keys": [[2**32]]}, bytes(21)),
+    "long key": raw({**entry(), "keys": [[1] * 9]}, bytes(21)),
+    "label out of range": message(np.full((3, 7), 9, np.uint8), patterns="labels", shape=[1, 3, 7]),
+    "no patterns": raw({**entry(), "shape": [0, 3, 7], "keys": []}, bytes(21)),
+    "too many": raw({**entry(), "shape": [1000, 3, 7], "keys": [[1, 0]] * 1000}, bytes(21)),
+    "wrong shape": message(np.ones((1, 7, 3), np.float32)),
+    "other axes": message(np.ones((1, 21), np.float32)),
+    "NaN": message(np.nan * ON),
+    "infinity": message(np.inf * ON),
+    "negative": message(-ON),
+    "above 1": message(1.5 * ON),
+}
+
+
+def test_malformed_messages_and_impossible_patterns(server: Running, rig: SlowRig) -> None:
+    before = time.monotonic()
+    for name, body in MALFORMED.items():
+        answer = post(server, body)
+        assert answer.status_code == 422, (name, answer.text)
+        assert answer.headers["content-type"] == "application/problem+json"
+        assert len(answer.json()["detail"]) < 1000, name
+    assert time.monotonic() - before < 20
+    assert rig.shown == []
+
+
+def test_other_headers_than_there_must_be(server: Running, rig: SlowRig) -> None:
+    body = encode_patterns(ON, [(1, 0)])
+    assert post(server, body, **{"Content-Type": "application/json"}).status_code == 415
+    for key in ("", "short", "x" * 100, "with spaces in the key", "../../../etc/passwd"):
+        assert post(server, body, **{"Idempotency-Key": key}).status_code == 422
+    assert post(server, body, **{"Rig-Lease": "another-lease-id"}).status_code == 410
+    assert post(server, body, **{"Rig-Lease": "x"}).status_code == 422
+    with server.http() as http:
+        assert http.post("/v1/captures", content=body).status_code == 422
+        for wrong in (None, [], "client", {"client": ""}, {"client": "x" * 101},
+                      {"client": "a\x00"}, {"client": 1}, {"client": "a", "more": 1}):  # fmt: skip
+            assert http.post("/v1/lease", json=wrong).status_code == 422
+    assert rig.shown == []
+
+
+def test_oversized_bodies(server: Running, rig: SlowRig) -> None:
+    with undisturbed_capture(server, rig), server.http() as http:
+        large = bytes(200_000)
+        headers = {"Rig-Lease": "some-lease", "Idempotency-Key": "x" * 20}
+        assert http.post("/v1/captures", content=large, headers=headers).status_code == 413
+        assert http.post("/v1/lease", content=bytes(5000)).status_code == 413
+        chunked = http.post("/v1/lease", content=(bytes(1000) for _ in range(10)))
+        assert chunked.status_code == 413
+        for declared in (b"99999999999999999999", b"100001"):
+            with connected(server) as connection:
+                connection.sendall(
+                    b"POST /v1/captures HTTP/1.1\r\nHost: rig\r\nContent-Type: text/plain\r\n"
+                    b"Authorization: " + RIGHT["Authorization"].encode() + b"\r\n"
+                    b"Content-Length: " + declared + b"\r\n\r\n"
+                )
+                assert status_of(connection) == 413  # before any of it is read
+        refused = httpx.post(f"{server.url}/v1/captures", content=large, trust_env=False)
+        assert refused.status_code == 401
+
+
+def test_a_body_without_end_is_cut_off(server: Running) -> None:
+    with server.http() as http:
+        lease = http.post("/v1/lease", json={"client": "endless"}).json()["lease"]
+        headers = {"Rig-Lease": lease, "Idempotency-Key": "x" * 20, "Content-Type": MEDIA_TYPE}
+
+        def endless() -> Iterator[bytes]:
+            while True:
+                yield bytes(10_000)
+
+        answer = http.post("/v1/captures", content=endless(), headers=headers)
+        assert answer.status_code == 413
+
+
+def test_slow_clients(server: Running, rig: SlowRig) -> None:
+    head = b"POST /v1/lease HTTP/1.1\r\nHost: rig\r\nContent-Length: 20\r\n"
+    authorization = b"Authorization: " + RIGHT["Authorization"].encode() + b"\r\n\r\n"
+    beginnings = {
+        "nothing": b"",
+        "half a head": b"GET /v1/rig HTTP/1.1\r\nHost: r",
+        "half a body": head + authorization + b"{",
+        "no body": head + authorization,
+    }
+    with undisturbed_capture(server, rig), ExitStack() as stack:
+        slow = {name: stack.enter_context(connected(server)) for name in beginnings}
+        for name, beginning in beginnings.items():
+            slow[name].sendall(beginning)
+        for name, connection in slow.items():
+            assert status_of(connection) == 408, name
+        dripping = stack.enter_context(connected(server))
+        began = time.monotonic()
+        try:
+            for byte in b"GET /v1/rig HTTP/1.1\r\n" + b"X: y\r\n" * 100:
+                dripping.sendall(bytes([byte]))
+                time.sleep(0.02)
+        except OSError:
+            pass
+        assert time.monotonic() - began < 5  # not begun anew by each byte
+    assert server.app.state.served.leases.current is None
+
+
+class LargeRig:
+    """Brackets larger than what a connection holds back."""
+
+    camera_shape = projector_shape = (2000, 2000)
+    channels = 1
+    seconds_per_pattern = 0.0
+
+    def __init__(self) -> None:
+        self.sensor = CameraModel(exposures=(0.1, 1.0))
+
+    def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
+        return np.zeros((len(keys), 2, 2000, 2000, 1), np.uint16)
+
+    def describe(self) -> dict[str, Any]:
+        return {"sensor": self.sensor.describe()}
+
+
+def test_a_client_that_does_not_take_its_answer_is_dropped() -> None:
+    with running(LargeRig(), **LIMITS, lease_seconds=20) as server:
+        body = encode_patterns(np.ones((1, 2000, 2000), np.float32), [(1, 0)])
+        with server.http() as http:
+            lease = http.post("/v1/lease", json={"client": "slow"}).json()["lease"]
+        with socket.socket() as connection:
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            connection.connect(("127.0.0.1", server.port))
+            connection.sendall(
+                b"POST /v1/captures HTTP/1.1\r\nHost: rig\r\nAuthorization: "
+                + RIGHT["Authorization"].encode()
+                + f"\r\nRig-Lease: {lease}\r\nIdempotency-Key: {'x' * 20}\r\n".encode()
+                + f"Content-Type: {MEDIA_TYPE}\r\nContent-Length: {len(body)}\r\n\r\n".encode()
+                + body
+            )
+            connection.settimeout(20)
+            assert connection.recv(15) == b"HTTP/1.1 200 OK"
+            time.sleep(1.5)
+            left = 0
+            try:
+                while chunk := connection.recv(2**20):
+                    left += len(chunk)
+            except ConnectionResetError:
+                pass
+            assert left < 16_000_000
+
+
+def test_200_parallel_connections(server: Running, rig: SlowRig) -> None:
+    seen: list[int] = []
+    request = b"GET /v1/rig HTTP/1.1\r\nHost: rig\r\nConnection: close\r\n\r\n"
+
+    def ask() -> None:
+        with connected(server) as connection:
+            connection.sendall(request)
+            seen.append(status_of(connection))
+
+    with undisturbed_capture(server, rig), ExitStack() as stack:
+        idle = [stack.enter_context(connected(server)) for _ in range(200)]
+        threads = [threading.Thread(target=ask) for _ in range(200)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert seen == [401] * 200
+        assert {status_of(connection) for connection in idle} == {408}
+
+
+def test_more_connections_than_allowed_are_refused_and_the_holder_is_not(rig: SlowRig) -> None:
+    with (
+        running(rig, **LIMITS, most_connections=20) as server,
+        undisturbed_capture(server, rig),
+        ExitStack() as stack,
+    ):
+        crowd = [stack.enter_context(connected(server)) for _ in range(60)]
+        seen = [status_of(connection) for connection in crowd]
+        assert set(seen) == {408, 503}
+        assert seen.count(503) >= 40
+
+
+def test_answers_are_sent_without_delay(server: Running) -> None:
+    with bound_socket(ServerSettings(port=0)) as bound:
+        assert bound.proto == socket.IPPROTO_TCP  # by which asyncio knows to set TCP_NODELAY
+    with server.http() as http:
+        began = time.perf_counter()
+        for _ in range(20):
+            http.get("/v1/rig")
+        assert time.perf_counter() - began < 20 * 0.04

@@ -1,0 +1,143 @@
+"""The capture stage of a rig behind a server, and the stages after it, on files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.server.harness import TOKEN, ResampledRig, Running, free_port, running
+
+from rfpipe import acquire
+from rfpipe.config import SceneConfig
+from rfpipe.errors import CaptureError, ConfigError
+from rfpipe.stages import assemble, hardware, merge, normalize, refine, relight, schedule
+from rfpipe.stages.evaluate import errors_table
+from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.sensors import read_sensor
+from rfpipe.store import open_arrays
+from rfpipe.transport import open_transport
+
+CODE = "some code"
+SHAPE = (4, 5)
+
+
+class Acquisition:
+    """Dual photography of a resampled rig, stage by stage."""
+
+    def __init__(self, path: Path, url: str, camera_shape: tuple[int, ...] = SHAPE) -> None:
+        self.folder = AcquisitionFolder(path / "results")
+        self.plan = Plan("dual", camera_shape, SHAPE, 3, tolerance=1e-3)
+        self.url = url
+        self.token = path / "rig.token"
+        self.token.write_text(TOKEN)
+        self.token.chmod(0o600)
+
+    def capture(self, level: int, **changes: Any) -> None:
+        hardware.run(
+            self.plan, self.folder, level,
+            **{
+                "url": self.url, "token_file": str(self.token), "patience_seconds": 0.0,
+                "references": (8, 64), **changes,
+            },
+        )  # fmt: skip
+
+    def schedule(self, level: int) -> None:
+        schedule.run(self.plan, self.folder, level, CODE)
+
+    def level(self, level: int) -> None:
+        self.schedule(level)
+        self.capture(level)
+        merge.run(
+            read_sensor(self.folder), self.folder, level,
+            saturation_fraction=0.98, repair_defects=True, code=CODE,
+        )  # fmt: skip
+        normalize.run(self.plan, self.folder, level, mode="per_channel", code=CODE)
+        refine.run(self.plan, self.folder, level, CODE)
+
+    def transport(self) -> Any:
+        for level in range(self.plan.n_levels):
+            self.level(level)
+        manifest = self.folder.path / "transport.json"
+        assemble.run(self.plan, self.folder, manifest, "desk", "float32", CODE)
+        return open_transport(self.folder.path / "transport.zarr")
+
+
+@pytest.fixture(scope="module")
+def acquired(tmp_path_factory: pytest.TempPathFactory) -> Acquisition:
+    """Acquire all levels, then stop the server."""
+    with running(ResampledRig()) as server:
+        acquisition = Acquisition(tmp_path_factory.mktemp("rig"), server.url)
+        acquisition.transport()
+    return acquisition
+
+
+def test_a_resampled_sensor_is_made_again_from_what_its_capture_left(acquired: Acquisition) -> None:
+    found = open_transport(acquired.folder.path / "transport.zarr").pack("float32")
+    expected = acquire(ResampledRig(), "dual", 1e-3, progress=False).transport.pack("float32")
+    assert found[1] == expected[1]
+    for name, array in expected[0].items():
+        np.testing.assert_array_equal(found[0][name], array, err_msg=name)
+    sensor = ResampledRig().sensor
+    assert read_sensor(acquired.folder).describe() == sensor.describe()
+
+
+def test_what_is_captured_needs_no_server(acquired: Acquisition) -> None:
+    for level in (0, 2):
+        manifest = acquired.folder.manifest(level, "capture")
+        before = manifest.read_bytes()
+        manifest.unlink()
+        acquired.capture(level, token_file=None, url=f"http://127.0.0.1:{free_port()}")
+        assert manifest.read_bytes() == before
+
+
+def test_a_captured_scene_is_relit_without_a_truth(acquired: Acquisition) -> None:
+    folder = acquired.folder.path
+    relight.run(folder, SceneConfig(geometry="captured", shape=SHAPE), CODE)
+    images = open_arrays(folder / "relight.zarr")
+    assert set(images.names) == {
+        "patterns", "relit", "floodlit_relit", "floodlit_captured", "levels_relit",
+    }  # fmt: skip
+    transport = open_transport(folder / "transport.zarr")
+    patterns = images.read("patterns")
+    np.testing.assert_array_equal(images.read("relit"), transport.relight_batch(patterns))
+    floodlit = images.read("floodlit_captured")
+    assert np.abs(images.read("floodlit_relit") - floodlit).max() < 0.02 * floodlit.max()
+    assert len(errors_table([folder / "relight.json"])) == 0
+
+
+@pytest.fixture
+def server() -> Any:
+    with running(ResampledRig()) as server:
+        yield server
+
+
+def test_a_rig_that_is_not_the_plans(tmp_path: Path, server: Running) -> None:
+    acquisition = Acquisition(tmp_path, server.url, camera_shape=(8, 5))
+    acquisition.schedule(0)
+    with pytest.raises(CaptureError, match=r"has \(4, 5\) camera rays.* say \(8, 5\)"):
+        acquisition.capture(0)
+    with server.http() as http:
+        assert http.get("/v1/status").json()["brackets"] == 0
+
+
+def test_another_rig_than_at_the_beginning(tmp_path: Path) -> None:
+    rig = ResampledRig()
+    with running(rig) as server:
+        acquisition = Acquisition(tmp_path, server.url)
+        acquisition.level(0)
+    rig.raw.seed = 5
+    acquisition.schedule(1)
+    with running(rig) as server:
+        acquisition.url = server.url
+        with pytest.raises(CaptureError, match=r"not that of the patterns .*seed 0 -> 5"):
+            acquisition.capture(1)
+
+
+def test_without_a_token_nothing_begins(tmp_path: Path, server: Running, monkeypatch: Any) -> None:
+    monkeypatch.delenv("RFPIPE_TOKEN", raising=False)
+    acquisition = Acquisition(tmp_path, server.url)
+    acquisition.schedule(0)
+    with pytest.raises(ConfigError, match="RFPIPE_TOKEN is not set"):
+        acquisition.capture(0, token_file=None)

@@ -1,0 +1,58 @@
+"""Which ray each projector pixel shows."""
+
+import numpy as np
+import pytest
+
+from rfpipe.errors import InputError
+from rfpipe.rigs import ProjectorLayout
+
+
+def test_a_grid_is_centred_in_whole_pixels() -> None:
+    layout = ProjectorLayout.grid((7, 12), (2, 3))
+    expected = np.full((7, 12), -1)
+    expected[0:6, 1:10] = np.repeat(np.repeat([[0, 1, 2], [3, 4, 5]], 3, axis=0), 3, axis=1)
+    assert np.array_equal(layout.ray_of_pixel, expected)
+    assert layout.display_shape == (7, 12)
+
+
+def test_a_pattern_becomes_a_picture() -> None:
+    rays = np.array([[0, 0, 5], [1, -1, 4]], np.int32)
+    layout = ProjectorLayout((2, 3), rays)
+    pattern = np.arange(6, dtype=np.float32).reshape(2, 3) / 5
+    picture = layout.picture(pattern)
+    assert picture.dtype == np.float32
+    assert picture == pytest.approx(np.array([[0, 0, 1], [0.2, 0, 0.8]]))
+
+
+def test_views_have_their_pixels() -> None:
+    layout = ProjectorLayout((2, 1, 1), np.array([[0, 1]], np.int32))
+    assert layout.picture(np.array([[[0.25]], [[1]]])).tolist() == [[0.25, 1]]
+
+
+def test_a_layout_can_be_stored() -> None:
+    layout = ProjectorLayout.grid((7, 12), (2, 3))
+    again = ProjectorLayout.from_arrays(layout.arrays())
+    assert again.describe() == layout.describe()
+    assert again.shape == (2, 3)
+
+
+@pytest.mark.parametrize(
+    ("shape", "rays", "expected"),
+    [
+        ((2, 3), np.array([[6]]), "holds 6 to 6; expected -1"),
+        ((2, 3), np.array([[-2]]), "holds -2"),
+        ((2, 3), np.array([0]), "expected int32"),
+        ((2, 3), np.array([[0.0]]), "float64"),
+        ((6,), np.array([[0]]), r"expected \(H, W\) or \(V, H, W\)"),
+    ],
+)
+def test_what_is_no_layout(shape: tuple[int, ...], rays: np.ndarray, expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        ProjectorLayout(shape, rays)
+
+
+def test_what_cannot_be_a_grid() -> None:
+    with pytest.raises(InputError, match=r"\(8, 8\) rays don't fit into a picture of \(7, 12\)"):
+        ProjectorLayout.grid((7, 12), (8, 8))
+    with pytest.raises(InputError, match="found by calibration"):
+        ProjectorLayout.grid((7, 12), (2, 3, 3))

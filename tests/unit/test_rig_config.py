@@ -1,0 +1,119 @@
+"""A rig's settings: defaults, generated files, and what a mistake says."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import BaseModel
+
+import rfpipe.config
+from rfpipe.config import RigConfig, load_rig_config, parse_rig_config
+from rfpipe.config.files import bench_yaml, rig_json_schema, rig_yaml
+from rfpipe.errors import ConfigError
+
+FOLDER = Path(__file__).parents[2] / "config"
+PLANE = {"geometry": "plane", "surfaces": ["white"], "channels": 1}
+
+
+def message(data: object) -> str:
+    with pytest.raises(ConfigError) as caught:
+        parse_rig_config(data, "rig.yaml")
+    return str(caught.value)
+
+
+def test_generated_files_are_in_step_with_the_model() -> None:
+    assert (FOLDER / "rig.yaml").read_text(encoding="utf-8") == rig_yaml()
+    assert (FOLDER / "bench.yaml").read_text(encoding="utf-8") == bench_yaml()
+    stored = json.loads((FOLDER / "rig.schema.json").read_text(encoding="utf-8"))
+    assert stored == rig_json_schema()
+
+
+def test_the_default_file_holds_the_defaults() -> None:
+    assert load_rig_config(FOLDER / "rig.yaml") == RigConfig() == parse_rig_config({}, "rig.yaml")
+
+
+def test_the_bench_file_is_a_bench() -> None:
+    config = load_rig_config(FOLDER / "bench.yaml")
+    assert config.bench is not None
+    assert config.bench.scene.ray_shape == (32, 32)
+    assert config.projector.settle_seconds == 0
+
+
+def test_every_setting_has_a_description() -> None:
+    names = ["RigConfig", *RigConfig.model_json_schema()["$defs"]]
+    models: list[type[BaseModel]] = [getattr(rfpipe.config, name) for name in names]
+    bare = [
+        f"{model.__name__}.{name}"
+        for model in models
+        for name, field in model.model_fields.items()
+        if not field.description
+    ]
+    assert len(models) > 5
+    assert bare == []
+
+
+@pytest.mark.parametrize(
+    ("name", "bits", "bayer"),
+    [
+        ("Mono8", 8, None),
+        ("Mono16", 16, None),
+        ("BayerRG12", 12, "RGGB"),
+        ("BayerGR10", 10, "GRBG"),
+        ("BayerGB8", 8, "GBRG"),
+        ("BayerBG16", 16, "BGGR"),
+    ],
+)
+def test_pixel_formats_say_bits_and_mosaic(name: str, bits: int, bayer: str | None) -> None:
+    sensor = {"bits": bits, "bayer": bayer}
+    config = parse_rig_config({"camera": {"pixel_format": name}, "sensor": sensor}, "rig.yaml")
+    assert (config.camera.bits, config.camera.bayer) == (bits, bayer)
+
+
+def test_further_nodes_keep_their_types() -> None:
+    nodes = {"ReverseX": True, "DigitalShift": 1, "Gamma": 0.5, "SensorReadoutMode": "Fast"}
+    config = parse_rig_config({"camera": {"nodes": nodes}}, "rig.yaml")
+    assert config.camera.nodes == nodes
+    assert [type(value) for value in config.camera.nodes.values()] == [bool, int, float, str]
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        ({"kind": "hardware"}, "kind is 'hardware'; it should be 'devices' or 'simulated'"),
+        ({"projector": {"screen": -1}}, "projector.screen is -1"),
+        ({"projector": {"display": "HDMI-1"}}, "projector.display is 'HDMI-1'"),
+        ({"projector": {"shape": [1080]}}, "projector.shape[1] is missing"),
+        ({"projector": {"settle_second": 1}}, "did you mean settle_seconds?"),
+        ({"camera": {"pixel_format": "Mono12p"}}, "camera.pixel_format is 'Mono12p'"),
+        ({"camera": {"retries": 2.5}}, "camera.retries is 2.5"),
+        ({"camera": {"pixel_format": "BayerRG8"}},
+         "sensor.bits should be 8 with camera.pixel_format BayerRG8, not 12"),
+        ({"camera": {"pixel_format": "BayerRG12"}},
+         "sensor.bayer should be RGGB with camera.pixel_format BayerRG12, not null"),
+        ({"sensor": None}, "sensor should be set with kind devices"),
+        ({"scene": PLANE}, "scene should be null with kind devices"),
+        ({"kind": "simulated"}, "scene should be set with kind simulated"),
+        ({"kind": "simulated", "scene": PLANE, "bench": {}}, "bench should be null"),
+        ({"bench": {"scene": {**PLANE, "channels": 3}}},
+         "bench.scene.channels should be 1 with camera.pixel_format Mono12, not 3"),
+        ({"bench": {"camera": {"bits": 10}}}, "bench.camera.bits should be 12"),
+        ({"bench": {}, "projector": {"display": ":0"}}, "projector.display should be null"),
+        ({"bench": {}, "camera": {"shape": [8, 8]}}, "camera.shape should be null"),
+        ({"bench": {"camera_corners": [[[0, 0], [9, 0], [9, 9], [0, 9]]] * 2}},
+         "camera_corners should have four corners for each of the scene's 1 views, not for 2"),
+        ({"bench": {"projector_gamma": 0}}, "bench.projector_gamma is 0"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_explained(data: dict[str, Any], expected: str) -> None:
+    text = message(data)
+    assert text.startswith("rig.yaml: ")
+    assert expected in text
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"absent\.yaml: can't be read"):
+        load_rig_config(tmp_path / "absent.yaml")
+    empty = tmp_path / "empty.yaml"
+    empty.write_text("")
+    assert load_rig_config(empty) == RigConfig()

@@ -1,0 +1,140 @@
+"""Leases with a clock of their own, tokens, and settings of remote rigs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rfpipe.config import Config, SceneConfig, parse_config
+from rfpipe.errors import ConfigError, InputError
+from rfpipe.rigs.token import read_token
+from rfpipe.scenes import scene_from_config
+from rfpipe.server.lease import LeaseHeldError, LeaseLapsedError, Leases
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_a_lease_lasts_as_long_as_its_heart_beats() -> None:
+    clock = Clock()
+    leases = Leases(10, clock)
+    lease = leases.acquire("one")
+    for clock.now in (9.0, 18.0, 27.0):
+        leases.renew(lease.id)
+    with pytest.raises(LeaseHeldError) as held:
+        leases.acquire("two")
+    assert held.value.seconds_left == 10
+    assert leases.current is not None
+    assert leases.current.client == "one"
+    clock.now = 37.0
+    assert leases.current is None
+    assert not leases.is_held_by(lease.id)
+    with pytest.raises(LeaseLapsedError):
+        leases.renew(lease.id)
+    second = leases.acquire("two")
+    assert second.id != lease.id
+    with pytest.raises(LeaseLapsedError):
+        leases.release(lease.id)
+    leases.release(second.id)
+    assert leases.current is None
+
+
+@pytest.mark.parametrize("identity", ["", "x", "\udcff", "é" * 10])
+def test_a_lease_is_known_by_its_id_alone(identity: str) -> None:
+    leases = Leases(10)
+    leases.acquire("one")
+    assert not leases.is_held_by(identity)
+    with pytest.raises(LeaseLapsedError):
+        leases.renew(identity)
+
+
+def test_a_token_from_a_file_or_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "rig.token"
+    file.write_text("0123456789abcdef\n")
+    file.chmod(0o600)
+    assert read_token(file) == "0123456789abcdef"
+    monkeypatch.setenv("RFPIPE_TOKEN", "fedcba9876543210")
+    assert read_token() == "fedcba9876543210"
+
+
+@pytest.mark.parametrize(
+    "token", ["short", "", "x" * 513, "0123456789abcde\xe9", "0123456789 abcdef"]
+)
+def test_a_token_that_is_none(tmp_path: Path, token: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "rig.token"
+    file.write_text(token)
+    file.chmod(0o600)
+    with pytest.raises(ConfigError, match=r"rig\.token: holds a token of \d+ char") as error:
+        read_token(file)
+    assert not token or token not in str(error.value)
+    monkeypatch.setenv("RFPIPE_TOKEN", token)
+    with pytest.raises(ConfigError, match="environment variable RFPIPE_TOKEN"):
+        read_token()
+
+
+def test_a_token_file_that_others_may_read_or_that_is_not_there(tmp_path: Path) -> None:
+    file = tmp_path / "rig.token"
+    with pytest.raises(ConfigError, match=r"can't be read as a token file.*token_urlsafe"):
+        read_token(file)
+    file.write_text("0123456789abcdef")
+    file.chmod(0o640)
+    with pytest.raises(ConfigError, match=r"has the mode 640.*chmod 600"):
+        read_token(file)
+
+
+DESK = {"desk": {"geometry": "captured", "shape": [4, 5]}}
+REMOTE = {"rig": "remote"}
+
+
+def test_a_captured_scene() -> None:
+    scene = parse_config(
+        {"scenes": DESK, "capture": REMOTE, "methods": ["symmetric"]}, "test"
+    ).scenes["desk"]
+    assert scene.is_captured
+    assert not scene.is_swept
+    assert scene.camera_ray_shape == scene.ray_shape == (4, 5)
+    with pytest.raises(InputError, match="can't be simulated"):
+        scene_from_config(scene)
+    array = SceneConfig(geometry="captured", shape=(4, 5), views=(3, 3))
+    assert array.ray_shape == (9, 4, 5)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"scenes": DESK}, "capture.rig should be remote for scenes.desk"),
+        ({"capture": REMOTE}, "scenes should be one with capture.rig remote, not planes_i"),
+        (
+            {"scenes": {"desk": {**DESK["desk"], "camera_shape": [6, 7]}}, "capture": REMOTE},
+            r"scenes.desk.camera_shape should be null, for a coaxial rig",
+        ),
+        (
+            {"scenes": {"desk": {**DESK["desk"], "surfaces": ["white"]}}, "capture": REMOTE},
+            "geometry captured should have 0 surfaces",
+        ),
+        (
+            {"scenes": {"a": {"geometry": "plane", "surfaces": ["white"], "camera_shape": [2, 2]}}},
+            "camera_shape should be null with geometry plane",
+        ),
+        ({"capture": {**REMOTE, "url": "rig:8750"}}, "capture.url is 'rig:8750'"),
+        ({"capture": {**REMOTE, "patience_seconds": -1}}, "capture.patience_seconds is -1"),
+    ],
+)
+def test_settings_that_do_not_fit_a_rig(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse_config(settings, "test")
+
+
+def test_other_rigs_than_coaxial_ones_take_dual_photography() -> None:
+    desk = {**DESK["desk"], "camera_shape": [6, 7]}
+    config = Config(scenes={"desk": desk}, capture=REMOTE, methods=["dual"])
+    assert config.scenes["desk"].camera_ray_shape == (6, 7)
+    assert config.capture.rule == "hardware"

@@ -1,0 +1,249 @@
+"""Runs whose rig is behind an acquisition server, and what is left when either of them dies."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+import yaml
+from tests.workflow.harness import (
+    CONFIG,
+    LONG,
+    STAGES,
+    Workflow,
+    freeze_writer,
+    journal,
+    kill_group,
+    wait_until,
+)
+
+from rfpipe import open_transport
+from rfpipe.store import open_arrays, read_manifest
+
+BRUTE = "long/brute_force"
+TOKEN = "a-token-for-tests-only"
+REFERENCES = 8
+
+
+class Server:
+    """``rfpipe serve`` as a process of its own, with a simulated rig."""
+
+    def __init__(self, folder: Path, scene: dict[str, Any], **rig: Any) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = int(probe.getsockname()[1])
+        self.folder = folder
+        self.url = f"http://127.0.0.1:{self.port}"
+        self.token_file = folder / "rig.token"
+        self.token_file.write_text(TOKEN)
+        self.token_file.chmod(0o600)
+        self.settings = {"kind": "simulated", "scene": scene, "seed": 1, **rig}
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        (self.folder / "rig.yaml").write_text(yaml.safe_dump(self.settings))
+        with (self.folder / "server.log").open("ab") as log:
+            self.process = subprocess.Popen(
+                [
+                    str(Path(sys.executable).with_name("rfpipe")),
+                    *("serve", str(self.folder / "rig.yaml"), "--port", str(self.port)),
+                    *("--token-file", str(self.token_file), "--lease-seconds", "1"),
+                ],
+                stderr=log,
+            )
+        wait_until(self.answers, "the server")
+
+    def answers(self) -> bool:
+        try:
+            return httpx.get(f"{self.url}/v1/health", trust_env=False).is_success
+        except httpx.TransportError:
+            return False
+
+    def kill(self, number: int = signal.SIGKILL) -> int:
+        assert self.process is not None
+        self.process.send_signal(number)
+        return self.process.wait(20)
+
+    def status(self) -> dict[str, Any]:
+        headers = {"Authorization": f"Bearer {TOKEN}"}
+        answer = httpx.get(f"{self.url}/v1/status", headers=headers, trust_env=False)
+        return dict(answer.json())
+
+    def workflow(self, folder: Path, **settings: Any) -> Workflow:
+        """Return a run of the served scene alone, by brute force where nothing else is asked."""
+        capture = {"rig": "remote", "url": self.url, "token_file": str(self.token_file)}
+        defaults = {"scenes": {"long": CONFIG["scenes"]["long"]}, "methods": ["brute_force"]}
+        return Workflow(folder, {**defaults, **settings, "capture": capture})
+
+
+@contextmanager
+def serving(folder: Path, scene: dict[str, Any], **rig: Any) -> Iterator[Server]:
+    server = Server(folder, scene, **rig)
+    server.start()
+    try:
+        yield server
+    finally:
+        assert server.process is not None
+        server.process.kill()
+        server.process.wait()
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[Server]:
+    with serving(tmp_path, CONFIG["scenes"]["long"]) as server:
+        yield server
+
+
+def test_a_server_killed_in_the_middle_of_a_level_is_waited_for(
+    tmp_path: Path, server: Server, undisturbed: Workflow
+) -> None:
+    workflow = server.workflow(tmp_path / "run")
+    store = workflow.path(f"{BRUTE}/L00/capture.zarr")
+    process = workflow.start(LONG)
+    wait_until(lambda: len(journal(store)) >= 20, "the first patterns")
+    server.kill()
+    captured = len(journal(store))
+    assert 20 <= captured < 288
+    server.start()
+    output = workflow.end(process)
+    assert re.search(r"no answer .*check that 'rfpipe serve' runs there", output)
+    assert "answers again; going on" in output
+    # but for what had come to the client, nothing was shown twice by the second server
+    assert server.status()["brackets"] <= 288 - captured + 1
+    # the same bytes as of a simulated capture without a server
+    assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
+
+
+def test_a_client_killed_in_the_middle_of_a_level_goes_on(
+    tmp_path: Path, server: Server, undisturbed: Workflow
+) -> None:
+    workflow = server.workflow(tmp_path / "run")
+    store = workflow.path(f"{BRUTE}/L00/capture.zarr")
+    process = workflow.start(LONG)
+    freeze_writer(store, 20)
+    kill_group(process, signal.SIGKILL)
+    process.communicate()
+    captured = len(journal(store))
+    assert server.status()["holder"] is not None  # until its lease lapses
+    workflow.run("--unlock")
+    output = workflow.run(LONG)
+    assert f"{captured} of 288 patterns are captured" in output
+    assert server.status()["holder"] is None
+    assert server.status()["brackets"] <= 288 + REFERENCES + 1
+    assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
+
+
+def test_both_killed_in_the_middle_of_a_level_go_on(
+    tmp_path: Path, server: Server, undisturbed: Workflow
+) -> None:
+    workflow = server.workflow(tmp_path / "run")
+    store = workflow.path(f"{BRUTE}/L00/capture.zarr")
+    process = workflow.start(LONG)
+    freeze_writer(store, 20)
+    server.kill()
+    kill_group(process, signal.SIGKILL)
+    process.communicate()
+    assert 20 <= len(journal(store)) < 288
+    server.start()
+    workflow.run("--unlock")
+    workflow.run(LONG)
+    assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
+
+
+def test_what_was_captured_is_processed_anew_without_the_server(
+    tmp_path: Path, server: Server, undisturbed: Workflow
+) -> None:
+    workflow = server.workflow(tmp_path / "run")
+    workflow.run(LONG)
+    assert server.kill(signal.SIGTERM) in (0, -signal.SIGTERM)
+    log = (tmp_path / "server.log").read_text()
+    assert "Application shutdown complete" in log
+    assert TOKEN not in log
+    for stage in STAGES:
+        workflow.path(f"{BRUTE}/L00/{stage}.json").unlink()
+    workflow.path(f"{BRUTE}/transport.json").unlink()
+    output = workflow.run(LONG)
+    assert "all 288 patterns are captured" in output
+    assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
+
+
+def test_a_server_that_stays_away_ends_the_run_with_advice(tmp_path: Path, server: Server) -> None:
+    workflow = server.workflow(tmp_path / "run")
+    workflow.configure(
+        scenes={"long": CONFIG["scenes"]["long"]},
+        methods=["brute_force"],
+        capture={
+            "rig": "remote",
+            "url": server.url,
+            "token_file": str(server.token_file),
+            "patience_seconds": 1,
+        },
+    )
+    server.kill()
+    output = workflow.run(LONG, succeeds=False)
+    assert "check that 'rfpipe serve' runs there" in output
+    assert "what is captured is kept: run again when the server is back" in output
+    server.settings["scene"] = {**CONFIG["scenes"]["long"], "shape": [16, 16]}
+    server.start()
+    output = workflow.run(LONG, succeeds=False)
+    assert "the rig has (16, 16) projector rays" in output
+    assert "the settings of the scene say (16, 18)" in output
+
+
+def test_another_rig_in_the_middle_of_an_acquisition_is_refused(
+    tmp_path: Path, server: Server
+) -> None:
+    workflow = server.workflow(tmp_path / "run")
+    store = workflow.path(f"{BRUTE}/L00/capture.zarr")
+    process = workflow.start(LONG)
+    freeze_writer(store, 20)
+    server.kill()
+    kill_group(process, signal.SIGKILL)
+    process.communicate()
+    captured = journal(store)
+    server.settings["seed"] = 2
+    server.start()
+    workflow.run("--unlock")
+    output = workflow.run(LONG, succeeds=False)
+    assert "the rig is not that of the patterns captured before (seed 1 -> 2)" in output
+    assert journal(store) == captured
+
+
+def test_a_captured_scene_is_relit_and_reported_without_a_truth(tmp_path: Path) -> None:
+    with serving(tmp_path, CONFIG["scenes"]["tiny"]) as server:
+        workflow = server.workflow(
+            tmp_path / "run",
+            scenes={"desk": {"geometry": "captured", "shape": [8, 8]}},
+            methods=["symmetric", "dual"],
+            report={"resolutions": [4, 8]},
+        )
+        workflow.run()
+        assert "Nothing to be done" in workflow.run()
+    for method in ("symmetric", "dual"):
+        folder = workflow.path(f"desk/{method}")
+        assert open_transport(folder / "transport.zarr").camera_shape == (8, 8)
+        images = open_arrays(folder / "relight.zarr")
+        assert "truth" not in images.names
+        floodlit, relit = (images.read(f"floodlit_{name}") for name in ("captured", "relit"))
+        assert np.abs(relit - floodlit).max() < 0.05 * floodlit.max()
+        described = read_manifest(folder / "L00/capture.json")["rig"]
+        assert described["sensor"]["kind"] == "camera"
+        assert not (folder / "sweep.json").exists()
+    page = workflow.path("report/index.html").read_text()
+    assert "The scene relit" in page
+    assert "The pictures were taken by a rig behind an acquisition server" in page
+    assert "ground truth by exact transport" not in page
+    assert "127.0.0.1" not in page
+    errors = workflow.path("report/tables/errors.csv").read_text().splitlines()
+    assert len(errors) == 1
+    assert workflow.path("report/figures/captured_desk_symmetric.png").stat().st_size > 1000

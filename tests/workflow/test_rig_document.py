@@ -1,0 +1,98 @@
+"""Each command of docs/rig.md, run on the optical bench; and how good what comes out is."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rfpipe import open_transport
+from rfpipe.calibration.mapping import camera_points, fit_map
+from rfpipe.config import load_rig_config
+from rfpipe.rigs.bench import optical_path
+from rfpipe.scenes import relighting_patterns, scene_from_config
+from rfpipe.stages.metrics import relative_rms
+from rfpipe.stages.relight import images_of
+from rfpipe.store import open_arrays
+
+ROOT = Path(__file__).parents[2]
+NEEDED = (
+    "Makefile", "README.md", "Snakefile", "config", "profiles", "pyproject.toml",
+    "requirements.lock", "src", "workflow",
+)  # fmt: skip
+
+
+def commands() -> str:
+    """The document's commands as one script, which leaves no server behind."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / "docs/rig.md").read_text(), re.M | re.S)
+    assert len(blocks) == 6
+    script = "\n".join(blocks)
+    assert "make serve RIG=$RIG > server.log 2>&1 &" in script
+    return f"set -euo pipefail\nset -m\ntrap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{script}"
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A checkout in which all commands of the document were run."""
+    folder = tmp_path_factory.mktemp("checkout")
+    for name in NEEDED:
+        source = ROOT / name
+        copy = shutil.copytree if source.is_dir() else shutil.copy2
+        copy(source, folder / name)
+    (folder / ".venv").symlink_to(sys.prefix)
+    environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    done = subprocess.run(
+        ["bash", "-c", commands()],
+        cwd=folder,
+        env={**environment, "PYTHONPATH": str(folder / "src")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    served = (folder / "server.log").read_text() if (folder / "server.log").exists() else ""
+    assert done.returncode == 0, done.stdout + served
+    return folder
+
+
+def test_pictures_relit_are_those_of_the_scene(bench: Path) -> None:
+    scene = scene_from_config(load_rig_config(ROOT / "config/bench.yaml").bench.scene)
+    transport = open_transport(bench / "captured/results/bench/symmetric/transport.zarr")
+    for name, pattern in relighting_patterns(scene.shape).items():
+        truth = images_of(scene, pattern[None])[0]
+        assert relative_rms(transport.relight(pattern), truth) < 0.02, name
+    assert (bench / "bar.png").stat().st_size > 0
+    assert (bench / "captured/results/report/index.html").exists()
+
+
+def test_the_calibration_finds_the_bench(bench: Path) -> None:
+    config = load_rig_config(ROOT / "config/bench.yaml")
+    found = json.loads((bench / "calibration/calibration.json").read_text())
+    assert {step["standing"] for step in found["facts"].values()} == {"good"}
+    true = config.sensor
+    for name in ("read_noise_electrons", "full_well_electrons", "dark_current_electrons"):
+        assert found["camera"][name] == pytest.approx(getattr(true, name), rel=0.1), name
+    assert found["camera"]["black_level_counts"] == pytest.approx(true.black_level_counts, abs=0.1)
+
+
+def test_the_calibration_finds_where_projector_and_camera_meet(bench: Path) -> None:
+    config = load_rig_config(ROOT / "config/bench.yaml")
+    path = optical_path(config.bench, config.bench.display_shape)
+    height, width = config.bench.camera_shape
+    y, x = np.mgrid[:height, :width] + 0.5
+    true = path.projector_points(np.stack([x, y], axis=-1))
+    seen = np.isfinite(true).all(axis=-1)
+    found = open_arrays(bench / "calibration/steps/correspondence.zarr")
+    valid, there = found.read("valid"), np.stack([found.read("x"), found.read("y")], axis=-1)
+    assert valid[seen].mean() > 0.9
+    smooth = fit_map(camera_points((height, width))[valid], there[valid])
+    error = np.hypot(*(smooth(np.stack([x, y], axis=-1)[seen]) - true[seen]).T)
+    assert error.mean() < 0.1  # projector pixels; a camera pixel is four of them wide
