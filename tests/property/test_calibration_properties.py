@@ -35,9 +35,10 @@ def test_every_pixel_is_found_exactly(
     assert lines.shape == (code.count, extent)
     assert lines.min() >= 0
     assert lines.max() <= 1
-    found, _, _, valid = code.decode(albedo * lines + ambient, np.full(lines.shape, 1e-12))
-    assert valid.all()
-    assert np.abs(found - np.arange(extent) - 0.5).max() < 1e-3
+    found = code.decode(albedo * lines + ambient, np.full(lines.shape, 1e-12))
+    assert found.valid.all()
+    assert np.abs(found.coordinate - np.arange(extent) - 0.5).max() < 1e-3
+    assert np.abs(found.contrast - 1).max() < 1e-3
     # one bit of the finest two misread beside a cell's edge does no harm
     flipped = lines.copy()
     pixel = np.random.default_rng(seed).integers(0, extent)
@@ -45,8 +46,8 @@ def test_every_pixel_is_found_exactly(
     near_edge = pixel % code.cell in (0, code.cell - 1)
     if near_edge:
         flipped[pair : pair + 2, pixel] = 0.5
-    found, *_ = code.decode(albedo * flipped + ambient, np.full(lines.shape, 1e-12))
-    assert abs(found[pixel] - pixel - 0.5) < 1e-3
+    again = code.decode(albedo * flipped + ambient, np.full(lines.shape, 1e-12))
+    assert abs(again.coordinate[pixel] - pixel - 0.5) < 1e-3
 
 
 @given(

@@ -63,6 +63,25 @@ def test_a_calibrated_rig_acquires_the_scene(calibrated: tuple[Bench, Calibratio
         assert error < 0.02, name
 
 
+def test_a_projector_that_is_not_dark_when_off_changes_nothing_else(tmp_path: Path) -> None:
+    bench = wedge_bench(RAYS, gamma=GAMMA)
+    light = 0.003 + 0.997 * np.linspace(0, 1, 256) ** GAMMA
+
+    def radiance() -> np.ndarray:
+        codes = np.rint(bench.projector.light * 255).astype(int)
+        return bench.path.radiance(light[codes])
+
+    bench.camera._radiance = radiance
+    folder = CalibrationFolder(tmp_path / "calibration")
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    found = load(folder.path)
+    assert "stray light" in found.facts["dark"]["verdict"]
+    assert found.camera["response_gamma"] == 1
+    assert found.camera["full_well_electrons"] == pytest.approx(20_000, rel=0.1)
+    assert found.camera["read_noise_electrons"] == pytest.approx(5, rel=0.1)
+    assert not found.hot.any()
+
+
 def test_steps_that_are_done_are_not_repeated(
     calibrated: tuple[Bench, CalibrationFolder], monkeypatch: pytest.MonkeyPatch
 ) -> None:

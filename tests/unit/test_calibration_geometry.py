@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.benches import CAMERA, Bench, surface_bench, wedge_bench
 
+from rfpipe.calibration.blur import blurring, fit_blur
 from rfpipe.calibration.codes import AxisCode
 from rfpipe.calibration.correspondence import (
     Correspondence,
@@ -15,7 +16,13 @@ from rfpipe.calibration.correspondence import (
     take_radiance,
 )
 from rfpipe.calibration.dark import measure_dark, take_dark
-from rfpipe.calibration.mapping import apply_homography, camera_points, fit_map
+from rfpipe.calibration.mapping import (
+    SmoothMap,
+    apply_homography,
+    camera_points,
+    fit_map,
+    inner,
+)
 from rfpipe.calibration.rays import coverage, fit_rays
 from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
 from rfpipe.errors import CaptureError, InputError
@@ -35,13 +42,19 @@ def correspondence_of(bench: Bench, period: int = 16, steps: int = 6) -> Corresp
     return measure_correspondence(images, shape, period, steps)
 
 
+def map_of(found: Correspondence) -> SmoothMap:
+    points = camera_points(found.valid.shape)
+    there, valid = np.stack([found.x, found.y], axis=-1), found.valid
+    return fit_map(points[valid], there[valid], inner(valid)[valid])
+
+
 def errors_of(bench: Bench, found: Correspondence) -> tuple[float, float]:
     """Return the mean error of single pixels and of the smooth map, in projector pixels."""
     points = camera_points(bench.camera.shape)
     true = bench.path.projector_points(points)
     seen = np.isfinite(true[..., 0])
     measured = np.stack([found.x, found.y], axis=-1)
-    smooth = fit_map(points[found.valid], measured[found.valid])
+    smooth = map_of(found)
     single = np.hypot(*(measured - true)[seen & found.valid].T)
     return float(single.mean()), float(np.hypot(*(smooth(points) - true)[seen].T).mean())
 
@@ -62,7 +75,7 @@ def test_the_correspondence_is_found_within_a_tenth_of_a_pixel(changes: dict) ->
     # one camera pixel sees nine projector pixels, with texture in them
     assert single < 0.3
     assert smooth < 0.05
-    findings = correspondence_findings(found, 16)
+    findings = correspondence_findings(found)
     assert findings.verdict.standing == "good"
     again = Correspondence.from_arrays(findings.arrays)
     assert np.array_equal(again.valid, found.valid)
@@ -84,14 +97,14 @@ def test_darkness_has_no_correspondence() -> None:
     bench.path.radiance = lambda light: np.zeros((24, 24, 1), np.float32)  # type: ignore[method-assign]
     found = correspondence_of(bench, 8, 4)
     assert found.valid.sum() == 0
-    verdict = correspondence_findings(found, 8).verdict
+    verdict = correspondence_findings(found).verdict
     assert verdict.standing == "poor"
     assert "Only 0 camera pixels" in verdict.text
 
 
 def test_noise_of_single_pixels_is_said() -> None:
     bench = wedge_bench(sensor=replace(CAMERA, electrons_per_radiance=300.0))
-    verdict = correspondence_findings(correspondence_of(bench), 16).verdict
+    verdict = correspondence_findings(correspondence_of(bench)).verdict
     assert verdict.standing == "poor"
 
 
@@ -139,9 +152,10 @@ def test_too_few_points_make_no_map() -> None:
 def relit_errors(bench: Bench, rays: tuple[int, int]) -> dict[str, float]:
     """Calibrate, show patterns, and return errors against the scene's own simulation."""
     found = correspondence_of(bench)
-    points = camera_points(bench.camera.shape)
-    smooth = fit_map(points[found.valid], np.stack([found.x, found.y], -1)[found.valid])
-    fit = fit_rays([smooth], ProjectorLayout.grid(bench.projector.shape, rays), bench.camera.shape)
+    smooth = map_of(found)
+    blur, _ = fit_blur(found, [smooth])
+    layout = ProjectorLayout.grid(bench.projector.shape, rays)
+    fit = fit_rays([smooth], layout, bench.camera.shape, blur)
     rig = DeviceRig(bench.projector, bench.camera, fit.layout, fit.resampling)
     named = {"floodlit": np.ones(rays, np.float32), **relighting_patterns(rays)}
     off = rig.capture(np.zeros((8, *rays), np.float32), [(9, i) for i in range(8)])
@@ -162,11 +176,41 @@ def test_pictures_on_the_rays_are_those_of_the_scene(camera: tuple[int, int]) ->
     assert max(errors.values()) < 0.02, errors
 
 
+@pytest.mark.parametrize("blur", [0.7, 1.0])
+def test_the_lens_blur_is_found_and_undone(blur: float) -> None:
+    bench = wedge_bench(camera=(56, 63), sensor=replace(CAMERA, psf_sigma=blur))
+    found = correspondence_of(bench)
+    smooth = map_of(found)
+    measured, error = fit_blur(found, [smooth])
+    assert measured == pytest.approx(blur, rel=0.05)
+    assert error < 0.02
+    errors = relit_errors(bench, (16, 16))
+    assert max(errors.values()) < 0.02, errors
+
+
+def test_a_sharp_lens_has_no_blur() -> None:
+    bench = wedge_bench()
+    found = correspondence_of(bench)
+    smooth = map_of(found)
+    assert fit_blur(found, [smooth])[0] < 0.1
+
+
+@pytest.mark.parametrize("blur", [0.3, 1.0, 2.5])
+def test_blurring_has_the_variance_it_should(blur: float) -> None:
+    point = np.zeros((31, 33))
+    point[15, 16] = 1
+    spread = (blurring((31, 33), blur) @ point.ravel()).reshape(31, 33)
+    assert spread.sum() == pytest.approx(1, abs=1e-3)
+    for axis, middle in ((0, 15), (1, 16)):
+        along = spread.sum(axis=1 - axis)
+        variance = along @ (np.arange(len(along)) - middle) ** 2.0
+        assert variance == pytest.approx(blur**2, rel=0.01)
+
+
 def test_rays_that_the_camera_cannot_see_stay_dark() -> None:
     bench = wedge_bench()
     found = correspondence_of(bench)
-    points = camera_points((48, 54))
-    smooth = fit_map(points[found.valid], np.stack([found.x, found.y], -1)[found.valid])
+    smooth = map_of(found)
     layout = ProjectorLayout.grid((144, 160), (16, 16))
     half = fit_rays([smooth], layout, (24, 54))  # the camera's upper half
     seen = half.resampling.seen
@@ -183,8 +227,7 @@ def test_rays_that_the_camera_cannot_see_stay_dark() -> None:
 def test_too_coarse_a_camera_leaks_and_says_so() -> None:
     bench = wedge_bench(camera=(20, 22))
     found = correspondence_of(bench, 32)
-    points = camera_points((20, 22))
-    smooth = fit_map(points[found.valid], np.stack([found.x, found.y], -1)[found.valid])
+    smooth = map_of(found)
     fit = fit_rays([smooth], ProjectorLayout.grid((144, 160), (16, 16)), (20, 22))
     assert fit.leak.max() > 0.02
     assert fit.noise.max() > 1.2

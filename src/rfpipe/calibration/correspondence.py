@@ -43,16 +43,22 @@ class Correspondence:
         Standard error by the noise, the larger of both axes.
     modulation : ndarray of float64, shape (Hc, Wc)
         The sinusoids' amplitude over its noise, the smaller of both axes.
+    contrast : ndarray of float64, shape (2, Hc, Wc)
+        Of stripes of one period over those of two, along x and along y; see `Decoded`.
     valid : ndarray of bool, shape (Hc, Wc)
     projector_shape : (int, int)
+    period : int
+        Of the stripes, in projector pixels.
     """
 
     x: Double
     y: Double
     error: Double
     modulation: Double
+    contrast: Double
     valid: NDArray[np.bool_]
     projector_shape: tuple[int, int]
+    period: int
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what `from_arrays` needs, to be stored."""
@@ -61,7 +67,9 @@ class Correspondence:
             "y": self.y.astype(np.float32),
             "error": self.error.astype(np.float32),
             "modulation": self.modulation.astype(np.float32),
+            "contrast": self.contrast.astype(np.float32),
             "valid": self.valid,
+            "period": np.array(self.period, np.int32),
             "projector_shape": np.array(self.projector_shape, np.int32),
         }
 
@@ -69,10 +77,12 @@ class Correspondence:
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> Correspondence:
         """Return the correspondence whose `arrays` these are."""
         height, width = map(int, arrays["projector_shape"])
-        x, y, error, modulation = (
-            arrays[name].astype(np.float64) for name in ("x", "y", "error", "modulation")
+        x, y, error, modulation, contrast = (
+            arrays[name].astype(np.float64)
+            for name in ("x", "y", "error", "modulation", "contrast")
         )
-        return cls(x, y, error, modulation, arrays["valid"], (height, width))
+        valid, period = arrays["valid"], int(arrays["period"])
+        return cls(x, y, error, modulation, contrast, valid, (height, width), period)
 
 
 def structured_light(shape: tuple[int, int], period: int, steps: int) -> Iterator[Float]:
@@ -129,18 +139,20 @@ def measure_correspondence(
             for _, (radiance, variance) in zip(range(code.count), remaining, strict=False)
         ]
         decoded.append(code.decode(*(np.stack(part) for part in zip(*grey, strict=True))))
-    (x, x_error, x_modulation, x_valid), (y, y_error, y_modulation, y_valid) = decoded
+    x, y = decoded
     return Correspondence(
-        x,
-        y,
-        np.maximum(x_error, y_error),
-        np.minimum(x_modulation, y_modulation),
-        x_valid & y_valid,
+        x.coordinate,
+        y.coordinate,
+        np.maximum(x.error, y.error),
+        np.minimum(x.modulation, y.modulation),
+        np.stack([x.contrast, y.contrast]),
+        x.valid & y.valid,
         shape,
+        period,
     )
 
 
-def correspondence_findings(correspondence: Correspondence, period: int) -> Findings:
+def correspondence_findings(correspondence: Correspondence) -> Findings:
     """Return the step's findings, with a verdict on how many pixels are valid, and how sharp."""
     valid = correspondence.valid
     share = float(valid.mean())
@@ -149,7 +161,7 @@ def correspondence_findings(correspondence: Correspondence, period: int) -> Find
         "valid_pixels": int(valid.sum()),
         "valid_share": share,
         "median_error_pixels": error,
-        "period_pixels": period,
+        "period_pixels": correspondence.period,
         "projector_shape": list(correspondence.projector_shape),
     }
     if valid.sum() < LEAST_PIXELS or error is None:
@@ -157,7 +169,7 @@ def correspondence_findings(correspondence: Correspondence, period: int) -> Find
             "poor",
             f"Only {int(valid.sum())} camera pixels see the projector's stripes. Check focus, that "
             "the camera sees what the projector lights, and the exposures; or make the stripes "
-            f"wider than {period} pixels a period.",
+            f"wider than {correspondence.period} pixels a period.",
         )
     elif error > WANTED:
         verdict = Verdict(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.defects import MAD_TO_DEVIATION
 
-__all__ = ["LEAST_POINTS", "SmoothMap", "camera_points", "fit_map"]
+__all__ = ["LEAST_POINTS", "SmoothMap", "camera_points", "fit_map", "inner"]
 
 Double = NDArray[np.float64]
 
@@ -24,6 +24,11 @@ GAIN = 0.8
 points that it wasn't fitted to."""
 
 DEGREE = 3
+
+MARGIN = 6
+LEAST_INNER = 0.25
+"""Pixels at the edge of what is lit that don't tell of distortion, and the share that must remain:
+there, blur moves the light's centre inwards, which looks like it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,13 +98,32 @@ def camera_points(shape: tuple[int, int]) -> Double:
     return np.stack([x, y], axis=-1)
 
 
-def fit_map(camera: Double, projector: Double) -> SmoothMap:
+def inner(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return valid pixels (H, W) that lie inside, away from the edge of what is valid.
+
+    The margin is `MARGIN` pixels, or fewer where too few would remain. Holes are no edges.
+    """
+    from scipy.ndimage import binary_erosion, binary_fill_holes
+
+    filled = binary_fill_holes(valid)
+    for margin in range(MARGIN, 0, -1):
+        inside = np.asarray(valid & binary_erosion(filled, iterations=margin))
+        if inside.sum() >= max(4 * LEAST_POINTS, LEAST_INNER * valid.sum()):
+            return inside
+    return valid
+
+
+def fit_map(
+    camera: Double, projector: Double, trusted: NDArray[np.bool_] | None = None
+) -> SmoothMap:
     """Fit a smooth map to points, robust against up to half of them being wrong.
 
     Parameters
     ----------
     camera, projector : ndarray of float64, shape (n, 2)
         Points that belong together, n at least `LEAST_POINTS`.
+    trusted : ndarray of bool, shape (n,), optional
+        Points that distortion is judged by; None for all. See `inner`.
 
     Raises
     ------
@@ -129,6 +153,8 @@ def fit_map(camera: Double, projector: Double) -> SmoothMap:
     rest = projector - apply_homography(homography, camera)
     # lenses bend lines by far more than the noise of a pixel: look at all but gross errors
     near = _inliers(rest, 3 * INLIER)
+    if trusted is not None:
+        near &= trusted
     terms = _terms((camera - centre) / scale)
     even = np.flatnonzero(near)[::2], np.flatnonzero(near)[1::2]
     distortion = None

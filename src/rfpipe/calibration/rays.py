@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.calibration.blur import blurring
 from rfpipe.calibration.mapping import SmoothMap
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.resampling import Resampling, normalised
@@ -25,15 +26,16 @@ Double = NDArray[np.float64]
 LEAST_SEEN = 0.5
 """Share of a ray's projector pixels that the camera must see."""
 
-WHOLE = 1e-3
-"""Share of a camera pixel that may look past the rays: dark there, it would see too little."""
+LEAST_SHARE = 1e-3
+"""Of a camera pixel that rays must have for it to be looked at."""
 
 DOUBT = 0.02
 """Mixing of a camera pixel, as the share of it that looks at other rays, at which its error by an
 imperfect map equals that of pixels that look at one ray."""
 
 RADIUS = 2
-"""Rays on each side that a ray's weights are solved together with."""
+BLURRED_RADIUS = 3
+"""Rays on each side that a ray's weights are solved together with, without and with blur."""
 
 RIDGE = 1e-4
 """Of the mean diagonal; keeps what rays can't be told apart from amplifying noise without end."""
@@ -110,11 +112,19 @@ def coverage(
 
 
 def fit_rays(
-    maps: Sequence[SmoothMap], layout: ProjectorLayout, camera_shape: tuple[int, int]
+    maps: Sequence[SmoothMap],
+    layout: ProjectorLayout,
+    camera_shape: tuple[int, int],
+    blur: float = 0.0,
 ) -> RayFit:
     """Find the weights with which camera pixels make up rays.
 
-    Parameters as `coverage`.
+    Parameters
+    ----------
+    maps, layout, camera_shape
+        As for `coverage`.
+    blur : float
+        Standard deviation of the picture's blur in camera pixels, at least 0.
 
     Returns
     -------
@@ -148,13 +158,15 @@ def fit_rays(
             "the camera sees none of the rays; check their place on the projector, and the "
             "correspondence"
         )
-    whole = np.asarray(shares.sum(axis=1)) > 1 - WHOLE
-    used = csr_array(diags_array(whole.astype(np.float64)) @ shares)
+    if blur > 0:
+        shares = csr_array(blurring(camera_shape, blur) @ shares)
+    used, past_of_ray = _with_past(shares)
     largest = used.max(axis=1).toarray().ravel()
-    weight = np.where(whole, 1 / (1 - np.minimum(largest, 1) + DOUBT) ** 2, 0) * DOUBT**2
+    weight = np.where(largest > 0, DOUBT**2 / (1 - np.minimum(largest, 1) + DOUBT) ** 2, 0)
     weighted = csr_array(used.T @ diags_array(weight))
-    seen = seen & (np.asarray(weighted.sum(axis=1)) > 0)
-    inverse = _local_inverse(csr_array(weighted @ used), seen, layout.shape)
+    radius = BLURRED_RADIUS if blur > 0 else RADIUS
+    patches = _patches(layout.shape, seen, radius)
+    inverse = _local_inverse(csr_array(weighted @ used), patches, past_of_ray)
     matrix = _pruned(csr_array(inverse @ weighted))
     unseen = ~seen.reshape(layout.shape)
     dark = np.append(unseen.ravel(), True)[layout.ray_of_pixel]
@@ -205,39 +217,79 @@ def _areas(
     return areas
 
 
-def _local_inverse(
-    normal: csr_array[Any], seen: NDArray[np.bool_], shape: tuple[int, ...]
-) -> csr_array[Any]:
-    """Return the inverse of ``A^T W A``, each row solved on a patch of rays around its own."""
-    from scipy.sparse import coo_array, csr_array, diags_array
+def _with_past(shares: csr_array[Any]) -> tuple[csr_array[Any], NDArray[np.int64]]:
+    """Add what lies past the rays as unknowns: one beside each ray at the edge.
 
-    diagonal = normal.diagonal()
-    ridge = RIDGE * float(diagonal[seen].mean())
-    regular = csr_array(normal + diags_array(np.where(seen, ridge, 1.0)))
+    Without them, rays at the edge would be taken for darker than they are, by what the pixels that
+    they share with the dark outside see of it.
+
+    Returns
+    -------
+    csr_array of float64, shape (camera pixels, rays + unknowns past them)
+        Rows of pixels that see rays sum to 1, others are empty.
+    ndarray of int64, shape (rays + 1,)
+        Column of the unknown beside each ray, -1 where there is none; the last is always -1.
+    """
+    from scipy.sparse import coo_array, csr_array, diags_array, hstack
+
+    total = np.asarray(shares.sum(axis=1))
+    looking = total > LEAST_SHARE
+    kept = csr_array(diags_array(looking.astype(np.float64)) @ shares)
+    mixed = np.flatnonzero(looking & (total < 1 - LEAST_SHARE))
+    nearest = np.asarray(kept[mixed].argmax(axis=1)).ravel()
+    edge, column = np.unique(nearest, return_inverse=True)
+    past = coo_array((1 - total[mixed], (mixed, column)), shape=(len(total), len(edge)))
+    of_ray = np.full(shares.shape[1] + 1, -1)
+    of_ray[edge] = shares.shape[1] + np.arange(len(edge))
+    return csr_array(hstack([kept, past.tocsr()], format="csr")), of_ray
+
+
+def _patches(shape: tuple[int, ...], seen: NDArray[np.bool_], radius: int) -> NDArray[np.int64]:
+    """Return the rays around each seen one, itself first; -1 past the edge or where not seen."""
     height, width = shape[-2:]
-    index = np.arange(prod(shape)).reshape(-1, height, width)
-    padded = np.pad(index, ((0, 0), (RADIUS, RADIUS), (RADIUS, RADIUS)), constant_values=-1)
-    side = 2 * RADIUS + 1
+    index = np.where(seen, np.arange(seen.size), -1).reshape(-1, height, width)
+    padded = np.pad(index, ((0, 0), (radius, radius), (radius, radius)), constant_values=-1)
+    side = 2 * radius + 1
     windows = np.lib.stride_tricks.sliding_window_view(padded, (side, side), axis=(1, 2))
-    patches = windows.reshape(-1, side * side)[seen]
+    around = windows.reshape(-1, side * side)[seen]
+    middle = side * side // 2
+    return np.roll(around, -middle, axis=1)
+
+
+def _local_inverse(
+    normal: csr_array[Any], patches: NDArray[np.int64], past_of_ray: NDArray[np.int64]
+) -> csr_array[Any]:
+    """Return the rays' rows of the inverse of ``A^T W A``, each solved on a patch of rays."""
+    from scipy.sparse import coo_array
+
+    count = len(past_of_ray) - 1
+    ridge = RIDGE * float(normal.diagonal()[patches[:, 0]].mean())
+    past = past_of_ray[patches]
+    at_edge = (past >= 0).any(axis=1)
     rows, columns, values = [], [], []
-    for first in range(0, len(patches), CHUNK):
-        patch = patches[first : first + CHUNK]
-        there = patch >= 0
-        both = there[:, :, None] & there[:, None, :]
-        row, column = np.broadcast_arrays(patch[:, :, None], patch[:, None, :])
-        local = np.zeros(both.shape)
-        local[both] = np.asarray(regular[row[both], column[both]]).ravel()
-        local[:, np.arange(side * side), np.arange(side * side)] += ~there
-        target = np.zeros((len(patch), side * side, 1))
-        target[:, side * side // 2] = 1
-        solved = np.linalg.solve(local, target)[..., 0]
-        own = np.broadcast_to(patch[:, side * side // 2, None], patch.shape)
-        rows.append(own[there])
-        columns.append(patch[there])
-        values.append(solved[there])
+    for group in (patches[~at_edge], np.hstack([patches, past])[at_edge]):
+        for first in range(0, len(group), CHUNK):
+            patch = group[first : first + CHUNK]
+            there = patch >= 0
+            solved = np.linalg.solve(_local(normal, patch, ridge), np.eye(patch.shape[1])[:, :1])
+            rows.append(np.broadcast_to(patch[:, :1], patch.shape)[there])
+            columns.append(patch[there])
+            values.append(solved[..., 0][there])
     at = np.concatenate(rows), np.concatenate(columns)
-    return coo_array((np.concatenate(values), at), shape=normal.shape).tocsr()
+    shape = (count, normal.shape[1])
+    return coo_array((np.concatenate(values), at), shape=shape).tocsr()
+
+
+def _local(normal: csr_array[Any], patch: NDArray[np.int64], ridge: float) -> Double:
+    """Return the part of a matrix that each patch (n, P) sees, (n, P, P), made regular."""
+    there = patch >= 0
+    both = there[:, :, None] & there[:, None, :]
+    row, column = np.broadcast_arrays(patch[:, :, None], patch[:, None, :])
+    local = np.zeros(both.shape)
+    local[both] = np.asarray(normal[row[both], column[both]]).ravel()
+    diagonal = np.arange(patch.shape[1])
+    local[:, diagonal, diagonal] += np.where(there, ridge, 1.0)
+    return local
 
 
 def _pruned(matrix: csr_array[Any]) -> csr_array[Any]:

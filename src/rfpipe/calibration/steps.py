@@ -16,6 +16,7 @@ from rfpipe.calibration.base import (
     camera_model,
     uniform,
 )
+from rfpipe.calibration.blur import fit_blur
 from rfpipe.calibration.correspondence import (
     Correspondence,
     correspondence_findings,
@@ -36,7 +37,7 @@ from rfpipe.calibration.linearity import (
     measure_linearity,
     power_law,
 )
-from rfpipe.calibration.mapping import SmoothMap, camera_points, fit_map
+from rfpipe.calibration.mapping import SmoothMap, camera_points, fit_map, inner
 from rfpipe.calibration.rays import RayFit, fit_rays
 from rfpipe.calibration.symmetry import measure_symmetry, symmetry_findings, take_symmetry
 from rfpipe.calibration.transfer import (
@@ -59,7 +60,10 @@ Float = NDArray[np.float32]
 MAP_WANTED = 0.1
 """Standard error of the smooth map in projector pixels that the rays bear."""
 
-LEAST_PIXELS_A_RAY = 3.0
+MOST_NOISE = 4.0
+"""Noise of a ray over that of a camera pixel; one that few pixels see alone has up to about 2."""
+
+LEAST_PIXELS_A_RAY = 4.0
 """Camera pixels a ray below which few pixels look at one ray alone."""
 
 
@@ -191,7 +195,7 @@ def _correspondence(bench: Bench) -> Findings:
     code = settings.period_pixels, settings.phase_steps
     images = bench.radiance(bench.lit, structured_light(shape, *code))
     found = measure_correspondence(images, shape, *code)
-    return correspondence_findings(found, settings.period_pixels)
+    return correspondence_findings(found)
 
 
 def _rays(bench: Bench) -> Findings:
@@ -204,11 +208,13 @@ def _rays(bench: Bench) -> Findings:
     if corners is None:
         layout = ProjectorLayout.grid(display, bench.rays or display)
         there = np.stack([found.x, found.y], axis=-1)
-        maps = [fit_map(points[found.valid], there[found.valid])]
+        valid = found.valid
+        maps = [fit_map(points[valid], there[valid], inner(valid)[valid])]
     else:
         layout = layout_of_views(corners, bench.rays or _rays_a_view(corners), display)
         maps = maps_of_views(found, corners)
-    fit = fit_rays(maps, layout, bench.camera.shape)
+    blur, blur_error = fit_blur(found, maps)
+    fit = fit_rays(maps, layout, bench.camera.shape, blur)
     arrays = {
         **fit.layout.arrays(),
         **fit.resampling.arrays(),
@@ -219,6 +225,8 @@ def _rays(bench: Bench) -> Findings:
     facts = {
         "shape": list(layout.shape),
         "corners": None if corners is None else [list(map(list, quad)) for quad in corners],
+        "blur_pixels": blur,
+        "blur_error": blur_error,
         "unseen_rays": int((~fit.resampling.seen).sum()),
         "pixels_a_ray": float(np.median(fit.pixels)),
         "mean_leak": float(fit.leak.mean()),
@@ -226,7 +234,7 @@ def _rays(bench: Bench) -> Findings:
         "largest_noise": float(fit.noise.max()),
         "maps": [one.facts() for one in maps],
     }
-    return Findings(_rays_verdict(fit, maps, settings.tolerance), facts, arrays)
+    return Findings(_rays_verdict(fit, maps, blur, settings.tolerance), facts, arrays)
 
 
 def _symmetry(bench: Bench) -> Findings:
@@ -307,7 +315,7 @@ def _rays_a_view(corners: Iterable[Any]) -> tuple[int, int]:
     return max(1, int(tall)), max(1, int(wide))
 
 
-def _rays_verdict(fit: RayFit, maps: list[SmoothMap], tolerance: float) -> Verdict:
+def _rays_verdict(fit: RayFit, maps: list[SmoothMap], blur: float, tolerance: float) -> Verdict:
     """Say whether rays are told apart to the tolerance, and whether the map is known."""
     unseen = int((~fit.resampling.seen).sum())
     error = max(one.error for one in maps)
@@ -325,9 +333,16 @@ def _rays_verdict(fit: RayFit, maps: list[SmoothMap], tolerance: float) -> Verdi
             f"{tolerance / 2:.1%}. There are {pixels:.1f} camera pixels a ray; "
             f"{LEAST_PIXELS_A_RAY:.0f} or more are wanted: use larger rays, or a longer lens."
         )
+    if fit.noise.max() > MOST_NOISE:
+        faults.append(
+            f"The camera hardly tells some rays from their neighbours: their noise is up to "
+            f"{fit.noise.max():.1f} times that of a camera pixel, with a blur of {blur:.2f} pixels "
+            f"and {pixels:.1f} pixels a ray. Focus, or use larger rays."
+        )
     text = (
         f"{pixels:.1f} camera pixels a ray, a leak of {leak:.2%}; the map fits within "
         f"{max(one.rms for one in maps):.2f} projector pixels a camera pixel, its own error is "
-        f"{error:.3f}. {unseen} rays are not seen, and stay dark."
+        f"{error:.3f}. The picture is blurred by {blur:.2f} camera pixels. {unseen} rays are not "
+        "seen, and stay dark."
     )
     return Verdict.of(faults, text)

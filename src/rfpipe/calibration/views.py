@@ -14,6 +14,7 @@ from rfpipe.calibration.mapping import (
     apply_homography,
     camera_points,
     fit_map,
+    inner,
 )
 from rfpipe.errors import CaptureError
 from rfpipe.rigs.layout import DARK, ProjectorLayout
@@ -127,7 +128,7 @@ def maps_of_views(
     for quad in corners:
         place = apply_homography(_to_rays((1, 1), quad), there)
         inside = correspondence.valid & ((place >= 0) & (place <= 1)).all(axis=-1)
-        maps.append(fit_map(points[inside], there[inside]))
+        maps.append(fit_map(points[inside], there[inside], inner(inside)[inside]))
     return maps
 
 
