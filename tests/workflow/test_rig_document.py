@@ -38,10 +38,8 @@ def commands() -> str:
     return f"set -euo pipefail\nset -m\ntrap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{script}"
 
 
-@pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A checkout in which all commands of the document were run."""
-    folder = tmp_path_factory.mktemp("checkout")
+def run_commands(folder: Path) -> None:
+    """Run all commands of the document in a checkout of their own."""
     for name in NEEDED:
         source = ROOT / name
         copy = shutil.copytree if source.is_dir() else shutil.copy2
@@ -60,10 +58,16 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )
     served = (folder / "server.log").read_text() if (folder / "server.log").exists() else ""
     assert done.returncode == 0, done.stdout + served
-    return folder
 
 
-def test_pictures_relit_are_those_of_the_scene(bench: Path) -> None:
+def test_its_commands_lead_to_the_scene(tmp_path: Path) -> None:
+    run_commands(tmp_path)
+    check_pictures(tmp_path)
+    check_numbers(tmp_path)
+    check_correspondence(tmp_path)
+
+
+def check_pictures(bench: Path) -> None:
     scene = scene_from_config(load_rig_config(ROOT / "config/bench.yaml").bench.scene)
     transport = open_transport(bench / "captured/results/bench/symmetric/transport.zarr")
     for name, pattern in relighting_patterns(scene.shape).items():
@@ -73,7 +77,7 @@ def test_pictures_relit_are_those_of_the_scene(bench: Path) -> None:
     assert (bench / "captured/results/report/index.html").exists()
 
 
-def test_the_calibration_finds_the_bench(bench: Path) -> None:
+def check_numbers(bench: Path) -> None:
     config = load_rig_config(ROOT / "config/bench.yaml")
     found = json.loads((bench / "calibration/calibration.json").read_text())
     assert {step["standing"] for step in found["facts"].values()} == {"good"}
@@ -83,7 +87,7 @@ def test_the_calibration_finds_the_bench(bench: Path) -> None:
     assert found["camera"]["black_level_counts"] == pytest.approx(true.black_level_counts, abs=0.1)
 
 
-def test_the_calibration_finds_where_projector_and_camera_meet(bench: Path) -> None:
+def check_correspondence(bench: Path) -> None:
     config = load_rig_config(ROOT / "config/bench.yaml")
     path = optical_path(config.bench, config.bench.display_shape)
     height, width = config.bench.camera_shape
