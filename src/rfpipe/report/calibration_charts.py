@@ -26,6 +26,8 @@ __all__ = [
 
 _BLUE, _RED, _GREY = "#1f5a9e", "#c4611a", "#9a9a9a"
 _WIDTH = 8.4
+# Measurements with their error bars.
+_POINTS: dict[str, Any] = {"fmt": "o", "markersize": 3, "linewidth": 0.8, "color": _BLUE}
 
 
 def dark_figure(findings: Findings) -> Figure:
@@ -53,10 +55,7 @@ def linearity_figure(findings: Findings) -> Figure:
         arrays["linearity_level"],
         100 * arrays["linearity_deviation"],
         200 * arrays["linearity_error"],
-        fmt="o",
-        markersize=3,
-        linewidth=0.8,
-        color=_BLUE,
+        **_POINTS,
     )
     axis.set_xscale("log")
     label_below(axis, "counts above black, fraction of full scale")
@@ -83,10 +82,7 @@ def light_figure(findings: Findings) -> Figure:
         codes,
         100 * (measured - (codes / 255) ** 2.2),
         200 * arrays["light_error"],
-        fmt="o",
-        markersize=3,
-        linewidth=0.8,
-        color=_BLUE,
+        **_POINTS,
     )
     label_left(right, "less gamma 2.2, %")
     for axis in (left, right):
@@ -112,10 +108,7 @@ def transfer_figure(findings: Findings) -> Figure:
         signal[used],
         variance[used] / model[used],
         2 * error[used] / model[used],
-        fmt="o",
-        markersize=3,
-        linewidth=0.8,
-        color=_BLUE,
+        **_POINTS,
     )
     right.set_xscale("log")
     label_left(right, "measured over fitted")

@@ -112,7 +112,7 @@ def run(
         present = bytes_on_disk(merged) if merged.exists() else 0
         need = DiskNeed.of(rig, to_capture, schedule.count)
         check_level(f"level {level}", need, folder.path, present, keep_raw=keep_raw)
-        if warm_up_minutes * 60 > 0 and seconds_since_capture(folder.path) > warm_up_minutes * 60:
+        if 0 < 60 * warm_up_minutes < seconds_since_capture(folder.path):
             warm_up(rig, warm_up_minutes)
     batch = (resources or Resources()).fitting(_bytes_in_hand(rig), batch_patterns)
     beside: dict[str, Any] = {} if level else write_sensor(folder, rig.sensor)

@@ -76,7 +76,7 @@ class Drift:
     def change(self) -> float:
         """Largest difference of brightness between two looks, 0 where it is within the noise."""
         span = self.gain.max(axis=0) - self.gain.min(axis=0)
-        noise = np.hypot(self.deviation.max(axis=0), self.deviation.max(axis=0))
+        noise = np.sqrt(2) * self.deviation.max(axis=0)
         return float(np.where(span > _SIGNIFICANCE * noise, span, 0).max(initial=0.0))
 
     def facts(self, every: int) -> dict[str, Any]:
@@ -160,7 +160,7 @@ def _cells(image: NDArray[np.float32]) -> Double:
     """Sum an image (*camera_shape, C) over the cells of its views, ``(cells, C)``."""
     planes = image.reshape(-1, *image.shape[-3:]).astype(np.float64)
     rows, columns = (
-        np.unique(np.arange(min(extent, _CELLS)) * extent // min(extent, _CELLS))
+        np.arange(min(extent, _CELLS)) * extent // min(extent, _CELLS)
         for extent in planes.shape[1:3]
     )
     sums = np.add.reduceat(np.add.reduceat(planes, rows, axis=1), columns, axis=2)
