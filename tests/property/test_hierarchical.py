@@ -9,7 +9,7 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.hierarchical import HierarchicalTransport
-from rfpipe.transport.leaves import LeafSet, factor_offsets
+from rfpipe.transport.leaves import LeafSet, factor_offsets, merge_leaf_sets
 
 shapes = st.one_of(
     st.tuples(st.integers(1, 9), st.integers(1, 9)),
@@ -17,43 +17,71 @@ shapes = st.one_of(
 )
 
 
-def random_transport(shape, channels, seed):
+def random_leaves(tree, level, channels, rng, signed):
+    """Return random leaves of a level: of rank 1 to 3 and with signs if `signed`, else rank-1."""
+    count = tree.n_blocks(level)
+    pairs = np.stack(np.triu_indices(count))[:, rng.permutation(count * (count + 1) // 2)[:5]]
+    if signed:
+        pairs = np.repeat(pairs, rng.integers(1, 4, pairs.shape[1]), axis=1)
+    block_a, block_b = pairs[:, np.lexsort(pairs[::-1])].astype(np.int32)
+    is_last = level == tree.n_levels - 1
+    n_values = factor_offsets(tree.starts[level], block_a, block_b)[2]
+    shape = (channels, len(block_a) if is_last else n_values)
+    if not signed:
+        return LeafSet(level, block_a, block_b, rng.random(shape, dtype=np.float32))
+    values = rng.standard_normal(shape, dtype=np.float32)
+    signs = None if is_last else rng.choice([-1, 1], (channels, len(block_a))).astype(np.int8)
+    return LeafSet(level, block_a, block_b, values, signs=signs)
+
+
+def add_dense(tree, leaves, matrices):
+    """Add leaves to dense matrices, in image order."""
+    starts = tree.starts[leaves.level]
+    offset_a, offset_b, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
+    for n, (a, b) in enumerate(zip(leaves.block_a, leaves.block_b, strict=True)):
+        rows = tree.order[starts[a] : starts[a + 1]]
+        columns = tree.order[starts[b] : starts[b + 1]]
+        for c, values in enumerate(leaves.values):
+            if leaves.level == tree.n_levels - 1:
+                block = np.full((1, 1), values[n], np.float64)
+            else:
+                factor_a = values[offset_a[n] : offset_a[n] + len(rows)]
+                factor_b = values[offset_b[n] : offset_b[n] + len(columns)]
+                block = np.outer(factor_a, factor_b).astype(np.float64)
+            if leaves.signs is not None:
+                block *= leaves.signs[c, n]
+            matrices[c][np.ix_(rows, columns)] += block
+            if a != b:
+                matrices[c][np.ix_(columns, rows)] += block.T
+
+
+def random_transport(shape, channels, seed, signed=False):
     """Return a transport with random leaves at random levels, and its dense matrices."""
     rng = np.random.default_rng(seed)
     tree = BlockTree(RayDomain(shape))
-    rays = tree.domain.size
-    matrices = np.zeros((channels, rays, rays))
-    leaf_sets = []
-    for level in range(tree.n_levels):
-        count = tree.n_blocks(level)
-        pairs = np.stack(np.triu_indices(count))[:, rng.permutation(count * (count + 1) // 2)[:5]]
-        block_a, block_b = pairs[:, np.lexsort(pairs[::-1])].astype(np.int32)
-        starts = tree.starts[level]
-        offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
-        is_last = level == tree.n_levels - 1
-        values = rng.random((channels, len(block_a) if is_last else n_values), dtype=np.float32)
-        leaf_sets.append(LeafSet(level, block_a, block_b, values))
-        for n, (a, b) in enumerate(zip(block_a, block_b, strict=True)):
-            rows = tree.order[starts[a] : starts[a + 1]]
-            columns = tree.order[starts[b] : starts[b + 1]]
-            for c in range(channels):
-                if is_last:
-                    block = np.full((1, 1), values[c, n], np.float64)
-                else:
-                    factor_a = values[c, offset_a[n] : offset_a[n] + len(rows)]
-                    factor_b = values[c, offset_b[n] : offset_b[n] + len(columns)]
-                    block = np.outer(factor_a, factor_b).astype(np.float64)
-                matrices[c][np.ix_(rows, columns)] += block
-                if a != b:
-                    matrices[c][np.ix_(columns, rows)] += block.T
+    matrices = np.zeros((channels, tree.domain.size, tree.domain.size))
+    # where there are signs, some leaves have none: a merge brings both together
+    kinds = (True, False) if signed else (False,)
+    leaf_sets = [
+        random_leaves(tree, level, channels, rng, kind)
+        for level in range(tree.n_levels)
+        for kind in kinds
+    ]
+    for leaves in leaf_sets:
+        add_dense(tree, leaves, matrices)
     rows = [{"level": level, "patterns": 1} for level in range(tree.n_levels)]
     return HierarchicalTransport.from_leaf_sets(tree, channels, rows, leaf_sets), matrices
 
 
 @settings(max_examples=25, deadline=None)
-@given(shape=shapes, channels=st.sampled_from([1, 3]), seed=st.integers(0, 2**32 - 1))
-def test_it_is_the_linear_operator_of_its_dense_matrix(shape, channels, seed):
-    transport, matrices = random_transport(shape, channels, seed)
+@given(
+    shape=shapes,
+    channels=st.sampled_from([1, 3]),
+    seed=st.integers(0, 2**32 - 1),
+    signed=st.booleans(),
+)
+def test_it_is_the_linear_operator_of_its_dense_matrix(shape, channels, seed, signed):
+    transport, matrices = random_transport(shape, channels, seed, signed)
     rng = np.random.default_rng(seed + 1)
     rays = matrices.shape[1]
     scale = np.abs(matrices).max() * rays
@@ -71,9 +99,14 @@ def test_it_is_the_linear_operator_of_its_dense_matrix(shape, channels, seed):
 
 
 @settings(max_examples=25, deadline=None)
-@given(shape=shapes, channels=st.sampled_from([1, 3]), seed=st.integers(0, 2**32 - 1))
-def test_it_relights_images_of_one_or_all_channels(shape, channels, seed):
-    transport, matrices = random_transport(shape, channels, seed)
+@given(
+    shape=shapes,
+    channels=st.sampled_from([1, 3]),
+    seed=st.integers(0, 2**32 - 1),
+    signed=st.booleans(),
+)
+def test_it_relights_images_of_one_or_all_channels(shape, channels, seed, signed):
+    transport, matrices = random_transport(shape, channels, seed, signed)
     rng = np.random.default_rng(seed + 1)
     scale = np.abs(matrices).max() * matrices.shape[1]
     white = rng.random(shape)
@@ -101,6 +134,81 @@ def test_truncation_keeps_every_row_and_column_sum(shape, channels, seed):
         truncated = transport.truncate(level)
         assert max(leaves.level for leaves in truncated.leaf_sets) <= level
         np.testing.assert_allclose(truncated.relight(on), transport.relight(on), atol=1e-5 * scale)
+
+
+def collapsed(tree, matrix, level):
+    """Return what one channel's rank-1 nodes of `level` are, of row and column sums of `matrix`."""
+    starts, within = tree.starts[level], matrix[np.ix_(tree.order, tree.order)]
+    found = np.zeros_like(within)
+    for a in range(tree.n_blocks(level)):
+        for b in range(tree.n_blocks(level)):
+            node = slice(starts[a], starts[a + 1]), slice(starts[b], starts[b + 1])
+            by_row, by_column = within[node].sum(axis=1), within[node].sum(axis=0)
+            total = by_row.sum()
+            least = 0.25 * max(np.abs(by_row).sum(), np.abs(by_column).sum())
+            if total:
+                light = np.copysign(max(abs(total), least), total)
+                found[node] = np.outer(by_row, by_column) / light
+    return found[np.ix_(tree.inverse, tree.inverse)]
+
+
+@settings(max_examples=40, deadline=None)
+@given(shape=shapes, seed=st.integers(0, 2**32 - 1))
+def test_truncation_of_signed_leaves_is_rank_1_and_of_bounded_size(shape, seed):
+    transport, _ = random_transport(shape, 3, seed, signed=True)
+    tree, rays = transport.tree, transport.tree.domain.size
+    for level in range(tree.n_levels - 1):
+        expected, below = np.zeros((2, 3, rays, rays))
+        for leaves in transport.leaf_sets:
+            add_dense(tree, leaves, expected if leaves.level <= level else below)
+        expected += [collapsed(tree, matrix, level) for matrix in below]
+        truncated = transport.truncate(level)
+        found = [truncated.channel(c) @ np.eye(rays) for c in range(3)]
+        scale = max(1.0, np.abs(below).sum(axis=(1, 2)).max())
+        np.testing.assert_allclose(found, expected, atol=1e-5 * scale)
+
+
+@settings(max_examples=40, deadline=None)
+@given(shape=shapes, channels=st.sampled_from([1, 3]), seed=st.integers(0, 2**32 - 1))
+def test_some_of_the_leaves_are_what_they_were_among_all(shape, channels, seed):
+    rng = np.random.default_rng(seed)
+    tree = BlockTree(RayDomain(shape))
+    leaves = random_leaves(tree, int(rng.integers(tree.n_levels)), channels, rng, signed=True)
+    chosen = rng.random(len(leaves)) < 0.5
+    whole, parts = np.zeros((2, channels, tree.domain.size, tree.domain.size))
+    add_dense(tree, leaves, whole)
+    for subset in (leaves.subset(tree, chosen), leaves.subset(tree, ~chosen)):
+        add_dense(tree, subset, parts)
+    np.testing.assert_allclose(parts, whole, atol=1e-6)
+
+
+def test_the_terms_of_a_leaf_stay_in_order_in_a_merge():
+    tree = BlockTree(RayDomain((4, 4)))
+    pair = np.array([1], np.int32), np.array([2], np.int32)
+    sets = [
+        LeafSet(1, *pair, np.full((1, 8), value, np.float32), signs=sign)
+        for value, sign in ((2, None), (3, -np.ones((1, 1), np.int8)), (1, None))
+    ]
+    (merged,) = merge_leaf_sets(sets, tree)
+    np.testing.assert_array_equal(merged.values[0, ::8], [2, 3, 1])
+    np.testing.assert_array_equal(merged.signs, [[1, -1, 1]])
+    assert merged.nbytes == 3 * (4 + 4 + 8 * 4 + 1)
+
+
+@pytest.mark.parametrize("number_format", ["float32", "uint16", "uint8"])
+def test_signed_leaves_are_kept_by_the_store_to_the_format_s_bits(tmp_path, number_format):
+    transport, _ = random_transport((13, 11), 3, 7, signed=True)
+    path = tmp_path / "transport.zarr"
+    first = save_transport(transport, path, number_format)
+    opened = open_transport(path)
+    bound = {"float32": 0, "uint16": 2.0**-14, "uint8": 0.02}[number_format]
+    pattern = np.random.default_rng(0).random((13, 11))
+    expected = transport.relight(pattern)
+    assert np.abs(opened.relight(pattern) - expected).max() <= bound * np.abs(expected).max()
+    assert any(leaves.signs is not None for leaves in opened.leaf_sets)
+    assert save_transport(opened, tmp_path / "again.zarr", number_format) == first
+    streamed = open_transport(path, memory_budget=0)
+    np.testing.assert_array_equal(streamed.relight(pattern), opened.relight(pattern))
 
 
 def test_the_whole_tensor_is_kept_by_the_store(tmp_path):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.transport.leaves import LeafSet, factor_offsets
-from rfpipe.transport.rounding import decoded, pack_leaves, rounded, unpack_leaves
+from rfpipe.transport.rounding import decoded, pack_leaves, rounded, signed_apart, unpack_leaves
 
 FORMATS = {"uint16": 65535, "uint8": 255}
 TREE = BlockTree(RayDomain((5, 6)))
@@ -91,13 +91,36 @@ def test_what_was_rounded_once_stays(number_format, leaves):
     np.testing.assert_array_equal(exact["values"], decoded(TREE, opened).values)
 
 
-@pytest.mark.parametrize("wrong", [-1e-3, np.nan, np.inf])
-def test_factors_that_have_no_root_are_kept_as_they_are(wrong):
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_factors_that_are_not_finite_are_kept_as_they_are(wrong):
     whole = np.zeros(1, np.int32)
     values = np.random.default_rng(0).random((3, 30), dtype=np.float32)
     values[1, 7] = wrong
     packed = pack_leaves(TREE, LeafSet(0, whole, whole, values), "uint8")
     np.testing.assert_array_equal(packed["values"], values)
+
+
+@pytest.mark.parametrize("number_format", FORMATS)
+def test_signed_leaves_are_rounded_apart_and_as_single_values(number_format):
+    """All terms of a pair with a sign or a negative factor; the others are coded."""
+    block_a, block_b = np.array([[0, 0, 0, 1, 2], [0, 0, 1, 1, 3]], np.int32)
+    offsets, _, size = factor_offsets(TREE.starts[1], block_a, block_b)
+    values = np.random.default_rng(0).random((3, size), dtype=np.float32)
+    values[2, offsets[4]] = -1e-3
+    signs = np.ones((3, 5), np.int8)
+    signs[1, 1] = -1
+    leaves = LeafSet(1, block_a, block_b, values, signs=signs)
+    light, signed = signed_apart(TREE, leaves, number_format)
+    np.testing.assert_array_equal(light.block_b, [1, 1])
+    assert "codes" in pack_leaves(TREE, light, number_format)
+    packed = pack_leaves(TREE, signed, number_format)
+    np.testing.assert_array_equal(packed["values"], rounded(signed.values, number_format))
+    found = unpack_leaves(1, packed)
+    np.testing.assert_array_equal(found.signs, signs[:, [0, 1, 4]])
+    np.testing.assert_array_equal(found.block_b, [0, 0, 3])
+    assert signed_apart(TREE, leaves, "float32") == [leaves]
+    (unsigned,) = signed_apart(TREE, light, number_format)
+    assert unsigned.signs is None
 
 
 def test_scalars_are_kept_as_they_are():

@@ -91,13 +91,20 @@ def _add_up(
                 *blocks, leaves.values, channels, bounds, _GROUP, patterns, sums
             )  # fmt: skip
         else:
-            scales = leaves.scales
-            if scales is None:
-                scales = np.broadcast_to(np.float32(1), (len(leaves.values), len(leaves)))
             kernels.apply_leaves(
-                tree.starts[leaves.level], *blocks, leaves.values, scales, channels, bounds,
-                offsets, _GROUP, patterns, lit[leaves.level], sums,
+                tree.starts[leaves.level], *blocks, leaves.values, _signed_scales(leaves),
+                channels, bounds, offsets, _GROUP, patterns, lit[leaves.level], sums,
             )  # fmt: skip
+
+
+def _signed_scales(leaves: LeafSet) -> Float:
+    """Return the scales by which the kernels multiply, with the leaves' signs."""
+    one = np.float32(1)
+    if leaves.signs is not None:
+        return np.multiply(leaves.signs, one if leaves.scales is None else leaves.scales)
+    if leaves.scales is not None:
+        return leaves.scales
+    return np.broadcast_to(one, (len(leaves.values), len(leaves)))
 
 
 def _lit_blocks(tree: BlockTree, patterns: Float) -> list[NDArray[np.uint8]]:
@@ -154,6 +161,8 @@ def _as_scalars(tree: BlockTree, leaves: LeafSet) -> LeafSet:
         leaves.values[:, np.repeat(second, count) + column],
         out=values,
     )
+    if leaves.signs is not None:
+        values *= np.repeat(leaves.signs, count, axis=1)
     ray_a = np.repeat(starts[leaves.block_a], count) + row
     ray_b = np.repeat(starts[leaves.block_b], count) + column
     return LeafSet(tree.n_levels - 1, ray_a.astype(np.int32), ray_b.astype(np.int32), values)

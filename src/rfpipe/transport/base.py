@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.store import ArrayBundle
+from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
 
 if TYPE_CHECKING:
@@ -64,8 +64,13 @@ class Transport(ABC):
 
     @classmethod
     @abstractmethod
-    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
+    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
         """Build a transport from a store; what fits into `memory_budget` bytes stays there."""
+
+    @property
+    def last_level(self) -> int:
+        """Finest level that `truncate` tells apart."""
+        return max((int(row["level"]) for row in self.level_rows), default=0)
 
     @property
     def levels(self) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""The hierarchical tensor of a coaxial rig: rank-1 leaves over pairs of blocks (thesis ch. 4)."""
+"""The hierarchical tensor of a coaxial rig: leaves of low rank over pairs of blocks [ch. 4]."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
-from rfpipe.store import ArrayBundle
 from rfpipe.transport.apply import apply_leaf_sets
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.leaves import LEAF_PARTS, LeafSet, merge_leaf_sets
-from rfpipe.transport.rounding import CODED_PARTS, decoded, pack_leaves, unpack_leaves
-from rfpipe.transport.stored import SetsOnDemand, by_prefix, fits
+from rfpipe.transport.rounding import CODED_PARTS, decoded, pack_leaves, signed_apart, unpack_leaves
+from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
 from rfpipe.transport.truncation import collapse
 from rfpipe.units import NumberFormat
 
 
 class HierarchicalTransport(Transport):
-    """Symmetric transport as a hierarchical tensor with rank-1 and scalar leaves.
+    """Symmetric transport as a hierarchical tensor with rank-1, rank-k and scalar leaves.
+
+    A leaf of rank k is k rank-1 leaves over the same pair of blocks, see `LeafSet`.
 
     Parameters
     ----------
@@ -82,6 +83,11 @@ class HierarchicalTransport(Transport):
         return sum(leaves.nbytes for leaves in self._leaf_sets)
 
     @property
+    def last_level(self) -> int:
+        """Finest level that `truncate` tells apart: single rays."""
+        return self.tree.n_levels - 1
+
+    @property
     def level_rows(self) -> list[dict[str, Any]]:
         """Per level: patterns, nodes, empty, rank1, scalar, subdivided."""
         return self._rows
@@ -106,17 +112,22 @@ class HierarchicalTransport(Transport):
             "levels": self._rows,
         }
         arrays: dict[str, NDArray[Any]] = {}
-        for index, leaves in enumerate(self._leaf_sets):
+        alike = (
+            part
+            for leaves in self._leaf_sets
+            for part in signed_apart(self.tree, leaves, number_format)
+        )
+        for index, leaves in enumerate(alike):
             packed = pack_leaves(self.tree, leaves, number_format)
             prefix = f"level_{leaves.level:02d}_{index:04d}"
             arrays |= {f"{prefix}_{part}": array for part, array in packed.items()}
         return arrays, attributes
 
     @classmethod
-    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
+    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
         """Build a transport from a store; its leaves are read when first used."""
         about = bundle.attributes
-        prefixes = by_prefix(bundle, (*LEAF_PARTS, *CODED_PARTS))
+        prefixes = by_prefix(bundle, (*LEAF_PARTS, "signs", *CODED_PARTS))
 
         def read(prefix: str) -> LeafSet:
             names = prefixes[prefix]

@@ -2,7 +2,8 @@
 
 All images and factors are planar and in tree order: channels first, rays contiguous. Factors are
 float32, or unsigned codes of rounded ones (`rfpipe.transport.rounding`), which are squared as they
-are read: it takes less time than fetching four times the bytes.
+are read: it takes less time than fetching four times the bytes. A leaf's sign is that of its scale,
+which stands for one of its two factors by its size alone.
 
 The sums of a task don't depend on the number of threads, nor on the other tasks.
 """
@@ -69,7 +70,7 @@ def _apply_short_leaf(a0, a1, b0, b1, values, at, scale, source, target):  # typ
     from_a, from_b = np.float32(0.0), np.float32(0.0)
     for k in range(a0, a1):
         from_a += _number(values[of_a + k]) * source[k]
-    from_a = from_a * scale * scale
+    from_a = from_a * scale * abs(scale)
     if a0 == b0:
         for k in range(a0, a1):
             target[k] += _number(values[of_a + k]) * from_a
@@ -78,7 +79,7 @@ def _apply_short_leaf(a0, a1, b0, b1, values, at, scale, source, target):  # typ
     for k in range(b0, b1):
         from_b += _number(values[of_b + k]) * source[k]
         target[k] += _number(values[of_b + k]) * from_a
-    from_b = from_b * scale * scale
+    from_b = from_b * scale * abs(scale)
     for k in range(a0, a1):
         target[k] += _number(values[of_a + k]) * from_b
 
@@ -88,15 +89,15 @@ def _apply_leaf(a0, a1, b0, b1, lit_a, lit_b, values, at, scale, source, target)
     """Apply a leaf, its values from `at` on; they come from memory once, then from the cache."""
     factor_a = values[at : at + a1 - a0]
     if a0 == b0:
-        from_a = _dot(factor_a, source[a0:a1]) * scale * scale
+        from_a = _dot(factor_a, source[a0:a1]) * scale * abs(scale)
         _add_scaled(target[a0:a1], factor_a, from_a)
         return
     factor_b = values[at + a1 - a0 : at + a1 - a0 + b1 - b0]
     if lit_a:
-        from_a = _dot(factor_a, source[a0:a1]) * scale * scale
+        from_a = _dot(factor_a, source[a0:a1]) * scale * abs(scale)
         _add_scaled(target[b0:b1], factor_b, from_a)
     if lit_b:
-        from_b = _dot(factor_b, source[b0:b1]) * scale * scale
+        from_b = _dot(factor_b, source[b0:b1]) * scale * abs(scale)
         _add_scaled(target[a0:a1], factor_a, from_b)
 
 
@@ -104,12 +105,12 @@ def _apply_leaf(a0, a1, b0, b1, lit_a, lit_b, values, at, scale, source, target)
 def _apply_long_leaf(a0, a1, b0, b1, values, at, scale, source, target):  # type: ignore[no-untyped-def]
     """Apply a leaf of so many values that their products can't be added up in float32."""
     factor_a = values[at : at + a1 - a0]
-    from_a = _long_dot(factor_a, source[a0:a1]) * scale * scale
+    from_a = _long_dot(factor_a, source[a0:a1]) * scale * abs(scale)
     if a0 == b0:
         _add_scaled(target[a0:a1], factor_a, from_a)
         return
     factor_b = values[at + a1 - a0 : at + a1 - a0 + b1 - b0]
-    from_b = _long_dot(factor_b, source[b0:b1]) * scale * scale
+    from_b = _long_dot(factor_b, source[b0:b1]) * scale * abs(scale)
     _add_scaled(target[b0:b1], factor_b, from_a)
     _add_scaled(target[a0:a1], factor_a, from_b)
 
@@ -157,7 +158,7 @@ def apply_leaves(  # type: ignore[no-untyped-def]
     values : float32 or unsigned (C, n_values)
         Factors, or codes of them.
     scales : float32 (C, n)
-        By which both factors of a leaf are multiplied.
+        By which both factors of a leaf are multiplied, one of them by its absolute value.
     channels : int64 (K,)
         The channel of each plane of `out`.
     bounds, offsets : int64 (shares, runs + 1)
@@ -276,7 +277,7 @@ def add_reordered(images, index, out):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def add_marginals(  # type: ignore[no-untyped-def]
-    starts, block_a, block_b, offset_a, offset_b, values, node, first_a, first_b, marginals
+    starts, block_a, block_b, offset_a, offset_b, values, signs, node, first_a, first_b, marginals
 ):
     """Add each leaf's row and column sums to those of the node above it.
 
@@ -284,6 +285,8 @@ def add_marginals(  # type: ignore[no-untyped-def]
     ----------
     starts, block_a, block_b, offset_a, offset_b, values
         As in `apply_leaves`.
+    signs : int8 (C, n) or (C, 0)
+        Of the leaves; none if all are positive.
     node : int64 (n,)
         The node above each leaf.
     first_a, first_b : int64 (n_nodes,)
@@ -303,6 +306,8 @@ def add_marginals(  # type: ignore[no-untyped-def]
                 sum_a += factor_a[k]
             for k in range(factor_b.shape[0]):
                 sum_b += factor_b[k]
+            if signs.shape[1] and signs[c, n] < 0:
+                sum_a, sum_b = -sum_a, -sum_b
             at = first_a[node[n]] + a0
             for k in range(factor_a.shape[0]):
                 marginals[c, at + k] += factor_a[k] * sum_b

@@ -24,6 +24,10 @@ LEAF_PARTS = ("block_a", "block_b", "values")
 class LeafSet:
     """Rank-1 leaves of one level: ``T_ab = factor_a x factor_b`` and, by symmetry, ``T_ba``.
 
+    A leaf of rank k is k of them over the same pair, its terms: what leaves of a pair hold adds
+    up. Factors may be negative; on the diagonal, where both factors are the same, a term has a
+    sign of its own: ``T_aa = sum_r s_r u_r x u_r``.
+
     Attributes
     ----------
     level : int
@@ -34,6 +38,9 @@ class LeafSet:
         same; one value a scalar. With `scales`, codes of them: uint8 or uint16.
     scales : ndarray of float32, shape (channels, n), optional
         Of rounded leaves: a value is its code squared times its leaf's scale.
+    signs : ndarray of int8, shape (channels, n), optional
+        1 or -1, by which the product of a leaf's two factors is multiplied; all 1 if there are
+        none. A scalar has its sign in its value.
     kept : dict
         Preparations that `rfpipe.transport.apply` makes once, by name.
     """
@@ -43,6 +50,7 @@ class LeafSet:
     block_b: NDArray[np.int32]
     values: NDArray[Any]
     scales: Float | None = None
+    signs: NDArray[np.int8] | None = None
     kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
@@ -51,8 +59,13 @@ class LeafSet:
     @property
     def nbytes(self) -> int:
         """Bytes of the arrays."""
-        scales = 0 if self.scales is None else self.scales.nbytes
-        return self.block_a.nbytes + self.block_b.nbytes + self.values.nbytes + scales
+        optional = sum(array.nbytes for array in (self.scales, self.signs) if array is not None)
+        return self.block_a.nbytes + self.block_b.nbytes + self.values.nbytes + optional
+
+    @property
+    def signs_if_any(self) -> NDArray[np.int8]:
+        """The signs as compiled kernels take them: ``(channels, 0)`` where there are none."""
+        return np.empty((len(self.values), 0), np.int8) if self.signs is None else self.signs
 
     def subset(self, tree: BlockTree, chosen: NDArray[np.bool_]) -> LeafSet:
         """Return some of the leaves."""
@@ -61,7 +74,9 @@ class LeafSet:
         # numpy would leave channels side by side
         values = np.ascontiguousarray(self.values[:, index])
         scales = None if self.scales is None else np.ascontiguousarray(self.scales[:, chosen])
-        return LeafSet(self.level, self.block_a[chosen], self.block_b[chosen], values, scales)
+        signs = None if self.signs is None else np.ascontiguousarray(self.signs[:, chosen])
+        blocks = self.block_a[chosen], self.block_b[chosen]
+        return LeafSet(self.level, *blocks, values, scales, signs)
 
 
 def factor_offsets(
@@ -97,7 +112,8 @@ def ragged_ranges(begin: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArr
 def merge_leaf_sets(leaf_sets: Sequence[LeafSet], tree: BlockTree) -> list[LeafSet]:
     """Return the leaves by level and block, from sets found one after the other.
 
-    A level is one set, or several where it has many values.
+    A level is one set, or several where it has many values. Leaves of the same pair, the terms of
+    a leaf of rank k, stand side by side in the order in which they were found.
     """
     merged: list[LeafSet] = []
     for level in sorted({leaves.level for leaves in leaf_sets if len(leaves)}):
@@ -114,6 +130,7 @@ def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]
     offsets = [leaf_offsets(tree, leaves) for leaves in parts]
     begin = np.concatenate([ends[:-1] for ends in offsets])
     length = np.concatenate([np.diff(ends) for ends in offsets])
+    signs = _joined_signs(parts)
     order = np.lexsort((block_b, block_a))
     ends = np.cumsum(length[order])
     first = 0
@@ -129,5 +146,20 @@ def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]
             of_leaf = length[chosen[own]]
             found = leaves.values[:, ragged_ranges(begin[chosen[own]], of_leaf)]
             values[:, ragged_ranges(target[own], of_leaf)] = found
-        yield LeafSet(parts[0].level, block_a[chosen], block_b[chosen], values)
+        of_chosen = None if signs is None else np.ascontiguousarray(signs[:, chosen])
+        yield LeafSet(parts[0].level, block_a[chosen], block_b[chosen], values, signs=of_chosen)
         first = last
+
+
+def _joined_signs(parts: Sequence[LeafSet]) -> NDArray[np.int8] | None:
+    """Return the signs of sets of leaves one after the other; None if no set has any."""
+    if all(leaves.signs is None for leaves in parts):
+        return None
+    ones = (np.ones((len(leaves.values), len(leaves)), np.int8) for leaves in parts)
+    return np.concatenate(
+        [
+            one if leaves.signs is None else leaves.signs
+            for leaves, one in zip(parts, ones, strict=True)
+        ],
+        axis=1,
+    )

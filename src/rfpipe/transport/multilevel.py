@@ -12,10 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
-from rfpipe.store import ArrayBundle
 from rfpipe.transport.base import Float, Transport, planar_patterns
 from rfpipe.transport.rounding import rounded
-from rfpipe.transport.stored import SetsOnDemand, by_prefix, fits
+from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
 
 Double = NDArray[np.float64]
@@ -136,6 +135,11 @@ class MultilevelTransport(Transport):
         if self._nbytes is not None:
             return self._nbytes
         return sum(pairs.nbytes for pairs in self.pair_sets)
+
+    @property
+    def last_level(self) -> int:
+        """Finest level that `truncate` tells apart: single rays."""
+        return self.tree.n_levels - 1
 
     @property
     def level_rows(self) -> list[dict[str, Any]]:
@@ -266,7 +270,7 @@ class MultilevelTransport(Transport):
         return arrays, attributes
 
     @classmethod
-    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
+    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
         """Build a transport from a store; its pairs are read when first used."""
         prefixes = by_prefix(bundle, PAIR_PARTS)
 

@@ -72,8 +72,8 @@ def predict(
         first_lit = np.searchsorted(lit_parts, _met(starts, part_starts))
         kernels.apply_to_partition(
             starts, leaves.block_a, leaves.block_b, offset_a, offset_b, leaves.values,
-            *_sides(leaves, tree), _tiles(starts), lit_parts, first_lit, part_starts,
-            pattern_of_part, images,
+            leaves.signs_if_any, *_sides(leaves, tree), _tiles(starts), lit_parts, first_lit,
+            part_starts, pattern_of_part, images,
         )  # fmt: skip
     return images
 

@@ -95,8 +95,8 @@ def sort_by_block(block_a, block_b, first, sides):  # type: ignore[no-untyped-de
 
 @numba.njit(cache=True, parallel=True)
 def apply_to_partition(  # type: ignore[no-untyped-def]
-    starts, block_a, block_b, offset_a, offset_b, values, first_side, sides, tiles, lit_parts,
-    first_lit, part_starts, pattern_of_part, images,
+    starts, block_a, block_b, offset_a, offset_b, values, signs, first_side, sides, tiles,
+    lit_parts, first_lit, part_starts, pattern_of_part, images,
 ):  # fmt: skip
     """Add ``T p`` of one level's leaves for patterns that share out the blocks of a level.
 
@@ -111,6 +111,8 @@ def apply_to_partition(  # type: ignore[no-untyped-def]
     block_a, block_b, offset_a, offset_b : (n,)
         The leaves and where their two factors begin; the same on the diagonal.
     values : float32 (C, n_values)
+    signs : int8 (C, n) or (C, 0)
+        Of the leaves; none if all are positive.
     first_side, sides
         As `sort_by_block` fills them.
     tiles : int64 (n_tiles, 3)
@@ -147,7 +149,10 @@ def apply_to_partition(  # type: ignore[no-untyped-def]
                     p0 = of_lit + max(starts[lit], part_starts[part])
                     p1 = of_lit + min(starts[lit + 1], part_starts[part + 1])
                     for c in range(channels):
-                        scales[c, pattern, count] += _sum(values[c, p0:p1])
+                        light = _sum(values[c, p0:p1])
+                        if signs.shape[1] and signs[c, n] < 0:
+                            light = -light
+                        scales[c, pattern, count] += light
                 count += 1
                 if count == _TOGETHER:
                     for c in range(channels):

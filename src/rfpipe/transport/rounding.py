@@ -31,8 +31,10 @@ def pack_leaves(
     square root: as with shot noise, dim values are rounded less than bright ones, so that a glint
     doesn't drown its surroundings. A maximum is kept to float32, and what is 0 stays 0.
 
-    Scalars stay as they are, for direct light is among them; so do factors that are negative or
-    not finite somewhere, and sets of which the scales would take more than the rounding saves.
+    Scalars stay as they are, for direct light is among them; so do factors that are not finite
+    somewhere, and sets of which the scales would take more than the rounding saves. Terms that
+    subtract from each other need more bits than light does: sets with signs or negative factors
+    are rounded as `rounded` does. `signed_apart` keeps others out of such sets.
 
     Parameters
     ----------
@@ -43,8 +45,9 @@ def pack_leaves(
     Returns
     -------
     dict
-        By `LEAF_PARTS`, or by `CODED_PARTS`: ``codes``, unsigned (channels, n_values), from the
-        second channel on as differences to the first; ``scales``, float32 (channels, n).
+        By `LEAF_PARTS`, and ``signs`` if there are any; or by `CODED_PARTS`: ``codes``, unsigned
+        (channels, n_values), from the second channel on as differences to the first; ``scales``,
+        float32 (channels, n).
     """
     blocks = {"block_a": leaves.block_a, "block_b": leaves.block_b}
     if leaves.scales is not None:
@@ -52,13 +55,17 @@ def pack_leaves(
             return {**blocks, "codes": _differences(leaves.values), "scales": leaves.scales}
         leaves = decoded(tree, leaves)
     exact = {**blocks, "values": leaves.values}
+    if leaves.signs is not None:
+        exact["signs"] = leaves.signs
     if number_format == "float32" or leaves.level == tree.n_levels - 1:
         return exact
+    if not np.isfinite(leaves.values).all():
+        return exact
+    if leaves.signs is not None or (leaves.values < 0).any():
+        return {**exact, "values": rounded(leaves.values, number_format)}
     dtype = np.dtype(number_format)
     scales = np.empty((len(leaves.values), len(leaves)), np.float32)
     if leaves.values.size * dtype.itemsize + scales.nbytes >= leaves.values.nbytes:
-        return exact
-    if not (leaves.values >= 0).all() or not np.isfinite(leaves.values).all():
         return exact
     from rfpipe.transport.rounding_kernels import encode
 
@@ -76,7 +83,7 @@ def unpack_leaves(level: int, arrays: Mapping[str, NDArray[Any]]) -> LeafSet:
     """Return the leaves of which a store has kept these arrays, rounded ones as codes."""
     blocks = arrays["block_a"], arrays["block_b"]
     if "values" in arrays:
-        return LeafSet(level, *blocks, arrays["values"])
+        return LeafSet(level, *blocks, arrays["values"], signs=arrays.get("signs"))
     return LeafSet(level, *blocks, _from_differences(arrays["codes"]), arrays["scales"])
 
 
@@ -88,7 +95,34 @@ def decoded(tree: BlockTree, leaves: LeafSet) -> LeafSet:
 
     values = np.empty(leaves.values.shape, np.float32)
     decode(leaf_offsets(tree, leaves), leaves.values, leaves.scales, values)
-    return LeafSet(leaves.level, leaves.block_a, leaves.block_b, values)
+    return LeafSet(leaves.level, leaves.block_a, leaves.block_b, values, signs=leaves.signs)
+
+
+def signed_apart(tree: BlockTree, leaves: LeafSet, number_format: NumberFormat) -> list[LeafSet]:
+    """Return leaves in sets that `pack_leaves` rounds alike.
+
+    Pairs that have a sign or negative factors in any of their terms come second, if a format
+    rounds them otherwise.
+    """
+    coded = leaves.scales is not None or leaves.level == tree.n_levels - 1
+    if number_format == "float32" or coded or not len(leaves):
+        return [leaves]
+    least = np.minimum.reduceat(leaves.values, leaf_offsets(tree, leaves)[:-1], axis=1)
+    signed: NDArray[np.bool_] = np.any(least < 0, axis=0)
+    if leaves.signs is not None:
+        signed |= np.any(leaves.signs < 0, axis=0)
+    pair = leaves.block_a * np.int64(tree.n_blocks(leaves.level)) + leaves.block_b
+    signed = np.isin(pair, pair[signed])
+    if signed.all():
+        return [leaves]
+    light = leaves.subset(tree, ~signed)
+    if not signed.any():
+        return [leaves if leaves.signs is None else _without_signs(light)]
+    return [_without_signs(light), leaves.subset(tree, signed)]
+
+
+def _without_signs(leaves: LeafSet) -> LeafSet:
+    return LeafSet(leaves.level, leaves.block_a, leaves.block_b, leaves.values, leaves.scales)
 
 
 def rounded(values: Float, number_format: NumberFormat) -> Float:

@@ -8,12 +8,14 @@ from typing import Any, get_args
 
 from rfpipe.errors import InputError, StoreError
 from rfpipe.transport.base import Transport
+from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
 
 _CLASSES = {
     "dense": ("rfpipe.transport.dense", "DenseTransport"),
     "hierarchical": ("rfpipe.transport.hierarchical", "HierarchicalTransport"),
     "multilevel": ("rfpipe.transport.multilevel", "MultilevelTransport"),
+    "sum": ("rfpipe.transport.sum", "SumTransport"),
 }
 
 _FORMATS = get_args(NumberFormat)
@@ -80,19 +82,29 @@ def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Tran
     """
     from rfpipe.store.arrays import open_arrays
 
-    bundle = open_arrays(Path(path))
+    return unpack_transport(open_arrays(Path(path)), memory_budget)
+
+
+def unpack_transport(bundle: Bundle, memory_budget: int) -> Transport:
+    """Build the transport of which a store, or a part of one, keeps arrays and attributes.
+
+    Raises
+    ------
+    StoreError
+        If it is of no kind, or in no number format, that this version knows.
+    """
     kind = bundle.attributes.get("kind")
     if kind not in _CLASSES:
         raise StoreError(
-            f"{path}: not a transport (kind {kind!r}, expected one of {sorted(_CLASSES)}); "
+            f"{bundle.path}: not a transport (kind {kind!r}, expected one of {sorted(_CLASSES)}); "
             "give the transport.zarr that an acquisition wrote"
         )
     # the first stores didn't name their format
     number_format = bundle.attributes.get("number_format", "float32")
     if number_format not in _FORMATS:
         raise StoreError(
-            f"{path}: number format {number_format!r}, which this version of rfpipe doesn't know; "
-            "open it with the version that wrote it, or run the stage that writes it again"
+            f"{bundle.path}: number format {number_format!r}, which this version of rfpipe doesn't "
+            "know; open it with the version that wrote it, or run the stage that writes it again"
         )
     module, name = _CLASSES[kind]
     cls = getattr(importlib.import_module(module), name)

@@ -3,15 +3,72 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Generic, TypeVar, overload
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar, overload
 
-from rfpipe.store import ArrayBundle
+from numpy.typing import NDArray
+
+from rfpipe.store.files import bytes_on_disk
 
 K = TypeVar("K")
 S = TypeVar("S")
 
 
-def by_prefix(bundle: ArrayBundle, parts: Iterable[str]) -> dict[str, dict[str, str]]:
+class Bundle(Protocol):
+    """Named arrays and attributes of a store: an `rfpipe.store.ArrayBundle`, or a part of one."""
+
+    path: Path
+    attributes: dict[str, Any]
+    names: tuple[str, ...]
+
+    def nbytes(self, name: str) -> int:
+        """Bytes of an array in memory, without reading it."""
+
+    def read(self, name: str) -> NDArray[Any]:
+        """Read a whole array and check it against its digest."""
+
+    @property
+    def nbytes_stored(self) -> int:
+        """Bytes on disk."""
+
+
+class PartOfBundle:
+    """The arrays of a bundle whose names begin alike, by the rest of their names.
+
+    Parameters
+    ----------
+    whole : Bundle
+    prefix : str
+    attributes : dict
+        Of the part.
+    """
+
+    def __init__(self, whole: Bundle, prefix: str, attributes: dict[str, Any]) -> None:
+        self.path = whole.path
+        self.attributes = attributes
+        self.names = tuple(
+            name.removeprefix(prefix) for name in whole.names if name.startswith(prefix)
+        )
+        self._whole: Bundle = whole
+        self._prefix: str = prefix
+        if isinstance(whole, PartOfBundle):
+            self._whole, self._prefix = whole._whole, whole._prefix + prefix
+
+    def nbytes(self, name: str) -> int:
+        """Bytes of an array in memory, without reading it."""
+        return self._whole.nbytes(self._prefix + name)
+
+    def read(self, name: str) -> NDArray[Any]:
+        """Read a whole array and check it against its digest."""
+        return self._whole.read(self._prefix + name)
+
+    @property
+    def nbytes_stored(self) -> int:
+        """Bytes on disk of its arrays."""
+        return sum(bytes_on_disk(self.path / (self._prefix + name)) for name in self.names)
+
+
+def by_prefix(bundle: Bundle, parts: Iterable[str]) -> dict[str, dict[str, str]]:
     """Return the names of a store's arrays, by the set and by the part of it that they are.
 
     An array is named by its set, an underscore and its part.
@@ -24,9 +81,14 @@ def by_prefix(bundle: ArrayBundle, parts: Iterable[str]) -> dict[str, dict[str, 
     return dict(sorted(found.items()))
 
 
-def fits(bundle: ArrayBundle, memory_budget: int) -> bool:
+def bytes_in_memory(bundle: Bundle) -> int:
+    """Bytes of all arrays of a store, once read."""
+    return sum(bundle.nbytes(name) for name in bundle.names)
+
+
+def fits(bundle: Bundle, memory_budget: int) -> bool:
     """Tell whether all arrays of a store fit into memory."""
-    return sum(bundle.nbytes(name) for name in bundle.names) <= memory_budget
+    return bytes_in_memory(bundle) <= memory_budget
 
 
 class SetsOnDemand(Sequence[S], Generic[K, S]):

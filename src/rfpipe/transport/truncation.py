@@ -13,6 +13,9 @@ from rfpipe.transport.rounding import decoded
 
 # Values a channel that are added up at a time, in float64: some 100 MB of RGB.
 _SUMMED_VALUES = 2**22
+# What the light of a node counts for at least, as a part of its row or column sums without their
+# signs: where signed leaves all but cancel, a quotient of their sums would be of any size.
+_LEAST_LIGHT = 0.25
 
 Index = NDArray[np.int64]
 
@@ -21,6 +24,9 @@ def collapse(
     tree: BlockTree, leaf_sets: Sequence[LeafSet], level: int, channels: int
 ) -> Iterator[LeafSet]:
     """Sum leaves below `level` into rank-1 leaves of that level, of their row and column sums.
+
+    Row and column sums are kept, unless the leaves below have signs and all but cancel: then they
+    are reduced.
 
     Parameters
     ----------
@@ -86,15 +92,22 @@ def _collapse_run(
         if inside.any():
             leaves = decoded(tree, leaf_sets[index].subset(tree, inside))
             _add_marginals(tree, leaves, np.searchsorted(nodes, key[inside]), own, marginals)
-    sizes = np.diff(starts)[block_a]
+    sizes = np.diff(starts)
+    sides = [
+        (ragged_ranges(offset, sizes[block]), np.cumsum(sizes[block]) - sizes[block])
+        for offset, block in ((offset_a, block_a), (offset_b, block_b))
+    ]
     lengths = np.diff(np.append(offset_a, n_values))
-    begin = np.cumsum(sizes) - sizes
     values = np.empty(marginals.shape, np.float32)
-    for sums, factors in zip(marginals, values, strict=True):
-        total = np.add.reduceat(sums[ragged_ranges(offset_a, sizes)], begin)
-        scale = np.where(total > 0, 1 / np.sqrt(np.where(total > 0, total, 1)), 0.0)
+    signs = np.empty((channels, len(nodes)), np.int8)
+    for sums, factors, sign in zip(marginals, values, signs, strict=True):
+        total = np.add.reduceat(sums[sides[0][0]], sides[0][1])
+        absolute = [np.add.reduceat(np.abs(sums[of_side]), begin) for of_side, begin in sides]
+        light = np.maximum(np.abs(total), _LEAST_LIGHT * np.maximum(*absolute))
+        scale = np.where(light > 0, 1 / np.sqrt(np.where(light > 0, light, 1)), 0.0)
         np.multiply(sums, np.repeat(scale, lengths), out=factors, casting="same_kind")
-    return LeafSet(level, block_a, block_b, values)
+        sign[:] = np.where(total < 0, -1, 1)
+    return LeafSet(level, block_a, block_b, values, signs=signs if (signs < 0).any() else None)
 
 
 def _add_marginals(
@@ -116,5 +129,6 @@ def _add_marginals(
     else:
         offset_a, offset_b, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
     kernels.add_marginals(
-        starts, leaves.block_a, leaves.block_b, offset_a, offset_b, values, node, *own, marginals
+        starts, leaves.block_a, leaves.block_b, offset_a, offset_b, values,
+        leaves.signs_if_any, node, *own, marginals,
     )  # fmt: skip

@@ -1,0 +1,169 @@
+"""A sum of transports: what was measured in parts, each in the form that suits it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.transport.base import Float, Transport
+from rfpipe.transport.multilevel import MultilevelTransport
+from rfpipe.transport.storage import unpack_transport
+from rfpipe.transport.stored import Bundle, PartOfBundle, bytes_in_memory, fits
+from rfpipe.units import NumberFormat
+
+
+class SumTransport(Transport):
+    """Transport as the sum of parts over the same rays, ``T = sum_i T_i``.
+
+    Parameters
+    ----------
+    parts : sequence of Transport
+        At least one, of any kinds; sums of sums are allowed.
+    level_rows : list of dict
+        The rows of `levels`.
+    first_levels : sequence of int, optional
+        The level of the sum's acquisition at which that of each part began: the level 0 of the
+        part. By default 0 for all.
+    nbytes : int, optional
+        Bytes on disk; by default the sum of the parts'.
+
+    Raises
+    ------
+    InputError
+        If there is no part, if parts differ in their domains or channels, or if there isn't one
+        first level of at least 0 for each.
+    """
+
+    kind = "sum"
+
+    def __init__(
+        self,
+        parts: Sequence[Transport],
+        level_rows: list[dict[str, Any]],
+        first_levels: Sequence[int] | None = None,
+        nbytes: int | None = None,
+    ) -> None:
+        self.parts = tuple(parts)
+        self.first_levels = tuple([0] * len(self.parts) if first_levels is None else first_levels)
+        _check(self.parts, self.first_levels)
+        self.camera_shape = self.parts[0].camera_shape
+        self.projector_shape = self.parts[0].projector_shape
+        self.channels = self.parts[0].channels
+        self._rows = level_rows
+        self._nbytes = nbytes
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes on disk if opened from a store, else of the parts."""
+        return sum(part.nbytes for part in self.parts) if self._nbytes is None else self._nbytes
+
+    @property
+    def last_level(self) -> int:
+        """Finest level that `truncate` tells apart, in any part."""
+        return max(
+            first + part.last_level
+            for part, first in zip(self.parts, self.first_levels, strict=True)
+        )
+
+    @property
+    def level_rows(self) -> list[dict[str, Any]]:
+        """The rows of `levels` as plain data."""
+        return self._rows
+
+    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
+        """Return ``T p`` for planar patterns ``(P, K, N)``."""
+        total = np.array(self.parts[0].forward(patterns, channels), np.float32)
+        for part in self.parts[1:]:
+            total += part.forward(patterns, channels)
+        return total
+
+    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
+        """Return ``T^T c`` for planar images ``(P, K, M)``."""
+        total = np.array(self.parts[0].adjoint(images, channels), np.float32)
+        for part in self.parts[1:]:
+            total += part.adjoint(images, channels)
+        return total
+
+    def truncate(self, level: int) -> Transport:
+        """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7).
+
+        Parts that began later are left out, the others are truncated at their own levels. Before
+        the first part began, nothing was known: all is dark.
+        """
+        if level < 0:
+            raise InputError(f"level {level} of a transport; levels count from 0")
+        rows = [row for row in self._rows if row["level"] <= level]
+        begun = [
+            (part if level - first >= part.last_level else part.truncate(level - first), first)
+            for part, first in zip(self.parts, self.first_levels, strict=True)
+            if first <= level
+        ]
+        if not begun:
+            return MultilevelTransport(
+                self.camera_shape, self.projector_shape, self.channels, rows, []
+            )
+        parts, first_levels = zip(*begun, strict=True)
+        return SumTransport(parts, rows, first_levels)
+
+    def pack(
+        self, number_format: NumberFormat = "float32"
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the arrays and attributes that a store keeps: those of the parts, by number."""
+        arrays: dict[str, NDArray[Any]] = {}
+        about = []
+        for index, part in enumerate(self.parts):
+            packed, attributes = part.pack(number_format)
+            arrays |= {f"{_prefix(index)}{name}": array for name, array in packed.items()}
+            about.append(attributes)
+        return arrays, {
+            "kind": self.kind,
+            "number_format": number_format,
+            "levels": self._rows,
+            "first_levels": list(self.first_levels),
+            "parts": about,
+        }
+
+    @classmethod
+    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
+        """Build a transport from a store; its parts are read when first used.
+
+        The first parts stay in memory, as far as they fit.
+        """
+        about = bundle.attributes
+        parts = []
+        for index, attributes in enumerate(about["parts"]):
+            part = PartOfBundle(bundle, _prefix(index), attributes)
+            parts.append(unpack_transport(part, memory_budget))
+            if fits(part, memory_budget):
+                memory_budget -= bytes_in_memory(part)
+        return cls(parts, about["levels"], about["first_levels"], bundle.nbytes_stored)
+
+
+def _prefix(index: int) -> str:
+    """What the names of a part's arrays begin with."""
+    return f"part_{index:02d}_"
+
+
+def _check(parts: Sequence[Transport], first_levels: Sequence[int]) -> None:
+    if not parts:
+        raise InputError("a sum of no transports; give at least one part")
+    if len(first_levels) != len(parts) or min(first_levels) < 0:
+        raise InputError(
+            f"first levels {list(first_levels)} for {len(parts)} parts; give one level for each, "
+            "counted from 0"
+        )
+    expected = _extent(parts[0])
+    for index, part in enumerate(parts):
+        if _extent(part) != expected:
+            raise InputError(
+                f"part {index} of a sum has {_extent(part)}, part 0 has {expected}; all parts need "
+                "the same camera and projector shapes and the same channels"
+            )
+
+
+def _extent(part: Transport) -> str:
+    return f"camera {part.camera_shape}, projector {part.projector_shape}, {part.channels} channels"
