@@ -23,10 +23,12 @@ from rfpipe.methods.nodes import (
     no_nodes,
     select,
 )
+from rfpipe.methods.nystroem import predictable, rank_k_leaves
 from rfpipe.methods.pieces import affordable, collect
 from rfpipe.methods.verdicts import (
     AGREES,
     CLOSE,
+    DIFFERS,
     Found,
     Limits,
     classify,
@@ -131,12 +133,13 @@ class Symmetric:
             for run in affordable(tree, level - 1, nodes, memory_bytes)
         ]
         added = (
-            join_leaves(level - 1, [part.kept for part in refined]),
+            join_leaves(level - 1, [leaves for part in refined for leaves in part.kept]),
             join_leaves(level, [part.found.leaves for part in refined]),
         )
         before = state.rows[-1]
         outcome = {
-            "rank1": before["rank1"] + len(added[0]),
+            "rank1": before["rank1"] + sum(len(part.kept[0]) for part in refined),
+            "rank_k": sum(part.smooth for part in refined),
             "subdivided": sum(part.subdivided for part in refined),
         }
         counts = {
@@ -238,6 +241,7 @@ def _row(
         "nodes": nodes,
         "empty": empty,
         "rank1": rank1,
+        "rank_k": 0,
         "scalar": scalar,
         "subdivided": 0,
     }
@@ -251,11 +255,15 @@ def _limits(state: SymmetricState, tests: int) -> Limits:
 
 @dataclass(frozen=True)
 class _Refined:
-    """What a level's images told about some of the unknown nodes."""
+    """What a level's images told about some of the unknown nodes.
 
-    kept: LeafSet
+    `kept` are the nodes' own leaves, of rank 1 and of rank k; `smooth` nodes have the latter.
+    """
+
+    kept: tuple[LeafSet, LeafSet]
     found: Found
     children: int
+    smooth: int
     subdivided: int
 
 
@@ -272,11 +280,21 @@ def _refine_nodes(
     pieces = collect(tree, first, second, state.known, state.channels, images, memory_bytes)
     first_pair = np.searchsorted(node, np.arange(len(nodes) + 1))
     verdict = rank_test(tree, level - 1, nodes, first_pair, pieces, limits)
-    kept = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
-    divided = np.flatnonzero(verdict[node] < CLOSE)
+    unsettled = (verdict == DIFFERS) | (verdict == AGREES)
+    smooth = predictable(tree, level - 1, nodes, first_pair, pieces, unsettled, limits)
+    rank_1 = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
+    subdivided = (verdict < CLOSE) & ~smooth
+    divided = np.flatnonzero(subdivided[node])
     above = node[divided]
     wrong = disagreement(first_pair, pieces)
     settled = verdict[above] == AGREES
     reconcile(tree, level - 1, nodes, first_pair, pieces)
+    rank_k = rank_k_leaves(tree, level - 1, nodes, first_pair, pieces, smooth)
     found = classify(tree, level, pieces, divided, settled, nodes, above, wrong, limits)
-    return _Refined(kept, found, len(divided), int(np.count_nonzero(verdict < CLOSE)))
+    return _Refined(
+        (rank_1, rank_k),
+        found,
+        len(divided),
+        int(np.count_nonzero(smooth)),
+        int(np.count_nonzero(subdivided)),
+    )

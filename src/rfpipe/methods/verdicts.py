@@ -20,12 +20,22 @@ from rfpipe.methods.nodes import (
 from rfpipe.methods.pieces import Pieces
 from rfpipe.transport.leaves import LeafSet, factor_offsets
 
-__all__ = ["AGREES", "CLOSE", "DIFFERS", "Found", "Limits", "classify", "disagreement", "rank_test"]
+__all__ = [
+    "AGREES",
+    "CLOSE",
+    "DIFFERS",
+    "UNTOLD",
+    "Found",
+    "Limits",
+    "classify",
+    "disagreement",
+    "rank_test",
+]
 
 # The mean of n squared normal deviates stays within 1 +- 3 sqrt(2 / n) of its expectation.
 _SPREAD = 3.0
 # Outcomes of the rank test, the better the higher.
-DIFFERS, AGREES, CLOSE = range(3)
+UNTOLD, DIFFERS, AGREES, CLOSE = range(4)
 
 
 @dataclass(frozen=True)
@@ -105,7 +115,8 @@ def rank_test(
     Returns
     -------
     ndarray of int8, shape (n,)
-        `DIFFERS`: its children are unknown. `AGREES`: they are leaves, made of the images that
+        `UNTOLD`: there is no evidence, its children are unknown. `DIFFERS`: so they are, unless the
+        node is found to be of a higher rank. `AGREES`: they are leaves, made of the images that
         are there now; the error of a rank-1 leaf falls with the sides of both its blocks, so that
         it is some four times less than the node's own. `CLOSE`: nothing is gained by that.
     """
@@ -131,7 +142,8 @@ def rank_test(
     verdict = np.full(len(nodes), DIFFERS, np.int8)
     for outcome, share in ((AGREES, 1.0), (CLOSE, 1.0 / 16)):
         allowed = limits.allowed(noise / samples, samples, share)
-        verdict[((ssd / samples <= allowed) & evident).all(axis=0)] = outcome
+        verdict[(ssd / samples <= allowed).all(axis=0)] = outcome
+    verdict[~evident.all(axis=0)] = UNTOLD
     return verdict
 
 

@@ -22,6 +22,7 @@ STAGES = ("schedule", "capture", "merge", "normalize", "refine", "assemble")
 
 _KINDS = (
     ("rank1", "rank-1 leaves", "#3a6fb0"),
+    ("rank_k", "rank-k leaves", "#7d5ba6"),
     ("scalar", "scalar leaves", "#9dc0e6"),
     ("empty", "empty", "#b9b9b9"),
     ("subdivided", "subdivided at the next level", "#ffffff"),
@@ -61,7 +62,7 @@ def _stack_levels(axis: Axes, run: Run) -> None:
     nodes = np.array([row["nodes"] for row in levels], float)
     bottom = np.zeros(len(levels))
     for key, label, colour in _KINDS:
-        share = 100 * np.array([row[key] for row in levels], float) / nodes
+        share = 100 * np.array([row.get(key, 0) for row in levels], float) / nodes
         axis.bar(x, share, 0.82, bottom=bottom, color=colour, edgecolor="#444444", linewidth=0.5,
                  label=label)  # fmt: skip
         bottom += share

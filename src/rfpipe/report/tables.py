@@ -265,12 +265,12 @@ def levels_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
 
     numbers = pd.DataFrame(
         [
-            {"scene": run.scene, "method": run.method, **row}
+            {"scene": run.scene, "method": run.method, "rank_k": 0, **row}
             for run in inputs.runs
             for row in run.facts["levels"]
         ]
     )
-    kinds = ["patterns", "nodes", "empty", "rank1", "scalar", "subdivided"]
+    kinds = ["patterns", "nodes", "empty", "rank1", "rank_k", "scalar", "subdivided"]
     # the second level of a light field has whole views
     fields = numbers["scene"].isin([run.scene for run in inputs.light_fields])
     sums = numbers.groupby([fields, "method", "level"], sort=False)[kinds].sum()
@@ -282,7 +282,7 @@ def levels_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
         ]
         for (is_field, method, level), row in zip(sums.index, sums.to_numpy(), strict=True)
     ]
-    names = ["patterns", "nodes", "empty", "rank-1 or stored", "scalar", "subdivided"]
+    names = ["patterns", "nodes", "empty", "rank-1 or stored", "rank-k", "scalar", "subdivided"]
     columns = ["method", "level", *names]
     return Table([], columns, rows, csv="levels.csv"), numbers
 

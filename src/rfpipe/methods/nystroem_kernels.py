@@ -1,0 +1,285 @@
+"""Compiled kernels of rank-k leaves by the generalised Nystroem method.
+
+A node (a, b) has ``Y``, the pieces over a under the children of b, a column each; ``Z``, the pieces
+over b under the children of a; and ``W``, the energies of all pairs of children. Nodes are off the
+diagonal, so that the pair of children (i, j) is number ``i * children of b + j`` of its node.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+_FAST = {"reassoc", "contract", "nsz", "arcp"}
+# Jacobi rotations converge quadratically: a matrix of four columns takes some five sweeps.
+_SWEEPS = 30
+_ORTHOGONAL = 1e-14
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _dot(first, second):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for k in range(first.shape[0]):
+        total += np.float64(first[k]) * np.float64(second[k])
+    return total
+
+
+@numba.njit(cache=True)
+def _decompose(matrix, vectors):  # type: ignore[no-untyped-def]
+    """Rotate a small matrix's columns until they are orthogonal: ``matrix @ vectors``, in place.
+
+    One-sided Jacobi rotations [Hestenes 1958]: the columns become left singular vectors times
+    singular values, `vectors` the right singular vectors.
+    """
+    rows, columns = matrix.shape
+    vectors[:] = 0.0
+    for k in range(columns):
+        vectors[k, k] = 1.0
+    for _ in range(_SWEEPS):
+        rotated = False
+        for p in range(columns - 1):
+            for q in range(p + 1, columns):
+                pp, qq, pq = 0.0, 0.0, 0.0
+                for k in range(rows):
+                    pp += matrix[k, p] * matrix[k, p]
+                    qq += matrix[k, q] * matrix[k, q]
+                    pq += matrix[k, p] * matrix[k, q]
+                if abs(pq) <= _ORTHOGONAL * math.sqrt(pp) * math.sqrt(qq):
+                    continue
+                rotated = True
+                zeta = (qq - pp) / (2.0 * pq)
+                tangent = math.copysign(1.0, zeta) / (abs(zeta) + math.hypot(1.0, zeta))
+                cosine = 1.0 / math.hypot(1.0, tangent)
+                sine = cosine * tangent
+                for array in (matrix, vectors):
+                    for k in range(array.shape[0]):
+                        at_p, at_q = array[k, p], array[k, q]
+                        array[k, p] = cosine * at_p - sine * at_q
+                        array[k, q] = sine * at_p + cosine * at_q
+        if not rotated:
+            break
+
+
+@numba.njit(cache=True)
+def _weights_without(core, left_out, limit, weights):  # type: ignore[no-untyped-def]
+    """Write the weights of columns that add up to what one column differs from the others.
+
+    The column counts 1, the others minus what the truncated pseudo-inverse predicts it by.
+    """
+    rows, columns = core.shape
+    others = np.empty((rows, columns - 1))
+    vectors = np.empty((columns - 1, columns - 1))
+    for k in range(columns - 1):
+        others[:, k] = core[:, k + (k >= left_out)]
+    _decompose(others, vectors)
+    weights[:] = 0.0
+    weights[left_out] = 1.0
+    for r in range(columns - 1):
+        square, shared = 0.0, 0.0
+        for k in range(rows):
+            square += others[k, r] * others[k, r]
+            shared += others[k, r] * core[k, left_out]
+        if square > limit * limit:
+            for k in range(columns - 1):
+                weights[k + (k >= left_out)] -= vectors[k, r] * shared / square
+
+
+@numba.njit(cache=True)
+def _residual(core, limit, products, noise):  # type: ignore[no-untyped-def]
+    """Predict each column of images from the others; return squared errors and their noise.
+
+    Parameters
+    ----------
+    core : float64 (rows, columns)
+        Energies of the images' blocks.
+    limit : float
+        Singular values up to here are noise.
+    products : float64 (columns, columns)
+        Inner products of the images.
+    noise : float64 (columns,)
+        Summed variance of each.
+    """
+    columns = core.shape[1]
+    weights = np.empty(columns)
+    error, expected = 0.0, 0.0
+    for column in range(columns):
+        _weights_without(core, column, limit, weights)
+        square = 0.0
+        for k in range(columns):
+            expected += weights[k] * weights[k] * noise[k]
+            for other in range(columns):
+                square += weights[k] * weights[other] * products[k, other]
+        error += max(square, 0.0)
+    return error, expected
+
+
+@numba.njit(cache=True)
+def _core(pair, sums, spread, core):  # type: ignore[no-untyped-def]
+    """Write the energies of a node's pairs of children; return up to where its spectrum is noise.
+
+    Each has been measured twice. The largest singular value of a k x l matrix of noise is about
+    its standard deviation times ``sqrt(k) + sqrt(l)``. That deviation is what the cameras' variance
+    says, or what the two measurements differ by where that is more.
+    """
+    rows, columns = core.shape
+    variance, difference = 0.0, 0.0
+    for i in range(rows):
+        for j in range(columns):
+            n = pair + i * columns + j
+            first, second = spread[0, n], spread[1, n]
+            share = second / (first + second) if first + second > 0.0 else 0.5
+            core[i, j] = share * sums[0, n] + (1.0 - share) * sums[1, n]
+            variance += share * first
+            difference += (sums[0, n] - sums[1, n]) ** 2 / 4.0
+    deviation = math.sqrt(max(variance, difference) / (rows * columns))
+    return deviation * (math.sqrt(rows) + math.sqrt(columns))
+
+
+@numba.njit(cache=True, parallel=True)
+def leave_one_out(  # type: ignore[no-untyped-def]
+    children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values, sums, spread,
+    ssd, noise,
+):  # fmt: skip
+    """Predict the images under each child of nodes from those under the other children.
+
+    Parameters
+    ----------
+    children : int64 (n_blocks + 1,)
+        The next level's blocks in each block of the nodes' level.
+    child_starts : int64
+        First tree positions of the next level's blocks.
+    block_a, block_b : int32 (n,)
+        The nodes.
+    first_pair : int64 (n,)
+        First pair of children of each.
+    offset_a, offset_b : int64 (pairs,)
+        Where a pair's two pieces begin.
+    values : float32 (C, n_values)
+    sums, spread : float64 (C, 2, pairs)
+        Of the pieces, and of their variances.
+    ssd, noise : float64 (C, n)
+        Written: summed squared differences, and what noise alone would make of them.
+    """
+    for n in numba.prange(block_a.shape[0]):
+        first_a, first_b = children[block_a[n]], children[block_b[n]]
+        rows = children[block_a[n] + 1] - first_a
+        columns = children[block_b[n] + 1] - first_b
+        core = np.empty((rows, columns))
+        for c in range(values.shape[0]):
+            limit = _core(first_pair[n], sums[c], spread[c], core)
+            products_a, noise_a = np.zeros((columns, columns)), np.zeros(columns)
+            products_b, noise_b = np.zeros((rows, rows)), np.zeros(rows)
+            for i in range(rows):
+                size_a = child_starts[first_a + i + 1] - child_starts[first_a + i]
+                for j in range(columns):
+                    pair = first_pair[n] + i * columns + j
+                    size_b = child_starts[first_b + j + 1] - child_starts[first_b + j]
+                    noise_a[j] += spread[c, 0, pair]
+                    noise_b[i] += spread[c, 1, pair]
+                    at = offset_a[pair]
+                    for k in range(j + 1):
+                        other = offset_a[first_pair[n] + i * columns + k]
+                        product = _dot(
+                            values[c, at : at + size_a], values[c, other : other + size_a]
+                        )
+                        products_a[j, k] += product
+                        if k < j:
+                            products_a[k, j] += product
+                    at = offset_b[pair]
+                    for k in range(i + 1):
+                        other = offset_b[first_pair[n] + k * columns + j]
+                        product = _dot(
+                            values[c, at : at + size_b], values[c, other : other + size_b]
+                        )
+                        products_b[i, k] += product
+                        if k < i:
+                            products_b[k, i] += product
+            error_a, expected_a = _residual(core, limit, products_a, noise_a)
+            error_b, expected_b = _residual(core.T.copy(), limit, products_b, noise_b)
+            ssd[c, n] = error_a + error_b
+            noise[c, n] = expected_a + expected_b
+
+
+@numba.njit(cache=True, parallel=True)
+def invert_cores(  # type: ignore[no-untyped-def]
+    children, block_a, block_b, first_pair, sums, measured, spread, left, right, rank
+):
+    """Split the truncated pseudo-inverse of each node's core: ``W^+ = right @ left.T``.
+
+    Parameters
+    ----------
+    children, block_a, block_b, first_pair, spread
+        As in `leave_one_out`.
+    sums, measured : float64 (C, 2, pairs)
+        Of the pieces as they are, and as they were measured.
+    left, right : float64 (C, n, rows, terms), (C, n, columns, terms)
+        Written, each as wide as it needs to be.
+    rank : int64 (C, n)
+        Written: number of terms.
+    """
+    for n in numba.prange(block_a.shape[0]):
+        rows = children[block_a[n] + 1] - children[block_a[n]]
+        columns = children[block_b[n] + 1] - children[block_b[n]]
+        core, vectors = np.empty((rows, columns)), np.empty((columns, columns))
+        for c in range(sums.shape[0]):
+            limit = _core(first_pair[n], measured[c], spread[c], core)
+            _core(first_pair[n], sums[c], spread[c], core)
+            _decompose(core, vectors)
+            terms = 0
+            for r in range(columns):
+                value = 0.0
+                for k in range(rows):
+                    value = math.hypot(value, core[k, r])
+                if value > limit:
+                    for k in range(rows):
+                        left[c, n, k, terms] = core[k, r] / value**1.5
+                    for k in range(columns):
+                        right[c, n, k, terms] = vectors[k, r] / value**0.5
+                    terms += 1
+            rank[c, n] = terms
+
+
+@numba.njit(cache=True, parallel=True)
+def combine_pieces(  # type: ignore[no-untyped-def]
+    children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values, left, right,
+    first_term, begin, factors,
+):  # fmt: skip
+    """Write the factors of nodes' terms: ``Y @ right`` and ``Z @ left``.
+
+    Parameters
+    ----------
+    children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values
+        As in `leave_one_out`.
+    left, right
+        As `invert_cores` writes them, 0 where a channel has fewer terms.
+    first_term : int64 (n + 1,)
+        The terms of node ``i`` are ``first_term[i]:first_term[i + 1]``.
+    begin : int64 (terms,)
+        Where a term's factors begin.
+    factors : float32 (C, n_factors)
+        Zeros; added to.
+    """
+    for n in numba.prange(block_a.shape[0]):
+        first_a, first_b = children[block_a[n]], children[block_b[n]]
+        rows = children[block_a[n] + 1] - first_a
+        columns = children[block_b[n] + 1] - first_b
+        start_a, start_b = child_starts[first_a], child_starts[first_b]
+        whole_a = child_starts[first_a + rows] - start_a
+        for term in range(first_term[n], first_term[n + 1]):
+            r = term - first_term[n]
+            for i in range(rows):
+                place_a = begin[term] + child_starts[first_a + i] - start_a
+                size_a = child_starts[first_a + i + 1] - child_starts[first_a + i]
+                for j in range(columns):
+                    pair = first_pair[n] + i * columns + j
+                    place_b = begin[term] + whole_a + child_starts[first_b + j] - start_b
+                    size_b = child_starts[first_b + j + 1] - child_starts[first_b + j]
+                    for c in range(values.shape[0]):
+                        weight = np.float32(right[c, n, j, r])
+                        for k in range(size_a):
+                            factors[c, place_a + k] += values[c, offset_a[pair] + k] * weight
+                        weight = np.float32(left[c, n, i, r])
+                        for k in range(size_b):
+                            factors[c, place_b + k] += values[c, offset_b[pair] + k] * weight
