@@ -133,7 +133,7 @@ class Symmetric:
             for run in affordable(tree, level - 1, nodes, memory_bytes)
         ]
         added = (
-            join_leaves(level - 1, [leaves for part in refined for leaves in part.kept]),
+            join_leaves(level - 1, [part.kept[kind] for kind in (0, 1) for part in refined]),
             join_leaves(level, [part.found.leaves for part in refined]),
         )
         before = state.rows[-1]

@@ -15,7 +15,7 @@ from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.leaves import LEAF_PARTS, LeafSet, merge_leaf_sets
 from rfpipe.transport.rounding import CODED_PARTS, decoded, pack_leaves, signed_apart, unpack_leaves
 from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
-from rfpipe.transport.truncation import collapse
+from rfpipe.transport.truncation import collapse, found_later
 from rfpipe.units import NumberFormat
 
 
@@ -146,7 +146,8 @@ class HierarchicalTransport(Transport):
         """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7).
 
         Nodes that were subdivided at `level` become rank-1 leaves again, made of their row and
-        column sums, which is what the patterns of that level measured.
+        column sums, which is what the patterns of that level measured. So do its leaves of rank k
+        off the diagonal, which take the images of the level after.
         """
         if not 0 <= level < self.tree.n_levels:
             raise InputError(
@@ -156,10 +157,20 @@ class HierarchicalTransport(Transport):
             return self
         held = self._leaf_sets
         levels = [leaves.level for leaves in held]
-        kept = [index for index, found in enumerate(levels) if found <= level]
+        of_level = [index for index, found in enumerate(levels) if found == level]
+        later = found_later(self.tree, SetsOnDemand(of_level, lambda n: held[n], keep=False))
+        split = {index: terms for index, terms in zip(of_level, later, strict=True) if terms.any()}
         deeper = [index for index, found in enumerate(levels) if found > level]
-        below = SetsOnDemand(deeper, lambda index: held[index], keep=False)
-        either: list[int | LeafSet] = [*kept, *collapse(self.tree, below, level, self.channels)]
+        below = SetsOnDemand(
+            [*split, *deeper],
+            lambda n: held[n].subset(self.tree, split[n]) if n in split else held[n],
+            keep=False,
+        )
+        either: list[int | LeafSet] = [
+            *(n for n, found in enumerate(levels) if found <= level and n not in split),
+            *(held[n].subset(self.tree, ~terms) for n, terms in split.items()),
+            *collapse(self.tree, below, level, self.channels),
+        ]
         leaf_sets = SetsOnDemand(
             either, lambda found: held[found] if isinstance(found, int) else found, keep=False
         )

@@ -20,10 +20,28 @@ _LEAST_LIGHT = 0.25
 Index = NDArray[np.int64]
 
 
+def found_later(tree: BlockTree, leaf_sets: Sequence[LeafSet]) -> list[NDArray[np.bool_]]:
+    """Tell for sets of one level which leaves are terms of rank k, off the diagonal.
+
+    A level's patterns measure one picture for each side of a pair: the other terms come from the
+    images of the level after.
+    """
+    if not leaf_sets:
+        return []
+    pairs = [
+        leaves.block_a * np.int64(tree.n_blocks(leaves.level)) + leaves.block_b
+        for leaves in leaf_sets
+    ]
+    _, index, count = np.unique(np.concatenate(pairs), return_inverse=True, return_counts=True)
+    off_diagonal = np.concatenate([leaves.block_a != leaves.block_b for leaves in leaf_sets])
+    ends = np.cumsum([len(leaves) for leaves in leaf_sets])
+    return np.split((count[index] > 1) & off_diagonal, ends[:-1])
+
+
 def collapse(
     tree: BlockTree, leaf_sets: Sequence[LeafSet], level: int, channels: int
 ) -> Iterator[LeafSet]:
-    """Sum leaves below `level` into rank-1 leaves of that level, of their row and column sums.
+    """Sum leaves into rank-1 leaves of `level`, made of their row and column sums.
 
     Row and column sums are kept, unless the leaves below have signs and all but cancel: then they
     are reduced.
@@ -32,7 +50,7 @@ def collapse(
     ----------
     tree : BlockTree
     leaf_sets : sequence of LeafSet
-        Of levels below `level`, rounded or not; one at a time is in use.
+        Of `level` or below, rounded or not; one at a time is in use.
     level : int
     channels : int
 
