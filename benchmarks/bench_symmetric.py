@@ -15,7 +15,7 @@ from typing import Any
 import pandas as pd
 
 import rfpipe
-from rfpipe.methods import nodes, pieces, symmetric, verdicts
+from rfpipe.methods import nodes, nystroem, pieces, symmetric, verdicts
 from rfpipe.patterns import Schedule
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import SimulatedRig
@@ -42,6 +42,7 @@ STEPS: dict[str, tuple[Any, ...]] = {
     "predict known light": (partition.predict,),
     "take the residual's pieces": (pieces.collect,),
     "rank test": (verdicts.rank_test,),
+    "rank-k leaves": (nystroem.predictable, nystroem.rank_k_leaves),
     "make the levels agree": (verdicts.disagreement, verdicts.reconcile),
     "sort the new nodes": (verdicts.classify,),
     "cut and join nodes": (
