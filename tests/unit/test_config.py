@@ -129,7 +129,7 @@ def test_unknown_key_inside_a_scene() -> None:
         ({"camera": {"exposures": []}}, "camera.exposures", "[]", "at least 1 item"),
         ({"seed": -1}, "seed", "-1", "greater than or equal to 0"),
         ({"methods": ["dual", "dual"]}, "methods", "['dual', 'dual']", "each method once"),
-        ({"methods": ["duel"]}, "methods[0]", "'duel'", "'brute_force', 'dual' or 'symmetric'"),
+        ({"methods": ["duel"]}, "methods[0]", "'duel'", "'near_far' or 'symmetric'"),
         ({"capture": 3}, "capture", "3", "group of 'key: value' settings"),
         ({"scenes": {"Mine!": {}}}, "scenes.Mine!", "'Mine!'", "match pattern"),
         ({"normalization": "all"}, "normalization", "'all'", "'none', 'per_channel'"),

@@ -35,11 +35,17 @@ _PIECES = 2
 # levels: Table 5.1, scene II (1,085) and scene IV by dual photography (7,382). Patterns grow with
 # the number of levels [Fig. 3.8].
 _PATTERNS_PER_LEVEL = {"symmetric": 1_085 / 10, "dual": 7_382 / 10}
+# Methods whose patterns don't grow with the resolution, but where the scene asks for them.
+_PATTERNS = {"near_far": 1_085 // 10, "low_rank": 512}
+# One ray in so many is a pattern of compressive sensing, unless it is told how many to show.
+_RAYS_PER_RANDOM_PATTERN = 8
 
 _log = logging.getLogger(__name__)
 
 
-def expected_patterns(method: str, projector_shape: tuple[int, ...], n_levels: int) -> int:
+def expected_patterns(
+    method: str, projector_shape: tuple[int, ...], n_levels: int, asked: int = 0
+) -> int:
     """Guess the patterns of a whole acquisition from those of the thesis; brute force is exact.
 
     Parameters
@@ -48,11 +54,17 @@ def expected_patterns(method: str, projector_shape: tuple[int, ...], n_levels: i
         A name in `rfpipe.methods.METHODS`.
     projector_shape : tuple of int
     n_levels : int
+    asked : int
+        The setting ``acquisition.patterns``, 0 for none.
     """
     rays = prod(projector_shape)
-    if method not in _PATTERNS_PER_LEVEL:
-        return rays
-    return min(rays, round(n_levels * _PATTERNS_PER_LEVEL[method]))
+    if method in _PATTERNS_PER_LEVEL:
+        return min(rays, round(n_levels * _PATTERNS_PER_LEVEL[method]))
+    if method == "compressive":
+        return min(rays, asked or max(1, rays // _RAYS_PER_RANDOM_PATTERN))
+    if method in _PATTERNS:
+        return min(rays, asked or _PATTERNS[method])
+    return rays
 
 
 def most_patterns(method: str, projector_shape: tuple[int, ...]) -> int:
@@ -66,7 +78,7 @@ def most_patterns(method: str, projector_shape: tuple[int, ...]) -> int:
         A name in `rfpipe.methods.METHODS`.
     projector_shape : tuple of int
     """
-    if method not in _PATTERNS_PER_LEVEL:
+    if method not in _PATTERNS_PER_LEVEL and method != "near_far":
         return prod(projector_shape)
     tree = BlockTree(RayDomain(projector_shape))
     return sum(tree.n_blocks(level) for level in range(tree.n_levels))

@@ -88,7 +88,7 @@ def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
         needs = (
             _need(settings, camera, patterns)
             for patterns in (
-                expected_patterns(method, shape, levels),
+                expected_patterns(method, shape, levels, settings.acquisition.patterns),
                 most_patterns(method, shape),
             )
         )
