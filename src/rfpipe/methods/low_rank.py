@@ -280,4 +280,4 @@ def _fit_all(state: LowRankState) -> Fit:
     counts = [images.shape[1] for images in state.images]
     signs = np.concatenate([_signs(state.domain, level, n) for level, n in enumerate(counts)])
     signed = np.concatenate(state.images, axis=1)
-    return fit(signs, signed, np.concatenate(state.noise, axis=1), randoms=slice(1, None))
+    return fit(signs, signed, np.concatenate(state.noise, axis=1))

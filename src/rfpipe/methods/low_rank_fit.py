@@ -53,31 +53,29 @@ def relit(known: Fit, channel: int, vectors: Float) -> Float:
     return products
 
 
-def fit(vectors: Float, products: Float, noise: Double, randoms: slice) -> Fit:
+def fit(vectors: Float, products: Float, noise: Double) -> Fit:
     """Fit a diagonal and terms to a symmetric matrix' products with known vectors.
 
     Parameters
     ----------
     vectors : ndarray of float32, shape (P, rays)
-        Entries -1 or 1.
+        The first is all ones; the others are independent random signs, -1 or 1.
     products : ndarray of float32, shape (C, P, rays)
     noise : ndarray of float64, shape (C, P)
         Mean variance of an entry of each product.
-    randoms : slice
-        Those of the vectors whose signs are independent of each other. With none, all is taken to
-        be diagonal.
 
     Returns
     -------
     Fit
-        With so many terms as stand out of the noise, and one for four products at most.
+        With as many terms as stand out of the noise, and one for four products at most. With a
+        single product all is taken to be diagonal. The first product is met exactly: it is the
+        floodlit image, by far the least noisy one.
     """
-    if not len(vectors[randoms]):
-        nothing = start_fit(len(products), vectors.shape[1])
-        return replace(nothing, diagonal=(products * vectors).mean(axis=1))
+    if len(vectors) == 1:
+        return replace(start_fit(len(products), vectors.shape[1]), diagonal=products[:, 0])
     columns = vectors.T.astype(np.float64)
     found = [
-        _fit_channel(columns, of_channel.T.astype(np.float64), variance, randoms)
+        _fit_channel(columns, of_channel.T.astype(np.float64), variance)
         for of_channel, variance in zip(products, noise, strict=True)
     ]
     rank = max(len(strengths) for _, _, strengths in found)
@@ -88,12 +86,10 @@ def fit(vectors: Float, products: Float, noise: Double, randoms: slice) -> Fit:
     return Fit(np.array([diagonal for diagonal, _, _ in found], np.float32), left, strengths)
 
 
-def _fit_channel(
-    vectors: Double, products: Double, noise: Double, randoms: slice
-) -> tuple[Double, Double, Double]:
+def _fit_channel(vectors: Double, products: Double, noise: Double) -> tuple[Double, Double, Double]:
     """Fit one matrix: its diagonal (rays,), images (rays, rank) and strengths (rank,)."""
     weights = 1 / np.sqrt(np.maximum(noise, np.finfo(np.float64).tiny))
-    signs, drawn = vectors[:, randoms], products[:, randoms]
+    signs, drawn = vectors[:, 1:], products[:, 1:]
     diagonal: Double = (signs * drawn).mean(axis=1)
     for _ in range(_ROUNDS):
         basis, strengths = _terms(vectors, products - diagonal[:, None] * vectors, weights)
@@ -102,7 +98,7 @@ def _fit_channel(
         before, diagonal = diagonal, (signs * (drawn - off)).mean(axis=1)
         if np.linalg.norm(diagonal - before) <= _CONVERGED * np.linalg.norm(diagonal):
             break
-    return diagonal, basis, strengths
+    return products[:, 0] - basis @ (strengths * basis.sum(axis=0)), basis, strengths
 
 
 def _terms(vectors: Double, products: Double, weights: Double) -> tuple[Double, Double]:
