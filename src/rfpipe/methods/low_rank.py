@@ -21,8 +21,8 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
 from rfpipe.methods.low_rank_fit import Fit, fit, relit, start_fit
+from rfpipe.methods.signs import as_light, planar_batches, random_signs, trimmed_mean
 from rfpipe.patterns import Schedule
-from rfpipe.provenance import generator
 from rfpipe.transport.low_rank import LowRankTransport
 
 _SEED = 2010
@@ -31,10 +31,6 @@ _FIRST_ROUND = 16
 # Patterns that the method shows of its own accord, and at most: a fit's time grows with their
 # square.
 _OWN_MOST, _MOST = 512, 4096
-# Images read at a time.
-_BATCH_BYTES = 32 * 2**20
-# The share of a picture's pixels whose variance is taken: saturated ones have a huge one.
-_TRIMMED = 0.99
 
 _log = logging.getLogger(__name__)
 
@@ -88,10 +84,9 @@ class LowRankState:
 class LowRank:
     """A randomised range finder that computes in light, as a `Method`.
 
-    A pattern of signs q is shown as ``(1 + q) / 2``; with the floodlit image,
-    ``T q = 2 T (1 + q) / 2 - T 1``. Each round of patterns first tests the fit to those before it,
-    which have not seen it; it ends when that error is below `Settings.target_error` or within
-    noise, or at `Settings.patterns`.
+    The images of each round of random signs first test the fit to those before it, which has not
+    seen them. It ends when that error is below `Settings.target_error` or within noise, or at
+    `Settings.patterns`.
 
     The published methods have no diagonal. On a coaxial rig direct light is one, of full rank, and
     without it hundreds of patterns leave nine tenths of the light unexplained: it is estimated
@@ -134,8 +129,8 @@ class LowRank:
             return Schedule.floodlit(shape)
         limit = min(state.settings.patterns or _OWN_MOST, _MOST)
         count = 0 if state.done else min(_round(state.level), max(limit - state.shown, 0))
-        weights = np.maximum(_signs(state.domain, state.level, count), np.float32(0))
-        return Schedule(state.level, shape, count, weights=weights.reshape(count, *shape))
+        weights = as_light(_signs(state.domain, state.level, count), shape)
+        return Schedule(state.level, shape, count, weights=weights)
 
     def refine(
         self,
@@ -222,12 +217,10 @@ def _round(level: int) -> int:
 
 
 def _signs(domain: RayDomain, level: int, count: int) -> Float:
-    """Return a level's signed patterns, float32 (count, rays), the same in every acquisition."""
+    """Return a level's signed patterns, float32 (count, rays)."""
     if level == 0:
         return np.ones((count, domain.size), np.float32)
-    drawn = [generator(_SEED, level, n).integers(0, 2, domain.size) for n in range(count)]
-    signs: Float = 2 * np.array(drawn, np.float32).reshape(count, domain.size) - 1
-    return signs
+    return random_signs(count, domain.size, _SEED, level)
 
 
 def _read(state: LowRankState, images: LevelImages) -> tuple[Float, NDArray[np.float64]]:
@@ -235,30 +228,12 @@ def _read(state: LowRankState, images: LevelImages) -> tuple[Float, NDArray[np.f
     count, rays, channels = images.schedule.count, state.domain.size, state.channels
     signed = np.empty((channels, count, rays), np.float32)
     noise = np.empty((channels, count))
-    step = max(1, _BATCH_BYTES // (channels * rays * signed.itemsize))
-    for first in range(0, count, step):
-        last = min(first + step, count)
-        radiance, variance = (
-            np.moveaxis(part.reshape(last - first, rays, channels), -1, 0)
-            for part in images.read(first, last)
-        )
-        # exact radiance is rounded, too
-        rounding = np.square(np.finfo(np.float32).eps * radiance)
-        spread = _trimmed_mean(variance + rounding)
-        if state.level:
-            signed[:, first:last] = 2 * radiance - state.images[0]
-            noise[:, first:last] = 4 * spread + state.noise[0]
-        else:
-            signed[:, first:last], noise[:, first:last] = radiance, spread
+    for part, radiance, variance in planar_batches(images, channels, rays):
+        signed[:, part], noise[:, part] = radiance, trimmed_mean(variance)
+    if state.level:
+        signed = 2 * signed - state.images[0]
+        noise *= 4  # that of the floodlit image is common to all, and the least of all by far
     return signed, noise
-
-
-def _trimmed_mean(variance: Float) -> NDArray[np.float64]:
-    """Average over the pixels, without the largest few; (C, P, rays) gives (C, P)."""
-    kept = ceil(_TRIMMED * variance.shape[-1])
-    smallest = np.partition(variance, kept - 1, axis=-1)[..., :kept]
-    mean: NDArray[np.float64] = smallest.mean(axis=-1, dtype=np.float64)
-    return mean
 
 
 def _held_out(

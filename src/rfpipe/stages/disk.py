@@ -61,7 +61,7 @@ def expected_patterns(
     if method in _PATTERNS_PER_LEVEL:
         return min(rays, round(n_levels * _PATTERNS_PER_LEVEL[method]))
     if method == "compressive":
-        return min(rays, asked or max(1, rays // _RAYS_PER_RANDOM_PATTERN))
+        return asked or max(rays // _RAYS_PER_RANDOM_PATTERN, min(rays, 32))
     if method in _PATTERNS:
         return min(rays, asked or _PATTERNS[method])
     return rays
