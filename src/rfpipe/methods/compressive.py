@@ -16,7 +16,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
 from rfpipe.methods.pursuit import pursue, rays_and_wavelets
-from rfpipe.methods.signs import as_light, planar_batches, random_signs, trimmed_mean
+from rfpipe.methods.signs import as_light, planar_batches, random_signs, rounding, trimmed_mean
 from rfpipe.patterns import Schedule
 from rfpipe.transport.dense import DenseTransport
 
@@ -25,7 +25,7 @@ LARGEST_DOMAIN = 64 * 64
 rays, patterns and atoms."""
 
 _SEED = 2009
-# One ray in so many is a pattern, where nothing else is asked for, but some on small domains.
+# Patterns where none are asked for: a fraction of the rays, and some on small domains.
 _RAYS_PER_PATTERN, _FEWEST = 8, 32
 # Measurements for each atom of a row. Where more would be taken the row is not sparse.
 _MEASUREMENTS_PER_ATOM = 4
@@ -101,7 +101,7 @@ class Compressive:
         if state.level == 0:
             return Schedule.floodlit(shape)
         asked = state.settings.patterns
-        count = (asked or max(rays // _RAYS_PER_PATTERN, min(rays, _FEWEST))) - 1
+        count = (asked or max(rays // _RAYS_PER_PATTERN, _FEWEST)) - 1
         weights = as_light(random_signs(count, rays, _SEED, state.level), shape)
         return Schedule(state.level, shape, count, weights=weights)
 
@@ -125,8 +125,9 @@ class Compressive:
         elif count:
             floodlit = state.floodlit[:, None]
             measured = np.concatenate([floodlit, 2 * measured - floodlit], axis=1)
-            # the floodlit image's noise is common to all, and the least of all by far
-            variance = np.concatenate([state.variance[:, None], 4 * variance], axis=1)
+            # the floodlit image's noise is common to all and the least by far; not its rounding
+            variance = 4 * variance + rounding(floodlit)
+            variance = np.concatenate([state.variance[:, None], variance], axis=1)
             signs = np.concatenate(
                 [np.ones((1, rays), np.float32), random_signs(count, rays, _SEED, state.level)]
             )
@@ -191,7 +192,7 @@ def recover(
     matrix = np.empty((len(measured), measured.shape[2], projector.size), np.float32)
     atoms = 0
     for channel, (values, spread) in enumerate(zip(measured, variance, strict=True)):
-        weights = 1 / np.sqrt(np.maximum(trimmed_mean(spread), np.finfo(np.float32).tiny))
+        weights = 1 / np.sqrt(trimmed_mean(spread))
         chosen, factors = pursue(
             seen * weights, values.T * weights, (spread.T * weights**2).sum(axis=1), most
         )

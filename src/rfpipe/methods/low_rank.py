@@ -21,7 +21,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
 from rfpipe.methods.low_rank_fit import Fit, fit, relit, start_fit
-from rfpipe.methods.signs import as_light, planar_batches, random_signs, trimmed_mean
+from rfpipe.methods.signs import as_light, planar_batches, random_signs, rounding, trimmed_mean
 from rfpipe.patterns import Schedule
 from rfpipe.transport.low_rank import LowRankTransport
 
@@ -232,7 +232,8 @@ def _read(state: LowRankState, images: LevelImages) -> tuple[Float, NDArray[np.f
         signed[:, part], noise[:, part] = radiance, trimmed_mean(variance)
     if state.level:
         signed = 2 * signed - state.images[0]
-        noise *= 4  # that of the floodlit image is common to all, and the least of all by far
+        # the floodlit image's noise is common to all, and the least of all by far; not its rounding
+        noise = 4 * noise + rounding(state.images[0]).mean(axis=-1, dtype=np.float64)
     return signed, noise
 
 

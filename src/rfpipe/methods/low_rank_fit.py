@@ -62,14 +62,13 @@ def fit(vectors: Float, products: Float, noise: Double) -> Fit:
         The first is all ones; the others are independent random signs, -1 or 1.
     products : ndarray of float32, shape (C, P, rays)
     noise : ndarray of float64, shape (C, P)
-        Mean variance of an entry of each product.
+        Mean variance of an entry of each product, above 0.
 
     Returns
     -------
     Fit
         With as many terms as stand out of the noise, and one for four products at most. With a
-        single product all is taken to be diagonal. The first product is met exactly: it is the
-        floodlit image, by far the least noisy one.
+        single product all is taken to be diagonal.
     """
     if len(vectors) == 1:
         return replace(start_fit(len(products), vectors.shape[1]), diagonal=products[:, 0])
@@ -88,17 +87,35 @@ def fit(vectors: Float, products: Float, noise: Double) -> Fit:
 
 def _fit_channel(vectors: Double, products: Double, noise: Double) -> tuple[Double, Double, Double]:
     """Fit one matrix: its diagonal (rays,), images (rays, rank) and strengths (rank,)."""
-    weights = 1 / np.sqrt(np.maximum(noise, np.finfo(np.float64).tiny))
+    weights = 1 / np.sqrt(noise)
     signs, drawn = vectors[:, 1:], products[:, 1:]
     diagonal: Double = (signs * drawn).mean(axis=1)
     for _ in range(_ROUNDS):
         basis, strengths = _terms(vectors, products - diagonal[:, None] * vectors, weights)
         # the signs of the other rays are random, so that their light averages away
-        off = basis @ (strengths[:, None] * (basis.T @ signs))
-        before, diagonal = diagonal, (signs * (drawn - off)).mean(axis=1)
+        lit = basis @ (strengths[:, None] * (basis.T @ signs))
+        before, diagonal = diagonal, (signs * (drawn - lit)).mean(axis=1)
         if np.linalg.norm(diagonal - before) <= _CONVERGED * np.linalg.norm(diagonal):
             break
-    return products[:, 0] - basis @ (strengths * basis.sum(axis=0)), basis, strengths
+    off = basis @ (strengths * basis.sum(axis=0))
+    return _reconciled(signs * (drawn - lit), products[:, 0] - off), basis, strengths
+
+
+def _reconciled(samples: Double, floodlit: Double) -> Double:
+    """Join two estimates of a diagonal, each weighted by its variance.
+
+    Parameters
+    ----------
+    samples : ndarray of float64, shape (rays, P)
+        What each product with random signs says, which is right on average.
+    floodlit : ndarray of float64, shape (rays,)
+        What the terms leave of the floodlit image: of less noise, but with the terms' errors,
+        which add up. What it differs more by than the samples' mean may is its own variance.
+    """
+    mean: Double = samples.mean(axis=1)
+    own = float(samples.var(axis=1).mean()) / samples.shape[1]
+    other = max(float(np.square(floodlit - mean).mean()) - own, 0.0)
+    return mean if own == 0.0 else (other * mean + own * floodlit) / (own + other)
 
 
 def _terms(vectors: Double, products: Double, weights: Double) -> tuple[Double, Double]:

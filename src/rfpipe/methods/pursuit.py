@@ -85,7 +85,7 @@ def pursue(
     Parameters
     ----------
     atoms : ndarray of float64, shape (a, m)
-        Not zero; of any norm.
+        Of any norm; what is zero is never taken.
     signals : ndarray of float64, shape (n, m)
     allowed : ndarray of float64, shape (n,)
         Squared norm at which what is left of a signal counts as noise.
@@ -99,7 +99,7 @@ def pursue(
     coefficients : ndarray of float64, shape (n, most)
         Their factors, 0 there.
     """
-    norms = np.linalg.norm(atoms, axis=1)
+    norms = np.maximum(np.linalg.norm(atoms, axis=1), np.finfo(np.float64).tiny)
     units = atoms / norms[:, None]
     chosen = np.full((len(signals), most), -1, np.int64)
     coefficients = np.zeros((len(signals), most))

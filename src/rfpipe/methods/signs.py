@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rfpipe.methods.base import Float, LevelImages
 from rfpipe.provenance import generator
 
-__all__ = ["as_light", "planar_batches", "random_signs", "trimmed_mean"]
+__all__ = ["as_light", "planar_batches", "random_signs", "rounding", "trimmed_mean"]
 
 # Images read at a time.
 _BATCH_BYTES = 32 * 2**20
@@ -42,8 +42,7 @@ def planar_batches(
     Yields
     ------
     slice, ndarray of float32 (C, k, rays), ndarray of float32 (C, k, rays)
-        Which images; their radiance; its variance, with that of float32's rounding, which exact
-        radiance has, too.
+        Which images; their radiance; its variance, with that of `rounding`, above 0.
     """
     count = images.schedule.count
     step = max(1, _BATCH_BYTES // (channels * rays * np.dtype(np.float32).itemsize))
@@ -53,8 +52,14 @@ def planar_batches(
             np.moveaxis(part.reshape(last - first, rays, channels), -1, 0)
             for part in images.read(first, last)
         )
-        rounding = np.square(np.finfo(np.float32).eps * radiance)
-        yield slice(first, last), radiance, variance + rounding
+        yield slice(first, last), radiance, variance + rounding(radiance)
+
+
+def rounding(radiance: Float) -> Float:
+    """Return the variance of float32's rounding, which exact radiance has, too; at least tiny."""
+    least = np.finfo(np.float32).tiny
+    spread: Float = np.maximum(np.square(np.finfo(np.float32).eps * radiance), least)
+    return spread
 
 
 def trimmed_mean(variance: Float) -> NDArray[np.float64]:

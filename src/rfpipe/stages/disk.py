@@ -37,8 +37,8 @@ _PIECES = 2
 _PATTERNS_PER_LEVEL = {"symmetric": 1_085 / 10, "dual": 7_382 / 10}
 # Methods whose patterns don't grow with the resolution, but where the scene asks for them.
 _PATTERNS = {"near_far": 1_085 // 10, "low_rank": 512}
-# One ray in so many is a pattern of compressive sensing, unless it is told how many to show.
-_RAYS_PER_RANDOM_PATTERN = 8
+# Rays for each pattern of compressive sensing, and the fewest, unless it is told how many to show.
+_RAYS_PER_RANDOM_PATTERN, _FEWEST_RANDOM = 8, 32
 
 _log = logging.getLogger(__name__)
 
@@ -61,7 +61,7 @@ def expected_patterns(
     if method in _PATTERNS_PER_LEVEL:
         return min(rays, round(n_levels * _PATTERNS_PER_LEVEL[method]))
     if method == "compressive":
-        return asked or max(rays // _RAYS_PER_RANDOM_PATTERN, min(rays, 32))
+        return asked or max(rays // _RAYS_PER_RANDOM_PATTERN, _FEWEST_RANDOM)
     if method in _PATTERNS:
         return min(rays, asked or _PATTERNS[method])
     return rays
