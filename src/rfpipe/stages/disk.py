@@ -13,6 +13,7 @@ import numpy as np
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import StoreError
+from rfpipe.methods.hadamard import s_matrix_order
 from rfpipe.photometry import Sensor
 from rfpipe.units import RADIANCE
 
@@ -64,10 +65,12 @@ def expected_patterns(
         return asked or max(rays // _RAYS_PER_RANDOM_PATTERN, _FEWEST_RANDOM)
     if method in _PATTERNS:
         return min(rays, asked or _PATTERNS[method])
+    if method == "hadamard":
+        return s_matrix_order(rays)
     return rays
 
 
-def most_patterns(method: str, projector_shape: tuple[int, ...]) -> int:
+def most_patterns(method: str, projector_shape: tuple[int, ...], asked: int = 0) -> int:
     """Return the patterns of an acquisition of a scene without any structure.
 
     All blocks of all levels one after the other, for the methods that descend by levels.
@@ -77,9 +80,11 @@ def most_patterns(method: str, projector_shape: tuple[int, ...]) -> int:
     method : str
         A name in `rfpipe.methods.METHODS`.
     projector_shape : tuple of int
+    asked : int
+        The setting ``acquisition.patterns``, 0 for none.
     """
     if method not in _PATTERNS_PER_LEVEL and method != "near_far":
-        return prod(projector_shape)
+        return max(prod(projector_shape), expected_patterns(method, projector_shape, 1, asked))
     tree = BlockTree(RayDomain(projector_shape))
     return sum(tree.n_blocks(level) for level in range(tree.n_levels))
 
