@@ -14,8 +14,8 @@ Double = NDArray[np.float64]
 # Products for each term that they determine. With fewer, the errors of the terms outgrow what the
 # weakest of them explain: four were best, or next to it, from 16 to 512 products.
 _PRODUCTS_A_TERM = 4
-# Diagonal and terms are fitted in turn until the diagonal stays as it is, to so much of its norm.
-_ROUNDS, _CONVERGED = 50, 1e-6
+# Diagonal and terms are fitted in turn until the diagonal changes by so little of its variance.
+_ROUNDS, _CONVERGED = 20, 0.1
 
 
 @dataclass(frozen=True)
@@ -89,16 +89,17 @@ def _fit_channel(vectors: Double, products: Double, noise: Double) -> tuple[Doub
     """Fit one matrix: its diagonal (rays,), images (rays, rank) and strengths (rank,)."""
     weights = 1 / np.sqrt(noise)
     signs, drawn = vectors[:, 1:], products[:, 1:]
-    diagonal: Double = (signs * drawn).mean(axis=1)
+    samples = signs * drawn
     for _ in range(_ROUNDS):
+        diagonal = samples.mean(axis=1)
         basis, strengths = _terms(vectors, products - diagonal[:, None] * vectors, weights)
         # the signs of the other rays are random, so that their light averages away
-        lit = basis @ (strengths[:, None] * (basis.T @ signs))
-        before, diagonal = diagonal, (signs * (drawn - lit)).mean(axis=1)
-        if np.linalg.norm(diagonal - before) <= _CONVERGED * np.linalg.norm(diagonal):
+        samples = signs * (drawn - basis @ (strengths[:, None] * (basis.T @ signs)))
+        change = np.square(samples.mean(axis=1) - diagonal).sum()
+        if change <= _CONVERGED * samples.var(axis=1).sum() / samples.shape[1]:
             break
     off = basis @ (strengths * basis.sum(axis=0))
-    return _reconciled(signs * (drawn - lit), products[:, 0] - off), basis, strengths
+    return _reconciled(samples, products[:, 0] - off), basis, strengths
 
 
 def _reconciled(samples: Double, floodlit: Double) -> Double:
