@@ -124,6 +124,8 @@ def test_unknown_key_inside_a_scene() -> None:
         ({"acquisition": {"tolerance": "2 s"}}, "acquisition.tolerance", "'2 s'", "valid number"),
         ({"acquisition": {"tolerance": 0}}, "acquisition.tolerance", "0", "greater than 0"),
         ({"acquisition": {"tolerance": True}}, "acquisition.tolerance", "true", "not be true"),
+        ({"acquisition": {"target_error": 1}}, "acquisition.target_error", "1", "less than 1"),
+        ({"acquisition": {"patterns": -1}}, "acquisition.patterns", "-1", "greater than or equal"),
         ({"camera": {"flare": float("nan")}}, "camera.flare", "nan", "finite number"),
         ({"camera": {"bits": 10.5}}, "camera.bits", "10.5", "valid integer"),
         ({"camera": {"exposures": []}}, "camera.exposures", "[]", "at least 1 item"),

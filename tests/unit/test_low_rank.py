@@ -191,3 +191,16 @@ def test_terms_of_two_domains() -> None:
 def test_another_rig_is_refused() -> None:
     with pytest.raises(InputError, match=r"coaxial rig.*\(2, 3\).*\(4, 5\); use dual"):
         LowRank().n_levels(RayDomain((2, 3)), RayDomain((4, 5)))
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [
+        ({"target_error": 0.0}, "target_error is 0.0; it must be a number between 0 and 1"),
+        ({"target_error": float("nan")}, "target_error is nan"),
+        ({"patterns": -1}, "patterns is -1; it must be at least 0"),
+    ],
+)
+def test_impossible_wishes_are_refused(option: dict[str, float], expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        acquire(OperatorRig(np.eye(4), (2, 2), (2, 2)), "low_rank", progress=False, **option)

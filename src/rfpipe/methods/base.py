@@ -38,8 +38,8 @@ class Settings:
         Methods that estimate their own error: the error at which they stop, relative to the norm
         of a relit image; above 0.
     patterns : int
-        Methods that choose how many patterns they show: that number, at least 0; 0 leaves it to
-        the method.
+        Methods that choose how many patterns they show: how many at most, the floodlit one
+        included, at least 0; 0 leaves it to the method.
     """
 
     tolerance: float = 1e-3

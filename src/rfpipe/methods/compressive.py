@@ -100,8 +100,7 @@ class Compressive:
         shape, rays = state.projector.shape, state.projector.size
         if state.level == 0:
             return Schedule.floodlit(shape)
-        asked = state.settings.patterns
-        count = (asked or max(rays // _RAYS_PER_PATTERN, _FEWEST)) - 1
+        count = pattern_count(rays, state.settings.patterns) - 1
         weights = as_light(random_signs(count, rays, _SEED, state.level), shape)
         return Schedule(state.level, shape, count, weights=weights)
 
@@ -166,6 +165,11 @@ class Compressive:
             level=about["level"],
             rows=tuple(about["rows"]),
         )
+
+
+def pattern_count(rays: int, asked: int) -> int:
+    """Return how many patterns are shown: as many as are asked for, or by the projector's rays."""
+    return asked or max(rays // _RAYS_PER_PATTERN, _FEWEST)
 
 
 def recover(

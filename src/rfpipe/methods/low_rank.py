@@ -28,9 +28,8 @@ from rfpipe.transport.low_rank import LowRankTransport
 _SEED = 2010
 # Patterns of the first round of random signs; each round doubles them all.
 _FIRST_ROUND = 16
-# Patterns that the method shows of its own accord, and at most: a fit's time grows with their
-# square.
-_OWN_MOST, _MOST = 512, 4096
+# So many patterns at most, and so many where they are asked for: a fit's time grows with their square.
+OWN_MOST, _MOST = 512, 4096
 
 _log = logging.getLogger(__name__)
 
@@ -127,7 +126,7 @@ class LowRank:
         shape = state.domain.shape
         if state.level == 0:
             return Schedule.floodlit(shape)
-        limit = min(state.settings.patterns or _OWN_MOST, _MOST)
+        limit = min(state.settings.patterns or OWN_MOST, _MOST)
         count = 0 if state.done else min(_round(state.level), max(limit - state.shown, 0))
         weights = as_light(_signs(state.domain, state.level, count), shape)
         return Schedule(state.level, shape, count, weights=weights)

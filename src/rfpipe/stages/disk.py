@@ -13,7 +13,9 @@ import numpy as np
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import StoreError
+from rfpipe.methods.compressive import pattern_count
 from rfpipe.methods.hadamard import s_matrix_order
+from rfpipe.methods.low_rank import OWN_MOST
 from rfpipe.photometry import Sensor
 from rfpipe.units import RADIANCE
 
@@ -37,9 +39,7 @@ _PIECES = 2
 # the number of levels [Fig. 3.8].
 _PATTERNS_PER_LEVEL = {"symmetric": 1_085 / 10, "dual": 7_382 / 10}
 # Methods whose patterns don't grow with the resolution, but where the scene asks for them.
-_PATTERNS = {"near_far": 1_085 // 10, "low_rank": 512}
-# Rays for each pattern of compressive sensing, and the fewest, unless it is told how many to show.
-_RAYS_PER_RANDOM_PATTERN, _FEWEST_RANDOM = 8, 32
+_PATTERNS = {"near_far": 1_085 // 10, "low_rank": OWN_MOST}
 
 _log = logging.getLogger(__name__)
 
@@ -62,7 +62,7 @@ def expected_patterns(
     if method in _PATTERNS_PER_LEVEL:
         return min(rays, round(n_levels * _PATTERNS_PER_LEVEL[method]))
     if method == "compressive":
-        return asked or max(rays // _RAYS_PER_RANDOM_PATTERN, _FEWEST_RANDOM)
+        return pattern_count(rays, asked)
     if method in _PATTERNS:
         return min(rays, asked or _PATTERNS[method])
     if method == "hadamard":
