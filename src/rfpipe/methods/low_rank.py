@@ -28,7 +28,7 @@ from rfpipe.transport.low_rank import LowRankTransport
 _SEED = 2010
 # Patterns of the first round of random signs; each round doubles them all.
 _FIRST_ROUND = 16
-# So many patterns at most, and so many where they are asked for: a fit's time grows with their square.
+# So many patterns at most, and where they are asked for: a fit's time grows with their square.
 OWN_MOST, _MOST = 512, 4096
 
 _log = logging.getLogger(__name__)
