@@ -30,7 +30,7 @@ def test_registry_knows_the_methods(name: str) -> None:
 
 
 def test_registry_names_the_methods_it_knows() -> None:
-    with pytest.raises(InputError, match="'duel': expected one of brute_force, dual, symmetric"):
+    with pytest.raises(InputError, match="'duel': expected one of brute_force, compressive, dual"):
         get_method("duel")
 
 

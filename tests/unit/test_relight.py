@@ -23,11 +23,11 @@ SCENE = SceneConfig(geometry="wedge", surfaces=("white", "texture"), shape=(9, 1
 @pytest.fixture(scope="module")
 def transports() -> dict[str, Transport]:
     rig = SimulatedRig(scene_from_config(SCENE))
-    methods = ("symmetric", "dual", "brute_force")
+    methods = ("symmetric", "dual", "brute_force", "hadamard", "low_rank")
     return {method: acquire(rig, method, 1e-3, progress=False).transport for method in methods}
 
 
-@pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force"])
+@pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force", "hadamard", "low_rank"])
 def test_all_images_agree_with_the_scenes_matrix(transports, method):
     scene = scene_from_config(SCENE)
     arrays = relit_arrays(transports[method], scene)

@@ -150,8 +150,13 @@ def references(wildcards):
 
 def expected(wildcards):
     """Patterns that all levels may take, for level 0 to estimate the disk space."""
-    rays = plan(wildcards)["projector_shape"]
-    return expected_patterns(wildcards.method, rays, n_levels(wildcards))
+    about = plan(wildcards)
+    return expected_patterns(
+        wildcards.method,
+        about["projector_shape"],
+        n_levels(wildcards),
+        about["patterns"],
+    )
 
 
 def sweep_settings(wildcards):

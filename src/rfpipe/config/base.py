@@ -8,7 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 
 __all__ = ["Extent", "MethodName", "Settings", "Tolerance", "each_once"]
 
-MethodName = Literal["brute_force", "dual", "symmetric"]
+MethodName = Literal[
+    "brute_force", "compressive", "dual", "hadamard", "low_rank", "near_far", "symmetric"
+]
 Extent = Annotated[int, Field(ge=1, le=4096)]
 Tolerance = Annotated[float, Field(gt=0, lt=1)]
 

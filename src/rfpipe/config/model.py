@@ -31,6 +31,9 @@ __all__ = [
 
 Normalization = Literal["none", "per_channel", "total_energy"]
 NumberFormat = Literal["float32", "uint16", "uint8"]
+# Methods that rest on the symmetry of T.
+_COAXIAL = ("symmetric", "near_far", "low_rank")
+
 SceneName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 
 
@@ -53,6 +56,20 @@ class AcquisitionConfig(Settings):
         False,
         description="Dual photography: take the light stored at coarser levels off finer images, "
         "true or false. The thesis [C.1] doesn't, and counts some of it twice.",
+    )
+    target_error: float = Field(
+        0.01,
+        gt=0,
+        lt=1,
+        description="Methods that estimate their own error (near_far, low_rank) stop at this one, "
+        "as a fraction of a relit image's norm, between 0 and 1.",
+    )
+    patterns: int = Field(
+        0,
+        ge=0,
+        le=1_000_000,
+        description="Patterns that near_far, low_rank and compressive may show, the floodlit one "
+        "included, 0 to 1000000; 0 leaves it to the method.",
     )
 
 
@@ -235,7 +252,8 @@ class Config(Settings):
     methods: tuple[MethodName, ...] = Field(
         ("symmetric", "dual"),
         min_length=1,
-        description="Methods to acquire each scene with: brute_force, dual, symmetric.",
+        description="Methods to acquire each scene with: brute_force, dual, symmetric, near_far, "
+        "hadamard, compressive, low_rank.",
     )
     acquisition: AcquisitionConfig = Field(
         default_factory=AcquisitionConfig, description="When a method stops subdividing."
@@ -309,10 +327,11 @@ class Config(Settings):
                 "rig sees one at a time; give each settings of its own"
             )
         for name in captured:
-            if self.scenes[name].camera_shape and "symmetric" in self.methods_of(name):
+            coaxial = [method for method in self.methods_of(name) if method in _COAXIAL]
+            if self.scenes[name].camera_shape and coaxial:
                 raise ValueError(
                     f"scenes.{name}.camera_shape should be null, for a coaxial rig, with the "
-                    "method symmetric; other rigs take dual or brute_force"
+                    f"method {coaxial[0]}; other rigs take dual or brute_force"
                 )
         return self
 

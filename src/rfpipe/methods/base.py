@@ -34,11 +34,19 @@ class Settings:
     subtract_stored : bool
         Dual photography: whether to take the light stored at coarser levels off finer images.
         The thesis does not.
+    target_error : float
+        Methods that estimate their own error: the error at which they stop, relative to the norm
+        of a relit image; above 0.
+    patterns : int
+        Methods that choose how many patterns they show: how many at most, the floodlit one
+        included, at least 0; 0 leaves it to the method.
     """
 
     tolerance: float = 1e-3
     noise_significance: float = 3.0
     subtract_stored: bool = False
+    target_error: float = 0.01
+    patterns: int = 0
 
 
 class LevelImages(Protocol):

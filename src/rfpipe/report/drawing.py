@@ -26,7 +26,15 @@ __all__ = [
     "srgb",
 ]
 
-METHOD_COLOURS = {"symmetric": "#1f5a9e", "dual": "#c4611a", "brute_force": "#5c5c5c"}
+METHOD_COLOURS = {
+    "symmetric": "#1f5a9e",
+    "dual": "#c4611a",
+    "brute_force": "#5c5c5c",
+    "near_far": "#2a8a5a",
+    "hadamard": "#7f4fa0",
+    "compressive": "#a5861c",
+    "low_rank": "#b83a68",
+}
 
 _DPI = 110
 _SMALL = 8.0

@@ -26,6 +26,10 @@ METHOD_TITLES = {
     "symmetric": "Symmetric photography",
     "dual": "Dual photography",
     "brute_force": "Brute force",
+    "near_far": "Near/far",
+    "hadamard": "Hadamard multiplexing",
+    "compressive": "Compressive sensing",
+    "low_rank": "Optical low rank",
 }
 
 BENCHMARKS = {

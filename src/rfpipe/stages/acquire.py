@@ -68,6 +68,8 @@ def acquire(
     *,
     noise_significance: float = 3.0,
     subtract_stored: bool = False,
+    target_error: float | None = None,
+    patterns: int = 0,
     normalization: Mode = "per_channel",
     black_frames: int = 8,
     floodlit_frames: int = 64,
@@ -79,8 +81,9 @@ def acquire(
     Parameters
     ----------
     rig : Rig
-    method : {"symmetric", "dual", "brute_force"}
-        "symmetric" needs a coaxial rig, camera and projector on one ray domain.
+    method : str
+        A name in `rfpipe.methods.METHODS`. "symmetric", "near_far" and "low_rank" need a coaxial
+        rig, camera and projector on one ray domain.
     tolerance : float
         Error allowed in an image, as a fraction of the floodlit image's maximum; above 0.
     progress : bool
@@ -90,6 +93,12 @@ def acquire(
     subtract_stored : bool
         Dual photography: whether to take the light stored at coarser levels off finer images.
         The thesis does not, and counts some of it twice.
+    target_error : float, optional
+        Methods that estimate their own error ("near_far", "low_rank"): the error at which they
+        stop, relative to the norm of a relit image, between 0 and 1; None is 0.01.
+    patterns : int
+        Patterns that "near_far", "low_rank" and "compressive" may show, the floodlit one included;
+        0 leaves it to the method.
     normalization : {"per_channel", "none", "total_energy"}
         How a level's images are made to add up to the floodlit image (thesis B.2).
     black_frames : int
@@ -113,8 +122,7 @@ def acquire(
     CaptureError
         If the rig fails or returns what can't be a picture.
     """
-    if not tolerance > 0 or not np.isfinite(tolerance):
-        raise InputError(f"tolerance is {tolerance}; it must be a finite number above 0")
+    settings = _settings(tolerance, noise_significance, subtract_stored, target_error, patterns)
     if min(black_frames, floodlit_frames) < 1:
         raise InputError(
             f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
@@ -124,7 +132,6 @@ def acquire(
     camera, projector = RayDomain(rig.camera_shape), RayDomain(rig.projector_shape)
     plan = get_method(method)
     n_levels = plan.n_levels(camera, projector)
-    settings = Settings(tolerance, noise_significance, subtract_stored)
     state = plan.start(camera, projector, rig.channels, settings)
     session = _Session(
         rig,
@@ -133,10 +140,10 @@ def acquire(
         saturation_fraction=saturation_fraction,
         repair_defects=repair_defects,
     )
-    patterns = 0
+    shown = 0
     for _ in range(n_levels):
         schedule = plan.schedule(state)
-        patterns += schedule.count
+        shown += schedule.count
         merged, level_sum = session.capture(schedule)
         gain = normalize_level(
             schedule,
@@ -150,8 +157,26 @@ def acquire(
     transport = plan.transport(state)
     processing = perf_counter() - began - session.capture_seconds
     return AcquisitionResult(
-        transport, patterns, session.capture_seconds, processing, session.saturated
+        transport, shown, session.capture_seconds, processing, session.saturated
     )
+
+
+def _settings(
+    tolerance: float,
+    noise_significance: float,
+    subtract_stored: bool,
+    target_error: float | None,
+    patterns: int,
+) -> Settings:
+    if not tolerance > 0 or not np.isfinite(tolerance):
+        raise InputError(f"tolerance is {tolerance}; it must be a finite number above 0")
+    if target_error is None:
+        target_error = Settings.target_error
+    if not 0 < target_error < 1:
+        raise InputError(f"target_error is {target_error}; it must be a number between 0 and 1")
+    if patterns < 0:
+        raise InputError(f"patterns is {patterns}; it must be at least 0, 0 for the method's own")
+    return Settings(tolerance, noise_significance, subtract_stored, target_error, patterns)
 
 
 class _Session:

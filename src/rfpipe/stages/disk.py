@@ -13,6 +13,9 @@ import numpy as np
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import StoreError
+from rfpipe.methods.compressive import pattern_count
+from rfpipe.methods.hadamard import s_matrix_order
+from rfpipe.methods.low_rank import OWN_MOST
 from rfpipe.photometry import Sensor
 from rfpipe.units import RADIANCE
 
@@ -35,11 +38,15 @@ _PIECES = 2
 # levels: Table 5.1, scene II (1,085) and scene IV by dual photography (7,382). Patterns grow with
 # the number of levels [Fig. 3.8].
 _PATTERNS_PER_LEVEL = {"symmetric": 1_085 / 10, "dual": 7_382 / 10}
+# Methods whose patterns don't grow with the resolution, but where the scene asks for them.
+_PATTERNS = {"near_far": 1_085 // 10, "low_rank": OWN_MOST}
 
 _log = logging.getLogger(__name__)
 
 
-def expected_patterns(method: str, projector_shape: tuple[int, ...], n_levels: int) -> int:
+def expected_patterns(
+    method: str, projector_shape: tuple[int, ...], n_levels: int, asked: int = 0
+) -> int:
     """Guess the patterns of a whole acquisition from those of the thesis; brute force is exact.
 
     Parameters
@@ -48,14 +55,22 @@ def expected_patterns(method: str, projector_shape: tuple[int, ...], n_levels: i
         A name in `rfpipe.methods.METHODS`.
     projector_shape : tuple of int
     n_levels : int
+    asked : int
+        The setting ``acquisition.patterns``, 0 for none.
     """
     rays = prod(projector_shape)
-    if method not in _PATTERNS_PER_LEVEL:
-        return rays
-    return min(rays, round(n_levels * _PATTERNS_PER_LEVEL[method]))
+    if method in _PATTERNS_PER_LEVEL:
+        return min(rays, round(n_levels * _PATTERNS_PER_LEVEL[method]))
+    if method == "compressive":
+        return pattern_count(rays, asked)
+    if method in _PATTERNS:
+        return min(rays, asked or _PATTERNS[method])
+    if method == "hadamard":
+        return s_matrix_order(rays)
+    return rays
 
 
-def most_patterns(method: str, projector_shape: tuple[int, ...]) -> int:
+def most_patterns(method: str, projector_shape: tuple[int, ...], asked: int = 0) -> int:
     """Return the patterns of an acquisition of a scene without any structure.
 
     All blocks of all levels one after the other, for the methods that descend by levels.
@@ -65,9 +80,11 @@ def most_patterns(method: str, projector_shape: tuple[int, ...]) -> int:
     method : str
         A name in `rfpipe.methods.METHODS`.
     projector_shape : tuple of int
+    asked : int
+        The setting ``acquisition.patterns``, 0 for none.
     """
-    if method not in _PATTERNS_PER_LEVEL:
-        return prod(projector_shape)
+    if method not in _PATTERNS_PER_LEVEL and method != "near_far":
+        return max(prod(projector_shape), expected_patterns(method, projector_shape, 1, asked))
     tree = BlockTree(RayDomain(projector_shape))
     return sum(tree.n_blocks(level) for level in range(tree.n_levels))
 

@@ -79,6 +79,7 @@ def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
         When a method doesn't fit a scene's rays.
     """
     found = []
+    asked = settings.acquisition.patterns
     for name, method in settings.acquisitions:
         scene = settings.scenes[name]
         rays = scene.camera_ray_shape, scene.ray_shape
@@ -88,8 +89,8 @@ def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
         needs = (
             _need(settings, camera, patterns)
             for patterns in (
-                expected_patterns(method, shape, levels),
-                most_patterns(method, shape),
+                expected_patterns(method, shape, levels, asked),
+                most_patterns(method, shape, asked),
             )
         )
         found.append(Forecast(name, method, plan.projector.size, levels, *needs))

@@ -14,6 +14,7 @@ from rfpipe.units import NumberFormat
 _CLASSES = {
     "dense": ("rfpipe.transport.dense", "DenseTransport"),
     "hierarchical": ("rfpipe.transport.hierarchical", "HierarchicalTransport"),
+    "low_rank": ("rfpipe.transport.low_rank", "LowRankTransport"),
     "multilevel": ("rfpipe.transport.multilevel", "MultilevelTransport"),
     "sum": ("rfpipe.transport.sum", "SumTransport"),
 }

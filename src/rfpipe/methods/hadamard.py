@@ -1,0 +1,205 @@
+"""Hadamard multiplexing: brute force with half of the projector lit in every pattern.
+
+Y. Y. Schechner, S. K. Nayar and P. N. Belhumeur, *Multiplexing for optimal lighting*, PAMI 29
+(2007); M. Harwit and N. J. A. Sloane, *Hadamard transform optics*, 1979.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+from math import isqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
+from rfpipe.patterns import Schedule
+from rfpipe.transport.dense import DenseTransport
+
+# As a scan of single pixels: for small scenes.
+LARGEST_MATRIX_BYTES = 8 * 2**30
+
+# Images read, and pixels decoded, at a time.
+_BATCH_BYTES = 32 * 2**20
+
+
+@dataclass(frozen=True)
+class HadamardState:
+    """The state of a multiplexed scan.
+
+    Attributes
+    ----------
+    camera, projector : RayDomain
+    matrix : ndarray of float32, shape (C, camera rays, projector rays)
+        Zeros before the scan.
+    level : int
+        0 before the scan, 1 after it.
+    rows : tuple of dict
+        The table of levels so far.
+    """
+
+    camera: RayDomain
+    projector: RayDomain
+    matrix: Float
+    level: int = 0
+    rows: tuple[dict[str, int], ...] = ()
+
+
+class Hadamard:
+    """A scan of the projector's rays by the rows of an S-matrix, as a `Method`.
+
+    Of all sets of n patterns of on and off for n unknowns, an S-matrix has the least noise where
+    it is the same in every picture: each entry of ``T`` has ``4 n / (n + 1)^2`` of the variance of
+    a picture, against 1 by brute force. Where noise grows with the light it gains nothing: the
+    pictures are as much brighter as there are rays lit in them, and for pure photon noise an
+    entry's variance is about twice the mean one of brute force.
+
+    Patterns and unknowns are equal in number, so that the pictures' variances can't weigh them:
+    the one solution fits all of them. Nothing is clamped, as this would bias what is relit.
+    """
+
+    name = "hadamard"
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
+        """Return 1: all patterns are known beforehand."""
+        return 1
+
+    def start(
+        self,
+        camera: RayDomain,
+        projector: RayDomain,
+        channels: int,
+        settings: Settings,  # noqa: ARG002
+    ) -> HadamardState:
+        """Return the state before the scan.
+
+        Raises
+        ------
+        InputError
+            If the matrix would be larger than `LARGEST_MATRIX_BYTES`.
+        """
+        shape = (channels, camera.size, projector.size)
+        size = int(np.prod(shape)) * np.dtype(np.float32).itemsize
+        if size > LARGEST_MATRIX_BYTES:
+            raise InputError(
+                f"a Hadamard scan of {projector.size} projector rays and {camera.size} camera "
+                f"rays in {channels} channels gives a matrix of {size / 2**30:.1f} GiB, more than "
+                f"{LARGEST_MATRIX_BYTES / 2**30:.0f}; use dual or symmetric photography"
+            )
+        return HadamardState(camera, projector, np.zeros(shape, np.float32))
+
+    def schedule(self, state: HadamardState) -> Schedule:
+        """Light about half of the rays in each pattern, the next pattern's shifted by one ray."""
+        rays = state.projector.size
+        code = s_matrix_row(s_matrix_order(rays)).astype(np.float32)
+        shifted = np.lib.stride_tricks.sliding_window_view(np.append(code, code[: rays - 1]), rays)
+        weights = shifted.reshape(-1, *state.projector.shape)
+        return Schedule(0, state.projector.shape, len(code), weights=weights)
+
+    def refine(
+        self,
+        state: HadamardState,
+        images: LevelImages,
+        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - it holds the whole matrix anyway
+    ) -> HadamardState:
+        """Solve for the matrix."""
+        channels, pixels, rays = state.matrix.shape
+        order = images.schedule.count
+        coded = np.empty((channels, pixels, order), np.float32)
+        step = max(1, _BATCH_BYTES // (channels * pixels * coded.itemsize))
+        for first in range(0, order, step):
+            last = min(first + step, order)
+            radiance, _ = images.read(first, last)
+            columns = radiance.reshape(last - first, pixels, channels)
+            coded[..., first:last] = np.moveaxis(columns, (0, 1), (2, 1))
+        matrix = decode(coded.reshape(-1, order), rays).reshape(state.matrix.shape)
+        row = {
+            "level": 0,
+            "patterns": order,
+            "nodes": pixels * rays,
+            "empty": 0,
+            "rank1": 0,
+            "scalar": pixels * rays,
+            "subdivided": 0,
+        }
+        return replace(state, matrix=matrix, level=1, rows=(row,))
+
+    def transport(self, state: HadamardState) -> DenseTransport:
+        """Return the dense matrix."""
+        return DenseTransport(
+            state.camera.shape,
+            state.projector.shape,
+            len(state.matrix),
+            list(state.rows),
+            {"matrix": state.matrix},
+        )
+
+    def pack(self, state: HadamardState) -> Pack:
+        """Return the matrix."""
+        return Pack({"matrix": state.matrix}, {"rows": list(state.rows)})
+
+    def restore(self, start: HadamardState, packs: Sequence[Pack]) -> HadamardState:
+        """Return the state after the scan, or before it if there are no packs."""
+        if not packs:
+            return start
+        rows = tuple(packs[-1].attributes["rows"])
+        return replace(start, matrix=packs[-1].arrays["matrix"], level=1, rows=rows)
+
+
+def s_matrix_order(rays: int) -> int:
+    """Return the least order, at least `rays`, of an S-matrix made from quadratic residues.
+
+    That is 1 or a prime of the form 4 k + 3; columns beyond the rays are left out. Powers of two,
+    the orders of Hadamard's matrices by Sylvester, would take up to twice the patterns.
+    """
+    if rays == 1:
+        return 1
+    return next(order for order in count(rays + (3 - rays) % 4, 4) if _is_prime(order))
+
+
+def s_matrix_row(order: int) -> NDArray[np.uint8]:
+    """Return the first row of a cyclic S-matrix, 0 or 1, of an order from `s_matrix_order`.
+
+    Row i has the ones where i + j is 0 or a square modulo the order, (order + 1) / 2 of them.
+    """
+    code = np.zeros(order, np.uint8)
+    code[np.square(np.arange(order, dtype=np.int64)) % order] = 1
+    return code
+
+
+def decode(coded: NDArray[Any], rays: int) -> Float:
+    """Solve ``S x = c`` for many c.
+
+    ``S^-1 = 2 (2 S^T - J) / (n + 1)``; S is circulant, so that its product is a correlation.
+
+    Parameters
+    ----------
+    coded : ndarray of float, shape (pixels, n)
+        What each pixel saw under the rows of the S-matrix of order n.
+    rays : int
+        Unknowns, at most n.
+
+    Returns
+    -------
+    ndarray of float32, shape (pixels, rays)
+    """
+    from scipy import fft
+
+    order = coded.shape[1]
+    inverse = fft.rfft(4.0 / (order + 1) * s_matrix_row(order) - 2.0 / (order + 1))
+    found = np.empty((len(coded), rays), np.float32)
+    step = max(1, _BATCH_BYTES // (order * np.dtype(np.complex128).itemsize))
+    for first in range(0, len(coded), step):
+        chosen = slice(first, first + step)
+        spectrum = fft.rfft(coded[chosen].astype(np.float64), axis=1)
+        found[chosen] = fft.irfft(inverse * spectrum.conj(), order, axis=1)[:, :rays]
+    return found
+
+
+def _is_prime(number: int) -> bool:
+    return number > 1 and all(number % divisor for divisor in range(2, isqrt(number) + 1))

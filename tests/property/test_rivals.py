@@ -1,0 +1,75 @@
+"""Multiplexing codes, wavelets and low-rank transports of any size."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tests.helpers import dense
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.hadamard import decode, s_matrix_order, s_matrix_row
+from rfpipe.methods.pursuit import pursue, rays_and_wavelets
+from rfpipe.testing import dot_test
+from rfpipe.transport.low_rank import LowRankTransport
+
+SHAPES = st.one_of(
+    st.tuples(st.integers(1, 9), st.integers(1, 9)),
+    st.tuples(st.integers(1, 4), st.integers(1, 4), st.integers(1, 4)),
+)
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@given(rays=st.integers(1, 300), seed=SEEDS)
+@settings(deadline=None, max_examples=30)
+def test_what_an_s_matrix_codes_is_decoded(rays: int, seed: int) -> None:
+    order = s_matrix_order(rays)
+    assert rays <= order < rays + 40
+    code = s_matrix_row(order)
+    unknown = np.random.default_rng(seed).random((3, rays))
+    shown = np.stack([np.roll(code, -shift)[:rays] for shift in range(order)])
+    np.testing.assert_allclose(decode(unknown @ shown.T, rays), unknown, atol=1e-6)
+
+
+@given(shape=SHAPES, seed=SEEDS)
+@settings(deadline=None, max_examples=30)
+def test_wavelets_hold_any_picture(shape: tuple[int, ...], seed: int) -> None:
+    wavelets = rays_and_wavelets(RayDomain(shape))[RayDomain(shape).size :]
+    picture = np.random.default_rng(seed).random(RayDomain(shape).size)
+    np.testing.assert_allclose(wavelets.T @ (wavelets @ picture), picture, atol=1e-12)
+
+
+@given(count=st.integers(1, 30), most=st.integers(0, 6), seed=SEEDS)
+@settings(deadline=None, max_examples=30)
+def test_pursuit_leaves_what_is_orthogonal_to_its_atoms(count: int, most: int, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    atoms, signals = random.standard_normal((count, 8)), random.standard_normal((5, 8))
+    chosen, factors = pursue(atoms, signals, np.zeros(5), most)
+    for signal, taken, by in zip(signals, chosen, factors, strict=True):
+        kept = taken[taken >= 0]
+        assert len(set(kept.tolist())) == len(kept)
+        left = signal - by[: len(kept)] @ atoms[kept]
+        np.testing.assert_allclose(atoms[kept] @ left, 0, atol=1e-9)
+
+
+@given(shape=SHAPES, rank=st.integers(0, 4), diagonal=st.booleans(), seed=SEEDS)
+@settings(deadline=None, max_examples=30)
+def test_low_rank_transports_are_what_their_arrays_say(
+    shape: tuple[int, ...], rank: int, diagonal: bool, seed: int
+) -> None:
+    random, rays = np.random.default_rng(seed), RayDomain(shape).size
+    left, strengths = random.random((3, rank, rays)), random.random((3, rank))
+    levels = np.sort(random.integers(0, 3, rank))
+    arrays = {"left": left, "strengths": strengths}
+    arrays = {name: array.astype(np.float32) for name, array in arrays.items()}
+    arrays["term_level"] = levels
+    if diagonal:
+        arrays["diagonal"] = random.random((3, rays)).astype(np.float32)
+    transport = LowRankTransport(shape, shape, 3, [], arrays)
+    dot_test(transport)
+    for level in range(3):
+        kept = levels <= level
+        expected = np.einsum("cr,crm,crn->cmn", strengths[:, kept], left[:, kept], left[:, kept])
+        if diagonal:
+            expected += np.stack([np.diag(one) for one in arrays["diagonal"]])
+        np.testing.assert_allclose(dense(transport.truncate(level)), expected, atol=1e-5)

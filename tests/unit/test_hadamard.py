@@ -1,0 +1,119 @@
+"""Hadamard multiplexing: brute force with half of the projector lit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.helpers import MatrixImages, acquire_matrix, dense
+
+from rfpipe import OperatorRig, acquire
+from rfpipe.blocks import RayDomain
+from rfpipe.config import CameraConfig
+from rfpipe.errors import InputError
+from rfpipe.methods import Settings
+from rfpipe.methods.brute_force import BruteForce
+from rfpipe.methods.hadamard import Hadamard, s_matrix_order, s_matrix_row
+from rfpipe.transport import open_transport, save_transport
+
+
+@pytest.fixture
+def matrix() -> np.ndarray:
+    return np.random.default_rng(0).random((3, 20, 42)).astype(np.float32)
+
+
+def matrix_error(run, matrix: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((dense(run.transport) - matrix) ** 2)))
+
+
+@pytest.mark.parametrize(
+    ("rays", "order"), [(1, 1), (2, 3), (3, 3), (4, 7), (42, 43), (44, 47), (4096, 4099)]
+)
+def test_orders_are_little_above_the_number_of_rays(rays: int, order: int) -> None:
+    assert s_matrix_order(rays) == order
+
+
+@pytest.mark.parametrize("order", [1, 3, 7, 43, 103])
+def test_rows_are_those_of_an_s_matrix(order: int) -> None:
+    code = s_matrix_row(order).astype(int)
+    rows = np.stack([np.roll(code, -shift) for shift in range(order)])
+    expected = (order + 1) // 4 * (np.eye(order, dtype=int) + 1) if order > 1 else [[1]]
+    np.testing.assert_array_equal(rows @ rows.T, expected)
+
+
+@pytest.mark.parametrize("projector", [(6, 7), (2, 3, 7)])
+def test_a_scan_recovers_the_matrix(matrix: np.ndarray, projector: tuple[int, ...]) -> None:
+    run = acquire_matrix(Hadamard(), matrix, (4, 5), projector)
+    assert run.patterns == [43]
+    assert not run.schedules[0].complete
+    shown = run.schedules[0].batch(0, 43)
+    assert set(np.unique(shown)) == {0, 1}
+    assert abs(shown.mean() - 0.5) < 0.02
+    np.testing.assert_allclose(dense(run.transport), matrix, atol=3e-6)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (3, 1), (1, 37)])
+def test_small_and_prime_domains(shape: tuple[int, ...]) -> None:
+    rays = RayDomain(shape).size
+    matrix = np.random.default_rng(1).random((1, 6, rays))
+    run = acquire_matrix(Hadamard(), matrix, (2, 3), shape)
+    np.testing.assert_allclose(dense(run.transport), matrix, atol=1e-6)
+
+
+def test_noise_that_is_the_same_in_all_pictures_falls_as_the_theory_says() -> None:
+    matrix = np.random.default_rng(2).random((1, 400, 103))
+    scan = acquire_matrix(BruteForce(), matrix, (20, 20), (1, 103), sigma=0.1)
+    multiplexed = acquire_matrix(Hadamard(), matrix, (20, 20), (1, 103), sigma=0.1)
+    gain = matrix_error(scan, matrix) / matrix_error(multiplexed, matrix)
+    assert gain == pytest.approx((103 + 1) / (2 * np.sqrt(103)), rel=0.02)
+
+
+class ShotNoiseImages(MatrixImages):
+    """Noise whose variance is the light's."""
+
+    def read(self, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+        radiance, _ = super().read(first, last)
+        random = np.random.default_rng([self.seed, first])
+        noise = 0.01 * np.sqrt(radiance) * random.standard_normal(radiance.shape)
+        return radiance + noise.astype(np.float32), 1e-4 * radiance
+
+
+def test_nothing_is_gained_where_noise_grows_with_the_light() -> None:
+    matrix = np.random.default_rng(3).random((1, 400, 103))
+    errors = []
+    for method in (BruteForce(), Hadamard()):
+        state = method.start(RayDomain((20, 20)), RayDomain((1, 103)), 1, Settings())
+        images = ShotNoiseImages(matrix, (20, 20), method.schedule(state))
+        transport = method.transport(method.refine(state, images))
+        errors.append(np.sqrt(np.mean((dense(transport) - matrix) ** 2)))
+    assert errors[1] / errors[0] == pytest.approx(np.sqrt(2), rel=0.05)
+
+
+def test_a_dim_scene_before_a_noisy_camera_gains() -> None:
+    matrix = np.diag(np.full(64, 0.5)) + 0.002
+    camera = CameraConfig(read_noise_electrons=30.0, exposures=(1 / 64,))
+    rig = OperatorRig(matrix, (8, 8), (8, 8), camera)
+    errors = {
+        name: np.linalg.norm(dense(acquire(rig, name, progress=False).transport)[0] - matrix)
+        for name in ("brute_force", "hadamard")
+    }
+    assert errors["hadamard"] < 0.5 * errors["brute_force"]
+
+
+def test_states_restore_and_transports_are_stored(matrix: np.ndarray, tmp_path: Path) -> None:
+    method = Hadamard()
+    run = acquire_matrix(method, matrix, (4, 5), (6, 7))
+    before, after = run.states
+    assert method.restore(before, []) is before
+    restored = method.restore(before, run.packs)
+    assert (restored.level, restored.rows) == (after.level, after.rows)
+    np.testing.assert_array_equal(restored.matrix, after.matrix)
+    save_transport(run.transport, tmp_path / "transport.zarr", "uint8")
+    stored = open_transport(tmp_path / "transport.zarr")
+    np.testing.assert_array_equal(dense(stored), dense(run.transport))
+    assert stored.level_rows == run.transport.level_rows
+
+
+def test_a_scan_too_large_to_hold_is_refused() -> None:
+    domain = RayDomain((310, 350))
+    with pytest.raises(InputError, match=r"131\.6 GiB, more than 8; use dual or symmetric"):
+        Hadamard().start(domain, domain, 3, Settings())

@@ -1,0 +1,120 @@
+"""What every acquisition method has in common."""
+
+import json
+from importlib.util import find_spec
+from typing import get_args
+
+import numpy as np
+import pytest
+from tests.helpers import MatrixImages, acquire_matrix, dense
+
+from rfpipe.blocks import RayDomain
+from rfpipe.config import MethodName
+from rfpipe.methods import METHODS, Pack, Settings, get_method
+from rfpipe.report.drawing import METHOD_COLOURS
+from rfpipe.report.inputs import METHOD_TITLES
+from rfpipe.scenes import reference_scene
+from rfpipe.stages.disk import expected_patterns, most_patterns
+from rfpipe.testing import dot_test
+
+SHAPE = (6, 7)
+RAYS = 42
+NAMES = [name for name, (module, _) in METHODS.items() if find_spec(module)]
+
+
+@pytest.fixture(scope="module")
+def matrix() -> np.ndarray:
+    return np.stack([reference_scene("IV", SHAPE).dense(channel) for channel in range(3)])
+
+
+def test_configuration_and_reports_know_the_same_methods() -> None:
+    assert set(METHODS) == set(get_args(MethodName)) == set(METHOD_TITLES) == set(METHOD_COLOURS)
+    assert len(set(METHOD_COLOURS.values())) == len(set(METHOD_TITLES.values())) == len(METHODS)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_methods_go_by_their_names(name: str) -> None:
+    assert get_method(name).name == name
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_patterns_are_light_and_the_same_each_time(name: str, matrix: np.ndarray) -> None:
+    run = acquire_matrix(get_method(name), matrix, SHAPE, SHAPE)
+    for level, (state, schedule) in enumerate(zip(run.states[:-1], run.schedules, strict=True)):
+        assert (schedule.level, schedule.shape) == (level, SHAPE)
+        shown = schedule.batch(0, schedule.count)
+        assert shown.dtype == np.float32
+        assert shown.shape == (schedule.count, *SHAPE)
+        assert ((shown >= 0) & (shown <= 1)).all()
+        if schedule.complete:
+            np.testing.assert_allclose(shown.sum(axis=0), 1)
+        assert get_method(name).schedule(state).digest() == schedule.digest()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_all_light_is_accounted_for(name: str, matrix: np.ndarray) -> None:
+    run = acquire_matrix(get_method(name), matrix, SHAPE, SHAPE, subtract_stored=True)
+    floodlit = matrix.sum(axis=2).T.reshape(*SHAPE, 3)
+    relit = run.transport.relight(np.ones(SHAPE))
+    assert np.linalg.norm(relit - floodlit) < 0.02 * np.linalg.norm(floodlit)
+    assert np.linalg.norm(dense(run.transport) - matrix) < 0.1 * np.linalg.norm(matrix)
+    dot_test(run.transport)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_table_of_levels_is_complete(name: str, matrix: np.ndarray) -> None:
+    run = acquire_matrix(get_method(name), matrix, SHAPE, SHAPE)
+    rows = run.transport.level_rows
+    assert [row["level"] for row in rows] == list(range(len(run.patterns)))
+    assert [row["patterns"] for row in rows] == run.patterns
+    counts = {"level", "patterns", "nodes", "empty", "rank1", "scalar", "subdivided"}
+    assert all(counts <= set(row) for row in rows)
+    assert json.loads(json.dumps(rows)) == rows
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_state_is_restored_from_what_its_levels_left(name: str, matrix: np.ndarray) -> None:
+    method = get_method(name)
+    run = acquire_matrix(method, matrix, SHAPE, SHAPE)
+    packs = [Pack(pack.arrays, json.loads(json.dumps(pack.attributes))) for pack in run.packs]
+    start = method.start(RayDomain(SHAPE), RayDomain(SHAPE), 3, Settings())
+    for level in range(1, len(packs)):
+        restored = method.restore(start, packs[:level])
+        schedule = method.schedule(restored)
+        assert schedule.digest() == run.schedules[level].digest()
+        after = method.refine(restored, MatrixImages(matrix, SHAPE, schedule))
+        expected, _ = method.transport(run.states[level + 1]).pack()
+        found, _ = method.transport(after).pack()
+        assert set(found) == set(expected)
+        for part, array in expected.items():
+            np.testing.assert_array_equal(found[part], array, err_msg=part)
+    restored = method.restore(start, packs)
+    np.testing.assert_array_equal(dense(method.transport(restored)), dense(run.transport))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_darkness_gives_darkness(name: str) -> None:
+    run = acquire_matrix(get_method(name), np.zeros((1, RAYS, RAYS)), SHAPE, SHAPE)
+    assert not run.transport.relight(np.ones(SHAPE)).any()
+
+
+@pytest.mark.parametrize("name", ["compressive", "hadamard", "low_rank", "near_far"])
+def test_a_guess_of_the_patterns_is_at_most_what_there_may_be(name: str) -> None:
+    assert 0 < expected_patterns(name, (62, 70), 8) <= most_patterns(name, (62, 70))
+
+
+@pytest.mark.parametrize(
+    ("name", "asked", "patterns"),
+    [
+        ("compressive", 0, 542),
+        ("compressive", 100, 100),
+        ("low_rank", 0, 512),
+        ("low_rank", 100, 100),
+        ("hadamard", 100, 4363),
+        ("brute_force", 100, 4340),
+    ],
+)
+def test_the_number_that_is_asked_for_counts_where_a_method_takes_it(
+    name: str, asked: int, patterns: int
+) -> None:
+    assert expected_patterns(name, (62, 70), 1, asked) == patterns

@@ -1,0 +1,30 @@
+"""Methods whose patterns are no unions of blocks, through the stages on files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.workflow.stagewise import CAMERA, SHAPE, Acquisition, matrix_rig
+
+from rfpipe import acquire
+from rfpipe.stages.plan import Plan
+
+
+@pytest.mark.parametrize("method", ["hadamard", "compressive", "low_rank"])
+def test_the_files_hold_what_an_acquisition_in_process_finds(method: str, tmp_path: Path) -> None:
+    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
+    acquisition.plan = Plan(method, SHAPE, SHAPE, 1, tolerance=1e-3, patterns=20)
+    for level in range(acquisition.plan.n_levels):
+        acquisition.level(level)
+    stored = acquisition.assemble()
+    result = acquire(
+        acquisition.rig, method, progress=False, patterns=20, black_frames=2, floodlit_frames=2
+    )
+    expected, about = result.transport.pack()
+    found, stored_about = stored.pack()
+    assert stored_about == about
+    assert set(found) == set(expected)
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
