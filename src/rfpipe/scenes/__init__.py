@@ -1,7 +1,8 @@
 """Simulated scenes: the ground-truth transport that a rig of the simulation captures."""
 
 from rfpipe.scenes.base import Scene
-from rfpipe.scenes.geometry import GEOMETRIES, Plane, SurfacePoints, surface_points
+from rfpipe.scenes.geometries import GEOMETRIES
+from rfpipe.scenes.geometry import Plane, Sphere, SurfacePoints, surface_points
 from rfpipe.scenes.hard import DenseScene, hard_cases
 from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
@@ -26,6 +27,7 @@ __all__ = [
     "Plane",
     "RadiosityScene",
     "Scene",
+    "Sphere",
     "SurfacePoints",
     "hard_cases",
     "planes_scene",

@@ -1,4 +1,4 @@
-"""Light transport between diffuse planes as a coaxial rig sees it [thesis 2.2, Fig. 2.1].
+"""Light transport between diffuse surfaces as a coaxial rig sees it [thesis 2.2, Fig. 2.1].
 
 A projector pixel sends its light onto one surface point and a camera pixel sees one: T is the
 matrix of `DiffuseSurfaces`, times the mean of the pixels' areas, and symmetric as in eq. (2.10).
@@ -25,7 +25,7 @@ __all__ = ["RadiosityScene"]
 
 
 class RadiosityScene:
-    """Diffuse planes, their albedo and black occluders, seen by a coaxial rig.
+    """Diffuse surfaces, their albedo and black occluders, seen by a coaxial rig.
 
     Parameters
     ----------
@@ -156,6 +156,7 @@ class RadiosityScene:
 
     def describe(self) -> dict[str, Any]:
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+        sphere = self.points.sphere
         return {
             "scene": self.name,
             "shape": list(self.shape),
@@ -165,4 +166,5 @@ class RadiosityScene:
             "bounces": self._surfaces.bounces,
             "occluders": [asdict(occluder) for occluder in self.occluders],
             "compress": self._surfaces.compress,
+            **({} if sphere is None else {"sphere": asdict(sphere)}),
         }
