@@ -8,7 +8,18 @@ import pytest
 from rfpipe.config import SceneConfig
 from rfpipe.config.rig import GeometryName
 from rfpipe.errors import InputError
-from rfpipe.scenes import GEOMETRIES, Occluder, planes_scene, scene_from_config, surface_points
+from rfpipe.scenes import (
+    CREASE,
+    GEOMETRIES,
+    Occluder,
+    planes_scene,
+    reference_scene,
+    relighting_patterns,
+    room_scene,
+    scene_from_config,
+    scene_patterns,
+    surface_points,
+)
 from rfpipe.scenes.formfactors import DENSE_LIMIT, facing_pairs, form_factors
 from rfpipe.scenes.spheres import hidden
 
@@ -192,3 +203,30 @@ def test_rooms_are_told_apart_by_their_descriptions():
     ball = textured("sphere_on_plane", (6, 7)).describe()
     assert ball["sphere"]["radius"] == GEOMETRIES["sphere_on_plane"][2].radius
     assert "sphere" not in textured("corner", (6, 7)).describe()
+
+
+@pytest.mark.parametrize(("width", "reach"), [(20, 1), (64, 1), (127, 1), (128, 2), (350, 5)])
+def test_the_crease_strip_of_a_wedge_is_as_wide_as_said(width, reach):
+    patterns = scene_patterns(reference_scene("II", (16, width), channels=1))
+    assert list(patterns) == [*relighting_patterns((16, width)), CREASE]
+    strip = patterns[CREASE]
+    assert strip.dtype == np.float32
+    assert (strip == strip[0]).all()
+    middle = width // 2
+    first = middle - reach + width % 2
+    assert np.flatnonzero(strip[0]).tolist() == list(range(first, first + 2 * reach))
+
+
+def test_the_crease_strip_follows_every_crease_and_no_outline():
+    assert CREASE not in scene_patterns(reference_scene("I", (16, 16), channels=1))
+    assert CREASE not in scene_patterns(room_scene(("white",) * 3, (6, 8), channels=1))
+    for geometry in ROOMS:
+        scene = textured(geometry, (62, 70), channels=1)
+        lit = scene_patterns(scene)[CREASE] > 0
+        points = scene.points
+        # the sphere hides where it touches the floor: all round it there is but its outline
+        assert set(points.surface[lit.ravel()]) == set(range(len(points.planes)))
+        assert 0.01 < lit.mean() < 0.06
+        heights = np.stack([plane.heights(points.positions) for plane in points.planes])
+        over_other_plane = np.sort(heights, axis=0)[1].reshape(lit.shape)
+        assert over_other_plane[lit].max() < 2 * np.sqrt(points.mean_area)

@@ -14,9 +14,16 @@ from rfpipe.scenes.reference import (
     room_scene,
     scene_from_config,
 )
-from rfpipe.scenes.relighting import ONE_VIEW, RELIGHTING_PATTERNS, relighting_patterns
+from rfpipe.scenes.relighting import (
+    CREASE,
+    ONE_VIEW,
+    RELIGHTING_PATTERNS,
+    relighting_patterns,
+    scene_patterns,
+)
 
 __all__ = [
+    "CREASE",
     "GEOMETRIES",
     "ONE_VIEW",
     "REFERENCE_SCENES",
@@ -35,5 +42,6 @@ __all__ = [
     "relighting_patterns",
     "room_scene",
     "scene_from_config",
+    "scene_patterns",
     "surface_points",
 ]
