@@ -8,10 +8,13 @@ import pytest
 from rfpipe.config import SceneConfig
 from rfpipe.config.rig import GeometryName
 from rfpipe.errors import InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.provenance import fingerprint
 from rfpipe.scenes import (
     CREASE,
     GEOMETRIES,
     Occluder,
+    RadiosityScene,
     planes_scene,
     reference_scene,
     relighting_patterns,
@@ -230,3 +233,26 @@ def test_the_crease_strip_follows_every_crease_and_no_outline():
         heights = np.stack([plane.heights(points.positions) for plane in points.planes])
         over_other_plane = np.sort(heights, axis=0)[1].reshape(lit.shape)
         assert over_other_plane[lit].max() < 2 * np.sqrt(points.mean_area)
+
+
+@pytest.mark.parametrize("geometry", ROOMS)
+@pytest.mark.parametrize("shape", [(16, 16), (62, 70), (40, 80)])
+def test_no_room_is_too_bright_for_the_default_camera(geometry, shape):
+    white = ("white",) * len(GEOMETRIES[geometry])
+    scene = planes_scene(geometry, white, shape)
+    brightest = scene.apply(np.ones((1, *shape))).max()
+    camera = CameraModel()
+    full_scale = camera.full_well_electrons / camera.electrons_per_radiance / camera.exposures[0]
+    assert 0.6 * full_scale < brightest < 0.97 * full_scale
+    assert scene.light <= 1
+
+
+def test_light_scales_the_transport_and_is_part_of_the_description():
+    points = surface_points((6, 7), GEOMETRIES["wedge"])
+    full, dim = (RadiosityScene(points, np.full((6, 7, 1), 0.5), light=x) for x in (1.0, 0.25))
+    assert dim.dense() == pytest.approx(0.25 * full.dense(), rel=1e-12)
+    pattern = np.ones((1, 42))
+    assert dim.apply(pattern) == pytest.approx(0.25 * full.apply(pattern), rel=1e-6)
+    assert fingerprint(dim.describe()) != fingerprint(full.describe())
+    with pytest.raises(InputError, match="light 0"):
+        RadiosityScene(points, np.full((6, 7, 1), 0.5), light=0)

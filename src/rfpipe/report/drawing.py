@@ -26,7 +26,15 @@ __all__ = [
     "srgb",
 ]
 
-METHOD_COLOURS = {"symmetric": "#1f5a9e", "dual": "#c4611a", "brute_force": "#5c5c5c"}
+METHOD_COLOURS = {
+    "symmetric": "#1f5a9e",
+    "dual": "#c4611a",
+    "brute_force": "#5c5c5c",
+    "near_far": "#b3263a",
+    "hadamard": "#7d5ba6",
+    "compressive": "#4c8c4a",
+    "low_rank": "#b08a1e",
+}
 
 _DPI = 110
 _SMALL = 8.0

@@ -10,7 +10,7 @@ import numpy as np
 from rfpipe.errors import InputError
 from rfpipe.scenes.base import Scene
 from rfpipe.scenes.geometries import GEOMETRIES
-from rfpipe.scenes.geometry import surface_points
+from rfpipe.scenes.geometry import SurfacePoints, surface_points
 from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.radiosity import RadiosityScene
@@ -31,6 +31,9 @@ REFERENCE_SCENES: dict[str, tuple[str, tuple[str, ...]]] = {
     "IV": ("wedge", ("texture", "texture")),
 }
 
+_THESIS_ROOMS = ("plane", "wedge")
+_CONTRAST = 1.9  # of direct light on white: the brightest pixel over one of mean area, at most
+
 
 def planes_scene(
     geometry: str,
@@ -44,6 +47,9 @@ def planes_scene(
     compress: bool | None = None,
 ) -> RadiosityScene:
     """Build a scene of white or textured surfaces.
+
+    In rooms that reach much nearer to the rig than their middle, the projector's light is dimmed as
+    far as the nearest pixels need to stay below a radiance of 2, the default camera's full scale.
 
     Parameters
     ----------
@@ -98,8 +104,14 @@ def planes_scene(
         bounces=bounces,
         occluders=occluders,
         compress=compress,
+        light=1.0 if geometry in _THESIS_ROOMS else _dimmed(points),
         name=f"{geometry} of {', '.join(surfaces)}",
     )
+
+
+def _dimmed(points: SurfacePoints) -> float:
+    """Strength of light at which no white pixel is brighter than the contrast allows."""
+    return min(1.0, _CONTRAST * float(points.areas.min()) / points.mean_area)
 
 
 def reference_scene(
