@@ -100,7 +100,7 @@ def against_symmetric(table: pd.DataFrame) -> pd.DataFrame:
     for run in table[table["method"] == "near_far"].to_dict("records"):
         place = {name: run[name] for name in _PLACE}
         row = {**place, "target_error": run["setting"], **{name: run[name] for name in kept}}
-        row["estimate_ratio"] = run["estimated_error"] / run["error_mean"]
+        row["estimate_ratio"] = run["estimated_error"] / (run["error_mean"] or math.nan)
         yardstick = symmetric.get(tuple(place.values()))
         for name in ("mean", "worst"):
             error, needed = f"error_{name}", math.nan
@@ -235,7 +235,8 @@ def _over_seeds(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
     """Average the runs that differ in their seed alone: geometric means of errors."""
     errors = [name for name in COLUMNS if "error" in name or name.startswith("unlit")]
     plain = ["patterns", "processing_seconds", "transport_mb"]
-    logarithms = table.assign(**{name: np.log(table[name]) for name in errors})
+    with np.errstate(divide="ignore"):  # a method that is exact on one pattern has no error there
+        logarithms = table.assign(**{name: np.log(table[name]) for name in errors})
     means = logarithms.groupby(list(columns), sort=False)[plain + errors].mean()
     return means.assign(**{name: np.exp(means[name]) for name in errors}).reset_index()
 
