@@ -45,6 +45,7 @@ ESTIMATE_FACTOR = 1.5
 """How far off an estimated error may be, either way."""
 
 _ABREAST = 4
+_MARGIN = 1.3  # of a logarithmic axis, beyond what it shows
 _OTHER_COLOUR = "#888888"
 _NOISE = {"default": "the default camera", "low_light": "a sixteenth of its light"}
 
@@ -195,6 +196,8 @@ def curves_figure(table: pd.DataFrame) -> Figure:
     for axis, scene in zip(axes.flat, scenes, strict=False):
         _draw_scene(axis, table[table["scene"] == scene])
         axis.set_title(str(scene).replace("_", " "), fontsize=9, pad=4)
+        axis.set_xlim(*_limits(table["patterns"]))
+        axis.set_ylim(*_limits(100 * table[["error_mean", "error_worst"]]))
     for axis in axes.flat[len(scenes) :]:
         axis.set_axis_off()
     for axis in axes[:, 0]:
@@ -229,6 +232,13 @@ def _draw_scene(axis: Axes, table: pd.DataFrame) -> None:
         direction.set_minor_formatter(NullFormatter())
     axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
     axis.set_xlabel("patterns", fontsize=8.5)
+
+
+def _limits(values: pd.DataFrame | pd.Series[float]) -> tuple[float, float]:
+    """Limits of a logarithmic axis, the same for all panels."""
+    found = np.asarray(values, float)
+    found = found[np.isfinite(found) & (found > 0)]
+    return (found.min() / _MARGIN, found.max() * _MARGIN) if found.size else (_MARGIN, 10.0)
 
 
 def _over_seeds(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
