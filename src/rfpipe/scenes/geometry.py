@@ -150,8 +150,8 @@ class SurfacePoints(Points):
         alone would exchange more light than there is.
         """
         normals = [plane.unit_normal for plane in self.planes]
-        sines = [1 + float(one @ other) for one, other in combinations(normals, 2)]
-        acute = min((sine for sine in sines if sine > _PARALLEL), default=1.0)
+        openings = [1 + float(one @ other) for one, other in combinations(normals, 2)]  # 1 - cos t
+        acute = min((opening for opening in openings if opening > _PARALLEL), default=1.0)
         return self.mean_area / min(acute, 1.0)
 
 
