@@ -36,14 +36,15 @@ def test_transport_is_symmetric_non_negative_and_applied_faithfully(shape, block
     assert (np.abs(radiance - expected) <= 1e-5 * expected).all()
 
 
-@settings(max_examples=15)
+@settings(max_examples=25)
 @given(
+    st.sampled_from(["wedge", "wedge_30", "corner", "sphere_on_plane"]),
     st.tuples(st.integers(1, 30), st.integers(1, 30)),
     st.lists(occluders(), max_size=2),
     st.integers(0, 100),
 )
-def test_compression_keeps_every_entry(shape, blockers, seed):
-    points = surface_points(shape, GEOMETRIES["wedge"])
+def test_compression_keeps_every_entry(geometry, shape, blockers, seed):
+    points = surface_points(shape, GEOMETRIES[geometry])
     dense, packed = (form_factors(points, blockers, compress=c) for c in (False, True))
     columns = np.random.default_rng(seed).random((len(points.surface), 4))
     columns[:, 0] = np.arange(len(columns)) == seed % len(columns)  # a column of G

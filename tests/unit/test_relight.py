@@ -8,7 +8,13 @@ import pytest
 from rfpipe.config import SceneConfig
 from rfpipe.errors import InputError
 from rfpipe.rigs import SimulatedRig
-from rfpipe.scenes import ONE_VIEW, relighting_patterns, scene_from_config
+from rfpipe.scenes import (
+    CREASE,
+    ONE_VIEW,
+    relighting_patterns,
+    scene_from_config,
+    scene_patterns,
+)
 from rfpipe.stages import relight
 from rfpipe.stages.acquire import acquire
 from rfpipe.stages.metrics import relative_rms
@@ -31,7 +37,8 @@ def transports() -> dict[str, Transport]:
 def test_all_images_agree_with_the_scenes_matrix(transports, method):
     scene = scene_from_config(SCENE)
     arrays = relit_arrays(transports[method], scene)
-    patterns = relighting_patterns(SCENE.shape)
+    patterns = scene_patterns(scene)
+    assert list(patterns)[-1] == CREASE
     assert np.array_equal(arrays["patterns"], np.stack(list(patterns.values())))
     matrix = np.stack([scene.dense(channel) for channel in range(3)], axis=-1)
     for image, pattern in zip(arrays["truth"], arrays["patterns"], strict=True):
@@ -124,7 +131,7 @@ def test_the_stage_leaves_images_and_a_manifest_and_works_once(transports, tmp_p
     manifest = read_manifest(folder / "relight.json")
     bundle = open_arrays(folder / "relight.zarr")
     assert manifest["digest"] == bundle.digest
-    assert manifest["names"] == list(relighting_patterns((9, 12)))
+    assert manifest["names"] == [*relighting_patterns((9, 12)), CREASE]
     assert manifest["patterns"] == 7
     assert manifest["bytes"] == sum(
         path.stat().st_size for path in (folder / "transport.zarr").rglob("*") if path.is_file()

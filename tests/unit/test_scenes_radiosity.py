@@ -190,8 +190,8 @@ def test_clusters_partition_the_pairs_that_are_not_hidden():
     points = surface_points((40, 44), GEOMETRIES["wedge"])
     (pair,) = facing_pairs(points, (PLATE,))
     trees = tuple(
-        ClusterTree.of_plane(plane, positions, 8)
-        for plane, positions in zip(pair.planes, pair.positions, strict=True)
+        ClusterTree.of_surface(surface, positions, 8)
+        for surface, positions in zip(pair.surfaces, pair.positions, strict=True)
     )
     found = cluster_pairs(trees, (PLATE,), separation=0.5, least_distance=0.1, depth=2)
     covered = np.zeros((len(pair.indices[0]), len(pair.indices[1])), dtype=int)

@@ -39,7 +39,7 @@ def test_a_smaller_tolerance_takes_more_patterns_and_bytes(swept):
     assert rows[0]["patterns"] < rows[1]["patterns"]
     assert rows[0]["bytes"] < rows[1]["bytes"]
     relit = open_arrays(swept / "sweep.zarr").read("relit")
-    assert relit.shape == (2, 5, 8, 10, 3)
+    assert relit.shape == (2, 6, 8, 10, 3)
     assert np.isfinite(relit).all()
 
 

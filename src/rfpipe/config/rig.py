@@ -12,10 +12,34 @@ from rfpipe.config.base import Extent, MethodName, Settings, Tolerance, each_onc
 __all__ = ["CameraConfig", "OccluderConfig", "SceneConfig", "Surface"]
 
 Surface = Literal["white", "texture"]
+GeometryName = Literal[
+    "plane",
+    "wedge",
+    "wedge_30",
+    "wedge_120",
+    "tilted_wedge",
+    "corner",
+    "sphere_on_plane",
+    "room",
+    "captured",
+]
 Exposure = Annotated[float, Field(gt=0, le=60)]
 ViewCount = Annotated[int, Field(ge=1, le=16)]
 SpanDegrees = Annotated[float, Field(ge=0, le=45)]
 Vector = tuple[float, float, float]
+
+
+_SURFACES: dict[GeometryName, int] = {
+    "plane": 1,
+    "wedge": 2,
+    "wedge_30": 2,
+    "wedge_120": 2,
+    "tilted_wedge": 2,
+    "corner": 3,
+    "sphere_on_plane": 3,
+    "room": 3,
+    "captured": 0,
+}
 
 
 class OccluderConfig(Settings):
@@ -44,16 +68,20 @@ class OccluderConfig(Settings):
 class SceneConfig(Settings):
     """A scene: a simulated one seen by a coaxial rig, or one before a real rig."""
 
-    geometry: Literal["plane", "wedge", "room", "captured"] = Field(
-        description="plane: one plane across the line of sight; wedge: two planes that meet in "
-        "a concave edge, farthest from the camera; room: the corner of a room with a box, a "
-        "poster and a card in it; captured: a real scene, without ground truth."
+    geometry: GeometryName = Field(
+        description="plane: one plane across the line of sight; wedge: two planes that meet at "
+        "right angles in a concave edge, farthest from the camera; wedge_30, wedge_120: the same "
+        "at 30 and 120 degrees; tilted_wedge: a wedge whose edge is neither upright nor across "
+        "the line of sight; corner: three planes at right angles, seen along the diagonal; "
+        "sphere_on_plane: a sphere on a floor before a wall; room: the corner of a room with a "
+        "box, a poster and a card in it; captured: a real scene, without ground truth."
     )
     surfaces: tuple[Surface, ...] = Field(
         (),
         max_length=3,
-        description="Albedo of each surface: one for a plane, left and right for a wedge, left "
-        "wall, right wall and floor for a room. white: albedo 0.8; texture: text-like strokes of "
+        description="Albedo of each surface: one for a plane, left and right for a wedge, left, "
+        "right and floor for a corner, floor, wall and sphere for a sphere_on_plane, left wall, "
+        "right wall and floor for a room. white: albedo 0.8; texture: text-like strokes of "
         "albedo 0.15 and 0.85. A room's surfaces are tinted, too; a "
         "captured scene has none here.",
     )
@@ -84,7 +112,7 @@ class SceneConfig(Settings):
     )
     occluders: tuple[OccluderConfig, ...] = Field(
         (),
-        description="Parallelograms that block light between the surfaces of a plane or wedge.",
+        description="Parallelograms that block light between surfaces; none in a room.",
     )
     seed: int = Field(0, ge=0, description="Seed of the texture's strokes, at least 0.")
     methods: tuple[MethodName, ...] | None = Field(
@@ -129,7 +157,7 @@ class SceneConfig(Settings):
 
     @model_validator(mode="after")
     def _fits_the_geometry(self) -> Self:
-        expected = {"plane": 1, "wedge": 2, "room": 3, "captured": 0}[self.geometry]
+        expected = _SURFACES[self.geometry]
         if len(self.surfaces) != expected:
             raise ValueError(
                 f"geometry {self.geometry} should have {expected} surfaces, "

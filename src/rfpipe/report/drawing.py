@@ -30,10 +30,10 @@ METHOD_COLOURS = {
     "symmetric": "#1f5a9e",
     "dual": "#c4611a",
     "brute_force": "#5c5c5c",
-    "near_far": "#2a8a5a",
-    "hadamard": "#7f4fa0",
-    "compressive": "#a5861c",
-    "low_rank": "#b83a68",
+    "near_far": "#b3263a",
+    "hadamard": "#7d5ba6",
+    "compressive": "#4c8c4a",
+    "low_rank": "#b08a1e",
 }
 
 _DPI = 110

@@ -26,7 +26,7 @@ METHOD_TITLES = {
     "symmetric": "Symmetric photography",
     "dual": "Dual photography",
     "brute_force": "Brute force",
-    "near_far": "Near/far",
+    "near_far": "Near/far acquisition",
     "hadamard": "Hadamard multiplexing",
     "compressive": "Compressive sensing",
     "low_rank": "Optical low rank",
@@ -42,6 +42,11 @@ BENCHMARKS = {
     "merge": set[str](),
     "patterns": {"method", "side", "rays", "patterns"},
     "workflow": {"stage", "jobs", "job_s", "own_s", "overhead_s"},
+    "speed_error": {
+        "method", "scene", "geometry", "height", "width", "channels", "noise", "seed", "setting",
+        "patterns", "estimated_error", "error_mean", "error_worst", "unlit_mean", "unlit_worst",
+        "processing_seconds", "transport_mb",
+    },
 }  # fmt: skip
 """Benchmarks that the report shows, with the columns that it needs of each."""
 

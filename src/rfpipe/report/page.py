@@ -10,7 +10,7 @@ from typing import Any
 
 from rfpipe.config import Config
 from rfpipe.errors import StoreError
-from rfpipe.report import background, benchmarks, captured, light_fields, sections
+from rfpipe.report import background, benchmarks, captured, light_fields, sections, speed_error
 from rfpipe.report.blocks import Illustration, Section, Tabulation
 from rfpipe.report.drawing import png
 from rfpipe.report.inputs import METHOD_TITLES, Inputs, load_inputs
@@ -87,6 +87,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
         background.stability_section(inputs),
         background.times_section(inputs),
         benchmarks.benchmarks_section(inputs),
+        speed_error.rivals_section(inputs),
         background.setup_section(inputs),
     ]
     return [section for section in candidates if section is not None and section.blocks]

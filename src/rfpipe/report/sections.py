@@ -48,7 +48,8 @@ def summary_section(inputs: Inputs) -> Section:
     )
     detail = (
         "The same errors for each relighting pattern: bars, noise, a binary picture, a small "
-        "spot. Noise lights every pixel, so that none is unlit; a scene without indirect light "
+        "spot, and the crease, a strip along which surfaces meet, where there is one. "
+        "Noise lights every pixel, so that none is unlit; a scene without indirect light "
         "has nothing to compare there either."
     )
     if inputs.light_fields:

@@ -1,7 +1,8 @@
 """Simulated scenes: the ground-truth transport that a rig of the simulation captures."""
 
 from rfpipe.scenes.base import Scene
-from rfpipe.scenes.geometry import GEOMETRIES, Plane, SurfacePoints, surface_points
+from rfpipe.scenes.geometries import GEOMETRIES
+from rfpipe.scenes.geometry import Plane, Sphere, SurfacePoints, surface_points
 from rfpipe.scenes.hard import DenseScene, hard_cases
 from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
@@ -13,9 +14,16 @@ from rfpipe.scenes.reference import (
     room_scene,
     scene_from_config,
 )
-from rfpipe.scenes.relighting import ONE_VIEW, RELIGHTING_PATTERNS, relighting_patterns
+from rfpipe.scenes.relighting import (
+    CREASE,
+    ONE_VIEW,
+    RELIGHTING_PATTERNS,
+    relighting_patterns,
+    scene_patterns,
+)
 
 __all__ = [
+    "CREASE",
     "GEOMETRIES",
     "ONE_VIEW",
     "REFERENCE_SCENES",
@@ -26,6 +34,7 @@ __all__ = [
     "Plane",
     "RadiosityScene",
     "Scene",
+    "Sphere",
     "SurfacePoints",
     "hard_cases",
     "planes_scene",
@@ -33,5 +42,6 @@ __all__ = [
     "relighting_patterns",
     "room_scene",
     "scene_from_config",
+    "scene_patterns",
     "surface_points",
 ]

@@ -1,15 +1,18 @@
-"""Clusters of neighbouring points on a plane, and pairs of them that see each other simply."""
+"""Clusters of neighbouring points, and pairs of them that see each other simply."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.geometry import Plane
+from rfpipe.scenes.geometry import Plane, Sphere, Surface
 from rfpipe.scenes.occluders import HIDDEN, VISIBLE, Occluder, classify
+from rfpipe.scenes.spheres import classify_between, classify_facing
 
 __all__ = ["ClusterPairs", "ClusterTree", "cluster_pairs"]
 
@@ -18,7 +21,7 @@ _PAIRS_AT_A_TIME = 2**16  # cluster pairs tested against the occluders at once
 
 @dataclass(frozen=True)
 class ClusterTree:
-    """A binary tree over points of a plane, cut at the median of the longer side.
+    """A binary tree over points of a surface, cut at the median of the longest side.
 
     Parameters
     ----------
@@ -31,7 +34,8 @@ class ClusterTree:
     depth
         int64 (clusters,): 0 is the root.
     corners
-        float64 (clusters, 4, 3): corners of the rectangle in the plane that bounds the points.
+        float64 (clusters, k, 3): corners of what bounds the points, a rectangle in their plane
+        (k = 4) or a box (k = 8); the first and the last are opposite.
     """
 
     order: NDArray[np.int64]
@@ -43,9 +47,9 @@ class ClusterTree:
 
     @property
     def radius(self) -> NDArray[np.float64]:
-        """Half the diagonal of each cluster's rectangle, float64 (clusters,)."""
+        """Half the diagonal of what bounds each cluster, float64 (clusters,)."""
         radius: NDArray[np.float64] = (
-            np.linalg.norm(self.corners[:, 3] - self.corners[:, 0], axis=1) / 2
+            np.linalg.norm(self.corners[:, -1] - self.corners[:, 0], axis=1) / 2
         )
         return radius
 
@@ -55,10 +59,15 @@ class ClusterTree:
         return np.flatnonzero(chosen)
 
     @classmethod
-    def of_plane(cls, plane: Plane, positions: NDArray[np.float64], leaf_size: int) -> ClusterTree:
-        """Build the tree of points (n, 3) of a plane, with at most `leaf_size` a leaf."""
-        axes = plane.axes()
-        flat = (positions - np.asarray(plane.point)) @ axes.T
+    def of_surface(
+        cls, surface: Surface, positions: NDArray[np.float64], leaf_size: int
+    ) -> ClusterTree:
+        """Build the tree of points (n, 3) of a surface, with at most `leaf_size` a leaf."""
+        if isinstance(surface, Plane):
+            axes, origin = surface.axes(), np.asarray(surface.point)
+        else:
+            axes, origin = np.eye(3), np.asarray(surface.centre)
+        flat = (positions - origin) @ axes.T
         order = np.arange(len(flat))
         start, stop, child, depth = [0], [len(flat)], [-1], [0]
         low, high = [], []
@@ -70,23 +79,26 @@ class ClusterTree:
             low.append(here.min(0))
             high.append(here.max(0))
             if b - a > leaf_size:
-                longer = int(np.argmax(high[-1] - low[-1]))
+                longest = int(np.argmax(high[-1] - low[-1]))
                 half = (b - a) // 2
-                order[a:b] = members[np.argsort(here[:, longer], kind="stable")]
+                order[a:b] = members[np.argsort(here[:, longest], kind="stable")]
                 child[node] = len(start)
                 start += [a, a + half]
                 stop += [a + half, b]
                 child += [-1, -1]
                 depth += [depth[node] + 1] * 2
             node += 1
-        bounds = np.stack([low, high])  # (2, clusters, 2)
-        corners = np.stack(
-            [
-                np.stack([bounds[i, :, 0], bounds[j, :, 1]], axis=1) @ axes
-                for i, j in ((0, 0), (0, 1), (1, 0), (1, 1))
-            ],
-            axis=1,
-        ) + np.asarray(plane.point)
+        bounds = np.stack([low, high])  # (2, clusters, axes)
+        corners = (
+            np.stack(
+                [
+                    np.stack([bounds[end, :, axis] for axis, end in enumerate(ends)], axis=1) @ axes
+                    for ends in product((0, 1), repeat=len(axes))
+                ],
+                axis=1,
+            )
+            + origin
+        )
         return cls(
             order, np.array(start), np.array(stop), np.array(child), np.array(depth), corners
         )
@@ -94,7 +106,7 @@ class ClusterTree:
 
 @dataclass(frozen=True)
 class ClusterPairs:
-    """A partition of all pairs of points of two planes, less those known to be hidden.
+    """A partition of all pairs of points of two surfaces, less those known to be hidden.
 
     Parameters
     ----------
@@ -120,13 +132,15 @@ def cluster_pairs(
     separation: float,
     least_distance: float,
     depth: int,
+    between: Sphere | None = None,
+    facing: Sphere | None = None,
 ) -> ClusterPairs:
     """Subdivide pairs of clusters until each is smooth, hidden, or a pair of leaves.
 
     Parameters
     ----------
     trees
-        Clusters of either plane.
+        Clusters of either surface.
     occluders
         What may hide them from each other. A pair counts as visible or hidden only where that
         is proved for all its points.
@@ -137,6 +151,10 @@ def cluster_pairs(
         ... and at least this, the clamp of the distances, scene units.
     depth
         Depth of both trees at which to start.
+    between
+        A sphere that may hide two planes from each other.
+    facing
+        The sphere on which the first tree's points lie.
 
     Returns
     -------
@@ -144,12 +162,9 @@ def cluster_pairs(
         In a fixed order.
     """
     one, two = trees
+    tests = _visibility_tests(one, two, occluders, between, facing)
     radius = (one.radius, two.radius)
     centre = (one.corners.mean(1), two.corners.mean(1))
-    affine = [
-        (occluder.coordinates(one.corners), occluder.coordinates(two.corners))
-        for occluder in occluders
-    ]
     roots = (one.roots(depth), two.roots(depth))
     a, b = (grid.ravel() for grid in np.meshgrid(*roots, indexing="ij"))
     root_a, root_b = (
@@ -157,7 +172,7 @@ def cluster_pairs(
     )
     done: list[tuple[NDArray[np.int64], ...]] = []
     while len(a):
-        visibility = _visibility(a, b, affine)
+        visibility = _visibility(a, b, tests)
         gap = np.linalg.norm(centre[0][a] - centre[1][b], axis=1) - radius[0][a] - radius[1][b]
         larger = np.maximum(radius[0][a], radius[1][b])
         smooth = (visibility == VISIBLE) & (
@@ -177,17 +192,54 @@ def cluster_pairs(
     return ClusterPairs(a, b, far.astype(np.bool_), root_a, root_b)
 
 
+_Test = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.int8]]
+
+
+def _visibility_tests(
+    one: ClusterTree,
+    two: ClusterTree,
+    occluders: Sequence[Occluder],
+    between: Sphere | None,
+    facing: Sphere | None,
+) -> list[_Test]:
+    """List what may hide clusters (n,) of two trees from each other, as tests of them."""
+
+    def behind(
+        affine: tuple[NDArray[np.float64], NDArray[np.float64]],
+        a: NDArray[np.int64],
+        b: NDArray[np.int64],
+    ) -> NDArray[np.int8]:
+        return classify(affine[0][a], affine[1][b])
+
+    centres, radii = (one.corners.mean(1), two.corners.mean(1)), (one.radius, two.radius)
+
+    def behind_sphere(
+        sphere: Sphere, a: NDArray[np.int64], b: NDArray[np.int64]
+    ) -> NDArray[np.int8]:
+        larger = np.maximum(radii[0][a], radii[1][b])
+        return classify_between(sphere, centres[0][a], centres[1][b], larger)
+
+    def turned_away(sphere: Sphere, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int8]:
+        return classify_facing(sphere, centres[0][a], radii[0][a], two.corners[b])
+
+    tests: list[_Test] = [
+        partial(behind, (occluder.coordinates(one.corners), occluder.coordinates(two.corners)))
+        for occluder in occluders
+    ]
+    tests += [] if between is None else [partial(behind_sphere, between)]
+    tests += [] if facing is None else [partial(turned_away, facing)]
+    return tests
+
+
 def _visibility(
-    a: NDArray[np.int64],
-    b: NDArray[np.int64],
-    affine: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
+    a: NDArray[np.int64], b: NDArray[np.int64], tests: Sequence[_Test]
 ) -> NDArray[np.int8]:
-    """What clusters are to each other behind all occluders: hidden by one is hidden."""
+    """What clusters are to each other behind all that may hide them: hidden by one is hidden."""
     verdict = np.full(len(a), VISIBLE)
-    for one, two in affine:
+    for test in tests:
         for start in range(0, len(a), _PAIRS_AT_A_TIME):
             part = slice(start, start + _PAIRS_AT_A_TIME)
-            here = classify(one[a[part]], two[b[part]])
+            here = test(a[part], b[part])
             now = verdict[part]
             verdict[part] = np.where(
                 (now == HIDDEN) | (here == HIDDEN), HIDDEN, np.maximum(now, here)

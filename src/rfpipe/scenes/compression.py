@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from rfpipe.scenes.clusters import ClusterTree, cluster_pairs
 from rfpipe.scenes.formfactors import FacingPair
+from rfpipe.scenes.geometry import Sphere
 from rfpipe.scenes.kernels import apply_blocks, fill_blocks
 from rfpipe.scenes.occluders import END_TOLERANCE
+from rfpipe.scenes.spheres import GRAZING
 
 __all__ = ["TOLERANCE", "CompressedFormFactors"]
 
@@ -35,7 +37,7 @@ class CompressedFormFactors:
     Parameters
     ----------
     pairs
-        The facing planes.
+        The facing surfaces.
     """
 
     def __init__(self, pairs: Sequence[FacingPair]) -> None:
@@ -55,12 +57,12 @@ class CompressedFormFactors:
 
 
 class _PairBlocks:
-    """The blocks of G between two planes."""
+    """The blocks of G between two surfaces."""
 
     def __init__(self, pair: FacingPair) -> None:
         one, two = (
-            ClusterTree.of_plane(plane, positions, _LEAF_SIZE)
-            for plane, positions in zip(pair.planes, pair.positions, strict=True)
+            ClusterTree.of_surface(surface, positions, _LEAF_SIZE)
+            for surface, positions in zip(pair.surfaces, pair.positions, strict=True)
         )
         self.pixels = (pair.indices[0][one.order], pair.indices[1][two.order])
         clusters = cluster_pairs(
@@ -69,6 +71,8 @@ class _PairBlocks:
             separation=_SEPARATION,
             least_distance=np.sqrt(pair.least_squared_distance),
             depth=_SHARE_DEPTH,
+            between=pair.between,
+            facing=first if isinstance(first := pair.surfaces[0], Sphere) else None,
         )
         self.ranges = np.stack(
             [
@@ -100,6 +104,14 @@ class _PairBlocks:
             )
             for points in positions
         ]
+        lobes = np.zeros((len(positions[0]), 4))
+        if pair.normals is None:
+            lobes[:, 0] = 1
+        else:
+            lobes[:, 1:] = pair.normals[orders[0]]
+        spheres = np.zeros((0, 4))
+        if pair.between is not None:
+            spheres = np.array([[*pair.between.centre, (1 - GRAZING) * pair.between.radius]])
         heights = [height[order] for height, order in zip(pair.heights, orders, strict=True)]
         entries = (self.ranges[:, 1] - self.ranges[:, 0]) * (self.ranges[:, 3] - self.ranges[:, 2])
         self.rank = np.zeros(len(entries), dtype=np.int64)
@@ -113,6 +125,8 @@ class _PairBlocks:
                 smooth[start:stop],
                 positions[0],
                 positions[1],
+                lobes,
+                spheres,
                 shadows[0],
                 shadows[1],
                 heights[0],

@@ -17,11 +17,32 @@ _MAX_RANK = 128  # a block that needs more is stored with all its entries
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _kernel(p, q, least):  # type: ignore[no-untyped-def]
-    """1 / (pi d^4) between two points, d^2 at least `least`."""
+def _kernel(p, lobe, q, least):  # type: ignore[no-untyped-def]
+    """Return f / (pi d^4) between two points, d^2 at least `least`.
+
+    f is what p's side adds: 1 of a plane, lobe (1, 0, 0, 0); the height of q over the tangent
+    plane of p on a sphere with normal n, lobe (0, n), at least 0.
+    """
     x, y, z = p[0] - q[0], p[1] - q[1], p[2] - q[2]
     squared = max(x * x + y * y + z * z, least)
-    return 1 / (np.pi * squared * squared)
+    above = max(lobe[0] - (lobe[1] * x + lobe[2] * y + lobe[3] * z), 0.0)
+    return above / (np.pi * squared * squared)
+
+
+@numba.njit(cache=True, nogil=True, inline="always")
+def _behind_sphere(p, q, sphere):  # type: ignore[no-untyped-def]
+    """As spheres.hidden, for one segment and a sphere (x, y, z, radius)."""
+    length, along = 0.0, 0.0
+    for axis in range(3):
+        way = q[axis] - p[axis]
+        length += way * way
+        along -= (p[axis] - sphere[axis]) * way
+    place = min(max(along / max(length, 1e-300), 0.0), 1.0)
+    squared = 0.0
+    for axis in range(3):
+        nearest = p[axis] - sphere[axis] + place * (q[axis] - p[axis])
+        squared += nearest * nearest
+    return squared < sphere[3] * sphere[3]
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -39,12 +60,17 @@ def _blocked(p, q, end_tolerance):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _entries(p, q, shadow_p, shadow_q, height_p, height_q, least, end_tolerance, out):  # type: ignore[no-untyped-def]
+def _entries(  # type: ignore[no-untyped-def]
+    p, q, lobes, spheres, shadow_p, shadow_q, height_p, height_q, least, end_tolerance, out
+):
     """All entries of G between points p and q, row-major."""
     n = q.shape[0]
     for i in range(p.shape[0]):
         for j in range(n):
-            value = height_p[i] * height_q[j] * _kernel(p[i], q[j], least)
+            value = height_p[i] * height_q[j] * _kernel(p[i], lobes[i], q[j], least)
+            for sphere in range(spheres.shape[0]):
+                if _behind_sphere(p[i], q[j], spheres[sphere]):
+                    value = 0.0
             for occluder in range(shadow_p.shape[0]):
                 if _blocked(shadow_p[occluder, i], shadow_q[occluder, j], end_tolerance):
                     value = 0.0
@@ -52,7 +78,7 @@ def _entries(p, q, shadow_p, shadow_q, height_p, height_q, least, end_tolerance,
 
 
 @numba.njit(cache=True, nogil=True)
-def _cross_approximation(p, q, least, tolerance, most, left, right):  # type: ignore[no-untyped-def]
+def _cross_approximation(p, q, lobes, least, tolerance, most, left, right):  # type: ignore[no-untyped-def]
     """Factor the kernel between far points by adaptive cross approximation.
 
     Partial pivoting (Bebendorf, "Approximation of boundary element matrices", 2000): a residual's
@@ -72,7 +98,7 @@ def _cross_approximation(p, q, least, tolerance, most, left, right):  # type: ig
         free[i] = False
         best, j = 0.0, 0
         for c in range(n):
-            value = _kernel(p[i], q[c], least)
+            value = _kernel(p[i], lobes[i], q[c], least)
             for r in range(k):
                 value -= left[r, i] * right[r, c]
             right[k, c] = value
@@ -85,7 +111,7 @@ def _cross_approximation(p, q, least, tolerance, most, left, right):  # type: ig
             right[k, c] /= pivot
         i, best = 0, -1.0
         for r in range(m):
-            value = _kernel(p[r], q[j], least)
+            value = _kernel(p[r], lobes[r], q[j], least)
             for s in range(k):
                 value -= left[s, r] * right[s, j]
             left[k, r] = value
@@ -106,6 +132,8 @@ def fill_blocks(  # type: ignore[no-untyped-def]
     smooth,
     p,
     q,
+    lobes,
+    spheres,
     shadow_p,
     shadow_q,
     height_p,
@@ -126,10 +154,14 @@ def fill_blocks(  # type: ignore[no-untyped-def]
         Whether to try factors.
     p, q : float64 (n_1, 3), (n_2, 3)
         Positions, scene units.
+    lobes : float64 (n_1, 4)
+        (1, 0, 0, 0) for points of a plane, (0, normal) for points of a sphere.
+    spheres : float64 (spheres, 4)
+        Centre and radius of spheres that may stand between them.
     shadow_p, shadow_q : float64 (occluders, n_1, 3), (occluders, n_2, 3)
         Affine coordinates in each occluder.
     height_p, height_q : float64 (n_1,), (n_2,)
-        Heights over the other plane.
+        Heights over the other plane, 1 on a side that faces the sphere.
     least : float
         Lower clamp of squared distances.
     end_tolerance : float
@@ -154,7 +186,9 @@ def fill_blocks(  # type: ignore[no-untyped-def]
         k = most + 1
         if smooth[b]:
             left, right = np.empty((most, m)), np.empty((most, n))
-            k = _cross_approximation(p[i0:i1], q[j0:j1], least, tolerance, most, left, right)
+            k = _cross_approximation(
+                p[i0:i1], q[j0:j1], lobes[i0:i1], least, tolerance, most, left, right
+            )
         if k <= most:
             for i in range(m):
                 for r in range(k):
@@ -169,6 +203,8 @@ def fill_blocks(  # type: ignore[no-untyped-def]
             _entries(
                 p[i0:i1],
                 q[j0:j1],
+                lobes[i0:i1],
+                spheres,
                 shadow_p[:, i0:i1],
                 shadow_q[:, j0:j1],
                 height_p[i0:i1],

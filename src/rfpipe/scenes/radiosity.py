@@ -1,7 +1,8 @@
-"""Light transport between diffuse planes as a coaxial rig sees it [thesis 2.2, Fig. 2.1].
+"""Light transport between diffuse surfaces as a coaxial rig sees it [thesis 2.2, Fig. 2.1].
 
 A projector pixel sends its light onto one surface point and a camera pixel sees one: T is the
-matrix of `DiffuseSurfaces`, times the mean of the pixels' areas, and symmetric as in eq. (2.10).
+matrix of `DiffuseSurfaces`, times the mean of the pixels' areas and the strength of the light, and
+symmetric as in eq. (2.10).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ __all__ = ["RadiosityScene"]
 
 
 class RadiosityScene:
-    """Diffuse planes, their albedo and black occluders, seen by a coaxial rig.
+    """Diffuse surfaces, their albedo and black occluders, seen by a coaxial rig.
 
     Parameters
     ----------
@@ -39,13 +40,15 @@ class RadiosityScene:
         Black parallelograms that block light between points and the rig's own view.
     compress
         Whether to compress the form factors; None decides by their number.
+    light
+        Strength of the projector's light: 1 gives direct light of albedo x mean(A) / A.
     name
         What the scene is called in its description.
 
     Raises
     ------
     InputError
-        If albedo or bounces are out of range.
+        If albedo, light or bounces are out of range.
     """
 
     def __init__(
@@ -56,6 +59,7 @@ class RadiosityScene:
         bounces: int = 3,
         occluders: Sequence[Occluder] = (),
         compress: bool | None = None,
+        light: float = 1.0,
         name: str = "radiosity",
     ) -> None:
         values = np.array(albedo, dtype=np.float64)
@@ -64,7 +68,10 @@ class RadiosityScene:
                 f"albedo of shape {values.shape}: expected ({', '.join(map(str, points.shape))}, "
                 "channels)"
             )
+        if not light > 0 or not np.isfinite(light):
+            raise InputError(f"light {light}: expected a finite number above 0")
         self.points = points
+        self.light = float(light)
         self.name = name
         origin = np.zeros(3)
         for occluder in occluders:
@@ -116,7 +123,7 @@ class RadiosityScene:
         Returns
         -------
         float32 (B, N, C)
-            In units in which direct light is albedo x mean(A) / A.
+            In units in which direct light is light x albedo x mean(A) / A.
 
         Raises
         ------
@@ -128,7 +135,7 @@ class RadiosityScene:
     def _radiance(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Radiance (N, B, C) of patterns (N, B)."""
         total = self._surfaces.radiosity(weights)
-        total *= self.points.mean_area
+        total *= self.points.mean_area * self.light
         return total
 
     def dense(self, channel: int = 0) -> NDArray[np.float64]:
@@ -151,11 +158,12 @@ class RadiosityScene:
         require_few(len(self.points.areas), "rays")
         require_channel(channel, self.channels)
         transport = self._surfaces.dense(channel)
-        transport *= self.points.mean_area
+        transport *= self.points.mean_area * self.light
         return transport
 
     def describe(self) -> dict[str, Any]:
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+        sphere = self.points.sphere
         return {
             "scene": self.name,
             "shape": list(self.shape),
@@ -165,4 +173,6 @@ class RadiosityScene:
             "bounces": self._surfaces.bounces,
             "occluders": [asdict(occluder) for occluder in self.occluders],
             "compress": self._surfaces.compress,
+            **({} if sphere is None else {"sphere": asdict(sphere)}),
+            **({} if self.light == 1 else {"light": self.light}),
         }

@@ -9,7 +9,8 @@ import numpy as np
 
 from rfpipe.errors import InputError
 from rfpipe.scenes.base import Scene
-from rfpipe.scenes.geometry import GEOMETRIES, surface_points
+from rfpipe.scenes.geometries import GEOMETRIES
+from rfpipe.scenes.geometry import SurfacePoints, surface_points
 from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.radiosity import RadiosityScene
@@ -30,6 +31,9 @@ REFERENCE_SCENES: dict[str, tuple[str, tuple[str, ...]]] = {
     "IV": ("wedge", ("texture", "texture")),
 }
 
+_THESIS_ROOMS = ("plane", "wedge")
+_CONTRAST = 1.9  # of direct light on white: the brightest pixel over one of mean area, at most
+
 
 def planes_scene(
     geometry: str,
@@ -42,14 +46,17 @@ def planes_scene(
     seed: int = 0,
     compress: bool | None = None,
 ) -> RadiosityScene:
-    """Build a scene of white or textured planes.
+    """Build a scene of white or textured surfaces.
+
+    In rooms that reach much nearer to the rig than their middle, the projector's light is dimmed as
+    far as the nearest pixels need to stay below a radiance of 2, the default camera's full scale.
 
     Parameters
     ----------
     geometry
-        A key of `GEOMETRIES`: ``"plane"`` or ``"wedge"``.
+        A key of `GEOMETRIES`, such as ``"wedge"`` or ``"corner"``.
     surfaces
-        ``"white"`` or ``"texture"`` for each plane, left to right.
+        ``"white"`` or ``"texture"`` for each surface, in the order of `GEOMETRIES`.
     shape
         Height and width of the ray domain in pixels.
     channels
@@ -75,15 +82,15 @@ def planes_scene(
     """
     if geometry not in GEOMETRIES:
         raise InputError(f"geometry {geometry!r}: expected one of {', '.join(GEOMETRIES)}")
-    planes = GEOMETRIES[geometry]
-    if len(surfaces) != len(planes) or not set(surfaces) <= {"white", "texture"}:
+    facing = GEOMETRIES[geometry]
+    if len(surfaces) != len(facing) or not set(surfaces) <= {"white", "texture"}:
         raise InputError(
-            f"surfaces {tuple(surfaces)} of geometry {geometry!r}: expected {len(planes)}, each "
-            "'white' or 'texture'"
+            f"surfaces {tuple(surfaces)} of geometry {geometry!r}: expected {len(facing)} "
+            f"({', '.join(surface.name for surface in facing)}), each 'white' or 'texture'"
         )
     if channels not in (1, 3):
         raise InputError(f"channels {channels}: expected 1 (grey) or 3 (RGB)")
-    points = surface_points(shape, planes)
+    points = surface_points(shape, facing)
     of_surfaces = np.stack(
         [
             surface_albedo(kind, points.shape, channels, seed, index).reshape(-1, channels)
@@ -97,8 +104,14 @@ def planes_scene(
         bounces=bounces,
         occluders=occluders,
         compress=compress,
+        light=1.0 if geometry in _THESIS_ROOMS else _dimmed(points),
         name=f"{geometry} of {', '.join(surfaces)}",
     )
+
+
+def _dimmed(points: SurfacePoints) -> float:
+    """Strength of light at which no white pixel is brighter than the contrast allows."""
+    return min(1.0, _CONTRAST * float(points.areas.min()) / points.mean_area)
 
 
 def reference_scene(
@@ -196,7 +209,9 @@ def scene_from_config(config: SceneConfig, compress: bool | None = None) -> Scen
         When it is a captured scene, of which no light transport is known.
     """
     if config.is_captured:
-        raise InputError("a scene of geometry captured can't be simulated; take plane or wedge")
+        raise InputError(
+            "a scene of geometry captured can't be simulated; take plane, wedge or another"
+        )
     if config.geometry == "room":
         return room_scene(
             config.surfaces,

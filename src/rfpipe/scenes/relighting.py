@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import generator
+from rfpipe.scenes.base import Scene
+from rfpipe.scenes.geometry import SurfacePoints
+from rfpipe.scenes.radiosity import RadiosityScene
 
-__all__ = ["ONE_VIEW", "RELIGHTING_PATTERNS", "relighting_patterns"]
+__all__ = ["CREASE", "ONE_VIEW", "RELIGHTING_PATTERNS", "relighting_patterns", "scene_patterns"]
 
 RELIGHTING_PATTERNS = ("vertical_bar", "horizontal_bar", "noise", "binary", "spot")
 
 ONE_VIEW = "one_view"
 """The pattern that a stack of views has besides: the first view's projector alone, fully on."""
 
+CREASE = "crease"
+"""The pattern that a simulated scene has besides: a strip along which its surfaces meet."""
+
+_CREASE_SHARE = 64  # of the image's width, the strip's on either side of where surfaces meet
+_MEETING = 4.0  # distance of neighbouring points that meet, over the mean side of a pixel
 _SPOT = (3, 4)  # height and width in pixels
 _SMOOTHNESS = 1 / 16  # standard deviation of the random field's blur, over the shorter side
 
@@ -65,6 +74,57 @@ def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDAr
         patterns[ONE_VIEW] = np.zeros(shape, dtype=np.float32)
         patterns[ONE_VIEW][0] = 1
     return patterns
+
+
+def scene_patterns(scene: Scene, seed: int = 0) -> dict[str, NDArray[np.float32]]:
+    """Make the relighting patterns of a scene: those of its ray domain, and `CREASE`.
+
+    Near where surfaces meet most indirect light is exchanged between the fewest pixels, which the
+    other patterns hardly weigh. The strip is W / 64 wide on either side, at least a pixel. Outlines
+    where one surface only hides another are left out.
+
+    Parameters
+    ----------
+    scene
+        `CREASE` is made of a `RadiosityScene` whose surfaces meet in the image.
+    seed
+        As for `relighting_patterns`.
+
+    Returns
+    -------
+    dict of float32 arrays of the scene's shape, weights in [0, 1]
+    """
+    patterns = relighting_patterns(scene.shape, seed)
+    if isinstance(scene, RadiosityScene):
+        strip = _crease_strip(scene.points)
+        if strip.any():
+            patterns[CREASE] = strip.astype(np.float32)
+    return patterns
+
+
+def _crease_strip(points: SurfacePoints) -> NDArray[np.bool_]:
+    """Pixels close to neighbours on another surface, (H, W)."""
+    surface = points.surface.reshape(points.shape)
+    positions = points.positions.reshape(*points.shape, 3)
+    strip = np.zeros(points.shape, dtype=np.bool_)
+    for axis in (0, 1):
+        meet = np.diff(surface, axis=axis) != 0
+        squared = (np.diff(positions, axis=axis) ** 2).sum(2)
+        meet &= squared <= _MEETING**2 * points.mean_area
+        before, after = [(0, 0), (0, 0)], [(0, 0), (0, 0)]
+        before[axis], after[axis] = (1, 0), (0, 1)
+        strip |= np.pad(meet, before) | np.pad(meet, after)
+    for _ in range(1, max(1, points.shape[1] // _CREASE_SHARE)):
+        strip = _widened(strip)
+    return strip
+
+
+def _widened(strip: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Add the eight neighbours of every pixel."""
+    for axis in (0, 1):
+        padded = np.pad(strip, [(1, 1) if axis == i else (0, 0) for i in (0, 1)])
+        strip = sliding_window_view(padded, 3, axis=axis).max(axis=-1)
+    return strip
 
 
 def _smooth_picture(height: int, width: int, random: np.random.Generator) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ INK = 0.15
 
 # Colour of each surface of an RGB scene: factors of its albedo around one, so that the surfaces
 # differ in colour, the middle channel is the grey scene's and no albedo comes near 1.
-TINTS = ((1.04, 1.0, 0.92), (0.94, 1.0, 1.05))
+TINTS = ((1.04, 1.0, 0.92), (0.94, 1.0, 1.05), (1.08, 1.0, 1.02))
 
 # A printed page at the run's resolution, in pixels.
 _LETTER_HEIGHT = 7

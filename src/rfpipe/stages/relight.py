@@ -89,7 +89,7 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     InputError
         When transport and scene differ in shape or channels.
     """
-    from rfpipe.scenes import relighting_patterns
+    from rfpipe.scenes import scene_patterns
 
     shape, channels = scene.shape, scene.albedo.shape[-1]
     if (transport.camera_shape, transport.projector_shape) != (shape, shape):
@@ -99,7 +99,7 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
         )
     if transport.channels != channels:
         raise InputError(f"a transport of {transport.channels} channels, a scene of {channels}")
-    patterns = np.stack(list(relighting_patterns(shape).values()))
+    patterns = np.stack(list(scene_patterns(scene).values()))
     every = np.concatenate([patterns, np.ones((1, *shape), np.float32)])
     relit, truth = transport.relight_batch(every), images_of(scene, every)
     return {
@@ -203,7 +203,7 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
     code : str
         Fingerprint of the code behind the stage.
     """
-    from rfpipe.scenes import relighting_patterns, scene_from_config
+    from rfpipe.scenes import relighting_patterns, scene_from_config, scene_patterns
 
     store, manifest = folder / "relight.zarr", folder / "relight.json"
     acquired = read_manifest(folder / "transport.json")
@@ -214,15 +214,17 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
     if scene.is_captured:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
+        names = list(relighting_patterns(transport.projector_shape))
     else:
-        arrays = relit_arrays(transport, scene_from_config(scene))
-    shape = transport.projector_shape
+        simulated = scene_from_config(scene)
+        arrays = relit_arrays(transport, simulated)
+        names = list(scene_patterns(simulated))
     facts = {
         "stage": "relight",
         "scene": acquired["scene"],
         "method": acquired["method"],
-        "names": list(relighting_patterns(shape)),
-        "row": shape[-2] // 2,
+        "names": names,
+        "row": transport.projector_shape[-2] // 2,
         "patterns": acquired["patterns"],
         "bytes": transport.nbytes,
         "levels": transport.level_rows,

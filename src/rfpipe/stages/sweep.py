@@ -78,13 +78,13 @@ def sweep_tolerances(config: Config, scene: str, method: str) -> Sweep:
     """
     from rfpipe.photometry import sensor_from_config
     from rfpipe.rigs import SimulatedRig
-    from rfpipe.scenes import relighting_patterns, scene_from_config
+    from rfpipe.scenes import scene_from_config, scene_patterns
     from rfpipe.stages.acquire import acquire
 
     exact = scene_from_config(config.scenes[scene], compress=True)
     rig = SimulatedRig(exact, sensor_from_config(config.camera), config.seed)
     _warm_up(method)
-    patterns = np.stack(list(relighting_patterns(exact.shape).values()))
+    patterns = np.stack(list(scene_patterns(exact).values()))
     relit: list[NDArray[np.float32]] = []
     rows: list[dict[str, Any]] = []
     times: list[dict[str, float]] = []

@@ -1,0 +1,311 @@
+"""Error against patterns of all methods, as ``benchmarks/bench_speed_error.py`` measured them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rfpipe.report.blocks import Illustration, Section, Tabulation
+from rfpipe.report.drawing import METHOD_COLOURS, new_figure
+from rfpipe.report.inputs import METHOD_TITLES, Inputs
+from rfpipe.report.tables import Table
+from rfpipe.report.text import number, percent, size
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "COLUMNS",
+    "ESTIMATE_FACTOR",
+    "against_symmetric",
+    "curves_figure",
+    "patterns_at_error",
+    "rivals_section",
+    "summary_lines",
+]
+
+_PLACE = ("scene", "geometry", "height", "width", "channels", "noise", "seed")
+
+COLUMNS = (
+    "method", *_PLACE, "setting",
+    "patterns", "estimated_error", "error_mean", "error_worst", "worst_pattern",
+    "unlit_mean", "unlit_worst", "processing_seconds", "transport_mb",
+)  # fmt: skip
+"""Columns of the benchmark's table, a row a run; errors are relative RMS over the relighting
+patterns, in total and on the unlit pixels, and `estimated_error` the method's own, blank or NaN
+where it has none. The columns up to `setting` tell runs apart."""
+
+ESTIMATE_FACTOR = 1.5
+"""How far off an estimated error may be, either way."""
+
+_ABREAST = 4
+_MARGIN = 1.3  # of a logarithmic axis, beyond what it shows
+_OTHER_COLOUR = "#888888"
+_NOISE = {"default": "the default camera", "low_light": "a sixteenth of its light"}
+
+
+def patterns_at_error(patterns: ArrayLike, errors: ArrayLike, wanted: float) -> float:
+    """Return how many patterns a method needs for an error, between the runs that were made.
+
+    Parameters
+    ----------
+    patterns, errors : array_like of float, shape (n,)
+        Of a method's runs on one scene, n at least 1, above 0; in any order. A run that took more
+        patterns for more error than another says nothing.
+    wanted : float
+        The error, above 0.
+
+    Returns
+    -------
+    float
+        Interpolated between logarithms. The fewest patterns of any run where that one's error is
+        below `wanted` already; infinity where no run's error is as low.
+    """
+    order = np.lexsort((np.asarray(errors, float), np.asarray(patterns, float)))
+    x, y = np.asarray(patterns, float)[order], np.asarray(errors, float)[order]
+    best = np.concatenate([[True], y[1:] < np.minimum.accumulate(y)[:-1]])
+    x, y = x[best], y[best]
+    if wanted < y[-1]:
+        return math.inf
+    return float(np.exp(np.interp(-np.log(wanted), -np.log(y), np.log(x))))
+
+
+def against_symmetric(table: pd.DataFrame) -> pd.DataFrame:
+    """Set every near/far run beside symmetric photography of the same scene.
+
+    Parameters
+    ----------
+    table : DataFrame
+        With `COLUMNS`.
+
+    Returns
+    -------
+    DataFrame
+        A row for each run of near_far: scene, size, noise and seed; ``target_error``,
+        ``patterns``, ``estimated_error``, ``error_mean``, ``error_worst``; ``estimate_ratio``:
+        estimated over mean error; ``symmetric_for_mean``, ``symmetric_for_worst``: the patterns
+        that symmetric photography needs for the same error, see `patterns_at_error`, NaN where it
+        wasn't run; ``times_fewer_for_mean``, ``times_fewer_for_worst``.
+    """
+    import pandas as pd
+
+    kept = ["patterns", "estimated_error", "error_mean", "error_worst"]
+    symmetric = dict(list(table[table["method"] == "symmetric"].groupby(list(_PLACE))))
+    rows = []
+    for run in table[table["method"] == "near_far"].to_dict("records"):
+        place = {name: run[name] for name in _PLACE}
+        row = {**place, "target_error": run["setting"], **{name: run[name] for name in kept}}
+        row["estimate_ratio"] = run["estimated_error"] / (run["error_mean"] or math.nan)
+        yardstick = symmetric.get(tuple(place.values()))
+        for name in ("mean", "worst"):
+            error, needed = f"error_{name}", math.nan
+            if yardstick is not None:
+                needed = patterns_at_error(yardstick["patterns"], yardstick[error], run[error])
+            row[f"symmetric_for_{name}"] = needed
+            row[f"times_fewer_for_{name}"] = needed / run["patterns"]
+        rows.append(row)
+    columns = [*_PLACE, "target_error", *kept, "estimate_ratio"]
+    for name in ("mean", "worst"):
+        columns += [f"symmetric_for_{name}", f"times_fewer_for_{name}"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def summary_lines(beside: pd.DataFrame) -> list[str]:
+    """Say in a few lines what `against_symmetric` found."""
+    if beside.empty:
+        return ["no run of near_far to compare"]
+    estimates = beside["estimate_ratio"].dropna()
+    within = estimates.between(1 / ESTIMATE_FACTOR, ESTIMATE_FACTOR).mean()
+    lines = []
+    if len(estimates):
+        lines.append(
+            f"estimated within a factor of {ESTIMATE_FACTOR:g} of the true mean error: "
+            f"{within:.0%} of {len(estimates)} runs"
+        )
+    for name in ("mean", "worst"):
+        times = beside[f"times_fewer_for_{name}"].dropna()
+        if len(times):
+            lines.append(
+                f"times fewer patterns than symmetric photography for the same {name} error: "
+                f"least {times.min():.1f}, median {times.median():.1f}, of {len(times)} runs; "
+                f"not reached by it in {int(np.isinf(times).sum())}"
+            )
+    return lines
+
+
+def rivals_section(inputs: Inputs) -> Section | None:
+    """Error against patterns of all methods, or None where that wasn't measured."""
+    table = inputs.benchmarks.get("speed_error")
+    if table is None:
+        return None
+    blocks: list[Illustration | Tabulation] = []
+    for _, rows in table.groupby(["noise", "height", "width"], sort=False):
+        noise, height, width = rows[["noise", "height", "width"]].iloc[0]
+        name = f"{size(height, width)}, {_NOISE.get(noise, noise)}"
+        slug = f"rivals_{noise}_{height}x{width}"
+        blocks.append(Illustration(name, _CURVES, slug, curves_figure(rows)))
+    beside = against_symmetric(table)
+    text = [_ABOUT]
+    if len(beside):
+        text += [". ".join(line[0].upper() + line[1:] for line in summary_lines(beside)) + "."]
+        shown = _comparison_table(beside)
+        blocks.append(Tabulation("Near/far against symmetric photography", _BESIDE, shown, beside))
+    blocks.append(Tabulation("Runs", _RUNS, _runs_table(table), table))
+    return Section("rivals", "Error against patterns of all methods", text, blocks)
+
+
+_ABOUT = (
+    "Measured by `benchmarks/bench_speed_error.py`, apart from the run above: each method at each "
+    "of its settings through a simulated camera, its errors taken over the relighting patterns, "
+    "the crease among them."
+)
+_CURVES = (
+    "Relative RMS error against the patterns shown, both axes logarithmic: solid the mean over the "
+    "relighting patterns, dotted the worst of them; each the geometric mean over the seeds."
+)
+_BESIDE = (
+    "Every run of near/far acquisition; what it said of its own error, over its true mean error; "
+    "and how many patterns symmetric photography takes for the same mean and the same worst error, "
+    "between its own runs on the logarithmic curves above, and how many times as many that are. A "
+    "dash: it was not run there, or reached no such error at any of its tolerances."
+)
+_RUNS = (
+    "The setting is a tolerance, a target error or a number of patterns, as the method takes it. "
+    "Means and geometric means over the seeds."
+)
+
+
+def curves_figure(table: pd.DataFrame) -> Figure:
+    """Draw errors against patterns, a panel a scene.
+
+    Parameters
+    ----------
+    table : DataFrame
+        With `COLUMNS`, of one size and one camera.
+    """
+    scenes = list(dict.fromkeys(table["scene"]))
+    columns = min(_ABREAST, len(scenes))
+    rows = -(-len(scenes) // columns)
+    figure, axes = new_figure(rows, columns, (2.5 * columns + 0.5, 2.4 * rows + 0.4))
+    for axis, scene in zip(axes.flat, scenes, strict=False):
+        _draw_scene(axis, table[table["scene"] == scene])
+        axis.set_title(str(scene).replace("_", " "), fontsize=9, pad=4)
+        axis.set_xlim(*_limits(table["patterns"]))
+        axis.set_ylim(*_limits(100 * table[["error_mean", "error_worst"]]))
+    for axis in axes.flat[len(scenes) :]:
+        axis.set_axis_off()
+    for axis in axes[:, 0]:
+        axis.set_ylabel("error, %", fontsize=8.5)
+    handles: dict[str, Any] = {}
+    for axis in axes.flat:
+        found, labels = axis.get_legend_handles_labels()
+        handles |= dict(zip(labels, found, strict=True))
+    figure.legend(
+        handles=list(handles.values()), loc="outside lower center", ncols=len(handles),
+        fontsize=8.5, frameon=False,
+    )  # fmt: skip
+    return figure
+
+
+def _draw_scene(axis: Axes, table: pd.DataFrame) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    for method, rows in table.groupby("method", sort=False):
+        means = _over_seeds(rows, ["setting"]).sort_values("patterns")
+        colour = METHOD_COLOURS.get(str(method), _OTHER_COLOUR)
+        title = METHOD_TITLES.get(str(method), str(method))
+        axis.plot(means["patterns"], 100 * means["error_mean"], "o-", color=colour, markersize=3.5,
+                  linewidth=1.4, label=title)  # fmt: skip
+        axis.plot(means["patterns"], 100 * means["error_worst"], ".:", color=colour, markersize=3,
+                  linewidth=1)  # fmt: skip
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    for direction in (axis.xaxis, axis.yaxis):
+        direction.set_major_locator(LogLocator(10, (1, 3)))
+        direction.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
+        direction.set_minor_formatter(NullFormatter())
+    axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
+    axis.set_xlabel("patterns", fontsize=8.5)
+
+
+def _limits(values: pd.DataFrame | pd.Series[float]) -> tuple[float, float]:
+    """Limits of a logarithmic axis, the same for all panels."""
+    found = np.asarray(values, float)
+    found = found[np.isfinite(found) & (found > 0)]
+    return (found.min() / _MARGIN, found.max() * _MARGIN) if found.size else (_MARGIN, 10.0)
+
+
+def _over_seeds(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    """Average the runs that differ in their seed alone: geometric means of errors."""
+    errors = [name for name in COLUMNS if "error" in name or name.startswith("unlit")]
+    plain = ["patterns", "processing_seconds", "transport_mb"]
+    with np.errstate(divide="ignore"):  # a method that is exact on one pattern has no error there
+        logarithms = table.assign(**{name: np.log(table[name]) for name in errors})
+    means = logarithms.groupby(list(columns), sort=False)[plain + errors].mean()
+    return means.assign(**{name: np.exp(means[name]) for name in errors}).reset_index()
+
+
+def _comparison_table(beside: pd.DataFrame) -> Table:
+    rows = [
+        [
+            str(row["scene"]).replace("_", " "),
+            size(int(row["height"]), int(row["width"])),
+            str(row["noise"]).replace("_", " "),
+            str(row["seed"]),
+            percent(row["target_error"]),
+            number(row["patterns"]),
+            percent(row["error_mean"]),
+            percent(row["error_worst"]),
+            number(row["estimate_ratio"], ".2f"),
+            number(row["symmetric_for_mean"]),
+            number(row["times_fewer_for_mean"], ".1f"),
+            number(row["symmetric_for_worst"]),
+            number(row["times_fewer_for_worst"], ".1f"),
+        ]
+        for row in beside.to_dict("records")
+    ]
+    return Table(
+        [("", 6), ("near/far: error, %", 2), ("estimated", 1), ("symmetric, same mean", 2),
+         ("symmetric, same worst", 2)],
+        ["scene", "size", "camera", "seed", "target, %", "patterns", "mean", "worst", "over true",
+         "patterns", "times as many", "patterns", "times as many"],
+        rows,
+        text_columns=3,
+        csv="bench_near_far.csv",
+    )  # fmt: skip
+
+
+def _runs_table(table: pd.DataFrame) -> Table:
+    places = ["scene", "height", "width", "noise", "method", "setting"]
+    rows = [
+        [
+            str(row["scene"]).replace("_", " "),
+            size(int(row["height"]), int(row["width"])),
+            str(row["noise"]).replace("_", " "),
+            METHOD_TITLES.get(row["method"], row["method"]),
+            f"{row['setting']:g}",
+            number(row["patterns"]),
+            percent(row["estimated_error"]),
+            percent(row["error_mean"]),
+            percent(row["error_worst"]),
+            percent(row["unlit_mean"]),
+            percent(row["unlit_worst"]),
+            number(row["processing_seconds"], ".2f"),
+            number(row["transport_mb"], ".2f"),
+        ]
+        for row in _over_seeds(table, places).to_dict("records")
+    ]
+    return Table(
+        [("", 6), ("error, %", 3), ("unlit pixels, %", 2), ("", 2)],
+        ["scene", "size", "camera", "method", "setting", "patterns", "estimated", "mean", "worst",
+         "mean", "worst", "processing, s", "MB"],
+        rows,
+        text_columns=4,
+        csv="bench_speed_error.csv",
+    )  # fmt: skip

@@ -1,0 +1,96 @@
+"""The rooms of the simulated scenes: surfaces in front of a coaxial rig, by the room's name."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.scenes.geometry import Plane, Sphere, Surface
+
+__all__ = ["GEOMETRIES"]
+
+Vector = tuple[float, float, float]
+
+_FARTHEST = (0.0, 0.0, 3.0)  # point on the axis where the planes of a crease or corner meet
+_CORNER_DIRECTIONS = {
+    "left": 30,
+    "right": 150,
+    "floor": -90,
+}  # of the normals in the image, degrees
+
+# The floor and the wall of the sphere's room meet at right angles in a level crease; the camera
+# looks down on the floor.
+_LOOKING_DOWN = 35  # degrees
+_CREASE = np.array([0.0, -0.5, 3.5])
+_RADIUS = 0.5
+_ASIDE, _BEFORE_WALL = -0.25, 0.35  # of the sphere: from the axis, and its gap to the wall
+
+
+def _wedge(opening: float, *, turned: float = 0.0, tipped: float = 0.0) -> tuple[Plane, Plane]:
+    """Two planes that meet at an angle: a concave edge, farthest from the camera.
+
+    `opening` is the angle between the planes, `turned` the crease's from the vertical, clockwise
+    in the image, `tipped` its inclination from the image plane, the lower end nearer; degrees.
+    """
+    half = np.radians(opening / 2)
+    turn, tip = _rotation(2, turned), _rotation(0, tipped)
+    normals = [turn @ tip @ (side * np.cos(half), 0, -np.sin(half)) for side in (1, -1)]
+    left, right = (_plane(name, n) for name, n in zip(("left", "right"), normals, strict=True))
+    return left, right
+
+
+def _corner() -> tuple[Plane, ...]:
+    """Three planes at right angles, seen along the diagonal."""
+    planes = []
+    for name, degrees in _CORNER_DIRECTIONS.items():
+        angle = np.radians(degrees)
+        across = np.sqrt(2 / 3) * np.array([np.cos(angle), np.sin(angle), 0])
+        planes.append(_plane(name, across - [0, 0, np.sqrt(1 / 3)]))
+    return tuple(planes)
+
+
+def _sphere_on_plane() -> tuple[Surface, ...]:
+    """A sphere that rests on a floor before a wall."""
+    sine, cosine = (float(f(np.radians(_LOOKING_DOWN))) for f in (np.sin, np.cos))
+    up, from_wall = np.array([0, -cosine, -sine]), np.array([0, sine, -cosine])
+    centre = _CREASE + _RADIUS * up + (_BEFORE_WALL + _RADIUS) * from_wall + [_ASIDE, 0, 0]
+    return (
+        Plane("floor", _vector(_CREASE), _vector(up)),
+        Plane("wall", _vector(_CREASE), _vector(from_wall)),
+        Sphere("sphere", _vector(centre), _RADIUS),
+    )
+
+
+def _rotation(axis: int, degrees: float) -> NDArray[np.float64]:
+    """Matrix that rotates by some degrees around axis 0 (x) or 2 (z)."""
+    sine, cosine = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
+    matrix = np.eye(3)
+    plane = [i for i in range(3) if i != axis]
+    matrix[np.ix_(plane, plane)] = [[cosine, -sine], [sine, cosine]]
+    return matrix
+
+
+def _plane(name: str, normal: NDArray[np.float64]) -> Plane:
+    """A plane through the farthest point."""
+    return Plane(name, _FARTHEST, _vector(normal))
+
+
+def _vector(values: NDArray[np.float64]) -> Vector:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+GEOMETRIES: dict[str, tuple[Surface, ...]] = {
+    "plane": (Plane("front", (0, 0, 3), (0, 0, -1)),),
+    "wedge": (
+        Plane("left", (0, 0, 3), (1, 0, -1)),  # z = 3 + x
+        Plane("right", (0, 0, 3), (-1, 0, -1)),  # z = 3 - x
+    ),
+    "wedge_30": _wedge(30),
+    "wedge_120": _wedge(120),
+    "tilted_wedge": _wedge(90, turned=25, tipped=20),
+    "corner": _corner(),
+    "sphere_on_plane": _sphere_on_plane(),
+}
+"""Surfaces of each geometry, in the order in which their albedo is given. Each pixel sees the
+nearest one; the planes bound the camera's room."""
