@@ -15,6 +15,7 @@ _CLASSES = {
     "dense": ("rfpipe.transport.dense", "DenseTransport"),
     "hierarchical": ("rfpipe.transport.hierarchical", "HierarchicalTransport"),
     "low_rank": ("rfpipe.transport.low_rank", "LowRankTransport"),
+    "multiscale": ("rfpipe.transport.multiscale", "MultiscaleTransport"),
     "multilevel": ("rfpipe.transport.multilevel", "MultilevelTransport"),
     "sum": ("rfpipe.transport.sum", "SumTransport"),
 }

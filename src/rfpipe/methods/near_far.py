@@ -1,0 +1,392 @@
+"""Near/far acquisition: transport by range, from few pictures, with a live error estimate.
+
+Direct light, near-range and far-range indirect light (S. K. Nayar et al., *Fast separation of
+direct and global components*, SIGGRAPH 2006, for the first step) are found together from random
+patterns. Where that model does not hold, symmetric photography takes over.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
+from rfpipe.methods.near_far_estimate import Estimate, estimate
+from rfpipe.methods.near_far_fit import Frames, Model, fit
+from rfpipe.methods.near_far_parts import as_transport, indirect, light_range
+from rfpipe.methods.near_far_patterns import HELD_OUT, held_out_patterns, probe_patterns
+from rfpipe.methods.symmetric import Symmetric, SymmetricState
+from rfpipe.patterns import Schedule
+from rfpipe.transport.base import Transport
+from rfpipe.transport.multiscale_basis import MultiscaleBasis
+from rfpipe.transport.sum import SumTransport
+
+# Probes of each round: a round should cut the error, and end soon where the target is met.
+ROUNDS = (8, 8, 8, 12, 16, 24, 32)
+# A round that leaves more than this of the error before it has shown that more won't help.
+_STALLED = 0.85
+# A model that leaves so much of the indirect light's norm unexplained is the wrong one.
+_UNEXPLAINED = 0.7
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class NearFarState:
+    """The state of a near/far acquisition.
+
+    Attributes
+    ----------
+    domain : RayDomain
+        Of camera and projector.
+    channels : int
+    settings : Settings
+    level : int
+        Level to be scheduled next: 0 is the floodlit image, then the rounds, then the levels of
+        symmetric photography from its level 1 on.
+    frames : Frames, optional
+        All pictures to fit; None before the floodlit image.
+    new : int
+        How many of them the last level brought.
+    held_out : tuple of ndarray of float32, shape (HELD_OUT, C, N)
+        Radiance that no fit sees; empty before the first round.
+    model : Model, optional
+    estimates : tuple of Estimate
+        After each round.
+    done : bool
+        Whether no more probes are asked for.
+    symmetric : SymmetricState, optional
+        Where symmetric photography has taken over.
+    rows : tuple of dict
+        The table of levels so far.
+    """
+
+    domain: RayDomain
+    channels: int
+    settings: Settings
+    level: int = 0
+    frames: Frames | None = None
+    new: int = 0
+    held_out: tuple[Float, ...] = ()
+    model: Model | None = None
+    estimates: tuple[Estimate, ...] = ()
+    done: bool = False
+    symmetric: SymmetricState | None = None
+    rows: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def shown(self) -> int:
+        """Patterns shown so far."""
+        return sum(row["patterns"] for row in self.rows)
+
+
+class NearFar:
+    """Near/far acquisition as a `Method`.
+
+    Rounds of random patterns are fitted until the estimate of the error, from pictures that no fit
+    sees, is at most `Settings.target_error`. Where the light isn't smooth at any scale, symmetric
+    photography begins, and the held-out pictures decide at the end which of both is better.
+    """
+
+    name = "near_far"
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
+        """Return the floodlit level, the rounds, and the levels of symmetric photography.
+
+        Raises
+        ------
+        InputError
+            If camera and projector have different ray domains.
+        """
+        if camera.shape != projector.shape:
+            raise InputError(
+                f"near_far needs a coaxial rig, whose camera and projector share one ray domain, "
+                f"but the camera's is {camera.shape} and the projector's {projector.shape}; use "
+                "dual photography"
+            )
+        return len(ROUNDS) + Symmetric().n_levels(camera, projector)
+
+    def start(
+        self,
+        camera: RayDomain,
+        projector: RayDomain,
+        channels: int,
+        settings: Settings,
+    ) -> NearFarState:
+        """Return the state before the floodlit image."""
+        self.n_levels(camera, projector)
+        return NearFarState(camera, channels, settings)
+
+    def schedule(self, state: NearFarState) -> Schedule:
+        """Show the floodlit pattern, then probes; the first of them with the held-out patterns."""
+        shape, level = state.domain.shape, state.level
+        if level == 0:
+            return Schedule.floodlit(shape)
+        if level > len(ROUNDS):
+            return _symmetric_schedule(state)
+        count = self._probes(state)
+        reach = None
+        if state.model is not None and count:
+            assert state.frames is not None
+            reach = light_range(shape, state.model, state.frames.floodlit)
+        patterns = probe_patterns(shape, level, count, reach)
+        if level == 1:
+            patterns = np.concatenate([held_out_patterns(shape), patterns])
+        return Schedule(level, shape, len(patterns), weights=patterns.astype(np.float32))
+
+    def refine(
+        self, state: NearFarState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
+    ) -> NearFarState:
+        """Fit the model to all pictures so far and estimate its error; or refine the hierarchy."""
+        level, count = state.level, images.schedule.count
+        if level > len(ROUNDS):
+            return _refine_symmetric(state, images, memory_bytes)
+        if level and not count:
+            return replace(state, level=level + 1, new=0, rows=(*state.rows, _row(level, 0)))
+        radiance, variance = _read(state, images)
+        if level == 0:
+            nothing = np.zeros((0, *radiance.shape[1:]), np.float32)
+            dark = np.zeros((0, state.domain.size), np.bool_)
+            frames = Frames(radiance[0], variance[0], dark, nothing, nothing)
+            return replace(
+                state, level=1, frames=frames, rows=(_row(0, 1, scalar=state.domain.size),)
+            )
+        held = state.held_out or (radiance[:HELD_OUT],)
+        first = 0 if state.held_out else HELD_OUT
+        weights = images.schedule.batch(first, count).reshape(count - first, -1)
+        assert state.frames is not None
+        frames = state.frames.extended(weights > 0, radiance[first:], variance[first:])
+        model = fit(state.domain.shape, frames, memory_bytes)
+        found = _estimate(state, frames, model, held[0])
+        row = _row(level, count, nodes=len(model.basis.first), estimated_error=found.error)
+        state = replace(
+            state,
+            level=level + 1,
+            frames=frames,
+            new=count - first,
+            held_out=held,
+            model=model,
+            estimates=(*state.estimates, found),
+            rows=(*state.rows, row),
+        )
+        _log.info("%d patterns: estimated error %.3g of a relit image", state.shown, found.error)
+        return self._decide(state)
+
+    def transport(self, state: NearFarState) -> Transport:
+        """Return direct, near-range and far-range light as parts of a sum; or the hierarchy."""
+        rows = list(state.rows)
+        if state.symmetric is not None and not _model_is_better(state):
+            hierarchy = Symmetric().transport(state.symmetric)
+            return SumTransport([hierarchy], rows, [len(ROUNDS)])
+        assert state.frames is not None
+        return as_transport(state.domain.shape, rows, state.model, state.frames.floodlit)
+
+    def pack(self, state: NearFarState) -> Pack:
+        """Return the last level's pictures, the model, and what symmetric photography found."""
+        assert state.frames is not None
+        arrays: dict[str, NDArray[Any]] = {}
+        if state.level == 1:
+            arrays["floodlit"] = state.frames.floodlit
+            arrays["floodlit_variance"] = state.frames.floodlit_variance
+        first = len(state.frames.lit) - state.new
+        arrays["lit"] = state.frames.lit[first:].astype(np.uint8)
+        arrays["radiance"] = state.frames.radiance[first:]
+        arrays["variance"] = state.frames.variance[first:]
+        if state.level == 2:
+            arrays["held_out"] = state.held_out[0]
+        if state.model is not None and state.new:
+            arrays["functions"] = state.model.basis.functions
+            arrays["cores"] = state.model.cores
+        attributes: dict[str, Any] = {
+            "level": state.level,
+            "new": state.new,
+            "estimates": [[found.error, found.dark, found.indirect] for found in state.estimates],
+            "done": state.done,
+            "rows": list(state.rows),
+        }
+        if state.symmetric is not None:
+            inner = Symmetric().pack(state.symmetric)
+            arrays |= {f"{_INNER}{name}": array for name, array in inner.arrays.items()}
+            attributes["symmetric"] = dict(inner.attributes)
+        return Pack(arrays, attributes)
+
+    def restore(self, start: NearFarState, packs: Sequence[Pack]) -> NearFarState:
+        """Return the state after the last of `packs`, one a level from level 0 on."""
+        if not packs:
+            return start
+        about = packs[-1].attributes
+        own = [pack.arrays for pack in packs]
+        frames = Frames(
+            own[0]["floodlit"],
+            own[0]["floodlit_variance"],
+            np.concatenate([arrays["lit"] for arrays in own]).astype(np.bool_),
+            np.concatenate([arrays["radiance"] for arrays in own]),
+            np.concatenate([arrays["variance"] for arrays in own]),
+        )
+        model = None
+        for arrays in own:
+            if "cores" in arrays:
+                basis = MultiscaleBasis(start.domain.shape, arrays["functions"])
+                model = Model(basis, arrays["cores"])
+        return replace(
+            start,
+            level=about["level"],
+            frames=frames,
+            new=about["new"],
+            held_out=(own[1]["held_out"],) if len(own) > 1 else (),
+            model=model,
+            estimates=tuple(Estimate(*found) for found in about["estimates"]),
+            done=about["done"],
+            symmetric=_restored_symmetric(start, packs),
+            rows=tuple(about["rows"]),
+        )
+
+    def _probes(self, state: NearFarState) -> int:
+        """Return how many probes the next round shows."""
+        if state.done:
+            return 0
+        count = ROUNDS[state.level - 1]
+        if state.settings.patterns:
+            held = HELD_OUT if state.level == 1 else 0
+            count = min(count, max(state.settings.patterns - state.shown - held, 0))
+        return count
+
+    def _decide(self, state: NearFarState) -> NearFarState:
+        """Go on, end, or let symmetric photography take over."""
+        found = state.estimates[-1]
+        limit = state.settings.patterns
+        if found.error <= state.settings.target_error or (limit and state.shown >= limit):
+            return replace(state, done=True)
+        before = state.estimates[-2].error if len(state.estimates) > 1 else np.inf
+        stalled = found.error > _STALLED * before
+        hopeless = found.dark > _UNEXPLAINED * found.indirect
+        if not (stalled or hopeless or state.level > len(ROUNDS)):
+            return state
+        # dark pixels have none of the direct light's noise: what is wrong there is the model
+        if limit or found.dark < found.error / 2:
+            return replace(state, done=True)
+        _log.info("the light is not smooth enough; going on with symmetric photography")
+        return replace(state, done=True, symmetric=_begin_symmetric(state))
+
+
+_INNER = "symmetric_"
+
+
+def _row(level: int, patterns: int, **counts: Any) -> dict[str, Any]:
+    """Return a row of the table of levels."""
+    row: dict[str, Any] = {"level": level, "patterns": patterns}
+    return row | dict.fromkeys(_COUNTS, 0) | counts
+
+
+_COUNTS = ("nodes", "empty", "rank1", "rank_k", "scalar", "subdivided")
+
+
+def _read(state: NearFarState, images: LevelImages) -> tuple[Float, Float]:
+    """Read all images of a level, radiance and variance (M, C, N)."""
+    count = images.schedule.count
+    shape = (count, state.channels, state.domain.size)
+    radiance, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    for index in range(count):
+        for target, image in zip(
+            (radiance, variance), images.read(index, index + 1), strict=True
+        ):
+            target[index] = image.reshape(state.domain.size, state.channels).T
+    # float32 rounds exact radiance, too
+    variance += np.square(np.finfo(np.float32).eps * radiance)
+    return radiance, variance
+
+
+def _estimate(state: NearFarState, frames: Frames, model: Model, held_out: Float) -> Estimate:
+    lit = held_out_patterns(state.domain.shape).reshape(HELD_OUT, -1)
+    light = np.concatenate([lit, np.ones_like(lit[:1])]).astype(np.float32)
+    bounced = indirect(model, frames.floodlit, light)
+    predicted = light[:-1, None] * (frames.floodlit - bounced[-1]) + bounced[:-1]
+    return estimate(predicted, held_out, lit)
+
+
+@dataclass(frozen=True)
+class _Images:
+    """Images of a level under another number."""
+
+    schedule: Schedule
+    images: LevelImages | None
+    floodlit: tuple[Float, Float] | None = None
+
+    def read(self, first: int, last: int) -> tuple[Float, Float]:
+        if self.images is not None:
+            return self.images.read(first, last)
+        assert self.floodlit is not None
+        return self.floodlit
+
+
+def _begin_symmetric(state: NearFarState) -> SymmetricState:
+    """Start symmetric photography from the floodlit image that is there."""
+    method, frames = Symmetric(), state.frames
+    assert frames is not None
+    shape = (1, *state.domain.shape, state.channels)
+    radiance, variance = (
+        np.ascontiguousarray(image.T).reshape(shape)
+        for image in (frames.floodlit, frames.floodlit_variance)
+    )
+    begun = method.start(state.domain, state.domain, state.channels, state.settings)
+    floodlit = Schedule.floodlit(state.domain.shape)
+    return method.refine(begun, _Images(floodlit, None, (radiance, variance)))
+
+
+def _symmetric_schedule(state: NearFarState) -> Schedule:
+    if state.symmetric is None:
+        nothing = np.full(state.domain.shape, -1, np.int32)
+        return Schedule(state.level, state.domain.shape, 0, pattern_of_ray=nothing)
+    return replace(Symmetric().schedule(state.symmetric), level=state.level)
+
+
+def _refine_symmetric(
+    state: NearFarState, images: LevelImages, memory_bytes: int
+) -> NearFarState:
+    """Let symmetric photography refine a level of its own."""
+    level = state.level
+    if state.symmetric is None:
+        return replace(state, level=level + 1, new=0, rows=(*state.rows, _row(level, 0)))
+    schedule = replace(images.schedule, level=state.symmetric.level)
+    inner = Symmetric().refine(state.symmetric, _Images(schedule, images), memory_bytes)
+    own = state.rows[: len(ROUNDS) + 1]
+    rows = [{**row, "level": row["level"] + len(ROUNDS)} for row in inner.rows[1:]]
+    return replace(state, level=level + 1, new=0, symmetric=inner, rows=(*own, *rows))
+
+
+def _restored_symmetric(start: NearFarState, packs: Sequence[Pack]) -> SymmetricState | None:
+    method = Symmetric()
+    inner = [
+        Pack(
+            {
+                name.removeprefix(_INNER): array
+                for name, array in pack.arrays.items()
+                if name.startswith(_INNER)
+            },
+            pack.attributes["symmetric"],
+        )
+        for pack in packs
+        if "symmetric" in pack.attributes
+    ]
+    if not inner:
+        return None
+    begun = method.start(start.domain, start.domain, start.channels, start.settings)
+    return method.restore(begun, inner)
+
+
+def _model_is_better(state: NearFarState) -> bool:
+    """Whether the smooth model predicts the held-out pictures better than the whole hierarchy."""
+    if state.symmetric is None or state.symmetric.level < state.symmetric.tree.n_levels:
+        return False
+    lit = held_out_patterns(state.domain.shape)
+    relit = Symmetric().transport(state.symmetric).relight_batch(lit.astype(np.float32))
+    planar = np.moveaxis(relit.reshape(HELD_OUT, -1, state.channels), -1, 1)
+    found = estimate(planar, state.held_out[0], lit.reshape(HELD_OUT, -1))
+    return state.estimates[-1].error < found.error

@@ -1,0 +1,99 @@
+"""What a near/far model says of light: its range, its images, and the transport in parts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.methods.base import Float
+from rfpipe.methods.near_far_fit import Model
+from rfpipe.transport.low_rank import LowRankTransport
+from rfpipe.transport.multiscale import MultiscaleTransport
+from rfpipe.transport.multiscale_basis import coarsest_scale
+from rfpipe.transport.multiscale_kernels import couple
+from rfpipe.transport.sum import SumTransport
+
+__all__ = ["as_transport", "indirect", "light_range"]
+
+# Pairs of functions whose coarser one is finer than this part of the coarsest scale are near range.
+_NEAR = 4
+
+
+def indirect(model: Model, floodlit: Float, light: Float) -> Float:
+    """Return the indirect light of patterns (P, N) as images (P, C, N)."""
+    basis = model.basis
+    images = np.empty((len(light), *floodlit.shape), np.float32)
+    for channel, factor in enumerate(floodlit):
+        given = np.ascontiguousarray(basis.sums @ (light * factor).T)
+        received = np.zeros_like(given)
+        couple(basis.first, basis.second, model.cores[channel], given, received)
+        images[:, channel] = (basis.weights @ received).T * factor
+    return images
+
+
+def light_range(shape: tuple[int, ...], model: Model, floodlit: Float) -> Float:
+    """Return from how far each pixel's indirect light comes, root mean square, in pixels.
+
+    At least half a pixel, at most the image's diagonal, which also stands where there is none.
+    """
+    height, width = shape[-2:]
+    row, column = (np.broadcast_to(axis, shape).ravel() for axis in np.ogrid[:height, :width])
+    square = row**2 + column**2
+    moments = np.stack([np.ones_like(row), row, column, square]).astype(np.float32)
+    # sums of large squares cancel
+    light, down, across, squares = indirect(model, floodlit, moments).sum(axis=1, dtype=np.float64)
+    total = light * square + squares - 2 * (row * down + column * across)
+    diagonal = float(height**2 + width**2)
+    found = np.divide(total, light, out=np.full(len(row), diagonal), where=light > 0)
+    return np.sqrt(np.clip(found, 0.25, diagonal)).astype(np.float32).reshape(shape)
+
+
+def as_transport(
+    shape: tuple[int, ...], rows: list[dict[str, Any]], model: Model | None, floodlit: Float
+) -> SumTransport:
+    """Return direct light, and near-range and far-range light where there is any, as a sum.
+
+    Parameters
+    ----------
+    shape : tuple of int
+    rows : list of dict
+        The table of levels.
+    model : Model or None
+        None before there is one: all light counts as direct.
+    floodlit : ndarray of float32, shape (C, N)
+    """
+    channels = len(floodlit)
+    if model is None:
+        return SumTransport([_direct(shape, floodlit)], rows)
+    everything = np.ones((1, floodlit.shape[1]), np.float32)
+    direct = _direct(shape, floodlit - indirect(model, floodlit, everything)[0])
+    basis = model.basis
+    coarser = np.maximum(basis.scales[basis.first], basis.scales[basis.second])
+    near = coarser * _NEAR < coarsest_scale(shape)
+    parts = []
+    for chosen in (near, ~near):
+        found: NDArray[np.bool_] = chosen & model.cores.any(axis=0)
+        if not found.any():
+            continue
+        pairs = np.stack([basis.first[found], basis.second[found]])
+        arrays = {
+            "factor": floodlit,
+            "functions": basis.functions,
+            "pairs": pairs,
+            "cores": np.ascontiguousarray(model.cores[:, found]),
+        }
+        parts.append(MultiscaleTransport(shape, channels, [], arrays))
+    return SumTransport([direct, *parts], rows, [0, *[1] * len(parts)])
+
+
+def _direct(shape: tuple[int, ...], diagonal: Float) -> LowRankTransport:
+    channels, rays = diagonal.shape
+    arrays = {
+        "diagonal": diagonal.astype(np.float32),
+        "left": np.zeros((channels, 0, rays), np.float32),
+        "strengths": np.zeros((channels, 0), np.float32),
+        "term_level": np.zeros(0, np.int32),
+    }
+    return LowRankTransport(shape, shape, channels, [], arrays)
