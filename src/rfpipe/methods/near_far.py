@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,18 +18,24 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
-from rfpipe.methods.near_far_estimate import Estimate, estimate
+from rfpipe.methods.near_far_estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far_fit import Frames, Model, fit
 from rfpipe.methods.near_far_parts import as_transport, indirect, light_range
-from rfpipe.methods.near_far_patterns import HELD_OUT, held_out_patterns, probe_patterns
+from rfpipe.methods.near_far_patterns import (
+    held_out_strip_twice,
+    held_out_twice,
+    probe_patterns,
+)
 from rfpipe.methods.symmetric import Symmetric, SymmetricState
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 from rfpipe.transport.multiscale_basis import MultiscaleBasis
 from rfpipe.transport.sum import SumTransport
 
+# Held-out pictures that come with a round's probes, by level.
+HELD_OUT = {1: 2, 2: 2}
 # Probes of each round: a round should cut the error, and end soon where the target is met.
-ROUNDS = (8, 8, 8, 12, 16, 24, 32)
+ROUNDS = (6, 10, 8, 12, 16, 24, 32)
 # A round that leaves more than this of the error before it has shown that more won't help.
 _STALLED = 0.85
 # A model that leaves so much of the indirect light's norm unexplained is the wrong one.
@@ -55,8 +61,8 @@ class NearFarState:
         All pictures to fit; None before the floodlit image.
     new : int
         How many of them the last level brought.
-    held_out : tuple of ndarray of float32, shape (HELD_OUT, C, N)
-        Radiance that no fit sees; empty before the first round.
+    held : Held, optional
+        Pictures that no fit sees; None before the first round.
     model : Model, optional
     estimates : tuple of Estimate
         After each round.
@@ -74,7 +80,7 @@ class NearFarState:
     level: int = 0
     frames: Frames | None = None
     new: int = 0
-    held_out: tuple[Float, ...] = ()
+    held: Held | None = None
     model: Model | None = None
     estimates: tuple[Estimate, ...] = ()
     done: bool = False
@@ -132,13 +138,16 @@ class NearFar:
         if level > len(ROUNDS):
             return _symmetric_schedule(state)
         count = self._probes(state)
-        reach = None
-        if state.model is not None and count:
-            assert state.frames is not None
-            reach = light_range(shape, state.model, state.frames.floodlit)
-        patterns = probe_patterns(shape, level, count, reach)
+        held, found = np.zeros((0, *shape), np.bool_), None
         if level == 1:
-            patterns = np.concatenate([held_out_patterns(shape), patterns])
+            held = held_out_twice(shape)
+        elif count:
+            assert state.model is not None
+            assert state.frames is not None
+            found = light_range(shape, state.model, state.frames.floodlit)
+            if level == 2:
+                held = held_out_strip_twice(found)
+        patterns = np.concatenate([held, probe_patterns(shape, level, count, found)])
         return Schedule(level, shape, len(patterns), weights=patterns.astype(np.float32))
 
     def refine(
@@ -158,20 +167,20 @@ class NearFar:
             return replace(
                 state, level=1, frames=frames, rows=(_row(0, 1, scalar=state.domain.size),)
             )
-        held = state.held_out or (radiance[:HELD_OUT],)
-        first = 0 if state.held_out else HELD_OUT
-        weights = images.schedule.batch(first, count).reshape(count - first, -1)
         assert state.frames is not None
-        frames = state.frames.extended(weights > 0, radiance[first:], variance[first:])
+        lit = images.schedule.batch(0, count).reshape(count, -1) > 0
+        first = HELD_OUT.get(level, 0)
+        held = _with(state.held, Held(lit[:first], radiance[:first]))
+        frames = state.frames.extended(lit[first:], radiance[first:], variance[first:])
         model = fit(state.domain.shape, frames, memory_bytes)
-        found = _estimate(state, frames, model, held[0])
+        found = _estimate(frames, model, held)
         row = _row(level, count, nodes=len(model.basis.first), estimated_error=found.error)
         state = replace(
             state,
             level=level + 1,
             frames=frames,
             new=count - first,
-            held_out=held,
+            held=held,
             model=model,
             estimates=(*state.estimates, found),
             rows=(*state.rows, row),
@@ -199,15 +208,19 @@ class NearFar:
         arrays["lit"] = state.frames.lit[first:].astype(np.uint8)
         arrays["radiance"] = state.frames.radiance[first:]
         arrays["variance"] = state.frames.variance[first:]
-        if state.level == 2:
-            arrays["held_out"] = state.held_out[0]
+        new_held = HELD_OUT.get(state.level - 1, 0) if state.held is not None and state.new else 0
+        if new_held:
+            assert state.held is not None
+            last = slice(len(state.held.lit) - new_held, None)
+            arrays["held_lit"] = state.held.lit[last].astype(np.uint8)
+            arrays["held_radiance"] = state.held.radiance[last]
         if state.model is not None and state.new:
             arrays["functions"] = state.model.basis.functions
             arrays["cores"] = state.model.cores
         attributes: dict[str, Any] = {
             "level": state.level,
             "new": state.new,
-            "estimates": [[found.error, found.dark, found.indirect] for found in state.estimates],
+            "estimates": [list(astuple(found)) for found in state.estimates],
             "done": state.done,
             "rows": list(state.rows),
         }
@@ -230,8 +243,11 @@ class NearFar:
             np.concatenate([arrays["radiance"] for arrays in own]),
             np.concatenate([arrays["variance"] for arrays in own]),
         )
-        model = None
+        model, held = None, None
         for arrays in own:
+            if "held_lit" in arrays:
+                lit = arrays["held_lit"].astype(np.bool_)
+                held = _with(held, Held(lit, arrays["held_radiance"]))
             if "cores" in arrays:
                 basis = MultiscaleBasis(start.domain.shape, arrays["functions"])
                 model = Model(basis, arrays["cores"])
@@ -240,7 +256,7 @@ class NearFar:
             level=about["level"],
             frames=frames,
             new=about["new"],
-            held_out=(own[1]["held_out"],) if len(own) > 1 else (),
+            held=held,
             model=model,
             estimates=tuple(Estimate(*found) for found in about["estimates"]),
             done=about["done"],
@@ -254,7 +270,7 @@ class NearFar:
             return 0
         count = ROUNDS[state.level - 1]
         if state.settings.patterns:
-            held = HELD_OUT if state.level == 1 else 0
+            held = HELD_OUT.get(state.level, 0)
             count = min(count, max(state.settings.patterns - state.shown - held, 0))
         return count
 
@@ -264,8 +280,9 @@ class NearFar:
         limit = state.settings.patterns
         if found.error <= state.settings.target_error or (limit and state.shown >= limit):
             return replace(state, done=True)
-        before = state.estimates[-2].error if len(state.estimates) > 1 else np.inf
-        stalled = found.error > _STALLED * before
+        # the first estimate knows no strip yet
+        comparable = len(state.estimates) > 2
+        stalled = comparable and found.error > _STALLED * state.estimates[-2].error
         hopeless = found.dark > _UNEXPLAINED * found.indirect
         if not (stalled or hopeless or state.level > len(ROUNDS)):
             return state
@@ -303,12 +320,21 @@ def _read(state: NearFarState, images: LevelImages) -> tuple[Float, Float]:
     return radiance, variance
 
 
-def _estimate(state: NearFarState, frames: Frames, model: Model, held_out: Float) -> Estimate:
-    lit = held_out_patterns(state.domain.shape).reshape(HELD_OUT, -1)
-    light = np.concatenate([lit, np.ones_like(lit[:1])]).astype(np.float32)
+def _with(held: Held | None, more: Held) -> Held:
+    """Return held-out pictures and more of them."""
+    if held is None:
+        return more
+    return Held(
+        np.concatenate([held.lit, more.lit]),
+        np.concatenate([held.radiance, more.radiance]),
+    )
+
+
+def _estimate(frames: Frames, model: Model, held: Held) -> Estimate:
+    light = np.concatenate([held.lit, np.ones_like(held.lit[:1])]).astype(np.float32)
     bounced = indirect(model, frames.floodlit, light)
     predicted = light[:-1, None] * (frames.floodlit - bounced[-1]) + bounced[:-1]
-    return estimate(predicted, held_out, lit)
+    return estimate(predicted, held)
 
 
 @dataclass(frozen=True)
@@ -385,8 +411,8 @@ def _model_is_better(state: NearFarState) -> bool:
     """Whether the smooth model predicts the held-out pictures better than the whole hierarchy."""
     if state.symmetric is None or state.symmetric.level < state.symmetric.tree.n_levels:
         return False
-    lit = held_out_patterns(state.domain.shape)
-    relit = Symmetric().transport(state.symmetric).relight_batch(lit.astype(np.float32))
-    planar = np.moveaxis(relit.reshape(HELD_OUT, -1, state.channels), -1, 1)
-    found = estimate(planar, state.held_out[0], lit.reshape(HELD_OUT, -1))
-    return state.estimates[-1].error < found.error
+    assert state.held is not None
+    patterns = state.held.lit.reshape(-1, *state.domain.shape).astype(np.float32)
+    relit = Symmetric().transport(state.symmetric).relight_batch(patterns)
+    planar = np.moveaxis(relit.reshape(len(patterns), -1, state.channels), -1, 1)
+    return state.estimates[-1].error < estimate(planar, state.held).error

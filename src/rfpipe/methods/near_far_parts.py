@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from rfpipe.transport.multiscale_basis import coarsest_scale
 from rfpipe.transport.multiscale_kernels import couple
 from rfpipe.transport.sum import SumTransport
 
-__all__ = ["as_transport", "indirect", "light_range"]
+__all__ = ["LightRange", "as_transport", "indirect", "light_range"]
 
 # Pairs of functions whose coarser one is finer than this part of the coarsest scale are near range.
 _NEAR = 4
@@ -33,11 +34,29 @@ def indirect(model: Model, floodlit: Float, light: Float) -> Float:
     return images
 
 
-def light_range(shape: tuple[int, ...], model: Model, floodlit: Float) -> Float:
-    """Return from how far each pixel's indirect light comes, root mean square, in pixels.
+@dataclass(frozen=True)
+class LightRange:
+    """Where the indirect light of each pixel comes from.
 
-    At least half a pixel, at most the image's diagonal, which also stands where there is none.
+    Attributes
+    ----------
+    reach : ndarray of float32, shape (*shape)
+        Root mean square distance in pixels: at least half a pixel, at most the image's diagonal,
+        which also stands where there is no such light.
+    nearness : ndarray of float32, shape (*shape)
+        Indirect light's share of the floodlit image, 0 to 1, over its reach.
+    down, across : ndarray of float32, shape (*shape)
+        Mean direction, not normalized; 0 where there is no such light.
     """
+
+    reach: Float
+    nearness: Float
+    down: Float
+    across: Float
+
+
+def light_range(shape: tuple[int, ...], model: Model, floodlit: Float) -> LightRange:
+    """Find where each pixel's indirect light comes from under floodlight."""
     height, width = shape[-2:]
     row, column = (np.broadcast_to(axis, shape).ravel() for axis in np.ogrid[:height, :width])
     square = row**2 + column**2
@@ -46,8 +65,18 @@ def light_range(shape: tuple[int, ...], model: Model, floodlit: Float) -> Float:
     light, down, across, squares = indirect(model, floodlit, moments).sum(axis=1, dtype=np.float64)
     total = light * square + squares - 2 * (row * down + column * across)
     diagonal = float(height**2 + width**2)
-    found = np.divide(total, light, out=np.full(len(row), diagonal), where=light > 0)
-    return np.sqrt(np.clip(found, 0.25, diagonal)).astype(np.float32).reshape(shape)
+    there = light > 0
+    found = np.divide(total, light, out=np.full(len(row), diagonal), where=there)
+    reach = np.sqrt(np.clip(found, 0.25, diagonal))
+    white = floodlit.sum(axis=0, dtype=np.float64)
+    share = np.divide(light, white, out=np.zeros_like(light), where=white > 0)
+    images = (
+        reach,
+        np.clip(share, 0, 1) / reach,
+        np.where(there, down - row * light, 0),
+        np.where(there, across - column * light, 0),
+    )
+    return LightRange(*(image.astype(np.float32).reshape(shape) for image in images))
 
 
 def as_transport(

@@ -12,24 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float
+from rfpipe.methods.near_far_parts import LightRange
 from rfpipe.provenance import generator
 
-__all__ = ["HELD_OUT", "held_out_patterns", "probe_patterns"]
+__all__ = ["held_out_strip_twice", "held_out_twice", "probe_patterns"]
 
 _SEED = 2006
 # How strong the bands are beside the noise, in its standard deviations, and how many octaves of
 # range a band and its dark neighbour take together.
 _BANDS = 1.5
 _OCTAVES = (2.0, 10.0)
-# Each held-out pattern is shown twice: the product of two errors has no noise on average.
-HELD_OUT = 4
-_HELD_OUT_LIT = (0.5, 0.15)
+# One probe in so many is a strip; parts of the image that strips light.
+_STRIPS = 4
+_NARROWEST, _WIDEST = 0.01, 0.3
+# Parts of the image that held-out patterns light.
+_HELD_OUT, _HELD_OUT_STRIP = 0.3, 1 / 32
 
 
 def probe_patterns(
-    shape: tuple[int, ...], level: int, count: int, reach: Float | None
+    shape: tuple[int, ...], level: int, count: int, found: LightRange | None = None
 ) -> NDArray[np.bool_]:
-    """Return random patterns, half lit, bool (count, *shape).
+    """Return random patterns, bool (count, *shape).
 
     Parameters
     ----------
@@ -38,28 +41,45 @@ def probe_patterns(
     level : int
         Of the acquisition: another level has other patterns.
     count : int
-    reach : ndarray of float32, shape `shape`, optional
-        Range of each pixel's indirect light, in pixels, above 0; None where it is not known yet.
+    found : LightRange, optional
+        Where indirect light comes from; None where it is not known yet.
     """
     patterns = np.zeros((count, *shape), np.bool_)
     for index in range(count):
         random = generator(_SEED, level, index)
         field = _noise(shape, random)
-        if reach is not None:
+        if found is not None:
             octaves = 1 / random.uniform(1 / _OCTAVES[1], 1 / _OCTAVES[0])
             phase = random.uniform(0, 1)
-            field += _BANDS * np.cos(2 * np.pi * (np.log2(reach) / octaves + phase))
+            angle = random.uniform(0, 2 * np.pi)
+            side = np.cos(angle) * found.across + np.sin(angle) * found.down > 0
+            bands = np.log2(found.reach) / octaves + phase + side / 2
+            field += _BANDS * np.cos(2 * np.pi * bands)
         patterns[index] = field > np.median(field)
+        if found is not None and index % _STRIPS == 0:
+            part = np.exp(random.uniform(np.log(_NARROWEST), np.log(_WIDEST)))
+            patterns[index] = _brightest(found.nearness, part) & side
     return patterns
 
 
-def held_out_patterns(shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return the patterns that no fit sees, each twice in a row, bool (HELD_OUT, *shape)."""
-    patterns = []
-    for index, lit in enumerate(_HELD_OUT_LIT):
-        field = _noise(shape, generator(_SEED, 0, index))
-        patterns += [field > np.quantile(field, 1 - lit)] * 2
-    return np.array(patterns)
+def held_out_twice(shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return a pattern of random shapes, twice, bool (2, *shape)."""
+    lit = _brightest(_noise(shape, generator(_SEED, 0, 0)), _HELD_OUT)
+    return np.stack([lit, lit])
+
+
+def held_out_strip_twice(found: LightRange) -> NDArray[np.bool_]:
+    """Return the strip where most light stays near, twice, bool (2, *shape)."""
+    lit = _brightest(found.nearness, _HELD_OUT_STRIP)
+    return np.stack([lit, lit])
+
+
+def _brightest(image: NDArray[np.float32], part: float) -> NDArray[np.bool_]:
+    """Return the part of an image that is brightest; of equal pixels, the first."""
+    count = max(1, round(part * image.size))
+    chosen = np.zeros(image.size, np.bool_)
+    chosen[np.argsort(-image.ravel(), kind="stable")[:count]] = True
+    return chosen.reshape(image.shape)
 
 
 def _noise(shape: tuple[int, ...], random: np.random.Generator) -> NDArray[np.float64]:
