@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rfpipe.report.drawing import METHOD_COLOURS, label_left, new_figure
+from rfpipe.report.drawing import METHOD_COLOURS, label_left, new_figure, shared_legend
 from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run
 
 if TYPE_CHECKING:
@@ -139,14 +139,7 @@ def speed_error_figure(inputs: Inputs, scenes: Sequence[str]) -> Figure:
                            transform=column[0].transAxes, color="#555555")  # fmt: skip
     label_left(axes[0, 0], "error on the unlit pixels")
     label_left(axes[1, 0], "total error")
-    handles: dict[str, Any] = {}
-    for axis in axes.flat:
-        found, labels = axis.get_legend_handles_labels()
-        handles |= dict(zip(labels, found, strict=True))
-    figure.legend(
-        handles=list(handles.values()), loc="outside lower center", ncols=len(handles),
-        fontsize=8.5, frameon=False,
-    )  # fmt: skip
+    shared_legend(figure)
     return figure
 
 

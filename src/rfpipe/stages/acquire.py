@@ -20,6 +20,7 @@ from rfpipe.photometry.normalize import Mode
 from rfpipe.rigs import Rig
 from rfpipe.stages.images import ImagesInMemory, NormalizedImages, known_light, normalize_level
 from rfpipe.stages.merging import LevelSum, Merger, reference_patterns, runs
+from rfpipe.stages.progress import log_estimate
 from rfpipe.transport import Transport
 
 if TYPE_CHECKING:
@@ -53,6 +54,11 @@ class AcquisitionResult:
     def levels(self) -> pd.DataFrame:
         """The table of levels, see `Transport.levels`."""
         return self.transport.levels
+
+    @property
+    def history(self) -> pd.DataFrame:
+        """The method's own estimates of its error while it ran, see `Transport.history`."""
+        return self.transport.history
 
     @property
     def seconds(self) -> float:
@@ -154,6 +160,7 @@ def acquire(
             noise_significance,
         )
         state = plan.refine(state, NormalizedImages(schedule, merged, gain))
+        log_estimate(state.rows, settings.target_error)
     transport = plan.transport(state)
     processing = perf_counter() - began - session.capture_seconds
     return AcquisitionResult(
