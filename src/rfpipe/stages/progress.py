@@ -80,7 +80,7 @@ def log_estimate(level_rows: Sequence[Mapping[str, Any]], target_error: float) -
     if found and found[-1]["level"] == level_rows[-1]["level"]:
         last = found[-1]
         _log.info(
-            "level %d: estimated error %.3g %% after %d patterns, %.3g %% asked for",
+            "level %d: estimated error %.2f %% after %d patterns, %.3g %% asked for",
             last["level"],
             100 * last["estimated_error"],
             last["patterns"],
