@@ -156,11 +156,9 @@ def test_without_truth_nothing_is_compared_and_no_line_is_drawn() -> None:
     assert [row[-2:] for row in compared.table.rows] == 2 * [["\N{EN DASH}", "\N{EN DASH}"]]
     assert "not known" in compared.caption
     assert "Dashed" not in chart.caption
-    assert not [line for axis in chart.figure.axes for line in axis.lines if is_dashed(line)]
-
-
-def is_dashed(line) -> bool:
-    return line.get_linestyle() == "--"
+    assert not [
+        line for axis in chart.figure.axes for line in axis.lines if line.get_linestyle() == "--"
+    ]
 
 
 def test_the_curve_is_drawn_in_per_cent_with_truth_dashed_and_target_dotted() -> None:
@@ -169,19 +167,15 @@ def test_the_curve_is_drawn_in_per_cent_with_truth_dashed_and_target_dotted() ->
     figure = estimates_figure(histories(inputs.runs), compare(inputs), 0.02, titles)
     corner, other = figure.axes
     assert [axis.get_title() for axis in figure.axes] == ["corner (III)", "other"]
-    lines = {line.get_label(): line for line in corner.lines}
-    assert set(lines) == {
-        "Near/far acquisition, estimated", "Near/far acquisition, true", "asked for",
-    }  # fmt: skip
-    estimated = lines["Near/far acquisition, estimated"]
+    estimated, true, target = corner.lines
+    assert estimated.get_label() == "Near/far acquisition"
     np.testing.assert_allclose(estimated.get_xydata(), [[15, 8], [40, 1.2]])
-    assert is_dashed(lines["Near/far acquisition, true"])
-    np.testing.assert_allclose(lines["Near/far acquisition, true"].get_ydata(), 1)
-    np.testing.assert_allclose(lines["asked for"].get_ydata(), 2)
+    assert true.get_color() == estimated.get_color()
+    assert [line.get_linestyle() for line in (estimated, true, target)] == ["-", "--", ":"]
+    np.testing.assert_allclose(true.get_ydata(), 1)
+    np.testing.assert_allclose(target.get_ydata(), 2)
     # no estimate above 0 to draw on a logarithmic axis
-    assert not len({line.get_label(): line for line in other.lines}[
-        "Optical low rank, estimated"
-    ].get_xydata())  # fmt: skip
+    assert not len(other.lines[0].get_xydata())
     for axis in figure.axes:
         assert axis.get_xscale() == axis.get_yscale() == "log"
         low, high = axis.get_ylim()

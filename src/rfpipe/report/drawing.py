@@ -44,6 +44,7 @@ _DPI = 110
 _SMALL = 8.0
 _RATIOS = (0.25, 1.4)
 _ABREAST = 4
+_LEGEND_ENTRY = 1.9  # inches
 _MARGIN = 1.3  # of a logarithmic axis, beyond what it shows
 
 
@@ -92,14 +93,14 @@ def scene_panels(titles: Sequence[str], x_label: str, y_label: str) -> tuple[Fig
     return figure, list(axes.flat[: len(titles)])
 
 
-def logarithmic(axis: Axes) -> None:
-    """Make both axes of a plot logarithmic, their numbers plain."""
+def logarithmic(axis: Axes, steps: Sequence[int] = (1, 3)) -> None:
+    """Make both axes of a plot logarithmic, with plain numbers at `steps` of each decade."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_xscale("log")
     axis.set_yscale("log")
     for direction in (axis.xaxis, axis.yaxis):
-        direction.set_major_locator(LogLocator(10, (1, 3)))
+        direction.set_major_locator(LogLocator(10, steps))
         direction.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
         direction.set_minor_formatter(NullFormatter())
     axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
@@ -114,12 +115,14 @@ def logarithmic_limits(values: ArrayLike) -> tuple[float, float]:
 
 def shared_legend(figure: Figure) -> None:
     """Put a legend of all that the panels of a figure name below them, each name once."""
+    columns = max(int(figure.get_figwidth() / _LEGEND_ENTRY), 1)
     handles: dict[str, Any] = {}
     for axis in figure.axes:
         found, labels = axis.get_legend_handles_labels()
         handles |= dict(zip(labels, found, strict=True))
     figure.legend(
-        handles=list(handles.values()), loc="outside lower center", ncols=len(handles),
+        handles=list(handles.values()), loc="outside lower center",
+        ncols=min(columns, len(handles)),
         fontsize=8.5, frameon=False,
     )  # fmt: skip
 

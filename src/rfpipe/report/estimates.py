@@ -137,20 +137,20 @@ def estimates_figure(
     figure, axes = scene_panels([titles[scene] for scene in scenes], "patterns", "error, %")
     shown = [*steps["estimated_error"], *compared["true_error"], target]
     for axis, scene in zip(axes, scenes, strict=True):
-        logarithmic(axis)
+        logarithmic(axis, (1, 2, 5))
         for method, own in steps[steps["scene"] == scene].groupby("method", sort=False):
             seen = own[own["estimated_error"] > 0]
             axis.plot(
                 seen["patterns"], 100 * seen["estimated_error"], "o-", markersize=3.5,
                 linewidth=1.4, color=METHOD_COLOURS[str(method)],
-                label=f"{METHOD_TITLES[str(method)]}, estimated",
+                label=METHOD_TITLES[str(method)],
             )  # fmt: skip
         for run in compared[compared["scene"] == scene].dropna(subset=["true_error"]).itertuples():
             axis.axhline(
                 100 * run.true_error, linestyle="--", linewidth=1.1,
-                color=METHOD_COLOURS[run.method], label=f"{METHOD_TITLES[run.method]}, true",
+                color=METHOD_COLOURS[run.method],
             )  # fmt: skip
-        axis.axhline(100 * target, linestyle=":", linewidth=0.9, color="#5c5c5c", label="asked for")
+        axis.axhline(100 * target, linestyle=":", linewidth=0.9, color="#5c5c5c")
         axis.set_xlim(*logarithmic_limits(steps["patterns"]))
         axis.set_ylim(*logarithmic_limits([100 * error for error in shown]))
     shared_legend(figure)
