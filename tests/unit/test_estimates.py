@@ -60,7 +60,7 @@ def random_matrix(rays: int = 256) -> np.ndarray:
 def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path, caplog) -> None:
     caplog.set_level(logging.INFO, "rfpipe")
     rig = OperatorRig(random_matrix(), (16, 16), (16, 16))
-    result = acquire(rig, "low_rank", progress=False, target_error=0.005)
+    result = acquire(rig, "low_rank", target_error=0.005)
     assert result.history["patterns"].tolist() == [17, 33, 65, 129, 257]
     assert result.history["patterns"].iloc[-1] == result.patterns
     errors = result.history["estimated_error"]
@@ -75,6 +75,9 @@ def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path, caplog) 
     assert told[0] == (
         f"level 1: estimated error {100 * errors[0]:.2f} % after 17 patterns, 0.5 % asked for"
     )
+    caplog.clear()
+    acquire(rig, "low_rank", progress=False, target_error=0.005)
+    assert not caplog.records
 
 
 def test_a_method_without_estimates_has_an_empty_history() -> None:
@@ -228,3 +231,13 @@ def test_the_reports_tables_hold_what_the_acquisition_found(results) -> None:
     page = (folder / "report" / "index.html").read_text(encoding="utf-8")
     assert 'id="estimates"' in page
     assert (folder / "report" / "figures" / "estimated_error.png").is_file()
+
+
+def test_terms_of_an_image_are_not_drawn_as_leaves_of_blocks(results) -> None:
+    folder, _ = results
+    assert not (folder / "report" / "figures" / "fig_5_10.png").exists()
+    levels = pd.read_csv(folder / "report" / "tables" / "levels.csv")
+    assert levels["rank1"].max() > 1
+    page = (folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "(c) Entries of T" in page
+    assert "(d) Level of the leaf" not in page

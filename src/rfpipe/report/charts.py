@@ -15,7 +15,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["STAGES", "leaves_figure", "resolution_figure", "speed_error_figure", "times_figure"]
+__all__ = [
+    "STAGES",
+    "has_leaves_of_nodes",
+    "leaves_figure",
+    "resolution_figure",
+    "speed_error_figure",
+    "times_figure",
+]
 
 STAGES = ("schedule", "capture", "merge", "normalize", "refine", "assemble")
 """Stages of an acquisition in order; all but the capture are processing."""
@@ -29,6 +36,14 @@ _KINDS = (
 )
 _LEGEND_WIDTH = 6.6  # inches, of the kinds of leaves in one row
 _STAGE_COLOURS = ("#8fb3d9", "#d9d9d9", "#3a6fb0", "#9aca8c", "#e0914a", "#7d5ba6")
+
+
+def has_leaves_of_nodes(run: Run) -> bool:
+    """Tell whether each of a level's nodes became one thing, as in a hierarchy of blocks."""
+    return all(
+        sum(int(row.get(key, 0)) for key, *_ in _KINDS) == row["nodes"]
+        for row in run.facts["levels"]
+    )
 
 
 def leaves_figure(rows: Sequence[Sequence[Run]]) -> Figure:

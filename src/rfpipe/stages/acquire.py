@@ -93,7 +93,8 @@ def acquire(
     tolerance : float
         Error allowed in an image, as a fraction of the floodlit image's maximum; above 0.
     progress : bool
-        Whether to show a progress bar a level on stderr.
+        Whether to show a progress bar a level on stderr, and to log what methods estimate of
+        their error.
     noise_significance : float
         Standard deviations that make a measured energy significant; at least 0.
     subtract_stored : bool
@@ -160,7 +161,8 @@ def acquire(
             noise_significance,
         )
         state = plan.refine(state, NormalizedImages(schedule, merged, gain))
-        log_estimate(state.rows, settings.target_error)
+        if progress:
+            log_estimate(state.rows, settings.target_error)
     transport = plan.transport(state)
     processing = perf_counter() - began - session.capture_seconds
     return AcquisitionResult(
