@@ -91,7 +91,7 @@ def test_the_held_out_estimate_is_the_error_on_patterns_not_yet_seen() -> None:
         state = method.refine(state, MatrixImages(matrix[None], (16, 16), schedule))
     signs = 2 * schedule.batch(0, 16).reshape(16, -1) - 1
     true = np.linalg.norm((before - matrix) @ signs.T) / np.linalg.norm(matrix @ signs.T)
-    assert state.estimates[-1] == pytest.approx(true, rel=1e-3)
+    assert state.rows[-1]["estimated_error"] == pytest.approx(true, rel=1e-3)
 
 
 def test_colours_may_differ_in_rank_and_one_may_be_dark() -> None:
@@ -139,7 +139,7 @@ def test_states_go_through_a_store_at_every_level(tmp_path: Path) -> None:
             again, expected = method.schedule(restored), method.schedule(after)
             np.testing.assert_array_equal(again.weights, expected.weights)
         assert (restored.done, restored.shown) == (after.done, after.shown)
-        assert restored.estimates == after.estimates
+        assert restored.rows == after.rows
         np.testing.assert_array_equal(
             dense(method.transport(restored)), dense(method.transport(after))
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -28,3 +29,20 @@ def test_the_files_hold_what_an_acquisition_in_process_finds(method: str, tmp_pa
     assert set(found) == set(expected)
     for name, array in expected.items():
         np.testing.assert_array_equal(found[name], array, err_msg=name)
+
+
+def test_refining_tells_what_the_method_estimates(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "rfpipe")
+    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
+    acquisition.plan = Plan("low_rank", SHAPE, SHAPE, 1, target_error=1e-4, patterns=20)
+    for level in range(acquisition.plan.n_levels):
+        acquisition.level(level)
+    told = [record.message for record in caplog.records if "estimated" in record.message]
+    assert told == [
+        f"level {level}: estimated error {100 * error:.2f} % after {patterns} patterns, "
+        "0.01 % asked for"
+        for level, patterns, error in acquisition.assemble().history.itertuples(index=False)
+    ]
+    assert told

@@ -18,7 +18,16 @@ Float = NDArray[np.float32]
 MEMORY_BYTES = 2**32
 """Memory that refining a level may take where nothing else is said: 4 GiB."""
 
-State = TypeVar("State")
+
+class LevelState(Protocol):
+    """What the states of all methods have in common."""
+
+    @property
+    def rows(self) -> Sequence[Mapping[str, Any]]:
+        """The table of levels so far, as `Transport.level_rows` will have it."""
+
+
+State = TypeVar("State", bound=LevelState)
 
 
 @dataclass(frozen=True)

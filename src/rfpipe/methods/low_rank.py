@@ -8,7 +8,6 @@ of a matrix*, Applied Numerical Mathematics 57 (2007).
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil, log2, sqrt
@@ -31,8 +30,6 @@ _FIRST_ROUND = 16
 # So many patterns at most, and where they are asked for: a fit's time grows with their square.
 OWN_MOST, _MOST = 512, 4096
 
-_log = logging.getLogger(__name__)
-
 
 @dataclass(frozen=True)
 class LowRankState:
@@ -54,12 +51,11 @@ class LowRankState:
         To all of them.
     ranks : tuple of int
         Terms of the fit after each level.
-    estimates : tuple of float
-        Per round, the error of the fit before it, relative to the images' norm.
     done : bool
         Whether no more patterns are asked for.
     rows : tuple of dict
-        The table of levels so far.
+        The table of levels so far; a round's ``estimated_error`` is that of the fit before it,
+        relative to the images' norm.
     """
 
     domain: RayDomain
@@ -70,9 +66,8 @@ class LowRankState:
     images: tuple[Float, ...] = ()
     noise: tuple[NDArray[np.float64], ...] = ()
     ranks: tuple[int, ...] = ()
-    estimates: tuple[float, ...] = ()
     done: bool = False
-    rows: tuple[dict[str, int], ...] = ()
+    rows: tuple[dict[str, Any], ...] = ()
 
     @property
     def shown(self) -> int:
@@ -141,26 +136,24 @@ class LowRank:
         count = images.schedule.count
         signed, noise = _read(state, images)
         level = state.level
-        estimates, done = state.estimates, state.done or not count
+        done, found = state.done or not count, {}
         if level and count:
             signs = _signs(state.domain, level, count)
             estimate, within_noise = _held_out(state.fit, signs, signed, noise)
-            estimates = (*estimates, estimate)
+            found = {"estimated_error": estimate}
             done = within_noise or estimate <= state.settings.target_error
-            _log.info("level %d: relative error of the fit before it %.4g", level, estimate)
         state = replace(
             state,
             level=level + 1,
             images=(*state.images, signed),
             noise=(*state.noise, noise),
-            estimates=estimates,
             done=done,
         )
         if count:
             state = replace(state, fit=_fit_all(state))
         rank = state.fit.strengths.shape[1]
         row = {"level": level, "patterns": count, "nodes": 1, "empty": 0, "rank1": rank}
-        row |= {"scalar": state.domain.size, "subdivided": 0}
+        row |= {"scalar": state.domain.size, "subdivided": 0, **found}
         return replace(state, ranks=(*state.ranks, rank), rows=(*state.rows, row))
 
     def transport(self, state: LowRankState) -> LowRankTransport:
@@ -183,7 +176,6 @@ class LowRank:
         attributes = {
             "level": state.level,
             "ranks": list(state.ranks),
-            "estimates": list(state.estimates),
             "done": state.done,
             "rows": list(state.rows),
         }
@@ -201,7 +193,6 @@ class LowRank:
             noise=tuple(pack.arrays["noise"] for pack in packs),
             fit=Fit(*(packs[-1].arrays[name] for name in _FIT)),
             ranks=tuple(about["ranks"]),
-            estimates=tuple(about["estimates"]),
             done=about["done"],
             rows=tuple(about["rows"]),
         )

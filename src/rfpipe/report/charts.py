@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rfpipe.report.drawing import METHOD_COLOURS, label_left, new_figure
+from rfpipe.report.drawing import METHOD_COLOURS, label_left, new_figure, shared_legend
 from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run
 
 if TYPE_CHECKING:
@@ -15,7 +15,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["STAGES", "leaves_figure", "resolution_figure", "speed_error_figure", "times_figure"]
+__all__ = [
+    "STAGES",
+    "has_leaves_of_nodes",
+    "leaves_figure",
+    "resolution_figure",
+    "speed_error_figure",
+    "times_figure",
+]
 
 STAGES = ("schedule", "capture", "merge", "normalize", "refine", "assemble")
 """Stages of an acquisition in order; all but the capture are processing."""
@@ -29,6 +36,14 @@ _KINDS = (
 )
 _LEGEND_WIDTH = 6.6  # inches, of the kinds of leaves in one row
 _STAGE_COLOURS = ("#8fb3d9", "#d9d9d9", "#3a6fb0", "#9aca8c", "#e0914a", "#7d5ba6")
+
+
+def has_leaves_of_nodes(run: Run) -> bool:
+    """Tell whether each of a level's nodes became one thing, as in a hierarchy of blocks."""
+    return all(
+        sum(int(row.get(key, 0)) for key, *_ in _KINDS) == row["nodes"]
+        for row in run.facts["levels"]
+    )
 
 
 def leaves_figure(rows: Sequence[Sequence[Run]]) -> Figure:
@@ -139,14 +154,7 @@ def speed_error_figure(inputs: Inputs, scenes: Sequence[str]) -> Figure:
                            transform=column[0].transAxes, color="#555555")  # fmt: skip
     label_left(axes[0, 0], "error on the unlit pixels")
     label_left(axes[1, 0], "total error")
-    handles: dict[str, Any] = {}
-    for axis in axes.flat:
-        found, labels = axis.get_legend_handles_labels()
-        handles |= dict(zip(labels, found, strict=True))
-    figure.legend(
-        handles=list(handles.values()), loc="outside lower center", ncols=len(handles),
-        fontsize=8.5, frameon=False,
-    )  # fmt: skip
+    shared_legend(figure)
     return figure
 
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,9 +19,13 @@ __all__ = [
     "chunks",
     "label_below",
     "label_left",
+    "logarithmic",
+    "logarithmic_limits",
     "new_figure",
     "panel_ratio",
     "png",
+    "scene_panels",
+    "shared_legend",
     "show_radiance",
     "srgb",
 ]
@@ -39,6 +43,9 @@ METHOD_COLOURS = {
 _DPI = 110
 _SMALL = 8.0
 _RATIOS = (0.25, 1.4)
+_ABREAST = 4
+_LEGEND_ENTRY = 1.9  # inches
+_MARGIN = 1.3  # of a logarithmic axis, beyond what it shows
 
 
 def new_figure(
@@ -69,6 +76,55 @@ def new_figure(
         for spine in axis.spines.values():
             spine.set_linewidth(0.6)
     return figure, axes
+
+
+def scene_panels(titles: Sequence[str], x_label: str, y_label: str) -> tuple[Figure, list[Axes]]:
+    """Make a figure of small plots, one a title, at most four abreast; return them in order."""
+    columns = min(_ABREAST, len(titles))
+    rows = -(-len(titles) // columns)
+    figure, axes = new_figure(rows, columns, (2.5 * columns + 0.5, 2.4 * rows + 0.4))
+    for axis, title in zip(axes.flat, titles, strict=False):
+        axis.set_title(title, fontsize=9, pad=4)
+        axis.set_xlabel(x_label, fontsize=8.5)
+    for axis in axes.flat[len(titles) :]:
+        axis.set_axis_off()
+    for axis in axes[:, 0]:
+        axis.set_ylabel(y_label, fontsize=8.5)
+    return figure, list(axes.flat[: len(titles)])
+
+
+def logarithmic(axis: Axes, steps: Sequence[int] = (1, 3)) -> None:
+    """Make both axes of a plot logarithmic, with plain numbers at `steps` of each decade."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    for direction in (axis.xaxis, axis.yaxis):
+        direction.set_major_locator(LogLocator(10, steps))
+        direction.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
+        direction.set_minor_formatter(NullFormatter())
+    axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
+
+
+def logarithmic_limits(values: ArrayLike) -> tuple[float, float]:
+    """Return limits of a logarithmic axis that shows all values above 0."""
+    found = np.asarray(values, float)
+    found = found[np.isfinite(found) & (found > 0)]
+    return (found.min() / _MARGIN, found.max() * _MARGIN) if found.size else (_MARGIN, 10.0)
+
+
+def shared_legend(figure: Figure) -> None:
+    """Put a legend of all that the panels of a figure name below them, each name once."""
+    columns = max(int(figure.get_figwidth() / _LEGEND_ENTRY), 1)
+    handles: dict[str, Any] = {}
+    for axis in figure.axes:
+        found, labels = axis.get_legend_handles_labels()
+        handles |= dict(zip(labels, found, strict=True))
+    figure.legend(
+        handles=list(handles.values()), loc="outside lower center",
+        ncols=min(columns, len(handles)),
+        fontsize=8.5, frameon=False,
+    )  # fmt: skip
 
 
 def png(figure: Figure) -> bytes:

@@ -108,6 +108,11 @@ class Run:
         return "truth" in self.images.names
 
     @property
+    def has_leaf_levels(self) -> bool:
+        """Whether the level of the leaf is known that holds each entry along a line."""
+        return "line_levels" in self.images.names
+
+    @property
     def white(self) -> float:
         """Radiance shown as white: the maximum of the floodlit image, the true one if known."""
         name = "floodlit_truth" if self.has_truth else "floodlit_captured"

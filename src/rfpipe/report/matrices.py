@@ -41,7 +41,7 @@ def matrices_figure(runs: Sequence[Run]) -> Figure:
     runs : sequence of Run
         Of one method, four at most to stay legible.
     """
-    with_levels = all("line_levels" in run.images.names for run in runs)
+    with_levels = all(run.has_leaf_levels for run in runs)
     n_rows = 8 if with_levels else 7
     ratio = panel_ratio([run.settings.shape for run in runs])
     heights = [ratio] * 2 + [1.0] * (n_rows - 5) + [ratio] * 3

@@ -10,7 +10,15 @@ from typing import Any
 
 from rfpipe.config import Config
 from rfpipe.errors import StoreError
-from rfpipe.report import background, benchmarks, captured, light_fields, sections, speed_error
+from rfpipe.report import (
+    background,
+    benchmarks,
+    captured,
+    estimates,
+    light_fields,
+    sections,
+    speed_error,
+)
 from rfpipe.report.blocks import Illustration, Section, Tabulation
 from rfpipe.report.drawing import png
 from rfpipe.report.inputs import METHOD_TITLES, Inputs, load_inputs
@@ -80,6 +88,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
         pictures = [captured.captured_section(inputs), sections.cost_section(inputs)]
     candidates = [
         *pictures,
+        estimates.estimates_section(inputs),
         sections.leaves_section(inputs),
         sections.speed_section(inputs),
         background.resolution_section(inputs),

@@ -88,7 +88,7 @@ def matrices_section(inputs: Inputs) -> Section:
                 f"vertical bar, unlit pixels {matrices.UNLIT_GAIN} times brighter; beside it the "
                 "truth, and the difference before brightening."
             )
-            if method == "brute_force":
+            if not all(run.has_leaf_levels for run in runs):
                 caption = caption.replace(
                     "(d) Level of the leaf that holds each entry: white the root, black single "
                     "rays, pale blue empty. ",
@@ -198,9 +198,9 @@ def levels_section(inputs: Inputs) -> Section | None:
     where = ", the middle view," if last.is_light_field else ""
     caption = (
         f"{last.title}{where} relit with the vertical bar, as if the acquisition had stopped at "
-        "each level; patterns shown up to there, and the relative RMS error in total. A picture "
-        "has full resolution at every level, since a leaf is a product of two images, but the "
-        "light of a lit pixel is spread over its whole block."
+        "each level; patterns shown up to there, and the relative RMS error in total. Where leaves "
+        "are products of two images, a picture has full resolution at every level, but the light "
+        "of a lit pixel is spread over its whole block."
     )
     return Section(
         "levels",
@@ -220,6 +220,7 @@ def leaves_section(inputs: Inputs) -> Section | None:
         for method in inputs.methods
         for is_field in (False, True)
     ]
+    groups = [[run for run in own if charts.has_leaves_of_nodes(run)] for own in groups]
     rows: list[list[Run]] = [list(part) for own in groups for part in chunks(own, _ABREAST)]
     caption = (
         "What becomes of the nodes of each level, in per cent of the nodes measured at it. With "
@@ -235,7 +236,11 @@ def leaves_section(inputs: Inputs) -> Section | None:
         "Leaves at each level (Fig. 5.10)",
         [],
         [
-            Illustration("Fig. 5.10", caption, "fig_5_10", charts.leaves_figure(rows)),
+            *(
+                [Illustration("Fig. 5.10", caption, "fig_5_10", charts.leaves_figure(rows))]
+                if rows
+                else []
+            ),
             Tabulation(
                 "Levels", "Patterns and nodes of each level, added over the scenes of a method.",
                 *tables.levels_table(inputs),

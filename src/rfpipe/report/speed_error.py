@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from rfpipe.report.blocks import Illustration, Section, Tabulation
-from rfpipe.report.drawing import METHOD_COLOURS, new_figure
+from rfpipe.report.drawing import (
+    METHOD_COLOURS,
+    logarithmic,
+    logarithmic_limits,
+    scene_panels,
+    shared_legend,
+)
 from rfpipe.report.inputs import METHOD_TITLES, Inputs
 from rfpipe.report.tables import Table
 from rfpipe.report.text import number, percent, size
@@ -44,8 +50,6 @@ where it has none. The columns up to `setting` tell runs apart."""
 ESTIMATE_FACTOR = 1.5
 """How far off an estimated error may be, either way."""
 
-_ABREAST = 4
-_MARGIN = 1.3  # of a logarithmic axis, beyond what it shows
 _OTHER_COLOUR = "#888888"
 _NOISE = {"default": "the default camera", "low_light": "a sixteenth of its light"}
 
@@ -190,32 +194,17 @@ def curves_figure(table: pd.DataFrame) -> Figure:
         With `COLUMNS`, of one size and one camera.
     """
     scenes = list(dict.fromkeys(table["scene"]))
-    columns = min(_ABREAST, len(scenes))
-    rows = -(-len(scenes) // columns)
-    figure, axes = new_figure(rows, columns, (2.5 * columns + 0.5, 2.4 * rows + 0.4))
-    for axis, scene in zip(axes.flat, scenes, strict=False):
+    titles = [str(scene).replace("_", " ") for scene in scenes]
+    figure, axes = scene_panels(titles, "patterns", "error, %")
+    for axis, scene in zip(axes, scenes, strict=True):
         _draw_scene(axis, table[table["scene"] == scene])
-        axis.set_title(str(scene).replace("_", " "), fontsize=9, pad=4)
-        axis.set_xlim(*_limits(table["patterns"]))
-        axis.set_ylim(*_limits(100 * table[["error_mean", "error_worst"]]))
-    for axis in axes.flat[len(scenes) :]:
-        axis.set_axis_off()
-    for axis in axes[:, 0]:
-        axis.set_ylabel("error, %", fontsize=8.5)
-    handles: dict[str, Any] = {}
-    for axis in axes.flat:
-        found, labels = axis.get_legend_handles_labels()
-        handles |= dict(zip(labels, found, strict=True))
-    figure.legend(
-        handles=list(handles.values()), loc="outside lower center", ncols=len(handles),
-        fontsize=8.5, frameon=False,
-    )  # fmt: skip
+        axis.set_xlim(*logarithmic_limits(table["patterns"]))
+        axis.set_ylim(*logarithmic_limits(100 * table[["error_mean", "error_worst"]]))
+    shared_legend(figure)
     return figure
 
 
 def _draw_scene(axis: Axes, table: pd.DataFrame) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     for method, rows in table.groupby("method", sort=False):
         means = _over_seeds(rows, ["setting"]).sort_values("patterns")
         colour = METHOD_COLOURS.get(str(method), _OTHER_COLOUR)
@@ -224,21 +213,7 @@ def _draw_scene(axis: Axes, table: pd.DataFrame) -> None:
                   linewidth=1.4, label=title)  # fmt: skip
         axis.plot(means["patterns"], 100 * means["error_worst"], ".:", color=colour, markersize=3,
                   linewidth=1)  # fmt: skip
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    for direction in (axis.xaxis, axis.yaxis):
-        direction.set_major_locator(LogLocator(10, (1, 3)))
-        direction.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
-        direction.set_minor_formatter(NullFormatter())
-    axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
-    axis.set_xlabel("patterns", fontsize=8.5)
-
-
-def _limits(values: pd.DataFrame | pd.Series[float]) -> tuple[float, float]:
-    """Limits of a logarithmic axis, the same for all panels."""
-    found = np.asarray(values, float)
-    found = found[np.isfinite(found) & (found > 0)]
-    return (found.min() / _MARGIN, found.max() * _MARGIN) if found.size else (_MARGIN, 10.0)
+    logarithmic(axis)
 
 
 def _over_seeds(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:

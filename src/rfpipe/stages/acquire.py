@@ -20,6 +20,7 @@ from rfpipe.photometry.normalize import Mode
 from rfpipe.rigs import Rig
 from rfpipe.stages.images import ImagesInMemory, NormalizedImages, known_light, normalize_level
 from rfpipe.stages.merging import LevelSum, Merger, reference_patterns, runs
+from rfpipe.stages.progress import log_estimate
 from rfpipe.transport import Transport
 
 if TYPE_CHECKING:
@@ -55,6 +56,11 @@ class AcquisitionResult:
         return self.transport.levels
 
     @property
+    def history(self) -> pd.DataFrame:
+        """The method's own estimates of its error while it ran, see `Transport.history`."""
+        return self.transport.history
+
+    @property
     def seconds(self) -> float:
         """Wall time of the acquisition."""
         return self.capture_seconds + self.processing_seconds
@@ -87,7 +93,8 @@ def acquire(
     tolerance : float
         Error allowed in an image, as a fraction of the floodlit image's maximum; above 0.
     progress : bool
-        Whether to show a progress bar a level on stderr.
+        Whether to show a progress bar a level on stderr, and to log what methods estimate of
+        their error.
     noise_significance : float
         Standard deviations that make a measured energy significant; at least 0.
     subtract_stored : bool
@@ -154,6 +161,8 @@ def acquire(
             noise_significance,
         )
         state = plan.refine(state, NormalizedImages(schedule, merged, gain))
+        if progress:
+            log_estimate(state.rows, settings.target_error)
     transport = plan.transport(state)
     processing = perf_counter() - began - session.capture_seconds
     return AcquisitionResult(

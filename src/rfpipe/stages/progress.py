@@ -1,16 +1,19 @@
-"""Progress of a long stage: a bar on a terminal, else a line now and then in the log."""
+"""Progress: a bar on a terminal, else a line now and then in the log; a method's own estimates."""
 
 from __future__ import annotations
 
 import logging
 import sys
+from collections.abc import Mapping, Sequence
 from time import monotonic
 from typing import TYPE_CHECKING, Any
+
+from rfpipe.transport.history import estimates
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
-__all__ = ["Progress"]
+__all__ = ["Progress", "log_estimate"]
 
 _SECONDS_BETWEEN_LINES = 15.0
 
@@ -61,6 +64,28 @@ class Progress:
         patterns, seconds = self._done - self._before, monotonic() - self._began
         if patterns:
             _log.info("%s: %d patterns in %s", self._name, patterns, _time(seconds))
+
+
+def log_estimate(level_rows: Sequence[Mapping[str, Any]], target_error: float) -> None:
+    """Log the error that a method estimated after the last of its levels, if it did.
+
+    Parameters
+    ----------
+    level_rows : sequence of dict
+        Of the levels so far, as `rfpipe.transport.Transport.level_rows`.
+    target_error : float
+        The error asked for, a fraction like the estimate.
+    """
+    found = estimates(level_rows)
+    if found and found[-1]["level"] == level_rows[-1]["level"]:
+        last = found[-1]
+        _log.info(
+            "level %d: estimated error %.2f %% after %d patterns, %.3g %% asked for",
+            last["level"],
+            100 * last["estimated_error"],
+            last["patterns"],
+            100 * target_error,
+        )
 
 
 def _time(seconds: float) -> str:

@@ -7,6 +7,7 @@ from rfpipe.stages.images import NormalizedImages
 from rfpipe.stages.merge import merged_frames
 from rfpipe.stages.normalize import read_normalization
 from rfpipe.stages.plan import AcquisitionFolder, Plan, restore_state
+from rfpipe.stages.progress import log_estimate
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.stages.workers import Resources
@@ -55,6 +56,7 @@ def run(
             read_schedule(folder, level), merged, read_normalization(folder, level)
         )
         state = plan.method.refine(state, images, resources.data_bytes)
+    log_estimate(state.rows, plan.settings.target_error)
     pack = plan.method.pack(state)
     facts = {
         "stage": "refine",

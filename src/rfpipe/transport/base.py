@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.transport.history import history
 from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
 
@@ -78,6 +79,15 @@ class Transport(ABC):
         import pandas as pd
 
         return pd.DataFrame(self.level_rows)
+
+    @property
+    def history(self) -> pd.DataFrame:
+        """The method's own estimates of its error while it ran: `HISTORY_COLUMNS`.
+
+        A row for each level after which there was one; none for methods without. See
+        `rfpipe.transport.history`.
+        """
+        return history(self.level_rows)
 
     @property
     def T(self) -> TransposedTransport:  # noqa: N802 - as in scipy and numpy

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.store import ArrayBundle
 from rfpipe.transport.base import Float, LazyArrays, Transport
+from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
 
 
@@ -120,7 +120,7 @@ class LowRankTransport(Transport):
         return dict(self._arrays), attributes
 
     @classmethod
-    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:  # noqa: ARG003
+    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:  # noqa: ARG003
         """Build a transport from a store; its arrays are read when first used, and kept."""
         about = bundle.attributes
         return cls(

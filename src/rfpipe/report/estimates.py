@@ -1,0 +1,203 @@
+"""What methods said of their own error while they ran, beside the error that they had."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rfpipe.report.blocks import Illustration, Section, Tabulation
+from rfpipe.report.drawing import (
+    METHOD_COLOURS,
+    logarithmic,
+    logarithmic_limits,
+    scene_panels,
+    shared_legend,
+)
+from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run
+from rfpipe.report.tables import Table
+from rfpipe.report.text import number, percent
+from rfpipe.transport.history import HISTORY_COLUMNS, estimates
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+__all__ = ["compare", "estimates_figure", "estimates_section", "histories"]
+
+
+def estimates_section(inputs: Inputs) -> Section | None:
+    """Estimated error against patterns, or None where no method estimated its own."""
+    steps = histories(inputs.runs)
+    if steps.empty:
+        return None
+    compared = compare(inputs)
+    target = inputs.config.acquisition.target_error
+    curve = (
+        "The error that a method estimated against the patterns shown until then, both axes "
+        f"logarithmic. Dotted: the error asked for, {target:.3g} of a relit image's norm. An "
+        "estimate that is all noise, 0, stands in the table alone."
+    )
+    beside = (
+        "The last estimate, the mean relative RMS error over the relighting patterns, and the one "
+        "over the other."
+    )
+    if compared["true_error"].notna().any():
+        curve += " Dashed: the mean error over the relighting patterns at the end."
+    else:
+        beside += " The truth is not known here."
+    names = {"scene": _titles(inputs), "method": METHOD_TITLES}
+    return Section(
+        "estimates",
+        "Estimated error while it ran",
+        [_ABOUT],
+        [
+            Illustration(
+                "Estimated error against patterns", curve, "estimated_error",
+                estimates_figure(steps, compared, target, names["scene"]),
+            ),
+            Tabulation("Estimated and true error", beside, _compared(compared, names), compared),
+            Tabulation("Estimates level by level", _STEPS, _stepwise(steps, names), steps),
+        ],
+    )  # fmt: skip
+
+
+_ABOUT = (
+    "These methods judge their own transport by pictures of patterns that it was not made from, "
+    "the camera's noise taken off, and stop at the error asked for. Near/far acquisition keeps "
+    "patterns aside for that; optical low rank tests each round's pictures on the fit before the "
+    "round, so that its estimate is an older, worse transport's."
+)
+_STEPS = "Patterns shown up to each level and the error estimated after it."
+
+
+def histories(runs: Sequence[Run]) -> pd.DataFrame:
+    """Return the estimates of all runs: ``scene``, ``method`` and `HISTORY_COLUMNS`."""
+    import pandas as pd
+
+    rows = [
+        {"scene": run.scene, "method": run.method, **step}
+        for run in runs
+        for step in estimates(run.facts["levels"])
+    ]
+    return pd.DataFrame(rows, columns=["scene", "method", *HISTORY_COLUMNS])
+
+
+def compare(inputs: Inputs) -> pd.DataFrame:
+    """Set each run's last estimate beside its true error.
+
+    Returns
+    -------
+    DataFrame
+        For each run that estimated its error ``scene``, ``method``, ``patterns`` of the whole run,
+        ``target_error``, ``estimated_error``, ``true_error``: the mean total error over the
+        relighting patterns, and ``ratio`` of estimate to truth; the last two NaN where the truth
+        is not known, the ratio also where the error is 0.
+    """
+    import pandas as pd
+
+    errors = inputs.errors
+    rows: list[dict[str, Any]] = []
+    for run in inputs.runs:
+        found = estimates(run.facts["levels"])
+        if not found:
+            continue
+        own = errors[(errors["scene"] == run.scene) & (errors["method"] == run.method)]
+        true = float(own["rms_total"].mean()) if len(own) else math.nan
+        estimated = found[-1]["estimated_error"]
+        rows.append(
+            {
+                "scene": run.scene,
+                "method": run.method,
+                "patterns": run.patterns,
+                "target_error": inputs.config.acquisition.target_error,
+                "estimated_error": estimated,
+                "true_error": true,
+                "ratio": estimated / (true or math.nan),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def estimates_figure(
+    steps: pd.DataFrame, compared: pd.DataFrame, target: float, titles: dict[str, str]
+) -> Figure:
+    """Draw estimates against patterns, a panel a scene.
+
+    Parameters
+    ----------
+    steps, compared : DataFrame
+        As `histories` and `compare` return them, not empty.
+    target : float
+        The error asked for.
+    titles : dict of str to str
+        Of the scenes.
+    """
+    scenes = list(dict.fromkeys(steps["scene"]))
+    figure, axes = scene_panels([titles[scene] for scene in scenes], "patterns", "error, %")
+    shown = [*steps["estimated_error"], *compared["true_error"], target]
+    for axis, scene in zip(axes, scenes, strict=True):
+        logarithmic(axis, (1, 2, 5))
+        for method, own in steps[steps["scene"] == scene].groupby("method", sort=False):
+            seen = own[own["estimated_error"] > 0]
+            axis.plot(
+                seen["patterns"], 100 * seen["estimated_error"], "o-", markersize=3.5,
+                linewidth=1.4, color=METHOD_COLOURS[str(method)],
+                label=METHOD_TITLES[str(method)],
+            )  # fmt: skip
+        for run in compared[compared["scene"] == scene].dropna(subset=["true_error"]).itertuples():
+            axis.axhline(
+                100 * run.true_error, linestyle="--", linewidth=1.1,
+                color=METHOD_COLOURS[run.method],
+            )  # fmt: skip
+        axis.axhline(100 * target, linestyle=":", linewidth=0.9, color="#5c5c5c")
+        axis.set_xlim(*logarithmic_limits(steps["patterns"]))
+        axis.set_ylim(*logarithmic_limits([100 * error for error in shown]))
+    shared_legend(figure)
+    return figure
+
+
+def _titles(inputs: Inputs) -> dict[str, str]:
+    return {run.scene: run.title for run in inputs.runs}
+
+
+def _compared(compared: pd.DataFrame, names: dict[str, dict[str, str]]) -> Table:
+    rows = [
+        [
+            names["scene"][row["scene"]],
+            names["method"][row["method"]],
+            number(row["patterns"]),
+            percent(row["target_error"]),
+            percent(row["estimated_error"]),
+            percent(row["true_error"]),
+            number(row["ratio"], ".2f"),
+        ]
+        for row in compared.to_dict("records")
+    ]
+    return Table(
+        [("", 3), ("error, %", 3), ("", 1)],
+        ["scene", "method", "patterns", "asked for", "estimated", "true", "estimated over true"],
+        rows,
+        text_columns=2,
+        csv="estimates.csv",
+    )
+
+
+def _stepwise(steps: pd.DataFrame, names: dict[str, dict[str, str]]) -> Table:
+    rows = [
+        [
+            names["scene"][row["scene"]],
+            names["method"][row["method"]],
+            number(row["level"]),
+            number(row["patterns"]),
+            percent(row["estimated_error"]),
+        ]
+        for row in steps.to_dict("records")
+    ]
+    return Table(
+        [],
+        ["scene", "method", "level", "patterns", "estimated error, %"],
+        rows,
+        text_columns=2,
+        csv="estimate_history.csv",
+    )
