@@ -311,9 +311,7 @@ def _read(state: NearFarState, images: LevelImages) -> tuple[Float, Float]:
     shape = (count, state.channels, state.domain.size)
     radiance, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
     for index in range(count):
-        for target, image in zip(
-            (radiance, variance), images.read(index, index + 1), strict=True
-        ):
+        for target, image in zip((radiance, variance), images.read(index, index + 1), strict=True):
             target[index] = image.reshape(state.domain.size, state.channels).T
     # float32 rounds exact radiance, too
     variance += np.square(np.finfo(np.float32).eps * radiance)
@@ -373,9 +371,7 @@ def _symmetric_schedule(state: NearFarState) -> Schedule:
     return replace(Symmetric().schedule(state.symmetric), level=state.level)
 
 
-def _refine_symmetric(
-    state: NearFarState, images: LevelImages, memory_bytes: int
-) -> NearFarState:
+def _refine_symmetric(state: NearFarState, images: LevelImages, memory_bytes: int) -> NearFarState:
     """Let symmetric photography refine a level of its own."""
     level = state.level
     if state.symmetric is None:

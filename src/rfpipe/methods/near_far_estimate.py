@@ -75,9 +75,7 @@ def estimate(predicted: Float, held: Held) -> Estimate:
     return Estimate(error, worst, _ratio(on_dark, light), _ratio(indirect, light))
 
 
-def _products(
-    predicted: Float, taken: Float, where: NDArray[np.bool_]
-) -> tuple[float, float]:
+def _products(predicted: Float, taken: Float, where: NDArray[np.bool_]) -> tuple[float, float]:
     """Return the summed products of two pictures' errors, and of their light."""
     one, other = taken[..., where].astype(np.float64)
     first, second = predicted[..., where].astype(np.float64)

@@ -151,9 +151,7 @@ def _refined_basis(shape: tuple[int, ...], frames: Frames, most_pairs: int) -> M
     return basis
 
 
-def _wanting(
-    shape: tuple[int, ...], scale: int, frames: Frames, wrong: Float
-) -> NDArray[np.bool_]:
+def _wanting(shape: tuple[int, ...], scale: int, frames: Frames, wrong: Float) -> NDArray[np.bool_]:
     """Find the cells of a scale whose dark pixels the model gets wrong, beyond noise.
 
     Parameters

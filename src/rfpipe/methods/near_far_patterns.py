@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import Float
 from rfpipe.methods.near_far_parts import LightRange
 from rfpipe.provenance import generator
 

@@ -236,7 +236,7 @@ def _patches(basis: MultiscaleBasis) -> csr_array[np.float32]:
 
 
 def _rows_scaled(matrix: Any, scale: Float) -> csr_array[np.float32]:
-    from scipy.sparse import csr_array, diags_array
+    from scipy.sparse import diags_array
 
     scaled: csr_array[np.float32] = (diags_array(scale) @ matrix).tocsr().astype(np.float32)
     return scaled
