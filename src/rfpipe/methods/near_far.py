@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
+from rfpipe.methods import near_far_handover as handover
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
 from rfpipe.methods.near_far_estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far_fit import Frames, Model, fit
@@ -136,7 +137,7 @@ class NearFar:
         if level == 0:
             return Schedule.floodlit(shape)
         if level > len(ROUNDS):
-            return _symmetric_schedule(state)
+            return handover.schedule(state.domain, state.symmetric, level)
         count = self._probes(state)
         held, found = np.zeros((0, *shape), np.bool_), None
         if level == 1:
@@ -225,9 +226,8 @@ class NearFar:
             "rows": list(state.rows),
         }
         if state.symmetric is not None:
-            inner = Symmetric().pack(state.symmetric)
-            arrays |= {f"{_INNER}{name}": array for name, array in inner.arrays.items()}
-            attributes["symmetric"] = dict(inner.attributes)
+            inner, attributes["symmetric"] = handover.packed(state.symmetric)
+            arrays |= inner
         return Pack(arrays, attributes)
 
     def restore(self, start: NearFarState, packs: Sequence[Pack]) -> NearFarState:
@@ -260,7 +260,7 @@ class NearFar:
             model=model,
             estimates=tuple(Estimate(*found) for found in about["estimates"]),
             done=about["done"],
-            symmetric=_restored_symmetric(start, packs),
+            symmetric=handover.restored(start.domain, start.channels, start.settings, packs),
             rows=tuple(about["rows"]),
         )
 
@@ -276,11 +276,12 @@ class NearFar:
 
     def _decide(self, state: NearFarState) -> NearFarState:
         """Go on, end, or let symmetric photography take over."""
-        found = state.estimates[-1]
-        limit = state.settings.patterns
-        if found.error <= state.settings.target_error or (limit and state.shown >= limit):
+        found, first = state.estimates[-1], len(state.estimates) == 1
+        limit, target = state.settings.patterns, state.settings.target_error
+        # the first estimate knows no strip yet: it bounds the error only if nothing is indirect
+        reached = (found.indirect if first else found.error) <= target
+        if (reached and found.error <= target) or (limit and state.shown >= limit):
             return replace(state, done=True)
-        # the first estimate knows no strip yet
         comparable = len(state.estimates) > 2
         stalled = comparable and found.error > _STALLED * state.estimates[-2].error
         hopeless = found.dark > _UNEXPLAINED * found.indirect
@@ -290,10 +291,7 @@ class NearFar:
         if limit or found.dark < found.error / 2:
             return replace(state, done=True)
         _log.info("the light is not smooth enough; going on with symmetric photography")
-        return replace(state, done=True, symmetric=_begin_symmetric(state))
-
-
-_INNER = "symmetric_"
+        return replace(state, done=True, symmetric=_taken_over(state))
 
 
 def _row(level: int, patterns: int, **counts: Any) -> dict[str, Any]:
@@ -335,72 +333,21 @@ def _estimate(frames: Frames, model: Model, held: Held) -> Estimate:
     return estimate(predicted, held)
 
 
-@dataclass(frozen=True)
-class _Images:
-    """Images of a level under another number."""
-
-    schedule: Schedule
-    images: LevelImages | None
-    floodlit: tuple[Float, Float] | None = None
-
-    def read(self, first: int, last: int) -> tuple[Float, Float]:
-        if self.images is not None:
-            return self.images.read(first, last)
-        assert self.floodlit is not None
-        return self.floodlit
-
-
-def _begin_symmetric(state: NearFarState) -> SymmetricState:
-    """Start symmetric photography from the floodlit image that is there."""
-    method, frames = Symmetric(), state.frames
-    assert frames is not None
-    shape = (1, *state.domain.shape, state.channels)
-    radiance, variance = (
-        np.ascontiguousarray(image.T).reshape(shape)
-        for image in (frames.floodlit, frames.floodlit_variance)
-    )
-    begun = method.start(state.domain, state.domain, state.channels, state.settings)
-    floodlit = Schedule.floodlit(state.domain.shape)
-    return method.refine(begun, _Images(floodlit, None, (radiance, variance)))
-
-
-def _symmetric_schedule(state: NearFarState) -> Schedule:
-    if state.symmetric is None:
-        nothing = np.full(state.domain.shape, -1, np.int32)
-        return Schedule(state.level, state.domain.shape, 0, pattern_of_ray=nothing)
-    return replace(Symmetric().schedule(state.symmetric), level=state.level)
+def _taken_over(state: NearFarState) -> SymmetricState:
+    assert state.frames is not None
+    frames = state.frames
+    return handover.begin(state.domain, state.settings, frames.floodlit, frames.floodlit_variance)
 
 
 def _refine_symmetric(state: NearFarState, images: LevelImages, memory_bytes: int) -> NearFarState:
-    """Let symmetric photography refine a level of its own."""
+    """Let symmetric photography refine a level of its own, if it has taken over."""
     level = state.level
     if state.symmetric is None:
         return replace(state, level=level + 1, new=0, rows=(*state.rows, _row(level, 0)))
-    schedule = replace(images.schedule, level=state.symmetric.level)
-    inner = Symmetric().refine(state.symmetric, _Images(schedule, images), memory_bytes)
+    inner = handover.refine(state.symmetric, images, memory_bytes)
     own = state.rows[: len(ROUNDS) + 1]
     rows = [{**row, "level": row["level"] + len(ROUNDS)} for row in inner.rows[1:]]
     return replace(state, level=level + 1, new=0, symmetric=inner, rows=(*own, *rows))
-
-
-def _restored_symmetric(start: NearFarState, packs: Sequence[Pack]) -> SymmetricState | None:
-    method = Symmetric()
-    inner = [
-        Pack(
-            {
-                name.removeprefix(_INNER): array
-                for name, array in pack.arrays.items()
-                if name.startswith(_INNER)
-            },
-            pack.attributes["symmetric"],
-        )
-        for pack in packs
-        if "symmetric" in pack.attributes
-    ]
-    if not inner:
-        return None
-    begun = method.start(start.domain, start.domain, start.channels, start.settings)
-    return method.restore(begun, inner)
 
 
 def _model_is_better(state: NearFarState) -> bool:

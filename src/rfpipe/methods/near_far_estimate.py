@@ -11,8 +11,8 @@ from rfpipe.methods.base import Float
 
 __all__ = ["Estimate", "Held", "estimate"]
 
-# The strip where most light stays near is the worst case; of the pictures that people relight, about
-# one in so many lights such places by much.
+# The strip where most light stays near is the worst case; of the pictures that people relight,
+# about one in so many lights such places by much.
 _WORST = 3
 
 

@@ -136,14 +136,14 @@ def fit(shape: tuple[int, ...], frames: Frames, memory_bytes: int) -> Model:
 def _refined_basis(shape: tuple[int, ...], frames: Frames, most_pairs: int) -> MultiscaleBasis:
     """Add functions, scale by scale, where pictures differ from the model beyond noise."""
     scale = coarsest_scale(shape)
-    functions = [functions_over(shape, scale, np.ones(cells(shape, scale), np.bool_))]
+    functions = [functions_over(scale, np.ones(cells(shape, scale), np.bool_))]
     basis = MultiscaleBasis(shape, functions[0])
     while scale > 1 and frames.floodlit.any():
         seen = Observations.of(basis, frames, _WEIGHED_AT)
         cores = solve(seen, Prior.of(basis, seen).deviations, *_ROUGHLY)
         scale //= 2
         wanted = _wanting(shape, scale, frames, residual(basis, frames, cores))
-        functions.append(functions_over(shape, scale, wanted))
+        functions.append(functions_over(scale, wanted))
         finer = MultiscaleBasis(shape, np.concatenate(functions))
         if len(finer.first) > most_pairs:
             break
@@ -167,9 +167,8 @@ def _wanting(shape: tuple[int, ...], scale: int, frames: Frames, wrong: Float) -
     cell = (np.arange(views)[:, None] * (down * across) + cell).ravel()
 
     def total(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.bincount(cell, values, views * down * across)
+        return np.bincount(cell, values, views * down * across).astype(np.float64)
 
-    samples = np.maximum(total(dark.sum(axis=0).astype(np.float64)), 1)
     variance = np.where(dark, frames.variance[:, 0], 0)
     noise = total(variance.sum(axis=0, dtype=np.float64))
     excess = total(np.where(dark, wrong * wrong, 0).sum(axis=0, dtype=np.float64)) - noise
@@ -177,5 +176,5 @@ def _wanting(shape: tuple[int, ...], scale: int, frames: Frames, wrong: Float) -
     significant = excess > _SIGNIFICANT * np.sqrt(2 * chance)
     floodlit = frames.floodlit[0].astype(np.float64)
     allowed = total((_REFINED_AT * floodlit) ** 2 * dark.sum(axis=0))
-    wanted: NDArray[np.bool_] = significant & (excess > allowed) & (samples > 0)
+    wanted: NDArray[np.bool_] = significant & (excess > allowed)
     return wanted.reshape(views, down, across)

@@ -8,6 +8,8 @@ say little of long thin shapes along a crease.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,7 +75,7 @@ def held_out_strip_twice(found: LightRange) -> NDArray[np.bool_]:
     return np.stack([lit, lit])
 
 
-def _brightest(image: NDArray[np.float32], part: float) -> NDArray[np.bool_]:
+def _brightest(image: NDArray[np.floating[Any]], part: float) -> NDArray[np.bool_]:
     """Return the part of an image that is brightest; of equal pixels, the first."""
     count = max(1, round(part * image.size))
     chosen = np.zeros(image.size, np.bool_)

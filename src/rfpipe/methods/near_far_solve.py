@@ -71,7 +71,7 @@ class Observations:
         factor = frames.floodlit[0]
         pattern = frames.lit.T.astype(np.float32)
         patches = _patches(basis)
-        pixels = np.asarray(patches.sum(axis=1)).ravel()
+        pixels: Float = np.diff(patches.indptr).astype(np.float32)
         spread = frames.variance[:, 0].T + pattern * frames.floodlit_variance[0][:, None]
         spread = spread + np.square(share * factor)[:, None]
         certainty = np.divide(1, spread, where=spread > 0, out=np.zeros_like(spread))
@@ -81,10 +81,11 @@ class Observations:
         light = np.concatenate([pattern, np.ones_like(pattern[:, :1])], axis=1) * factor[:, None]
         seen = frames.radiance[:, 0].T * dark
         mean = float(factor.mean(dtype=np.float64))
-        level = 2 * float(seen.sum(dtype=np.float64)) / max(float(dark.sum(dtype=np.float64)), 1)
+        pixels_dark = max(float(dark.sum(dtype=np.float64)), 1.0)
+        level = 2 * float(seen.sum(dtype=np.float64)) / pixels_dark
         return cls(
             basis,
-            _rows_scaled(patches @ basis.weights, 1 / pixels),
+            _rows_scaled(patches @ basis.weights, np.float32(1) / pixels),
             np.ascontiguousarray(basis.sums @ light),
             patches @ (weight * dark),
             patches @ (weight * pattern),
@@ -116,7 +117,7 @@ class Prior:
         first, second = basis.scales[basis.first], basis.scales[basis.second]
         coarser = np.maximum(first, second)
         area = np.square(np.maximum(distance, coarser)) * _OCTAVES
-        expected = seen.level / (max(seen.floodlit, np.finfo(np.float32).tiny) * area)
+        expected = seen.level / (max(seen.floodlit, float(np.finfo(np.float32).tiny)) * area)
         key = np.stack([first, second, (_BINS_PER_SCALE * distance / coarser).astype(np.int64)])
         _, group = np.unique(key, axis=1, return_inverse=True)
         return cls(expected.astype(np.float32), group.ravel())

@@ -89,8 +89,10 @@ class MultiscaleBasis:
                 values.append(np.outer(value_y, value_x).ravel())
                 found.append(np.full(len(rays[-1]), index))
         shape = (int(np.prod(self.shape)), len(self))
-        entries = (np.concatenate(values), (np.concatenate(rays), np.concatenate(found)))
-        return csr_array(entries, shape=shape, dtype=np.float32)
+        index = (np.concatenate(rays), np.concatenate(found))
+        entries = np.concatenate(values).astype(np.float32)
+        weights: csr_array[np.float32] = csr_array((entries, index), shape=shape)
+        return weights
 
     @cached_property
     def sums(self) -> csr_array[np.float32]:
@@ -116,12 +118,11 @@ def coarsest_scale(shape: tuple[int, ...]) -> int:
     return scale
 
 
-def functions_over(shape: tuple[int, ...], scale: int, wanted: NDArray[np.bool_]) -> Functions:
+def functions_over(scale: int, wanted: NDArray[np.bool_]) -> Functions:
     """Return the functions of a scale that are not zero where they are wanted.
 
     Parameters
     ----------
-    shape : tuple of int
     scale : int
     wanted : ndarray of bool, shape (V, ceil(H / scale), ceil(W / scale))
         Cells of ``scale x scale`` pixels.
@@ -183,9 +184,9 @@ def _pairs(functions: Functions, centres: NDArray[np.float64]) -> tuple[Function
                 found = cKDTree(place[far]).query_ball_point(
                     place[near], REACH * int(coarse), p=np.inf, return_sorted=True
                 )
-                counts = [len(others) for others in found]
-                a = np.repeat(near, counts)
-                b = far[np.concatenate([np.asarray(o, np.int64) for o in found])]
+                others = [np.asarray(found_by_one, np.int64) for found_by_one in found]
+                a = np.repeat(near, [len(indices) for indices in others])
+                b = far[np.concatenate(others)]
             once = (a <= b) | (coarse != fine)
             firsts.append(np.minimum(a, b)[once])
             seconds.append(np.maximum(a, b)[once])

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 from numba import njit
-from numpy import float32
 
 from rfpipe.transport.base import Float
 from rfpipe.transport.multiscale_basis import Functions
 
-_OPTIONS = {"cache": True, "nogil": True, "fastmath": True}
 
-
-@njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=True)
 def couple(first: Functions, second: Functions, cores: Float, light: Float, out: Float) -> None:
     """Add ``S light`` to `out`, S symmetric with one core a pair; both (functions, columns)."""
     for pair in range(len(first)):
@@ -27,12 +25,12 @@ def couple(first: Functions, second: Functions, cores: Float, light: Float, out:
                 out[b, column] += core * light[a, column]
 
 
-@njit(**_OPTIONS)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True, fastmath=True)
 def correlate(first: Functions, second: Functions, seen: Float, light: Float, out: Float) -> None:
     """Write the adjoint of `couple` by cores: per pair, ``seen_a light_b + seen_b light_a``."""
     for pair in range(len(first)):
         a, b = first[pair], second[pair]
-        total = float32(0)
+        total = np.float32(0)
         if a == b:
             for column in range(light.shape[1]):
                 total += seen[a, column] * light[a, column]
