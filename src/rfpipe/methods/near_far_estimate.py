@@ -66,20 +66,25 @@ def estimate(predicted: Float, held: Held) -> Estimate:
     """
     dark = ~held.lit[0]
     everywhere = np.ones_like(dark)
-    typical, light = _products(predicted[:2], held.radiance[:2], everywhere)
-    on_dark, indirect = _products(predicted[:2], held.radiance[:2], dark)
-    error = worst = _ratio(typical, light)
+    typical, light, chance = _products(predicted[:2], held.radiance[:2], everywhere)
+    on_dark, indirect, _ = _products(predicted[:2], held.radiance[:2], dark)
+    # what chance makes of a sum of products is the least error that it can tell from none
+    error = worst = _ratio(max(typical, chance), light)
     if len(held.lit) > 2:
-        worst = _ratio(*_products(predicted[2:], held.radiance[2:], everywhere))
+        on_strip, strip, chance = _products(predicted[2:], held.radiance[2:], everywhere)
+        worst = _ratio(max(on_strip, chance), strip)
         error = ((_WORST - 1) * error + worst) / _WORST
     return Estimate(error, worst, _ratio(on_dark, light), _ratio(indirect, light))
 
 
-def _products(predicted: Float, taken: Float, where: NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the summed products of two pictures' errors, and of their light."""
+def _products(
+    predicted: Float, taken: Float, where: NDArray[np.bool_]
+) -> tuple[float, float, float]:
+    """Return the summed products of two pictures' errors, of their light, and the first's noise."""
     one, other = taken[..., where].astype(np.float64)
     first, second = predicted[..., where].astype(np.float64)
-    return float(((first - one) * (second - other)).sum()), float((one * other).sum())
+    product = (first - one) * (second - other)
+    return float(product.sum()), float((one * other).sum()), float(np.linalg.norm(product))
 
 
 def _ratio(part: float, whole: float) -> float:

@@ -74,7 +74,7 @@ class MultiscaleBasis:
         from scipy.sparse import csr_array
 
         height, width = self.shape[-2:]
-        rays, found, values = [], [], []
+        rays, owners, values = [], [], []
         for scale in np.unique(self.scales):
             own = np.flatnonzero(self.scales == scale)
             rows, columns = _along(height, int(scale)), _along(width, int(scale))
@@ -87,12 +87,10 @@ class MultiscaleBasis:
                 x, value_x = columns[column]
                 rays.append(((view * height + y)[:, None] * width + x).ravel())
                 values.append(np.outer(value_y, value_x).ravel())
-                found.append(np.full(len(rays[-1]), index))
+                owners.append(np.full(len(rays[-1]), index))
         shape = (int(np.prod(self.shape)), len(self))
-        index = (np.concatenate(rays), np.concatenate(found))
-        entries = np.concatenate(values).astype(np.float32)
-        weights: csr_array[np.float32] = csr_array((entries, index), shape=shape)
-        return weights
+        where = (np.concatenate(rays), np.concatenate(owners))
+        return csr_array((np.concatenate(values), where), shape=shape).astype(np.float32)
 
     @cached_property
     def sums(self) -> csr_array[np.float32]:
