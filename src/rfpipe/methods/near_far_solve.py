@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float
 from rfpipe.transport.multiscale_basis import MultiscaleBasis
-from rfpipe.transport.multiscale_kernels import correlate, couple
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -174,6 +173,8 @@ def solve(
 
 def residual(basis: MultiscaleBasis, frames: Frames, cores: Float) -> Float:
     """Return what the model leaves of the dark pixels of one channel's frames, (M, N)."""
+    from rfpipe.transport.multiscale_kernels import couple
+
     factor = frames.floodlit[0]
     light = np.ascontiguousarray(basis.sums @ (frames.lit * factor).T)
     received = np.zeros_like(light)
@@ -184,6 +185,8 @@ def residual(basis: MultiscaleBasis, frames: Frames, cores: Float) -> Float:
 
 def _normal(seen: Observations, deviations: Float, known: Float) -> Float:
     """Apply the normal equations' matrix, in units of the prior's deviations."""
+    from rfpipe.transport.multiscale_kernels import couple
+
     received = np.zeros_like(seen.light)
     basis = seen.basis
     couple(basis.first, basis.second, deviations * known, seen.light, received)
@@ -195,6 +198,8 @@ def _normal(seen: Observations, deviations: Float, known: Float) -> Float:
 
 def _adjoint(seen: Observations, dark: Float, lit: Float) -> Float:
     """Bring weighted pictures of the patches back to the pairs."""
+    from rfpipe.transport.multiscale_kernels import correlate
+
     back = np.concatenate([dark + lit, -lit.sum(axis=1, keepdims=True)], axis=1)
     arriving = np.ascontiguousarray(seen.weights.T @ back)
     basis = seen.basis
