@@ -189,7 +189,6 @@ class NearFar:
             estimates=(*state.estimates, found),
             rows=(*state.rows, row),
         )
-        _log.info("%d patterns: estimated error %.3g of a relit image", state.shown, found.error)
         return self._decide(state)
 
     def transport(self, state: NearFarState) -> Transport:
