@@ -37,6 +37,9 @@ from rfpipe.transport.sum import SumTransport
 HELD_OUT = {1: 2, 2: 2}
 # Probes of each round: a round should cut the error, and end soon where the target is met.
 ROUNDS = (6, 10, 8, 12, 16, 24, 32)
+MOST = 1 + sum(HELD_OUT.values()) + sum(ROUNDS)
+"""Patterns of all rounds."""
+
 # A round that leaves more than this of the error before it has shown that more won't help.
 _STALLED = 0.85
 # A model that leaves so much of the indirect light's norm unexplained is the wrong one.
@@ -186,7 +189,6 @@ class NearFar:
             estimates=(*state.estimates, found),
             rows=(*state.rows, row),
         )
-        _log.info("%d patterns: estimated error %.3g of a relit image", state.shown, found.error)
         return self._decide(state)
 
     def transport(self, state: NearFarState) -> Transport:
@@ -243,14 +245,15 @@ class NearFar:
             np.concatenate([arrays["radiance"] for arrays in own]),
             np.concatenate([arrays["variance"] for arrays in own]),
         )
-        model, held = None, None
+        held = None
         for arrays in own:
             if "held_lit" in arrays:
                 lit = arrays["held_lit"].astype(np.bool_)
                 held = _with(held, Held(lit, arrays["held_radiance"]))
-            if "cores" in arrays:
-                basis = MultiscaleBasis(start.domain.shape, arrays["functions"])
-                model = Model(basis, arrays["cores"])
+        model = None
+        if fitted := [arrays for arrays in own if "cores" in arrays]:
+            basis = MultiscaleBasis(start.domain.shape, fitted[-1]["functions"])
+            model = Model(basis, fitted[-1]["cores"])
         return replace(
             start,
             level=about["level"],

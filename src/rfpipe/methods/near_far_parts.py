@@ -13,7 +13,6 @@ from rfpipe.methods.near_far_fit import Model
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multiscale import MultiscaleTransport
 from rfpipe.transport.multiscale_basis import coarsest_scale
-from rfpipe.transport.multiscale_kernels import couple
 from rfpipe.transport.sum import SumTransport
 
 __all__ = ["LightRange", "as_transport", "indirect", "light_range"]
@@ -24,6 +23,8 @@ _NEAR = 4
 
 def indirect(model: Model, floodlit: Float, light: Float) -> Float:
     """Return the indirect light of patterns (P, N) as images (P, C, N)."""
+    from rfpipe.transport.multiscale_kernels import couple
+
     basis = model.basis
     images = np.empty((len(light), *floodlit.shape), np.float32)
     for channel, factor in enumerate(floodlit):

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float
 from rfpipe.transport.multiscale_basis import MultiscaleBasis
-from rfpipe.transport.multiscale_kernels import correlate, couple
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -23,6 +22,8 @@ _PART_OF_SCALE, _LARGEST_PATCH = 4, 8
 # the data soon say better.
 _OCTAVES = 12.0
 _BINS_PER_SCALE = 2
+# Scales are images' extents at most.
+_SCALE_BITS = 20
 
 
 @dataclass(frozen=True)
@@ -118,9 +119,10 @@ class Prior:
         coarser = np.maximum(first, second)
         area = np.square(np.maximum(distance, coarser)) * _OCTAVES
         expected = seen.level / (max(seen.floodlit, float(np.finfo(np.float32).tiny)) * area)
-        key = np.stack([first, second, (_BINS_PER_SCALE * distance / coarser).astype(np.int64)])
-        _, group = np.unique(key, axis=1, return_inverse=True)
-        return cls(expected.astype(np.float32), group.ravel())
+        distance_bin = (_BINS_PER_SCALE * distance / coarser).astype(np.int64)
+        key = distance_bin << 2 * _SCALE_BITS | first.astype(np.int64) << _SCALE_BITS | second
+        _, group = np.unique(key, return_inverse=True)
+        return cls(expected.astype(np.float32), group)
 
     def learned(self, cores: Float) -> Float:
         """Return each group's deviation as the root of its cores' mean square."""
@@ -174,6 +176,8 @@ def solve(
 
 def residual(basis: MultiscaleBasis, frames: Frames, cores: Float) -> Float:
     """Return what the model leaves of the dark pixels of one channel's frames, (M, N)."""
+    from rfpipe.transport.multiscale_kernels import couple
+
     factor = frames.floodlit[0]
     light = np.ascontiguousarray(basis.sums @ (frames.lit * factor).T)
     received = np.zeros_like(light)
@@ -184,6 +188,8 @@ def residual(basis: MultiscaleBasis, frames: Frames, cores: Float) -> Float:
 
 def _normal(seen: Observations, deviations: Float, known: Float) -> Float:
     """Apply the normal equations' matrix, in units of the prior's deviations."""
+    from rfpipe.transport.multiscale_kernels import couple
+
     received = np.zeros_like(seen.light)
     basis = seen.basis
     couple(basis.first, basis.second, deviations * known, seen.light, received)
@@ -195,6 +201,8 @@ def _normal(seen: Observations, deviations: Float, known: Float) -> Float:
 
 def _adjoint(seen: Observations, dark: Float, lit: Float) -> Float:
     """Bring weighted pictures of the patches back to the pairs."""
+    from rfpipe.transport.multiscale_kernels import correlate
+
     back = np.concatenate([dark + lit, -lit.sum(axis=1, keepdims=True)], axis=1)
     arriving = np.ascontiguousarray(seen.weights.T @ back)
     basis = seen.basis
@@ -229,9 +237,9 @@ def _patches(basis: MultiscaleBasis) -> csr_array[np.float32]:
     height, width = basis.shape[-2:]
     rays = np.arange(len(finest))
     row, column = rays // width % height, rays % width
-    key = np.stack([side, rays // (width * height), row // side, column // side])
-    _, patch = np.unique(key, axis=1, return_inverse=True)
-    patch = patch.ravel()
+    view = rays // (width * height)
+    key = ((side * basis.shape[0] + view) * height + row // side) * width + column // side
+    _, patch = np.unique(key, return_inverse=True)
     ones = np.ones(len(rays), np.float32)
     return csr_array((ones, (patch, rays)), shape=(int(patch.max()) + 1, len(rays)))
 

@@ -16,6 +16,7 @@ from rfpipe.errors import StoreError
 from rfpipe.methods.compressive import pattern_count
 from rfpipe.methods.hadamard import s_matrix_order
 from rfpipe.methods.low_rank import OWN_MOST
+from rfpipe.methods.near_far import MOST
 from rfpipe.photometry import Sensor
 from rfpipe.units import RADIANCE
 
@@ -39,7 +40,7 @@ _PIECES = 2
 # the number of levels [Fig. 3.8].
 _PATTERNS_PER_LEVEL = {"symmetric": 1_085 / 10, "dual": 7_382 / 10}
 # Methods whose patterns don't grow with the resolution, but where the scene asks for them.
-_PATTERNS = {"near_far": 1_085 // 10, "low_rank": OWN_MOST}
+_PATTERNS = {"near_far": MOST, "low_rank": OWN_MOST}
 
 _log = logging.getLogger(__name__)
 
