@@ -42,8 +42,9 @@ MOST = 1 + sum(HELD_OUT.values()) + sum(ROUNDS)
 
 # A round that leaves more than this of the error before it has shown that more won't help.
 _STALLED = 0.85
-# A model that leaves so much of the indirect light's norm unexplained is the wrong one.
-_UNEXPLAINED = 0.7
+# A model that leaves so much of the indirect light's norm unexplained is the wrong one: after the
+# first round, whose probes are few, and later.
+_UNEXPLAINED_AT_FIRST, _UNEXPLAINED = 0.5, 0.25
 
 _log = logging.getLogger(__name__)
 
@@ -288,7 +289,8 @@ class NearFar:
             return replace(state, done=True)
         comparable = len(state.estimates) > 2
         stalled = comparable and found.error > _STALLED * state.estimates[-2].error
-        hopeless = found.dark > _UNEXPLAINED * found.indirect
+        share = _UNEXPLAINED_AT_FIRST if first else _UNEXPLAINED
+        hopeless = found.dark > share * found.indirect
         if not (stalled or hopeless or state.level > len(ROUNDS)):
             return state
         # dark pixels have none of the direct light's noise: what is wrong there is the model

@@ -89,7 +89,7 @@ def as_transport(
     ----------
     shape : tuple of int
     rows : list of dict
-        The table of levels.
+        The table of levels; the model is known from the last one on that was fitted.
     model : Model or None
         None before there is one: all light counts as direct.
     floodlit : ndarray of float32, shape (C, N)
@@ -115,7 +115,8 @@ def as_transport(
             "cores": np.ascontiguousarray(model.cores[:, found]),
         }
         parts.append(MultiscaleTransport(shape, channels, [], arrays))
-    return SumTransport([direct, *parts], rows, [0, *[1] * len(parts)])
+    fitted = max((row["level"] for row in rows if "estimated_error" in row), default=0)
+    return SumTransport([direct, *parts], rows, [0, *[fitted] * len(parts)])
 
 
 def _direct(shape: tuple[int, ...], diagonal: Float) -> LowRankTransport:

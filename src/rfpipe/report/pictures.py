@@ -68,11 +68,11 @@ def levels_figure(runs: Sequence[Run]) -> Figure:
     Parameters
     ----------
     runs : sequence of Run
-        Of one scene, the methods that have levels.
+        Of one scene, the methods that have levels. Those without patterns are left out.
     """
     ratio = panel_ratio([runs[0].settings.shape])
     per_row = 5
-    n_levels = max(len(run.read_shown("levels_relit")) for run in runs)
+    n_levels = max(sum(row["patterns"] > 0 for row in run.facts["levels"]) for run in runs)
     rows_each = -(-(n_levels + 1) // per_row)
     panel = 2.05
     size = (panel * per_row + 0.5, (panel * ratio + 0.42) * rows_each * len(runs))
@@ -81,17 +81,19 @@ def levels_figure(runs: Sequence[Run]) -> Figure:
         own = axes[index * rows_each : (index + 1) * rows_each]
         label_left(own[0, 0], run.method_title)
         truth = run.read_shown("truth")[0]
-        shown = 0
-        for level, image in enumerate(run.read_shown("levels_relit")):
-            axis = own.flat[level]
+        shown, panel_of = 0, iter(own.flat)
+        for row, image in zip(run.facts["levels"], run.read_shown("levels_relit"), strict=True):
+            if not row["patterns"]:
+                continue
+            axis = next(panel_of)
             show_radiance(axis, image, run.white)
-            axis.set_title(f"level {level}", fontsize=8.5, pad=3)
-            shown += int(run.facts["levels"][level]["patterns"])
+            axis.set_title(f"level {row['level']}", fontsize=8.5, pad=3)
+            shown += int(row["patterns"])
             label_below(axis, f"patterns {shown:,}, error {relative_rms(image, truth):.1%}")
-        axis = own.flat[level + 1]
+        axis = next(panel_of)
         show_radiance(axis, truth, run.white)
         axis.set_title("ground truth", fontsize=8.5, pad=3)
-        for unused in own.flat[level + 2 :]:
+        for unused in panel_of:
             unused.set_axis_off()
     return figure
 
