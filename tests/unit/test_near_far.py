@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -63,6 +64,17 @@ def permutation(side: int) -> np.ndarray:
     matrix = np.zeros((side * side, side * side))
     matrix[partners[:, 0], partners[:, 1]] = matrix[partners[:, 1], partners[:, 0]] = 0.9
     return matrix
+
+
+def caustics(side: int) -> np.ndarray:
+    """Two planes, and strong light between a few pairs of rays."""
+    matrix = reference_scene("IV", (side, side), channels=1).dense()
+    random = generator(0, 3)
+    pairs = random.permutation(side * side)[: side * side // 8].reshape(-1, 2)
+    strength = random.uniform(5, 50, len(pairs)) * matrix.diagonal().mean()
+    matrix[pairs[:, 0], pairs[:, 1]] += strength
+    matrix[pairs[:, 1], pairs[:, 0]] += strength
+    return matrix * (0.8 / matrix.sum(axis=1).max())
 
 
 def smooth_views() -> np.ndarray:
@@ -199,10 +211,10 @@ def test_a_scene_of_direct_light_ends_after_the_first_round_with_no_error_beyond
     assert max(errors(scene, noisy.transport)) < 1.5 * floodlit
 
 
-@pytest.mark.parametrize("make", [mirror, permutation])
+@pytest.mark.parametrize("make", [mirror, permutation, caustics])
 @pytest.mark.parametrize("noise", [None, CameraConfig()])
 def test_where_nothing_is_smooth_symmetric_photography_takes_over(
-    make, noise: CameraConfig | None
+    make: Callable[[int], np.ndarray], noise: CameraConfig | None
 ) -> None:
     rig = OperatorRig(make(32), (32, 32), (32, 32), noise)
     found, rival = (acquire(rig, name, progress=False) for name in ("near_far", "symmetric"))
