@@ -13,7 +13,7 @@ from rfpipe import acquire
 from rfpipe.stages.plan import Plan
 
 
-@pytest.mark.parametrize("method", ["hadamard", "compressive", "low_rank"])
+@pytest.mark.parametrize("method", ["hadamard", "compressive", "low_rank", "near_far"])
 def test_the_files_hold_what_an_acquisition_in_process_finds(method: str, tmp_path: Path) -> None:
     acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
     acquisition.plan = Plan(method, SHAPE, SHAPE, 1, tolerance=1e-3, patterns=20)

@@ -144,7 +144,7 @@ class NearFar:
             return handover.schedule(state.domain, state.symmetric, level)
         count = self._probes(state)
         held, found = np.zeros((0, *shape), np.bool_), None
-        if level == 1:
+        if level == 1 and count:
             held = held_out_twice(shape)
         elif count:
             assert state.model is not None
@@ -270,7 +270,8 @@ class NearFar:
 
     def _probes(self, state: NearFarState) -> int:
         """Return how many probes the next round shows."""
-        if state.done:
+        # without held-out pictures from the first round there is no fit
+        if state.done or (state.level > 1 and state.held is None):
             return 0
         count = ROUNDS[state.level - 1]
         if state.settings.patterns:

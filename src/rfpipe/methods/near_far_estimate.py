@@ -93,7 +93,11 @@ def _products(
     one, other = taken[..., where].astype(np.float64)
     first, second = predicted[..., where].astype(np.float64)
     product = (first - one) * (second - other)
-    return float(product.sum()), float((one * other).sum()), float(np.linalg.norm(product))
+    light = float((one * other).sum())
+    if light <= 0:
+        # of black pictures, light that was predicted is an error
+        light = float((first * second).sum())
+    return float(product.sum()), light, float(np.linalg.norm(product))
 
 
 def _ratio(part: float, whole: float) -> float:

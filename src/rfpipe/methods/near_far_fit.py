@@ -60,6 +60,12 @@ class Frames:
         """Colour channels."""
         return len(self.floodlit)
 
+    def shine(self) -> bool:
+        """Tell whether the floodlit image as a whole is brighter than its noise."""
+        light = float(self.floodlit.sum(dtype=np.float64))
+        noise = float(np.sqrt(self.floodlit_variance.sum(dtype=np.float64)))
+        return light > _SIGNIFICANT * noise
+
     def extended(self, lit: NDArray[np.bool_], radiance: Float, variance: Float) -> Frames:
         """Return these and more pictures."""
         return Frames(
@@ -122,7 +128,7 @@ def fit(shape: tuple[int, ...], frames: Frames, memory_bytes: int) -> Model:
     cores = np.zeros((frames.channels, len(basis.first)), np.float32)
     for index in range(frames.channels):
         channel = frames.channel(index)
-        if not channel.floodlit.any():
+        if not channel.shine():
             continue
         seen = Observations.of(basis, channel, _WEIGHED_AT)
         prior = Prior.of(basis, seen)
@@ -138,7 +144,7 @@ def _refined_basis(shape: tuple[int, ...], frames: Frames, most_pairs: int) -> M
     scale = coarsest_scale(shape)
     functions = [functions_over(scale, np.ones(cells(shape, scale), np.bool_))]
     basis = MultiscaleBasis(shape, functions[0])
-    while scale > 1 and frames.floodlit.any():
+    while scale > 1 and frames.shine():
         seen = Observations.of(basis, frames, _WEIGHED_AT)
         cores = solve(seen, Prior.of(basis, seen).deviations, *_ROUGHLY)
         scale //= 2

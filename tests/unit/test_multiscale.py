@@ -1,0 +1,275 @@
+"""Smooth functions of many scales, their pairs, and the transport that they exchange."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.helpers import dense
+
+from rfpipe.errors import InputError
+from rfpipe.testing import dot_test
+from rfpipe.transport import open_transport, save_transport
+from rfpipe.transport.low_rank import LowRankTransport
+from rfpipe.transport.multiscale import MultiscaleTransport
+from rfpipe.transport.multiscale_basis import (
+    REACH,
+    MultiscaleBasis,
+    cells,
+    coarsest_scale,
+    functions_over,
+)
+from rfpipe.transport.sum import SumTransport
+
+ROWS = [{"level": level, "patterns": 3} for level in range(4)]
+SHAPES = [(1, 1), (1, 37), (13, 29), (12, 10), (2, 3, 5)]
+
+
+def every_function(shape: tuple[int, ...], scales: list[int]) -> np.ndarray:
+    return np.concatenate(
+        [functions_over(scale, np.ones(cells(shape, scale), np.bool_)) for scale in scales]
+    )
+
+
+def some_functions(shape: tuple[int, ...]) -> np.ndarray:
+    """All of scale 4, and of 2 and 1 those of the first cells."""
+    parts = [every_function(shape, [4])]
+    for scale in (2, 1):
+        wanted = np.zeros(cells(shape, scale), np.bool_)
+        wanted[0, :2, :2] = True
+        parts.append(functions_over(scale, wanted))
+    return np.concatenate(parts)
+
+
+def made(shape: tuple[int, ...], channels: int = 3, seed: int = 0) -> MultiscaleTransport:
+    random = np.random.default_rng(seed)
+    basis = MultiscaleBasis(shape, some_functions(shape))
+    arrays = {
+        "factor": random.random((channels, int(np.prod(shape)))).astype(np.float32),
+        "functions": basis.functions,
+        "cores": random.standard_normal((channels, len(basis.first))).astype(np.float32),
+    }
+    return MultiscaleTransport(shape, channels, ROWS, arrays)
+
+
+def spline(distance: float) -> float:
+    """The quadratic B-spline of unit spacing, by its definition."""
+    distance = abs(distance)
+    if distance <= 0.5:
+        return 0.75 - distance**2
+    return (1.5 - distance) ** 2 / 2 if distance < 1.5 else 0.0
+
+
+def as_matrix(basis: MultiscaleBasis, cores: np.ndarray) -> np.ndarray:
+    """S of one channel."""
+    matrix = np.zeros((len(basis), len(basis)))
+    for first, second, core in zip(basis.first, basis.second, cores, strict=True):
+        matrix[first, second] = matrix[second, first] = core
+    return matrix
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_weights_are_b_splines_about_the_centres(shape: tuple[int, ...]) -> None:
+    basis = MultiscaleBasis(shape, some_functions(shape))
+    expected = np.zeros((int(np.prod(shape)), len(basis)))
+    height, width = shape[-2:]
+    for index, (scale, view, row, column) in enumerate(basis.functions.tolist()):
+        for y in range(height):
+            for x in range(width):
+                if scale == 1:
+                    value = float((y, x) == (row, column))
+                else:
+                    down = (y + 0.5) / scale - (row - 0.5)
+                    across = (x + 0.5) / scale - (column - 0.5)
+                    value = spline(down) * spline(across)
+                expected[(view * height + y) * width + x, index] = value
+    np.testing.assert_allclose(basis.weights.toarray(), expected, atol=1e-6)
+    np.testing.assert_array_equal(basis.sums.toarray(), basis.weights.toarray().T)
+    assert basis.weights.dtype == basis.sums.dtype == np.float32
+
+
+def test_centres_are_where_the_functions_are_largest() -> None:
+    basis = MultiscaleBasis((12, 16), every_function((12, 16), [1, 4]))
+    inside = (basis.centres >= 0).all(axis=1) & (basis.centres <= [12, 16]).all(axis=1)
+    brightest = basis.weights.toarray().argmax(axis=0)
+    row, column = brightest // 16 + 0.5, brightest % 16 + 0.5
+    away = np.abs(np.stack([row, column], axis=1) - basis.centres).max(axis=1)
+    assert inside.sum() > 12 * 16
+    assert (away[inside] <= 0.5).all()
+
+
+def test_functions_of_a_scale_come_where_they_are_wanted() -> None:
+    wanted = np.zeros(cells((12, 16), 4), np.bool_)
+    assert wanted.shape == (1, 3, 4)
+    wanted[0, 1, 2] = True
+    fine = functions_over(4, wanted)
+    assert fine.dtype == np.int32
+    basis = MultiscaleBasis((12, 16), fine)
+    assert len(basis) == 9
+    cover = basis.weights.toarray().sum(axis=1).reshape(12, 16)
+    np.testing.assert_allclose(cover[4:8, 8:12], 1, atol=1e-6)
+    assert (basis.weights.toarray().reshape(12, 16, 9)[4:8, 8:12].max(axis=(0, 1)) > 0).all()
+    rays = functions_over(1, np.eye(3, dtype=np.bool_)[None])
+    assert rays.tolist() == [[1, 0, 0, 0], [1, 0, 1, 1], [1, 0, 2, 2]]
+    assert functions_over(2, np.zeros((1, 3, 3), np.bool_)).shape == (0, 4)
+
+
+def test_functions_in_any_order_make_the_same_basis() -> None:
+    functions = some_functions((13, 29))
+    shuffled = np.random.default_rng(0).permutation(functions)
+    one, other = (MultiscaleBasis((13, 29), table) for table in (functions, shuffled))
+    np.testing.assert_array_equal(one.functions, other.functions)
+    np.testing.assert_array_equal(one.first, other.first)
+    np.testing.assert_array_equal(one.second, other.second)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_pairs_are_those_within_reach_each_once(shape: tuple[int, ...]) -> None:
+    basis = MultiscaleBasis(shape, some_functions(shape))
+    scale, view = basis.functions[:, :2].T
+    expected = set()
+    for a in range(len(basis)):
+        for b in range(a, len(basis)):
+            coarser = max(scale[a], scale[b])
+            apart = np.abs(basis.centres[a] - basis.centres[b]).max()
+            if coarser == 4:
+                joined = view[a] == view[b] or scale[a] == scale[b]
+            else:
+                joined = view[a] == view[b] and apart <= REACH * coarser
+            if joined:
+                expected.add((a, b))
+    pairs = list(zip(basis.first.tolist(), basis.second.tolist(), strict=True))
+    assert len(pairs) == len(set(pairs))
+    assert set(pairs) == expected
+    assert basis.first.dtype == basis.second.dtype == np.int32
+
+
+def test_between_views_a_pair_is_as_far_apart_as_the_coarsest_scale() -> None:
+    basis = MultiscaleBasis((2, 3, 5), some_functions((2, 3, 5)))
+    view = basis.functions[:, 1]
+    between = view[basis.first] != view[basis.second]
+    distances = basis.distances()
+    assert between.any()
+    assert (distances[between] == 4).all()
+    apart = basis.centres[basis.first] - basis.centres[basis.second]
+    within = np.sqrt(np.square(apart[~between]).sum(axis=1))
+    np.testing.assert_allclose(distances[~between], within)
+
+
+def test_a_basis_may_be_empty() -> None:
+    basis = MultiscaleBasis((3, 4), np.zeros((0, 4), np.int32))
+    assert len(basis) == len(basis.first) == len(basis.second) == len(basis.distances()) == 0
+
+
+@pytest.mark.parametrize(
+    ("shape", "scale"),
+    [((1, 1), 1), ((2, 3, 5), 1), ((1, 37), 1), ((1, 40), 2), ((13, 29), 4), ((310, 350), 64)],
+)
+def test_the_coarsest_scale_has_about_twenty_cells(shape: tuple[int, ...], scale: int) -> None:
+    assert coarsest_scale(shape) == scale
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_it_is_the_product_that_its_arrays_say(shape: tuple[int, ...]) -> None:
+    transport = made(shape)
+    basis, arrays = transport.basis, transport.pack()[0]
+    weights = basis.weights.toarray().astype(np.float64)
+    for channel, matrix in enumerate(dense(transport)):
+        smooth = weights @ as_matrix(basis, arrays["cores"][channel]) @ weights.T
+        factor = arrays["factor"][channel].astype(np.float64)
+        expected = factor[:, None] * smooth * factor
+        np.testing.assert_allclose(matrix, expected, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_it_is_symmetric(shape: tuple[int, ...]) -> None:
+    transport = made(shape)
+    dot_test(transport)
+    matrix = dense(transport)
+    np.testing.assert_allclose(matrix, matrix.transpose(0, 2, 1), atol=1e-5 * np.abs(matrix).max())
+    picture = np.random.default_rng(1).random(shape)
+    np.testing.assert_array_equal(transport.T.relight(picture), transport.relight(picture))
+
+
+def test_each_channel_has_its_own_light() -> None:
+    transport = made((6, 7))
+    picture = np.random.default_rng(1).random((6, 7, 3))
+    together = transport.relight(picture)
+    for channel in range(3):
+        alone = transport.channel(channel) @ picture[..., channel].ravel()
+        np.testing.assert_allclose(together[..., channel].ravel(), alone, rtol=1e-5, atol=1e-6)
+
+
+def test_pairs_may_be_some_of_the_basis() -> None:
+    whole = made((6, 7))
+    arrays, _ = whole.pack()
+    pairs = np.stack([whole.basis.first, whole.basis.second])
+    parts = []
+    for chosen in (np.arange(pairs.shape[1]) % 3 == 0, np.arange(pairs.shape[1]) % 3 != 0):
+        own = arrays | {"pairs": pairs[:, chosen], "cores": arrays["cores"][:, chosen]}
+        parts.append(MultiscaleTransport((6, 7), 3, [], own))
+    expected = dense(whole)
+    np.testing.assert_allclose(dense(parts[0]) + dense(parts[1]), expected, atol=1e-5)
+    assert not np.allclose(dense(parts[0]), expected, atol=1e-2)
+
+
+@pytest.mark.parametrize("number_format", ["float32", "uint16", "uint8"])
+@pytest.mark.parametrize("shape", [(1, 1), (13, 29), (2, 3, 5)])
+def test_the_store_keeps_it_unrounded(
+    shape: tuple[int, ...], number_format: str, tmp_path: Path
+) -> None:
+    transport = made(shape)
+    path = tmp_path / "transport.zarr"
+    digest = save_transport(transport, path, number_format)  # type: ignore[arg-type]
+    stored = open_transport(path)
+    assert isinstance(stored, MultiscaleTransport)
+    assert (stored.camera_shape, stored.projector_shape, stored.channels) == (shape, shape, 3)
+    assert stored.level_rows == ROWS
+    np.testing.assert_array_equal(dense(stored), dense(transport))
+    files = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    assert stored.nbytes == files
+    assert save_transport(stored, tmp_path / "again", number_format) == digest  # type: ignore[arg-type]
+
+
+def test_a_sum_keeps_it_beside_other_parts(tmp_path: Path) -> None:
+    direct = {
+        "diagonal": np.random.default_rng(2).random((3, 42)).astype(np.float32),
+        "left": np.zeros((3, 0, 42), np.float32),
+        "strengths": np.zeros((3, 0), np.float32),
+        "term_level": np.zeros(0, np.int32),
+    }
+    smooth = made((6, 7))
+    parts = [LowRankTransport((6, 7), (6, 7), 3, [], direct), smooth]
+    total = SumTransport(parts, ROWS, [0, 1])
+    save_transport(total, tmp_path / "transport.zarr")
+    stored = open_transport(tmp_path / "transport.zarr")
+    assert isinstance(stored, SumTransport)
+    np.testing.assert_array_equal(dense(stored), dense(total))
+    diagonal = np.stack([np.diag(one) for one in direct["diagonal"]])
+    np.testing.assert_array_equal(dense(stored.truncate(0)), diagonal)
+    np.testing.assert_array_equal(dense(stored.truncate(1)), dense(total))
+    scale = np.abs(dense(total)).max()
+    np.testing.assert_allclose(dense(total) - diagonal, dense(smooth), atol=1e-6 * scale)
+    assert total.nbytes == parts[0].nbytes + smooth.nbytes
+
+
+def test_bytes_are_those_of_its_arrays() -> None:
+    transport = made((6, 7))
+    arrays, about = transport.pack()
+    assert transport.nbytes == sum(array.nbytes for array in arrays.values())
+    assert about["kind"] == "multiscale"
+    assert {array.dtype.name for array in arrays.values()} == {"float32", "int32"}
+
+
+def test_it_has_no_levels_to_truncate() -> None:
+    transport = made((6, 7))
+    assert transport.last_level == 0
+    assert transport.truncate(0) is transport.truncate(5) is transport
+    with pytest.raises(InputError, match="level -1 of a transport; levels count from 0"):
+        transport.truncate(-1)
+
+
+def test_another_picture_is_refused() -> None:
+    with pytest.raises(InputError, match=r"\(7, 6\)"):
+        made((6, 7)).relight(np.ones((7, 6)))

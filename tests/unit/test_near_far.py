@@ -1,0 +1,506 @@
+"""Near/far acquisition: few pictures, an error that is known, and what to do where it fails."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.helpers import MatrixImages, acquire_matrix, dense
+
+from rfpipe import OperatorRig, acquire
+from rfpipe.blocks import RayDomain
+from rfpipe.config import CameraConfig
+from rfpipe.errors import InputError
+from rfpipe.methods import Pack, Settings, get_method
+from rfpipe.methods.near_far import HELD_OUT, MOST, ROUNDS, NearFar
+from rfpipe.methods.near_far_estimate import Estimate, Held, estimate
+from rfpipe.methods.near_far_fit import Frames
+from rfpipe.methods.near_far_solve import Observations, Prior, solve
+from rfpipe.patterns import Schedule
+from rfpipe.provenance import generator
+from rfpipe.scenes import Scene, hard_cases, reference_scene, scene_patterns
+from rfpipe.stages.acquire import AcquisitionResult
+from rfpipe.stages.metrics import relative_rms
+from rfpipe.store.arrays import open_arrays, write_arrays
+from rfpipe.testing import dot_test
+from rfpipe.transport import Transport, open_transport, save_transport
+from rfpipe.transport.hierarchical import HierarchicalTransport
+from rfpipe.transport.low_rank import LowRankTransport
+from rfpipe.transport.multiscale_basis import MultiscaleBasis, cells, functions_over
+
+CASES = hard_cases()
+SHARE = 0.002
+
+
+def errors(scene: Scene, transport: Transport) -> list[float]:
+    """Relative errors of the relighting patterns, the crease's among them."""
+    return [
+        relative_rms(
+            transport.relight(picture),
+            scene.apply(picture[None])[0].reshape(*scene.shape, scene.channels),
+        )
+        for picture in scene_patterns(scene).values()
+    ]
+
+
+def run(
+    scene: Scene, method: str, noise: CameraConfig | None, **options: float
+) -> AcquisitionResult:
+    rig = OperatorRig(scene, scene.shape, scene.shape, noise)
+    return acquire(rig, method, progress=False, **options)  # type: ignore[arg-type]
+
+
+def mirror(side: int) -> np.ndarray:
+    image = np.arange(side * side).reshape(side, side)[:, ::-1].ravel()
+    return 0.9 * np.eye(side * side)[image]
+
+
+def permutation(side: int) -> np.ndarray:
+    partners = generator(0, 1).permutation(side * side).reshape(-1, 2)
+    matrix = np.zeros((side * side, side * side))
+    matrix[partners[:, 0], partners[:, 1]] = matrix[partners[:, 1], partners[:, 0]] = 0.9
+    return matrix
+
+
+def caustics(side: int) -> np.ndarray:
+    """Two planes, and strong light between a few pairs of rays."""
+    matrix = reference_scene("IV", (side, side), channels=1).dense()
+    random = generator(0, 3)
+    pairs = random.permutation(side * side)[: side * side // 8].reshape(-1, 2)
+    strength = random.uniform(5, 50, len(pairs)) * matrix.diagonal().mean()
+    matrix[pairs[:, 0], pairs[:, 1]] += strength
+    matrix[pairs[:, 1], pairs[:, 0]] += strength
+    return matrix * (0.8 / matrix.sum(axis=1).max())
+
+
+def smooth_views() -> np.ndarray:
+    """Light between near directions, of two views of 3 x 5 rays alike."""
+    row, column = (axis.ravel() for axis in np.mgrid[:3, :5])
+    squared = np.subtract.outer(row, row) ** 2 + np.subtract.outer(column, column) ** 2
+    one = 0.02 * np.exp(-squared / 8)
+    return np.block([[one, one / 2], [one / 2, one]]) + 0.3 * np.eye(30)
+
+
+# --- the fit
+
+
+def made_up_frames(rays: int, patterns: int) -> Frames:
+    random = np.random.default_rng(0)
+    return Frames(
+        random.uniform(0.2, 1, (1, rays)).astype(np.float32),
+        random.uniform(1e-4, 1e-3, (1, rays)).astype(np.float32),
+        random.random((patterns, rays)) < 0.5,
+        random.uniform(0, 1, (patterns, 1, rays)).astype(np.float32),
+        random.uniform(1e-3, 1e-2, (patterns, 1, rays)).astype(np.float32),
+    )
+
+
+def column_by_column(basis: MultiscaleBasis, frames: Frames) -> np.ndarray:
+    """What each core alone adds to the pictures, ``F (K F p - p K F 1)``, (M N, pairs)."""
+    factor = frames.floodlit[0].astype(np.float64)
+    patterns = frames.lit.astype(np.float64)
+    weights = basis.weights.toarray().astype(np.float64)
+    columns = []
+    for first, second in zip(basis.first, basis.second, strict=True):
+        core = np.zeros((len(basis), len(basis)))
+        core[first, second] = core[second, first] = 1
+        smooth = weights @ core @ weights.T
+        full = smooth @ factor
+        columns.append([factor * (smooth @ (factor * p) - p * full) for p in patterns])
+    return np.reshape(columns, (len(columns), -1)).T
+
+
+@pytest.mark.parametrize(("shape", "scales"), [((5, 6), [1]), ((7, 6), [2, 1]), ((2, 3, 4), [2])])
+def test_cores_are_those_of_the_dense_least_squares(
+    shape: tuple[int, ...], scales: list[int]
+) -> None:
+    wanted = [np.ones(cells(shape, scale), np.bool_) for scale in scales]
+    if len(scales) > 1:
+        wanted[1][0, 2:] = False
+    parts = [functions_over(*part) for part in zip(scales, wanted, strict=True)]
+    basis = MultiscaleBasis(shape, np.concatenate(parts))
+    frames = made_up_frames(int(np.prod(shape)), 6)
+    seen = Observations.of(basis, frames, SHARE)
+    deviations = np.random.default_rng(1).uniform(0.1, 0.5, len(basis.first)).astype(np.float32)
+
+    factor, patterns = frames.floodlit[0].astype(np.float64), frames.lit.astype(np.float64)
+    spread = frames.variance[:, 0] + patterns * frames.floodlit_variance[0] + (SHARE * factor) ** 2
+    certainty = 1 / np.sqrt(spread.ravel())
+    shown = (frames.radiance[:, 0] - patterns * factor).ravel()
+    system = np.concatenate(
+        [certainty[:, None] * column_by_column(basis, frames), np.diag(1 / deviations)]
+    )
+    aim = np.concatenate([certainty * shown, np.zeros(len(deviations))])
+    expected = np.linalg.lstsq(system, aim, rcond=None)[0]
+
+    found = solve(seen, deviations, 1e-6, 3000)
+    assert found.dtype == np.float32
+    apart = np.linalg.norm((found - expected) / deviations)
+    assert apart < 1e-3 * np.linalg.norm(expected / deviations)
+    near = solve(seen, deviations, 1e-6, 3000, start=np.float32(0.9) * found)
+    np.testing.assert_allclose(near, found, atol=1e-3 * float(np.abs(found).max()))
+
+
+def test_without_evidence_the_cores_are_nought() -> None:
+    basis = MultiscaleBasis((5, 6), functions_over(1, np.ones((1, 5, 6), np.bool_)))
+    frames = made_up_frames(30, 4)
+    direct = frames.lit[:, None] * frames.floodlit
+    seen = Observations.of(basis, replace(frames, radiance=direct), SHARE)
+    prior = Prior.of(basis, seen)
+    assert not solve(seen, prior.deviations, 1e-4, 100).any()
+    assert not prior.learned(np.zeros(len(basis.first), np.float32)).any()
+
+
+def test_a_priori_light_falls_with_distance_and_is_then_learned_by_groups() -> None:
+    basis = MultiscaleBasis((9, 9), functions_over(1, np.ones((1, 9, 9), np.bool_)))
+    prior = Prior.of(basis, Observations.of(basis, made_up_frames(81, 4), SHARE))
+    order = np.argsort(basis.distances(), kind="stable")
+    assert (np.diff(prior.deviations[order]) <= 0).all()
+    assert (prior.deviations > 0).all()
+    cores = np.random.default_rng(2).standard_normal(len(basis.first)).astype(np.float32)
+    learned = prior.learned(cores)
+    for group in np.unique(prior.group):
+        own = prior.group == group
+        expected = np.sqrt(np.mean(np.square(cores[own])))
+        np.testing.assert_allclose(learned[own], expected, rtol=1e-5)
+
+
+# --- what a room costs
+
+
+@pytest.mark.parametrize("noise", [None, CameraConfig()])
+def test_a_wedge_is_known_from_far_fewer_patterns_than_symmetric_photography_takes(
+    noise: CameraConfig | None,
+) -> None:
+    scene = reference_scene("IV", (48, 48), channels=1)
+    few = run(scene, "near_far", noise)
+    many = run(scene, "symmetric", noise, tolerance=6e-3)
+    found, rival = errors(scene, few.transport), errors(scene, many.transport)
+    assert len(found) == 6
+    # 0.30 and 0.51 % from 21 patterns, against 0.51 and 0.54 % from 83
+    assert np.mean(found) < 0.01
+    assert np.mean(found) < np.mean(rival)
+    assert max(found) < max(rival)
+    assert few.patterns < 0.4 * many.patterns
+    assert few.history["estimated_error"].iloc[-1] <= 0.01
+
+
+def test_a_smaller_target_takes_more_patterns_and_is_reached() -> None:
+    scene = reference_scene("IV", (24, 24), channels=1)
+    results = [run(scene, "near_far", None, target_error=target) for target in (0.02, 0.003)]
+    assert results[0].patterns < results[1].patterns
+    means = [float(np.mean(errors(scene, result.transport))) for result in results]
+    assert means[1] < means[0] < 0.02
+    assert means[1] < 1.5 * 0.003
+
+
+def test_a_scene_of_direct_light_ends_after_the_first_round_with_no_error_beyond_noise() -> None:
+    scene = reference_scene("I", (32, 32), channels=1)
+    first = 1 + HELD_OUT[1] + ROUNDS[0]
+    exact, noisy = (run(scene, "near_far", noise) for noise in (None, CameraConfig()))
+    assert exact.patterns == noisy.patterns == first
+    assert max(errors(scene, exact.transport)) < 1e-6
+    ones = np.ones(scene.shape, np.float32)
+    truth = scene.apply(ones[None])[0].reshape(*scene.shape, 1)
+    floodlit = relative_rms(noisy.transport.relight(ones), truth)
+    assert 0 < floodlit < 2e-3
+    assert max(errors(scene, noisy.transport)) < 1.5 * floodlit
+
+
+@pytest.mark.parametrize("make", [mirror, permutation, caustics])
+@pytest.mark.parametrize("noise", [None, CameraConfig()])
+def test_where_nothing_is_smooth_symmetric_photography_takes_over(
+    make: Callable[[int], np.ndarray], noise: CameraConfig | None
+) -> None:
+    rig = OperatorRig(make(32), (32, 32), (32, 32), noise)
+    found, rival = (acquire(rig, name, progress=False) for name in ("near_far", "symmetric"))
+    assert rival.patterns < found.patterns <= 1.3 * rival.patterns
+    [part] = found.transport.parts
+    assert isinstance(part, HierarchicalTransport)
+    rows = found.transport.level_rows
+    assert [row["level"] for row in rows] == list(range(len(rows)))
+    assert sum(row["patterns"] for row in rows) == found.patterns
+    matrix = make(32)
+    apart = np.linalg.norm(dense(found.transport)[0] - matrix) / np.linalg.norm(matrix)
+    assert apart < (1e-6 if noise is None else 2e-3)
+
+
+# --- the estimate
+
+
+def held_out(
+    wrong: float, sigma: float, seed: int, pairs: int = 2, rays: int = 2000
+) -> tuple[np.ndarray, Held, float]:
+    """Return a prediction, the pictures, and the prediction's true error."""
+    random = np.random.default_rng(seed)
+    lit = np.repeat(random.random((pairs, rays)) < 0.4, 2, axis=0)
+    truth = np.where(lit, random.uniform(0.2, 1, rays), 0.02)[:, None]
+    amiss = wrong * np.repeat(random.standard_normal((pairs, 1, rays)), 2, axis=0)
+    taken = truth + sigma * random.standard_normal(truth.shape)
+    ratio = [
+        np.linalg.norm(amiss[first]) / np.linalg.norm(truth[first])
+        for first in range(0, 2 * pairs, 2)
+    ]
+    true = ratio[0] if pairs == 1 else (2 * ratio[0] + ratio[1]) / 3
+    return (truth + amiss).astype(np.float32), Held(lit, taken.astype(np.float32)), float(true)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("pairs", [1, 2])
+@pytest.mark.parametrize("sigma", [0.0, 0.003, 0.01])
+def test_the_estimate_is_the_error_without_the_noise(seed: int, pairs: int, sigma: float) -> None:
+    predicted, held, true = held_out(0.005, sigma, seed, pairs)
+    found = estimate(predicted, held)
+    assert true / 1.5 < found.error < 1.5 * true
+    assert (found.worst == found.error) is (pairs == 1)
+    assert found.dark < found.error
+    assert 0 < found.indirect < 0.1
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("sigma", [0.0, 0.01, 1.0])
+def test_of_no_error_the_estimate_is_what_chance_could_be(seed: int, sigma: float) -> None:
+    predicted, held, _ = held_out(0.0, sigma, seed)
+    found = estimate(predicted, held)
+    light = float(np.linalg.norm(predicted[0]) ** 2)
+    chance = np.sqrt(sigma**2 * np.sqrt(2000) / light)
+    assert np.isfinite(found.error)
+    if sigma < 1:
+        assert chance / 1.5 <= found.error <= 2 * chance + 1e-6
+
+
+def test_the_worst_is_that_of_the_strip() -> None:
+    predicted, held, _ = held_out(0.0, 0.0, 0)
+    predicted[2:] *= 1.1
+    found = estimate(predicted, held)
+    assert found.worst == pytest.approx(0.1, rel=1e-4)
+    assert found.error == pytest.approx(0.1 / 3, rel=1e-4)
+    assert found.dark == 0
+
+
+def test_of_darkness_the_estimate_is_nought() -> None:
+    nothing = np.zeros((4, 1, 9), np.float32)
+    found = estimate(nothing, Held(np.zeros((4, 9), np.bool_), nothing))
+    assert found == Estimate(0.0, 0.0, 0.0, 0.0)
+
+
+def test_light_predicted_of_black_pictures_is_an_error_of_one() -> None:
+    predicted, held, _ = held_out(0.0, 0.0, 0)
+    found = estimate(predicted, replace(held, radiance=np.zeros_like(predicted)))
+    assert found.error == pytest.approx(1)
+    assert 0 < found.dark < 1
+
+
+# --- states
+
+
+@pytest.mark.parametrize("case", ["wedge", "mirror", "colours"])
+def test_states_go_through_a_store_at_every_level(case: str, tmp_path: Path) -> None:
+    side = 16 if case == "mirror" else 12
+    if case == "mirror":
+        matrix = mirror(side)[None]
+    else:
+        scene = reference_scene("IV", (side, side), channels=3 if case == "colours" else 1)
+        matrix = np.stack([scene.dense(channel) for channel in range(scene.channels)])
+    method, shape = NearFar(), (side, side)
+    done = acquire_matrix(method, matrix, shape, shape)
+    start = done.states[0]
+    assert method.restore(start, []) is start
+    assert (done.states[-1].symmetric is not None) is (case == "mirror")
+    packs = []
+    for level, pack in enumerate(done.packs):
+        write_arrays(tmp_path / f"{level}.zarr", dict(pack.arrays), {"state": pack.attributes})
+        bundle = open_arrays(tmp_path / f"{level}.zarr")
+        arrays = {name: bundle.read(name) for name in bundle.names}
+        packs.append(Pack(arrays, bundle.attributes["state"]))
+        restored, after = method.restore(start, packs), done.states[level + 1]
+        assert (restored.level, restored.done, restored.shown, restored.estimates) == (
+            after.level, after.done, after.shown, after.estimates,
+        )  # fmt: skip
+        expected, about = method.transport(after).pack()
+        found, restored_about = method.transport(restored).pack()
+        assert restored_about == about
+        assert set(found) == set(expected)
+        for name, array in expected.items():
+            np.testing.assert_array_equal(found[name], array, err_msg=name)
+        if after.level < len(done.schedules):
+            schedule = method.schedule(restored)
+            assert schedule.digest() == done.schedules[after.level].digest()
+            images = MatrixImages(matrix, shape, schedule)
+            np.testing.assert_array_equal(
+                dense(method.transport(method.refine(restored, images))),
+                dense(method.transport(done.states[level + 2])),
+            )
+
+
+def test_the_transport_is_a_sum_of_parts_that_a_store_keeps(tmp_path: Path) -> None:
+    scene = reference_scene("IV", (40, 40), channels=1)
+    transport = run(scene, "near_far", None).transport
+    assert [part.kind for part in transport.parts] == ["low_rank", "multiscale", "multiscale"]
+    dot_test(transport)
+    save_transport(transport, tmp_path / "transport.zarr")
+    stored = open_transport(tmp_path / "transport.zarr")
+    picture = np.random.default_rng(0).random((40, 40))
+    np.testing.assert_array_equal(stored.relight(picture), transport.relight(picture))
+    assert stored.history.equals(transport.history)
+    direct = transport.truncate(0)
+    unlit = picture * (picture > 0.5)
+    assert not direct.relight(unlit)[unlit == 0].any()
+    assert transport.nbytes < 40**4 * 4 / 5
+
+
+@pytest.mark.parametrize("limit", [1, 2, 3, 4, 8, 9, 10, 12, 20, 30])
+@pytest.mark.parametrize("case", ["prime_sides", "mirror"])
+def test_a_number_of_patterns_is_a_limit_and_nothing_takes_over(case: str, limit: int) -> None:
+    scene = CASES[case]()
+    rig = OperatorRig(scene, scene.shape, scene.shape)
+    result = acquire(rig, "near_far", progress=False, patterns=limit, target_error=1e-5)
+    assert result.patterns <= limit
+    if limit > 3 and case == "prime_sides":
+        assert result.patterns == limit
+    assert result.transport.parts[0].kind == "low_rank"
+    assert np.isfinite(dense(result.transport)).all()
+    if case == "prime_sides":
+        assert max(errors(scene, result.transport)) < 0.5
+
+
+def test_it_never_shows_more_than_all_rounds_but_where_symmetric_photography_begins() -> None:
+    scene = reference_scene("IV", (16, 16), channels=1)
+    result = run(scene, "near_far", None, target_error=1e-6, patterns=10_000)
+    assert result.patterns <= MOST
+
+
+def test_the_result_does_not_depend_on_the_memory() -> None:
+    scene = reference_scene("IV", (24, 24), channels=1)
+    method, domain = get_method("near_far"), RayDomain((24, 24))
+    packed = []
+    for memory in (2**24, 2**32):
+        state = method.start(domain, domain, 1, Settings())
+        for _ in range(3):
+            images = MatrixImages(scene.dense()[None], (24, 24), method.schedule(state))
+            state = method.refine(state, images, memory)
+        packed.append(method.transport(state).pack()[0])
+    assert set(packed[0]) == set(packed[1])
+    for name, array in packed[0].items():
+        assert array.tobytes() == packed[1][name].tobytes()
+
+
+# --- hard cases
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_every_hard_case_ends(name: str) -> None:
+    scene = CASES[name]()
+    result = run(scene, "near_far", None)
+    transport = result.transport
+    assert np.isfinite(dense(transport)).all()
+    assert np.isfinite(result.history["estimated_error"]).all()
+    if name == "zero_transport":
+        assert not transport.relight(np.ones(scene.shape)).any()
+    elif not name.startswith("asymmetric"):
+        # it ends at its estimate of a hundredth, or exactly; the plate's shadow is 1.04 %
+        assert np.mean(errors(scene, transport)) < 0.015
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_channel_of_noise_alone_stays_dark() -> None:
+    scene = CASES["dark_channel"]()
+    matrix = np.stack([scene.dense(channel) for channel in range(3)])
+    matrix *= 0.8 / matrix.sum(axis=2).max()
+    result = acquire(OperatorRig(matrix, (16, 16), (16, 16), CameraConfig()), "near_far")
+    relit = result.transport.relight(np.ones((16, 16)))
+    assert np.abs(relit[..., 2]).max() < 0.01 * relit.max()
+    assert all(not part.pack()[0]["cores"][2].any() for part in result.transport.parts[1:])
+    assert result.transport.parts[1:]
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1e-4])
+def test_a_stack_of_views(sigma: float) -> None:
+    matrix = smooth_views()
+    done = acquire_matrix(NearFar(), matrix, (2, 3, 5), (2, 3, 5), sigma=sigma)
+    assert np.isfinite(dense(done.transport)).all()
+    picture = np.zeros((2, 3, 5))
+    picture[1] = 1
+    truth = (matrix @ picture.ravel()).reshape(2, 3, 5, 1)
+    assert relative_rms(done.transport.relight(picture), truth) < 0.02
+
+
+@dataclass
+class Defective:
+    """Images some of which are not what the patterns give."""
+
+    images: MatrixImages
+    which: tuple[int, ...]
+    defect: str
+
+    @property
+    def schedule(self) -> Schedule:
+        return self.images.schedule
+
+    def read(self, first: int, last: int):
+        radiance, variance = self.images.read(first, last)
+        for index in range(first, last):
+            if self.schedule.level and index in self.which:
+                picture, doubt = radiance[index - first], variance[index - first]
+                if self.defect == "saturated":
+                    doubt[picture > picture.mean()] = np.inf
+                    np.minimum(picture, picture.mean(), out=picture)
+                elif self.defect == "black":
+                    picture[:] = 0
+                else:
+                    picture[::5, ::3] = 1e4
+        return radiance, variance
+
+
+@pytest.mark.parametrize("which", [(0,), (0, 1), (3,)])
+@pytest.mark.parametrize("defect", ["saturated", "black", "hot"])
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_pictures_gone_wrong_make_an_error_but_no_nonsense(
+    which: tuple[int, ...], defect: str
+) -> None:
+    scene = reference_scene("IV", (16, 16), channels=1)
+    method, domain = NearFar(), RayDomain((16, 16))
+    state = method.start(domain, domain, 1, Settings())
+    for _ in range(method.n_levels(domain, domain)):
+        images = MatrixImages(scene.dense()[None], (16, 16), method.schedule(state))
+        state = method.refine(state, Defective(images, which, defect))
+    assert all(np.isfinite(found.error) for found in state.estimates)
+    assert np.isfinite(dense(method.transport(state))).all()
+    if which == (0, 1):
+        assert state.estimates[0].error > 0.1
+
+
+def test_a_saturated_acquisition_ends() -> None:
+    scene = reference_scene("IV", (16, 16), channels=1)
+    matrix = scene.dense()
+    bright = np.ones(256)
+    bright[100:102] = 40
+    matrix = bright[:, None] * matrix * bright / matrix.sum(axis=1).max()
+    rig = OperatorRig(matrix, (16, 16), (16, 16), CameraConfig())
+    result = acquire(rig, "near_far", progress=False, patterns=40)
+    assert result.saturated > 0
+    assert np.isfinite(dense(result.transport)).all()
+    assert np.isfinite(result.history["estimated_error"]).all()
+
+
+def test_states_say_so_in_plain_data() -> None:
+    done = acquire_matrix(NearFar(), CASES["prime_sides"]().dense(), (13, 29), (13, 29))
+    assert [pack.attributes["level"] for pack in done.packs] == list(range(1, len(done.packs) + 1))
+    for pack in done.packs:
+        assert json.loads(json.dumps(pack.attributes)) == pack.attributes
+
+
+def test_another_rig_is_refused() -> None:
+    with pytest.raises(InputError, match=r"coaxial rig.*\(2, 3\).*\(4, 5\); use dual"):
+        NearFar().n_levels(RayDomain((2, 3)), RayDomain((4, 5)))
+
+
+def test_direct_light_alone_is_one_part() -> None:
+    done = acquire_matrix(NearFar(), np.diag(np.linspace(0.1, 1, 144)), (12, 12), (12, 12))
+    [part] = done.transport.parts
+    assert isinstance(part, LowRankTransport)

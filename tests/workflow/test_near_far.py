@@ -1,0 +1,58 @@
+"""A whole run by near/far acquisition, stopped in the middle, up to its report."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from tests.workflow.harness import Workflow, freeze_writer, journal, kill_group
+
+from rfpipe import acquire, open_transport
+from rfpipe.config import load_config
+from rfpipe.photometry import sensor_from_config
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import scene_from_config
+
+WEDGE = {"geometry": "wedge", "surfaces": ["texture", "white"], "shape": [24, 26]}
+
+
+def test_a_run_killed_between_probes_ends_as_an_acquisition_in_process(tmp_path: Path) -> None:
+    workflow = Workflow(tmp_path)
+    report = {"tolerances": [1e-2], "resolutions": [4, 8]}
+    workflow.configure(scenes={"wedge": WEDGE}, methods=["near_far"], report=report)
+    store = workflow.path("wedge/near_far/L02/capture.zarr")
+    process = workflow.start("results/wedge/near_far/transport.json")
+    freeze_writer(store, 3)
+    kill_group(process, signal.SIGKILL)
+    process.communicate()
+    before = journal(store)
+    assert 3 <= len(before) < 12
+    workflow.run("--unlock")
+
+    output = workflow.run()
+
+    assert f"{len(before)} of 12 patterns are captured; going on at pattern" in output
+    assert journal(store)[: len(before)] == before
+    config = load_config(workflow.config)
+    rig = SimulatedRig(
+        scene_from_config(config.scenes["wedge"]), sensor_from_config(config.camera), config.seed
+    )
+    frames = {name: getattr(config.capture, name) for name in ("black_frames", "floodlit_frames")}
+    result = acquire(rig, "near_far", progress=False, **frames)
+    stored = open_transport(workflow.path("wedge/near_far/transport.zarr"))
+    expected, about = result.transport.pack(config.storage.number_format)
+    found, stored_about = stored.pack(config.storage.number_format)
+    assert stored_about == about
+    assert set(found) == set(expected)
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+    pd.testing.assert_frame_equal(stored.history, result.history)
+
+    page = workflow.path("report/index.html").read_text(encoding="utf-8")
+    assert "near/far" in page.lower()
+    table = pd.read_csv(workflow.path("report/tables/errors.csv"))
+    assert set(table["method"]) == {"near_far"}
+    assert (table["rms_total"] < 0.05).all()
+    assert "Nothing to be done" in workflow.run()
