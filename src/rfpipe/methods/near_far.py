@@ -289,13 +289,12 @@ class NearFar:
             return replace(state, done=True)
         comparable = len(state.estimates) > 2
         stalled = comparable and found.error > _STALLED * state.estimates[-2].error
-        share = _UNEXPLAINED_AT_FIRST if first else _UNEXPLAINED
-        hopeless = found.dark > share * found.indirect
-        if not (stalled or hopeless or state.level > len(ROUNDS)):
-            return state
-        # dark pixels have none of the direct light's noise: what is wrong there is the model
-        if limit or found.dark < found.error / 2:
+        stalled = stalled or state.level > len(ROUNDS)
+        if stalled and found.is_noise:
             return replace(state, done=True)
+        share = _UNEXPLAINED_AT_FIRST if first else _UNEXPLAINED
+        if limit or not (stalled or found.dark > share * found.indirect):
+            return state
         _log.info("the light is not smooth enough; going on with symmetric photography")
         return replace(state, done=True, symmetric=_taken_over(state))
 

@@ -52,6 +52,15 @@ class Estimate:
     dark: float
     indirect: float
 
+    @property
+    def is_noise(self) -> bool:
+        """Whether most of the error is the noise of direct light, which no more pictures change.
+
+        Dark pixels have none of it, and the strip no more than others.
+        """
+        typical = (_WORST * self.error - self.worst) / (_WORST - 1)
+        return self.dark < typical / 2 and self.worst < 2 * typical
+
 
 def estimate(predicted: Float, held: Held) -> Estimate:
     """Compare predicted with held-out pictures.
