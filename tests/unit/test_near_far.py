@@ -15,11 +15,11 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
-from rfpipe.methods import Pack, Settings, get_method
+from rfpipe.methods import Pack, Settings, get_method, near_far_solve
 from rfpipe.methods.near_far import HELD_OUT, MOST, ROUNDS, NearFar
 from rfpipe.methods.near_far_estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far_fit import Frames
-from rfpipe.methods.near_far_solve import Observations, Prior, solve
+from rfpipe.methods.near_far_solve import Observations, Prior, residual, solve
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import generator
 from rfpipe.scenes import Scene, hard_cases, reference_scene, scene_patterns
@@ -143,6 +143,29 @@ def test_cores_are_those_of_the_dense_least_squares(
     assert apart < 1e-3 * np.linalg.norm(expected / deviations)
     near = solve(seen, deviations, 1e-6, 3000, start=np.float32(0.9) * found)
     np.testing.assert_allclose(near, found, atol=1e-3 * float(np.abs(found).max()))
+
+
+def test_pixels_taken_together_lose_next_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = reference_scene("IV", (32, 32), channels=1)
+    matrix, basis = (
+        scene.dense(),
+        MultiscaleBasis((32, 32), functions_over(8, np.ones((1, 4, 4), np.bool_))),
+    )
+    lit = np.kron(np.random.default_rng(0).random((6, 8, 8)) < 0.5, np.ones((4, 4))) > 0
+    lit = lit.reshape(6, -1)
+    floodlit = matrix.sum(axis=1)[None].astype(np.float32)
+    radiance = (lit @ matrix.T)[:, None].astype(np.float32)
+    frames = Frames(floodlit, 1e-6 * floodlit, lit, radiance, np.full_like(radiance, 1e-6))
+    left, weights = [], []
+    for largest in (8, 1):
+        monkeypatch.setattr(near_far_solve, "_LARGEST_PATCH", largest)
+        seen = Observations.of(basis, frames, SHARE)
+        cores = solve(seen, Prior.of(basis, seen).deviations, 1e-5, 1000)
+        left.append(residual(basis, frames, cores)[~lit])
+        weights.append(float((seen.dark + seen.lit).sum(dtype=np.float64)))
+    assert np.linalg.norm(left[0]) < 1.01 * np.linalg.norm(left[1])
+    assert weights[0] == pytest.approx(weights[1], rel=1e-5)
+    assert seen.weights.shape == (1024, len(basis))
 
 
 def test_without_evidence_the_cores_are_nought() -> None:
@@ -292,6 +315,17 @@ def test_the_worst_is_that_of_the_strip() -> None:
     assert found.worst == pytest.approx(0.1, rel=1e-4)
     assert found.error == pytest.approx(0.1 / 3, rel=1e-4)
     assert found.dark == 0
+
+
+@pytest.mark.parametrize(
+    ("dark", "worst", "expected"),
+    [(0.001, 0.012, True), (0.008, 0.012, False), (0.001, 0.05, False)],
+)
+def test_noise_is_on_lit_pixels_and_everywhere_alike(
+    dark: float, worst: float, expected: bool
+) -> None:
+    found = Estimate((2 * 0.01 + worst) / 3, worst, dark, 0.1)
+    assert found.is_noise is expected
 
 
 def test_of_darkness_the_estimate_is_nought() -> None:
