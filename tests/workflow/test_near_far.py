@@ -15,7 +15,12 @@ from rfpipe.photometry import sensor_from_config
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
 
-WEDGE = {"geometry": "wedge", "surfaces": ["texture", "white"], "shape": [24, 26]}
+WEDGE = {
+    "geometry": "wedge",
+    "surfaces": ["texture", "white"],
+    "shape": [24, 26],
+    "sweep": False,
+}
 
 
 def test_a_run_killed_between_probes_ends_as_an_acquisition_in_process(tmp_path: Path) -> None:
