@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +15,8 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
-from rfpipe.methods import Pack, Settings, get_method, near_far_solve
+from rfpipe.methods import Pack, Settings, get_method
 from rfpipe.methods.near_far import HELD_OUT, MOST, ROUNDS, NearFar
-from rfpipe.methods.near_far_estimate import Estimate, Held, estimate
-from rfpipe.methods.near_far_fit import Frames
-from rfpipe.methods.near_far_solve import Observations, Prior, residual, solve
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import generator
 from rfpipe.scenes import Scene, hard_cases, reference_scene, scene_patterns
@@ -30,10 +27,8 @@ from rfpipe.testing import dot_test
 from rfpipe.transport import Transport, open_transport, save_transport
 from rfpipe.transport.hierarchical import HierarchicalTransport
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multiscale_basis import MultiscaleBasis, cells, functions_over
 
 CASES = hard_cases()
-SHARE = 0.002
 
 
 def errors(scene: Scene, transport: Transport) -> list[float]:
@@ -83,113 +78,6 @@ def smooth_views() -> np.ndarray:
     squared = np.subtract.outer(row, row) ** 2 + np.subtract.outer(column, column) ** 2
     one = 0.02 * np.exp(-squared / 8)
     return np.block([[one, one / 2], [one / 2, one]]) + 0.3 * np.eye(30)
-
-
-# --- the fit
-
-
-def made_up_frames(rays: int, patterns: int) -> Frames:
-    random = np.random.default_rng(0)
-    return Frames(
-        random.uniform(0.2, 1, (1, rays)).astype(np.float32),
-        random.uniform(1e-4, 1e-3, (1, rays)).astype(np.float32),
-        random.random((patterns, rays)) < 0.5,
-        random.uniform(0, 1, (patterns, 1, rays)).astype(np.float32),
-        random.uniform(1e-3, 1e-2, (patterns, 1, rays)).astype(np.float32),
-    )
-
-
-def column_by_column(basis: MultiscaleBasis, frames: Frames) -> np.ndarray:
-    """What each core alone adds to the pictures, ``F (K F p - p K F 1)``, (M N, pairs)."""
-    factor = frames.floodlit[0].astype(np.float64)
-    patterns = frames.lit.astype(np.float64)
-    weights = basis.weights.toarray().astype(np.float64)
-    columns = []
-    for first, second in zip(basis.first, basis.second, strict=True):
-        core = np.zeros((len(basis), len(basis)))
-        core[first, second] = core[second, first] = 1
-        smooth = weights @ core @ weights.T
-        full = smooth @ factor
-        columns.append([factor * (smooth @ (factor * p) - p * full) for p in patterns])
-    return np.reshape(columns, (len(columns), -1)).T
-
-
-@pytest.mark.parametrize(("shape", "scales"), [((5, 6), [1]), ((7, 6), [2, 1]), ((2, 3, 4), [2])])
-def test_cores_are_those_of_the_dense_least_squares(
-    shape: tuple[int, ...], scales: list[int]
-) -> None:
-    wanted = [np.ones(cells(shape, scale), np.bool_) for scale in scales]
-    if len(scales) > 1:
-        wanted[1][0, 2:] = False
-    parts = [functions_over(*part) for part in zip(scales, wanted, strict=True)]
-    basis = MultiscaleBasis(shape, np.concatenate(parts))
-    frames = made_up_frames(int(np.prod(shape)), 6)
-    seen = Observations.of(basis, frames, SHARE)
-    deviations = np.random.default_rng(1).uniform(0.1, 0.5, len(basis.first)).astype(np.float32)
-
-    factor, patterns = frames.floodlit[0].astype(np.float64), frames.lit.astype(np.float64)
-    spread = frames.variance[:, 0] + patterns * frames.floodlit_variance[0] + (SHARE * factor) ** 2
-    certainty = 1 / np.sqrt(spread.ravel())
-    shown = (frames.radiance[:, 0] - patterns * factor).ravel()
-    system = np.concatenate(
-        [certainty[:, None] * column_by_column(basis, frames), np.diag(1 / deviations)]
-    )
-    aim = np.concatenate([certainty * shown, np.zeros(len(deviations))])
-    expected = np.linalg.lstsq(system, aim, rcond=None)[0]
-
-    found = solve(seen, deviations, 1e-6, 3000)
-    assert found.dtype == np.float32
-    apart = np.linalg.norm((found - expected) / deviations)
-    assert apart < 1e-3 * np.linalg.norm(expected / deviations)
-    near = solve(seen, deviations, 1e-6, 3000, start=np.float32(0.9) * found)
-    np.testing.assert_allclose(near, found, atol=1e-3 * float(np.abs(found).max()))
-
-
-def test_pixels_taken_together_lose_next_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = reference_scene("IV", (32, 32), channels=1)
-    matrix, basis = (
-        scene.dense(),
-        MultiscaleBasis((32, 32), functions_over(8, np.ones((1, 4, 4), np.bool_))),
-    )
-    lit = np.kron(np.random.default_rng(0).random((6, 8, 8)) < 0.5, np.ones((4, 4))) > 0
-    lit = lit.reshape(6, -1)
-    floodlit = matrix.sum(axis=1)[None].astype(np.float32)
-    radiance = (lit @ matrix.T)[:, None].astype(np.float32)
-    frames = Frames(floodlit, 1e-6 * floodlit, lit, radiance, np.full_like(radiance, 1e-6))
-    left, weights = [], []
-    for largest in (8, 1):
-        monkeypatch.setattr(near_far_solve, "_LARGEST_PATCH", largest)
-        seen = Observations.of(basis, frames, SHARE)
-        cores = solve(seen, Prior.of(basis, seen).deviations, 1e-5, 1000)
-        left.append(residual(basis, frames, cores)[~lit])
-        weights.append(float((seen.dark + seen.lit).sum(dtype=np.float64)))
-    assert np.linalg.norm(left[0]) < 1.01 * np.linalg.norm(left[1])
-    assert weights[0] == pytest.approx(weights[1], rel=1e-5)
-    assert seen.weights.shape == (1024, len(basis))
-
-
-def test_without_evidence_the_cores_are_nought() -> None:
-    basis = MultiscaleBasis((5, 6), functions_over(1, np.ones((1, 5, 6), np.bool_)))
-    frames = made_up_frames(30, 4)
-    direct = frames.lit[:, None] * frames.floodlit
-    seen = Observations.of(basis, replace(frames, radiance=direct), SHARE)
-    prior = Prior.of(basis, seen)
-    assert not solve(seen, prior.deviations, 1e-4, 100).any()
-    assert not prior.learned(np.zeros(len(basis.first), np.float32)).any()
-
-
-def test_a_priori_light_falls_with_distance_and_is_then_learned_by_groups() -> None:
-    basis = MultiscaleBasis((9, 9), functions_over(1, np.ones((1, 9, 9), np.bool_)))
-    prior = Prior.of(basis, Observations.of(basis, made_up_frames(81, 4), SHARE))
-    order = np.argsort(basis.distances(), kind="stable")
-    assert (np.diff(prior.deviations[order]) <= 0).all()
-    assert (prior.deviations > 0).all()
-    cores = np.random.default_rng(2).standard_normal(len(basis.first)).astype(np.float32)
-    learned = prior.learned(cores)
-    for group in np.unique(prior.group):
-        own = prior.group == group
-        expected = np.sqrt(np.mean(np.square(cores[own])))
-        np.testing.assert_allclose(learned[own], expected, rtol=1e-5)
 
 
 # --- what a room costs
@@ -262,83 +150,6 @@ def test_a_few_caustics_in_a_small_picture_cost_little_more_than_symmetric_photo
     found, rival = (run(scene, name, None) for name in ("near_far", "symmetric"))
     assert rival.patterns < found.patterns <= 1.3 * rival.patterns
     assert np.mean(errors(scene, found.transport)) < 2e-3
-
-
-# --- the estimate
-
-
-def held_out(
-    wrong: float, sigma: float, seed: int, pairs: int = 2, rays: int = 2000
-) -> tuple[np.ndarray, Held, float]:
-    """Return a prediction, the pictures, and the prediction's true error."""
-    random = np.random.default_rng(seed)
-    lit = np.repeat(random.random((pairs, rays)) < 0.4, 2, axis=0)
-    truth = np.where(lit, random.uniform(0.2, 1, rays), 0.02)[:, None]
-    amiss = wrong * np.repeat(random.standard_normal((pairs, 1, rays)), 2, axis=0)
-    taken = truth + sigma * random.standard_normal(truth.shape)
-    ratio = [
-        np.linalg.norm(amiss[first]) / np.linalg.norm(truth[first])
-        for first in range(0, 2 * pairs, 2)
-    ]
-    true = ratio[0] if pairs == 1 else (2 * ratio[0] + ratio[1]) / 3
-    return (truth + amiss).astype(np.float32), Held(lit, taken.astype(np.float32)), float(true)
-
-
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("pairs", [1, 2])
-@pytest.mark.parametrize("sigma", [0.0, 0.003, 0.01])
-def test_the_estimate_is_the_error_without_the_noise(seed: int, pairs: int, sigma: float) -> None:
-    predicted, held, true = held_out(0.005, sigma, seed, pairs)
-    found = estimate(predicted, held)
-    assert true / 1.5 < found.error < 1.5 * true
-    assert (found.worst == found.error) is (pairs == 1)
-    assert found.dark < found.error
-    assert 0 < found.indirect < 0.1
-
-
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("sigma", [0.0, 0.01, 1.0])
-def test_of_no_error_the_estimate_is_what_chance_could_be(seed: int, sigma: float) -> None:
-    predicted, held, _ = held_out(0.0, sigma, seed)
-    found = estimate(predicted, held)
-    light = float(np.linalg.norm(predicted[0]) ** 2)
-    chance = np.sqrt(sigma**2 * np.sqrt(2000) / light)
-    assert np.isfinite(found.error)
-    if sigma < 1:
-        assert chance / 1.5 <= found.error <= 2 * chance + 1e-6
-
-
-def test_the_worst_is_that_of_the_strip() -> None:
-    predicted, held, _ = held_out(0.0, 0.0, 0)
-    predicted[2:] *= 1.1
-    found = estimate(predicted, held)
-    assert found.worst == pytest.approx(0.1, rel=1e-4)
-    assert found.error == pytest.approx(0.1 / 3, rel=1e-4)
-    assert found.dark == 0
-
-
-@pytest.mark.parametrize(
-    ("dark", "worst", "expected"),
-    [(0.001, 0.012, True), (0.008, 0.012, False), (0.001, 0.05, False)],
-)
-def test_noise_is_on_lit_pixels_and_everywhere_alike(
-    dark: float, worst: float, expected: bool
-) -> None:
-    found = Estimate((2 * 0.01 + worst) / 3, worst, dark, 0.1)
-    assert found.is_noise is expected
-
-
-def test_of_darkness_the_estimate_is_nought() -> None:
-    nothing = np.zeros((4, 1, 9), np.float32)
-    found = estimate(nothing, Held(np.zeros((4, 9), np.bool_), nothing))
-    assert found == Estimate(0.0, 0.0, 0.0, 0.0)
-
-
-def test_light_predicted_of_black_pictures_is_an_error_of_one() -> None:
-    predicted, held, _ = held_out(0.0, 0.0, 0)
-    found = estimate(predicted, replace(held, radiance=np.zeros_like(predicted)))
-    assert found.error == pytest.approx(1)
-    assert 0 < found.dark < 1
 
 
 # --- states
