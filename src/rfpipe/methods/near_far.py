@@ -177,7 +177,7 @@ class NearFar:
         first = HELD_OUT.get(level, 0)
         held = _with(state.held, Held(lit[:first], radiance[:first]))
         frames = state.frames.extended(lit[first:], radiance[first:], variance[first:])
-        model = fit(state.domain.shape, frames, memory_bytes)
+        model = fit(state.domain.shape, frames)
         found = _estimate(frames, model, held)
         row = _row(level, count, nodes=len(model.basis.first), estimated_error=found.error)
         state = replace(

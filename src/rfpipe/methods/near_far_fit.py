@@ -34,7 +34,8 @@ _WEIGHED_AT = 0.002
 _SIGNIFICANT = 3.0
 # Steps on the way to the basis, and to the cores, need no more than this.
 _ROUGHLY, _NEARLY, _FULLY = (3e-3, 60), (1e-3, 120), (1e-4, 300)
-_BYTES_PER_PAIR = 64
+# A basis does not grow beyond so many pairs, which take a gigabyte while they are found.
+_MOST_PAIRS = 2**24
 
 
 @dataclass(frozen=True)
@@ -112,7 +113,7 @@ class Model:
     cores: Float
 
 
-def fit(shape: tuple[int, ...], frames: Frames, memory_bytes: int) -> Model:
+def fit(shape: tuple[int, ...], frames: Frames) -> Model:
     """Find which functions the scene needs, and the light that they exchange.
 
     Parameters
@@ -120,11 +121,8 @@ def fit(shape: tuple[int, ...], frames: Frames, memory_bytes: int) -> Model:
     shape : tuple of int
         The ray domain.
     frames : Frames
-    memory_bytes : int
-        Bounds the number of pairs.
     """
-    most_pairs = memory_bytes // _BYTES_PER_PAIR
-    basis = _refined_basis(shape, frames.grey(), most_pairs)
+    basis = _refined_basis(shape, frames.grey())
     cores = np.zeros((frames.channels, len(basis.first)), np.float32)
     for index in range(frames.channels):
         channel = frames.channel(index)
@@ -139,7 +137,7 @@ def fit(shape: tuple[int, ...], frames: Frames, memory_bytes: int) -> Model:
     return Model(basis, cores)
 
 
-def _refined_basis(shape: tuple[int, ...], frames: Frames, most_pairs: int) -> MultiscaleBasis:
+def _refined_basis(shape: tuple[int, ...], frames: Frames) -> MultiscaleBasis:
     """Add functions, scale by scale, where pictures differ from the model beyond noise."""
     scale = coarsest_scale(shape)
     functions = [functions_over(scale, np.ones(cells(shape, scale), np.bool_))]
@@ -151,7 +149,7 @@ def _refined_basis(shape: tuple[int, ...], frames: Frames, most_pairs: int) -> M
         wanted = _wanting(shape, scale, frames, residual(basis, frames, cores))
         functions.append(functions_over(scale, wanted))
         finer = MultiscaleBasis(shape, np.concatenate(functions))
-        if len(finer.first) > most_pairs:
+        if len(finer.first) > _MOST_PAIRS:
             break
         basis = finer
     return basis
