@@ -235,11 +235,7 @@ def _thesis_scenes() -> dict[str, SceneConfig]:
         "planes_i": SceneConfig(geometry="plane", surfaces=("texture",)),
         "planes_ii": SceneConfig(geometry="wedge", surfaces=("white", "white")),
         "planes_iii": SceneConfig(geometry="wedge", surfaces=("white", "texture")),
-        "planes_iv": SceneConfig(
-            geometry="wedge",
-            surfaces=("texture", "texture"),
-            methods=("symmetric", "dual", "near_far"),
-        ),
+        "planes_iv": SceneConfig(geometry="wedge", surfaces=("texture", "texture")),
     }
 
 
