@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 
@@ -118,3 +119,13 @@ class Method(Protocol[State]):
 
     def restore(self, start: State, packs: Sequence[Pack]) -> State:
         """Return the state after the last of the given levels' packs."""
+
+
+def require_coaxial(method: str, camera: RayDomain, projector: RayDomain) -> None:
+    """Raise InputError unless camera and projector share one ray domain."""
+    if camera.shape != projector.shape:
+        raise InputError(
+            f"{method} needs a coaxial rig, whose camera and projector share one ray domain, but "
+            f"the camera's is {camera.shape} and the projector's {projector.shape}; use dual "
+            "photography, or resample the camera onto the projector's grid"
+        )

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings, require_coaxial
 from rfpipe.methods.low_rank_fit import Fit, fit, relit, start_fit
 from rfpipe.methods.signs import as_light, planar_batches, random_signs, rounding, trimmed_mean
 from rfpipe.patterns import Schedule
@@ -97,12 +96,7 @@ class LowRank:
         InputError
             If camera and projector have different ray domains.
         """
-        if camera.shape != projector.shape:
-            raise InputError(
-                f"low_rank needs a coaxial rig, whose camera and projector share one ray domain, "
-                f"but the camera's is {camera.shape} and the projector's {projector.shape}; use "
-                "dual photography"
-            )
+        require_coaxial("low_rank", camera, projector)
         rays = min(max(projector.size, _FIRST_ROUND), _MOST)
         return 2 + ceil(log2(rays / _FIRST_ROUND))
 

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError
 from rfpipe.methods import near_far_handover as handover
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings, require_coaxial
 from rfpipe.methods.near_far_estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far_fit import Frames, Model, fit
 from rfpipe.methods.near_far_parts import as_transport, indirect, light_range
@@ -116,12 +115,7 @@ class NearFar:
         InputError
             If camera and projector have different ray domains.
         """
-        if camera.shape != projector.shape:
-            raise InputError(
-                f"near_far needs a coaxial rig, whose camera and projector share one ray domain, "
-                f"but the camera's is {camera.shape} and the projector's {projector.shape}; use "
-                "dual photography"
-            )
+        require_coaxial("near_far", camera, projector)
         return len(ROUNDS) + Symmetric().n_levels(camera, projector)
 
     def start(

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.conflicts import colour, conflict_graph
-from rfpipe.errors import InputError
-from rfpipe.methods.base import MEMORY_BYTES, LevelImages, Pack, Settings
+from rfpipe.methods.base import MEMORY_BYTES, LevelImages, Pack, Settings, require_coaxial
 from rfpipe.methods.nodes import (
     Frontier,
     as_leaves,
@@ -85,12 +84,7 @@ class Symmetric:
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return the depth of the block tree; camera and projector must share their rays."""
-        if camera.shape != projector.shape:
-            raise InputError(
-                f"symmetric photography needs a coaxial rig, one ray domain for camera and "
-                f"projector; got a camera of {camera.shape} and a projector of {projector.shape}. "
-                "Resample the camera onto the projector's grid, or use dual photography"
-            )
+        require_coaxial("symmetric photography", camera, projector)
         return BlockTree(projector).n_levels
 
     def start(
