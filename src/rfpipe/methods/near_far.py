@@ -26,6 +26,7 @@ from rfpipe.methods.near_far_patterns import (
     held_out_twice,
     probe_patterns,
 )
+from rfpipe.methods.signs import planar_batches
 from rfpipe.methods.symmetric import Symmetric, SymmetricState
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
@@ -304,14 +305,11 @@ _COUNTS = ("nodes", "empty", "rank1", "rank_k", "scalar", "subdivided")
 
 def _read(state: NearFarState, images: LevelImages) -> tuple[Float, Float]:
     """Read all images of a level, radiance and variance (M, C, N)."""
-    count = images.schedule.count
-    shape = (count, state.channels, state.domain.size)
+    channels, rays = state.channels, state.domain.size
+    shape = (images.schedule.count, channels, rays)
     radiance, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    for index in range(count):
-        for target, image in zip((radiance, variance), images.read(index, index + 1), strict=True):
-            target[index] = image.reshape(state.domain.size, state.channels).T
-    # float32 rounds exact radiance, too
-    variance += np.square(np.finfo(np.float32).eps * radiance)
+    for part, seen, spread in planar_batches(images, channels, rays):
+        radiance[part], variance[part] = np.moveaxis(seen, 0, 1), np.moveaxis(spread, 0, 1)
     return radiance, variance
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rfpipe.methods.base import Float
 from rfpipe.methods.near_far_fit import Model
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multiscale import MultiscaleTransport
+from rfpipe.transport.multiscale import MultiscaleTransport, bounced
 from rfpipe.transport.multiscale_basis import coarsest_scale
 from rfpipe.transport.sum import SumTransport
 
@@ -23,15 +23,10 @@ _NEAR = 4
 
 def indirect(model: Model, floodlit: Float, light: Float) -> Float:
     """Return the indirect light of patterns (P, N) as images (P, C, N)."""
-    from rfpipe.transport.multiscale_kernels import couple
-
     basis = model.basis
     images = np.empty((len(light), *floodlit.shape), np.float32)
     for channel, factor in enumerate(floodlit):
-        given = np.ascontiguousarray(basis.sums @ (light * factor).T)
-        received = np.zeros_like(given)
-        couple(basis.first, basis.second, model.cores[channel], given, received)
-        images[:, channel] = (basis.weights @ received).T * factor
+        images[:, channel] = bounced(basis, basis.pairs, model.cores[channel], factor, light)
     return images
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float
+from rfpipe.transport.multiscale import bounced
 from rfpipe.transport.multiscale_basis import MultiscaleBasis
 
 if TYPE_CHECKING:
@@ -176,13 +177,9 @@ def solve(
 
 def residual(basis: MultiscaleBasis, frames: Frames, cores: Float) -> Float:
     """Return what the model leaves of the dark pixels of one channel's frames, (M, N)."""
-    from rfpipe.transport.multiscale_kernels import couple
-
-    factor = frames.floodlit[0]
-    light = np.ascontiguousarray(basis.sums @ (frames.lit * factor).T)
-    received = np.zeros_like(light)
-    couple(basis.first, basis.second, cores, light, received)
-    left: Float = frames.radiance[:, 0] - (basis.weights @ received).T * factor
+    left: Float = frames.radiance[:, 0] - bounced(
+        basis, basis.pairs, cores, frames.floodlit[0], frames.lit
+    )
     return left
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.transport.base import Float, LazyArrays, Transport
-from rfpipe.transport.multiscale_basis import MultiscaleBasis
+from rfpipe.transport.multiscale_basis import Functions, MultiscaleBasis
 from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
 
@@ -75,17 +75,10 @@ class MultiscaleTransport(Transport):
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``."""
-        from rfpipe.transport.multiscale_kernels import couple
-
-        basis = self.basis
-        first, second = self._pairs
         images = np.empty(patterns.shape, np.float32)
-        for k, channel in enumerate(channels):
-            factor = self._arrays["factor"][channel]
-            light = np.ascontiguousarray(basis.sums @ (patterns[:, k] * factor).T)
-            seen = np.zeros_like(light)
-            couple(first, second, self._arrays["cores"][channel], light, seen)
-            images[:, k] = (basis.weights @ seen).T * factor
+        for k, c in enumerate(channels):
+            cores, factor = self._arrays["cores"][c], self._arrays["factor"][c]
+            images[:, k] = bounced(self.basis, self._pairs, cores, factor, patterns[:, k])
         return images
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
@@ -125,4 +118,32 @@ class MultiscaleTransport(Transport):
         if "pairs" in self._arrays:
             first, second = self._arrays["pairs"]
             return first, second
-        return self.basis.first, self.basis.second
+        return self.basis.pairs
+
+
+def bounced(
+    basis: MultiscaleBasis,
+    pairs: tuple[Functions, Functions],
+    cores: Float,
+    factor: Float,
+    patterns: NDArray[Any],
+) -> Float:
+    """Return ``F B S B^T F p`` of one channel for patterns (P, N), float32 (P, N).
+
+    Parameters
+    ----------
+    basis : MultiscaleBasis
+    pairs : tuple of two ndarrays of int32, shape (pairs,)
+        The functions that the cores are about.
+    cores : ndarray of float32, shape (pairs,)
+    factor : ndarray of float32, shape (N,)
+        F.
+    patterns : ndarray of float32 or bool, shape (P, N)
+    """
+    from rfpipe.transport.multiscale_kernels import couple
+
+    light = np.ascontiguousarray(basis.sums @ (patterns * factor).T)
+    received = np.zeros_like(light)
+    couple(*pairs, cores, light, received)
+    images: Float = (basis.weights @ received).T * factor
+    return images

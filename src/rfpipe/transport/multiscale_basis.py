@@ -40,21 +40,30 @@ class MultiscaleBasis:
         Scale (the spacing of its grid in pixels, a power of two), view, row and column of each
         function's grid position. At scale 1 a function is a single ray, at others position
         ``i`` is centred at ``(i - 1/2) scale``, so that it begins outside the image.
-
-    Attributes
-    ----------
-    first, second : ndarray of int32, shape (pairs,)
-        The pairs, ``first <= second``.
     """
 
     def __init__(self, shape: tuple[int, ...], functions: Functions) -> None:
         self.shape = tuple(shape)
         order = np.lexsort(functions.T[::-1])
         self.functions: Functions = np.ascontiguousarray(functions[order], np.int32)
-        self.first, self.second = _pairs(self.functions, self.centres)
 
     def __len__(self) -> int:
         return len(self.functions)
+
+    @cached_property
+    def pairs(self) -> tuple[Functions, Functions]:
+        """The pairs' first and second functions, int32 (pairs,) each, ``first <= second``."""
+        return _pairs(self.functions, self.centres)
+
+    @property
+    def first(self) -> Functions:
+        """The first function of each pair."""
+        return self.pairs[0]
+
+    @property
+    def second(self) -> Functions:
+        """The second function of each pair."""
+        return self.pairs[1]
 
     @property
     def scales(self) -> Functions:
