@@ -6,8 +6,7 @@ Y. Y. Schechner, S. K. Nayar and P. N. Belhumeur, *Multiplexing for optimal ligh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import count
 from math import isqrt
 from typing import Any
@@ -15,42 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages
+from rfpipe.methods.scan import Scan, ScanState, read_columns
 from rfpipe.patterns import Schedule
-from rfpipe.transport.dense import DenseTransport
 
-# As a scan of single pixels: for small scenes.
-LARGEST_MATRIX_BYTES = 8 * 2**30
-
-# Images read, and pixels decoded, at a time.
+# Pixels decoded at a time.
 _BATCH_BYTES = 32 * 2**20
 
 
-@dataclass(frozen=True)
-class HadamardState:
-    """The state of a multiplexed scan.
-
-    Attributes
-    ----------
-    camera, projector : RayDomain
-    matrix : ndarray of float32, shape (C, camera rays, projector rays)
-        Zeros before the scan.
-    level : int
-        0 before the scan, 1 after it.
-    rows : tuple of dict
-        The table of levels so far.
-    """
-
-    camera: RayDomain
-    projector: RayDomain
-    matrix: Float
-    level: int = 0
-    rows: tuple[dict[str, int], ...] = ()
-
-
-class Hadamard:
+class Hadamard(Scan):
     """A scan of the projector's rays by the rows of an S-matrix, as a `Method`.
 
     Of all sets of n patterns of on and off for n unknowns, an S-matrix has the least noise where
@@ -64,36 +36,9 @@ class Hadamard:
     """
 
     name = "hadamard"
+    title = "a Hadamard scan"
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
-        """Return 1: all patterns are known beforehand."""
-        return 1
-
-    def start(
-        self,
-        camera: RayDomain,
-        projector: RayDomain,
-        channels: int,
-        settings: Settings,  # noqa: ARG002
-    ) -> HadamardState:
-        """Return the state before the scan.
-
-        Raises
-        ------
-        InputError
-            If the matrix would be larger than `LARGEST_MATRIX_BYTES`.
-        """
-        shape = (channels, camera.size, projector.size)
-        size = int(np.prod(shape)) * np.dtype(np.float32).itemsize
-        if size > LARGEST_MATRIX_BYTES:
-            raise InputError(
-                f"a Hadamard scan of {projector.size} projector rays and {camera.size} camera "
-                f"rays in {channels} channels gives a matrix of {size / 2**30:.1f} GiB, more than "
-                f"{LARGEST_MATRIX_BYTES / 2**30:.0f}; use dual or symmetric photography"
-            )
-        return HadamardState(camera, projector, np.zeros(shape, np.float32))
-
-    def schedule(self, state: HadamardState) -> Schedule:
+    def schedule(self, state: ScanState) -> Schedule:
         """Light about half of the rays in each pattern, the next pattern's shifted by one ray."""
         rays = state.projector.size
         code = s_matrix_row(s_matrix_order(rays)).astype(np.float32)
@@ -103,20 +48,14 @@ class Hadamard:
 
     def refine(
         self,
-        state: HadamardState,
+        state: ScanState,
         images: LevelImages,
         memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - it holds the whole matrix anyway
-    ) -> HadamardState:
+    ) -> ScanState:
         """Solve for the matrix."""
         channels, pixels, rays = state.matrix.shape
         order = images.schedule.count
-        coded = np.empty((channels, pixels, order), np.float32)
-        step = max(1, _BATCH_BYTES // (channels * pixels * coded.itemsize))
-        for first in range(0, order, step):
-            last = min(first + step, order)
-            radiance, _ = images.read(first, last)
-            columns = radiance.reshape(last - first, pixels, channels)
-            coded[..., first:last] = np.moveaxis(columns, (0, 1), (2, 1))
+        coded = read_columns(images, channels, pixels)
         matrix = decode(coded.reshape(-1, order), rays).reshape(state.matrix.shape)
         row = {
             "level": 0,
@@ -128,27 +67,6 @@ class Hadamard:
             "subdivided": 0,
         }
         return replace(state, matrix=matrix, level=1, rows=(row,))
-
-    def transport(self, state: HadamardState) -> DenseTransport:
-        """Return the dense matrix."""
-        return DenseTransport(
-            state.camera.shape,
-            state.projector.shape,
-            len(state.matrix),
-            list(state.rows),
-            {"matrix": state.matrix},
-        )
-
-    def pack(self, state: HadamardState) -> Pack:
-        """Return the matrix."""
-        return Pack({"matrix": state.matrix}, {"rows": list(state.rows)})
-
-    def restore(self, start: HadamardState, packs: Sequence[Pack]) -> HadamardState:
-        """Return the state after the scan, or before it if there are no packs."""
-        if not packs:
-            return start
-        rows = tuple(packs[-1].attributes["rows"])
-        return replace(start, matrix=packs[-1].arrays["matrix"], level=1, rows=rows)
 
 
 def s_matrix_order(rays: int) -> int:

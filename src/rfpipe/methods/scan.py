@@ -1,0 +1,117 @@
+"""What scans share: as many patterns as rays, known beforehand, and a dense matrix."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
+from rfpipe.methods.base import Float, LevelImages, Pack, Settings
+from rfpipe.transport.dense import DenseTransport
+
+__all__ = ["Scan", "ScanState", "read_columns"]
+
+# A scan is for small scenes: what it would cost for large ones is computed, never run.
+LARGEST_MATRIX_BYTES = 8 * 2**30
+
+# Images read at a time.
+_BATCH_BYTES = 32 * 2**20
+
+
+@dataclass(frozen=True)
+class ScanState:
+    """The state of a scan.
+
+    Attributes
+    ----------
+    camera, projector : RayDomain
+    matrix : ndarray of float32, shape (C, camera rays, projector rays)
+        Zeros before the scan.
+    level : int
+        0 before the scan, 1 after it.
+    rows : tuple of dict
+        The table of levels so far.
+    """
+
+    camera: RayDomain
+    projector: RayDomain
+    matrix: Float
+    level: int = 0
+    rows: tuple[dict[str, int], ...] = ()
+
+
+class Scan:
+    """The part of a `Method` that all scans share.
+
+    Attributes
+    ----------
+    title : str
+        The scan's name in messages, with its article.
+    """
+
+    title: str
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
+        """Return 1: all patterns are known beforehand."""
+        return 1
+
+    def start(
+        self,
+        camera: RayDomain,
+        projector: RayDomain,
+        channels: int,
+        settings: Settings,  # noqa: ARG002
+    ) -> ScanState:
+        """Return the state before the scan.
+
+        Raises
+        ------
+        InputError
+            If the matrix would be larger than `LARGEST_MATRIX_BYTES`.
+        """
+        shape = (channels, camera.size, projector.size)
+        size = int(np.prod(shape)) * np.dtype(np.float32).itemsize
+        if size > LARGEST_MATRIX_BYTES:
+            raise InputError(
+                f"{self.title} of {projector.size} projector rays and {camera.size} camera "
+                f"rays in {channels} channels gives a matrix of {size / 2**30:.1f} GiB, more than "
+                f"{LARGEST_MATRIX_BYTES / 2**30:.0f}; use dual or symmetric photography"
+            )
+        return ScanState(camera, projector, np.zeros(shape, np.float32))
+
+    def transport(self, state: ScanState) -> DenseTransport:
+        """Return the dense matrix."""
+        return DenseTransport(
+            state.camera.shape,
+            state.projector.shape,
+            len(state.matrix),
+            list(state.rows),
+            {"matrix": state.matrix},
+        )
+
+    def pack(self, state: ScanState) -> Pack:
+        """Return the matrix."""
+        return Pack({"matrix": state.matrix}, {"rows": list(state.rows)})
+
+    def restore(self, start: ScanState, packs: Sequence[Pack]) -> ScanState:
+        """Return the state after the scan, or before it if there are no packs."""
+        if not packs:
+            return start
+        rows = tuple(packs[-1].attributes["rows"])
+        return replace(start, matrix=packs[-1].arrays["matrix"], level=1, rows=rows)
+
+
+def read_columns(images: LevelImages, channels: int, pixels: int) -> Float:
+    """Read a level's images as columns, float32 (channels, pixels, patterns)."""
+    count = images.schedule.count
+    columns = np.empty((channels, pixels, count), np.float32)
+    step = max(1, _BATCH_BYTES // (channels * pixels * columns.itemsize))
+    for first in range(0, count, step):
+        last = min(first + step, count)
+        radiance, _ = images.read(first, last)
+        seen = radiance.reshape(last - first, pixels, channels)
+        columns[..., first:last] = np.moveaxis(seen, (0, 1), (2, 1))
+    return columns
