@@ -21,9 +21,9 @@ from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, merge, normalize
+from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import AcquisitionFolder, Plan
 from rfpipe.stages.results import write_bundle
-from rfpipe.stages.workers import Resources
 from rfpipe.store import FrameStore
 
 OUTPUT = Path("results/bench")

@@ -10,7 +10,7 @@ from pathlib import Path
 import pandas as pd
 
 from rfpipe.config import Config
-from rfpipe.stages.studies.resolution import resolution_study
+from rfpipe.stages.evaluating.studies.resolution import resolution_study
 
 OUTPUT = Path("results/bench/patterns.csv")
 SIDES = (8, 16, 32, 64, 128)

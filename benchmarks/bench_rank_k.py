@@ -18,12 +18,12 @@ import numpy as np
 import pandas as pd
 
 import rfpipe
-from rfpipe.methods import symmetric
+from rfpipe.methods.symmetric import method as symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene, relighting_patterns
 from rfpipe.scenes.base import Scene
-from rfpipe.stages.metrics import relative_rms, unlit_rms
+from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
 
 OUTPUT = Path("results/bench")
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rfpipe.scenes import RadiosityScene, planes_scene
-from rfpipe.scenes.formfactors import facing_pairs
+from rfpipe.scenes.facing import facing_pairs
 from rfpipe.scenes.hard import PLATE
 
 OUTPUT = Path("results/bench/scene_apply.csv")

@@ -33,7 +33,7 @@ from rfpipe.report.speed_error import COLUMNS, against_symmetric, summary_lines
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import RadiosityScene, planes_scene, scene_patterns
 from rfpipe.scenes.hard import PLATE
-from rfpipe.stages.metrics import relative_rms, unlit_rms
+from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
 
 OUTPUT = Path("results/bench/speed_error.csv")
 

@@ -25,8 +25,8 @@ from rfpipe.scenes import reference_scene, relighting_patterns
 from rfpipe.store import arrays
 from rfpipe.store.chunks import layout, small_layout
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.hierarchical import HierarchicalTransport
-from rfpipe.transport.leaves import LeafSet, leaf_offsets
+from rfpipe.transport.hierarchical.leaves import LeafSet, leaf_offsets
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.units import NumberFormat
 
 OUTPUT = Path("results/bench/storage.csv")

@@ -15,14 +15,18 @@ from typing import Any
 import pandas as pd
 
 import rfpipe
-from rfpipe.methods import nodes, nystroem, pieces, symmetric, verdicts
+from rfpipe.methods.symmetric import method as symmetric
+from rfpipe.methods.symmetric import nodes, pieces
+from rfpipe.methods.symmetric import rank_k as nystroem
+from rfpipe.methods.symmetric import rank_test as verdicts
 from rfpipe.patterns import Schedule
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene
-from rfpipe.stages import acquire, images
-from rfpipe.stages.merging import LevelSum, Merger
-from rfpipe.transport import partition
+from rfpipe.stages import acquire
+from rfpipe.stages.merging import images
+from rfpipe.stages.merging.merger import LevelSum, Merger
+from rfpipe.transport.hierarchical import partition
 
 OUTPUT = Path("results/bench")
 

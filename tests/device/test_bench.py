@@ -22,7 +22,8 @@ from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.photometry import MergeOptions
 from rfpipe.rigs import BLACK_LEVEL_KEY, DeviceRig
 from rfpipe.rigs.bench import optical_path
-from rfpipe.rigs.build import devices_from_config, rig_from_config, sensor_of
+from rfpipe.rigs.build import devices_from_config, rig_from_config
+from rfpipe.rigs.settings import sensor_of
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
 
 RAYS = (8, 10)

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.hierarchical import HierarchicalTransport
-from rfpipe.transport.leaves import LeafSet, factor_offsets, merge_leaf_sets
+from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, merge_leaf_sets
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
 shapes = st.one_of(
     st.tuples(st.integers(1, 9), st.integers(1, 9)),

@@ -5,12 +5,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.methods.nodes import Frontier, child_pairs
-from rfpipe.methods.nystroem import predictable, rank_k_leaves
-from rfpipe.methods.nystroem_kernels import _decompose
-from rfpipe.methods.pieces import Pieces
-from rfpipe.methods.verdicts import Limits
-from rfpipe.transport.leaves import factor_offsets
+from rfpipe.methods.symmetric.nodes import Frontier, child_pairs
+from rfpipe.methods.symmetric.pieces import Pieces
+from rfpipe.methods.symmetric.rank_k import predictable, rank_k_leaves
+from rfpipe.methods.symmetric.rank_k_kernels import _decompose
+from rfpipe.methods.symmetric.rank_test import Limits
+from rfpipe.transport.hierarchical.leaves import factor_offsets
 
 SEEDS = st.integers(0, 2**32 - 1)
 shapes = st.tuples(st.integers(5, 20), st.integers(5, 20))

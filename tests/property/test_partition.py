@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.property.test_hierarchical import random_transport, shapes
 
-from rfpipe.transport import partition
-from rfpipe.transport.partition import predict
+from rfpipe.transport.hierarchical import partition
+from rfpipe.transport.hierarchical.partition import predict
 
 
 @settings(max_examples=40, deadline=None)

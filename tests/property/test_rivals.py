@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from tests.helpers import dense
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.hadamard import decode, s_matrix_order, s_matrix_row
-from rfpipe.methods.pursuit import pursue, rays_and_wavelets
+from rfpipe.methods.rivals.hadamard import decode, s_matrix_order, s_matrix_row
+from rfpipe.methods.rivals.pursuit import pursue, rays_and_wavelets
 from rfpipe.testing import dot_test
 from rfpipe.transport.low_rank import LowRankTransport
 

@@ -6,8 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.transport.leaves import LeafSet, factor_offsets
-from rfpipe.transport.rounding import decoded, pack_leaves, rounded, signed_apart, unpack_leaves
+from rfpipe.transport.hierarchical.codes import (
+    decoded,
+    pack_leaves,
+    rounded,
+    signed_apart,
+    unpack_leaves,
+)
+from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets
 
 FORMATS = {"uint16": 65535, "uint8": 255}
 TREE = BlockTree(RayDomain((5, 6)))

@@ -16,8 +16,8 @@ from rfpipe.config import json_schema
 from rfpipe.errors import InputError
 from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
 from rfpipe.transport import save_transport
-from rfpipe.transport.hierarchical import HierarchicalTransport
-from rfpipe.transport.leaves import LeafSet
+from rfpipe.transport.hierarchical.leaves import LeafSet
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
 SHAPE = (4, 6)
 CONFIG = Path(__file__).parents[2] / "config" / "config.yaml"

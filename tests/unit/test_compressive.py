@@ -11,8 +11,8 @@ from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
 from rfpipe.methods import Settings
-from rfpipe.methods.compressive import Compressive
-from rfpipe.methods.pursuit import pursue, rays_and_wavelets
+from rfpipe.methods.rivals.compressive import Compressive
+from rfpipe.methods.rivals.pursuit import pursue, rays_and_wavelets
 from rfpipe.scenes import reference_scene
 from rfpipe.store.arrays import open_arrays, write_arrays
 from rfpipe.transport import open_transport, save_transport

@@ -15,8 +15,9 @@ from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.page import build_report
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
-from rfpipe.stages import evaluate, relight
-from rfpipe.stages.progress import log_estimate
+from rfpipe.stages import relight
+from rfpipe.stages.evaluating import evaluate
+from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.history import HISTORY_COLUMNS, estimates, history

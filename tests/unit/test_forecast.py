@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from rfpipe.cli import app
 from rfpipe.config import Config
 from rfpipe.photometry import CameraModel, ExactSensor
-from rfpipe.stages.forecast import forecast
+from rfpipe.stages.capturing.forecast import forecast
 
 
 def settings(**changes: object) -> Config:
@@ -58,7 +58,7 @@ def test_the_command_says_what_does_not_fit(
     assert result.output.count("dual") == 4
     assert "One after the other: 9 h" in result.output
     assert "may not fit" not in result.output
-    from rfpipe.stages import disk
+    from rfpipe.stages.capturing import disk
 
     monkeypatch.setattr(disk, "free_bytes", lambda _folder: 10)
     result = runner.invoke(app, ["plan", str(config)])

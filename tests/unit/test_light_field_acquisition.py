@@ -7,7 +7,7 @@ from rfpipe import acquire
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import relighting_patterns, room_scene
-from rfpipe.stages.metrics import relative_rms
+from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.relight import images_of, one_view_at_a_time
 from rfpipe.testing import dot_test
 

@@ -11,7 +11,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
 from rfpipe.methods import Settings
-from rfpipe.methods.low_rank import LowRank
+from rfpipe.methods.rivals.low_rank import LowRank
 from rfpipe.scenes import reference_scene
 from rfpipe.store.arrays import open_arrays, write_arrays
 from rfpipe.testing import dot_test

@@ -15,9 +15,9 @@ from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions, Response, brackets
 from rfpipe.photometry.defects import DefectMap, repair
 from rfpipe.provenance import generator
-from rfpipe.stages import merging
-from rfpipe.stages.merging import LevelSum, Merger, reference_patterns, runs
-from rfpipe.stages.workers import Resources, Workers
+from rfpipe.stages.jobs.workers import Resources, Workers
+from rfpipe.stages.merging import merger as merging
+from rfpipe.stages.merging.merger import LevelSum, Merger, reference_patterns, runs
 
 CAMERA = CameraModel()
 IMAGE = (11, 13, 3)

@@ -13,7 +13,7 @@ from rfpipe.methods import METHODS, Pack, Settings, get_method
 from rfpipe.report.drawing import METHOD_COLOURS
 from rfpipe.report.inputs import METHOD_TITLES
 from rfpipe.scenes import reference_scene
-from rfpipe.stages.disk import expected_patterns, most_patterns
+from rfpipe.stages.capturing.disk import expected_patterns, most_patterns
 from rfpipe.testing import dot_test
 
 SHAPE = (6, 7)

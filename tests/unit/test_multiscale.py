@@ -12,14 +12,14 @@ from rfpipe.errors import InputError
 from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multiscale import MultiscaleTransport
-from rfpipe.transport.multiscale_basis import (
+from rfpipe.transport.multiscale.basis import (
     REACH,
     MultiscaleBasis,
     cells,
     coarsest_scale,
     functions_over,
 )
+from rfpipe.transport.multiscale.transport import MultiscaleTransport
 from rfpipe.transport.sum import SumTransport
 
 ROWS = [{"level": level, "patterns": 3} for level in range(4)]

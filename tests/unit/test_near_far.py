@@ -16,16 +16,16 @@ from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
 from rfpipe.methods import Pack, Settings, get_method
-from rfpipe.methods.near_far import HELD_OUT, MOST, ROUNDS, NearFar
+from rfpipe.methods.near_far.method import HELD_OUT, MOST, ROUNDS, NearFar
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import generator
 from rfpipe.scenes import Scene, hard_cases, reference_scene, scene_patterns
 from rfpipe.stages.acquire import AcquisitionResult
-from rfpipe.stages.metrics import relative_rms
+from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.store.arrays import open_arrays, write_arrays
 from rfpipe.testing import dot_test
 from rfpipe.transport import Transport, open_transport, save_transport
-from rfpipe.transport.hierarchical import HierarchicalTransport
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.low_rank import LowRankTransport
 
 CASES = hard_cases()

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rfpipe.methods import near_far_solve
-from rfpipe.methods.near_far_estimate import Estimate, Held, estimate
-from rfpipe.methods.near_far_fit import Frames
-from rfpipe.methods.near_far_solve import Observations, Prior, residual, solve
+from rfpipe.methods.near_far import solve as near_far_solve
+from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
+from rfpipe.methods.near_far.pictures import Pictures
+from rfpipe.methods.near_far.solve import Observations, Prior, residual, solve
 from rfpipe.scenes import reference_scene
-from rfpipe.transport.multiscale_basis import MultiscaleBasis, cells, functions_over
+from rfpipe.transport.multiscale.basis import MultiscaleBasis, cells, functions_over
 
 SHARE = 0.002
 
@@ -20,9 +20,9 @@ SHARE = 0.002
 # --- the fit
 
 
-def made_up_frames(rays: int, patterns: int) -> Frames:
+def made_up_frames(rays: int, patterns: int) -> Pictures:
     random = np.random.default_rng(0)
-    return Frames(
+    return Pictures(
         random.uniform(0.2, 1, (1, rays)).astype(np.float32),
         random.uniform(1e-4, 1e-3, (1, rays)).astype(np.float32),
         random.random((patterns, rays)) < 0.5,
@@ -31,10 +31,10 @@ def made_up_frames(rays: int, patterns: int) -> Frames:
     )
 
 
-def column_by_column(basis: MultiscaleBasis, frames: Frames) -> np.ndarray:
+def column_by_column(basis: MultiscaleBasis, pictures: Pictures) -> np.ndarray:
     """What each core alone adds to the pictures, ``F (K F p - p K F 1)``, (M N, pairs)."""
-    factor = frames.floodlit[0].astype(np.float64)
-    patterns = frames.lit.astype(np.float64)
+    factor = pictures.floodlit[0].astype(np.float64)
+    patterns = pictures.lit.astype(np.float64)
     weights = basis.weights.toarray().astype(np.float64)
     columns = []
     for first, second in zip(basis.first, basis.second, strict=True):
@@ -55,16 +55,18 @@ def test_cores_are_those_of_the_dense_least_squares(
         wanted[1][0, 2:] = False
     parts = [functions_over(*part) for part in zip(scales, wanted, strict=True)]
     basis = MultiscaleBasis(shape, np.concatenate(parts))
-    frames = made_up_frames(int(np.prod(shape)), 6)
-    seen = Observations.of(basis, frames, SHARE)
+    pictures = made_up_frames(int(np.prod(shape)), 6)
+    seen = Observations.of(basis, pictures, SHARE)
     deviations = np.random.default_rng(1).uniform(0.1, 0.5, len(basis.first)).astype(np.float32)
 
-    factor, patterns = frames.floodlit[0].astype(np.float64), frames.lit.astype(np.float64)
-    spread = frames.variance[:, 0] + patterns * frames.floodlit_variance[0] + (SHARE * factor) ** 2
+    factor, patterns = pictures.floodlit[0].astype(np.float64), pictures.lit.astype(np.float64)
+    spread = (
+        pictures.variance[:, 0] + patterns * pictures.floodlit_variance[0] + (SHARE * factor) ** 2
+    )
     certainty = 1 / np.sqrt(spread.ravel())
-    shown = (frames.radiance[:, 0] - patterns * factor).ravel()
+    shown = (pictures.radiance[:, 0] - patterns * factor).ravel()
     system = np.concatenate(
-        [certainty[:, None] * column_by_column(basis, frames), np.diag(1 / deviations)]
+        [certainty[:, None] * column_by_column(basis, pictures), np.diag(1 / deviations)]
     )
     aim = np.concatenate([certainty * shown, np.zeros(len(deviations))])
     expected = np.linalg.lstsq(system, aim, rcond=None)[0]
@@ -87,13 +89,13 @@ def test_pixels_taken_together_lose_next_to_nothing(monkeypatch: pytest.MonkeyPa
     lit = lit.reshape(6, -1)
     floodlit = matrix.sum(axis=1)[None].astype(np.float32)
     radiance = (lit @ matrix.T)[:, None].astype(np.float32)
-    frames = Frames(floodlit, 1e-6 * floodlit, lit, radiance, np.full_like(radiance, 1e-6))
+    pictures = Pictures(floodlit, 1e-6 * floodlit, lit, radiance, np.full_like(radiance, 1e-6))
     left, weights = [], []
     for largest in (8, 1):
         monkeypatch.setattr(near_far_solve, "_LARGEST_PATCH", largest)
-        seen = Observations.of(basis, frames, SHARE)
+        seen = Observations.of(basis, pictures, SHARE)
         cores = solve(seen, Prior.of(basis, seen).deviations, 1e-5, 1000)
-        left.append(residual(basis, frames, cores)[~lit])
+        left.append(residual(basis, pictures, cores)[~lit])
         weights.append(float((seen.dark + seen.lit).sum(dtype=np.float64)))
     assert np.linalg.norm(left[0]) < 1.01 * np.linalg.norm(left[1])
     assert weights[0] == pytest.approx(weights[1], rel=1e-5)
@@ -102,9 +104,9 @@ def test_pixels_taken_together_lose_next_to_nothing(monkeypatch: pytest.MonkeyPa
 
 def test_without_evidence_the_cores_are_nought() -> None:
     basis = MultiscaleBasis((5, 6), functions_over(1, np.ones((1, 5, 6), np.bool_)))
-    frames = made_up_frames(30, 4)
-    direct = frames.lit[:, None] * frames.floodlit
-    seen = Observations.of(basis, replace(frames, radiance=direct), SHARE)
+    pictures = made_up_frames(30, 4)
+    direct = pictures.lit[:, None] * pictures.floodlit
+    seen = Observations.of(basis, replace(pictures, radiance=direct), SHARE)
     prior = Prior.of(basis, seen)
     assert not solve(seen, prior.deviations, 1e-4, 100).any()
     assert not prior.learned(np.zeros(len(basis.first), np.float32)).any()

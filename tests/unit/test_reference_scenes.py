@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rfpipe
-from rfpipe.methods import symmetric
+from rfpipe.methods.symmetric import method as symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene, relighting_patterns

@@ -26,8 +26,9 @@ from rfpipe.report.text import number, percent, size
 from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1, numeral_of
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
-from rfpipe.stages import evaluate, relight, sweep
+from rfpipe.stages import relight
 from rfpipe.stages.acquire import acquire
+from rfpipe.stages.evaluating import evaluate, sweep
 from rfpipe.store import write_arrays, write_manifest
 from rfpipe.transport import save_transport
 

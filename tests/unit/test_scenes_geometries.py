@@ -23,7 +23,8 @@ from rfpipe.scenes import (
     scene_patterns,
     surface_points,
 )
-from rfpipe.scenes.formfactors import DENSE_LIMIT, facing_pairs, form_factors
+from rfpipe.scenes.facing import facing_pairs
+from rfpipe.scenes.formfactors import DENSE_LIMIT, form_factors
 from rfpipe.scenes.spheres import hidden
 
 ROOMS = ("wedge_30", "wedge_120", "tilted_wedge", "corner", "sphere_on_plane")

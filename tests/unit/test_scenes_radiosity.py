@@ -22,7 +22,8 @@ from rfpipe.scenes import (
     surface_points,
 )
 from rfpipe.scenes.clusters import ClusterTree, cluster_pairs
-from rfpipe.scenes.formfactors import facing_pairs, form_factors
+from rfpipe.scenes.facing import facing_pairs
+from rfpipe.scenes.formfactors import form_factors
 from rfpipe.scenes.hard import PLATE
 
 TILTED = Occluder((0.2, 0.1, 1.5), (0.2, 0, 0.1), (0, 0.15, 0.05))  # seen by the camera

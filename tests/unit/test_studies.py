@@ -6,9 +6,9 @@ import pytest
 from rfpipe.config import CameraConfig, Config
 from rfpipe.errors import InputError
 from rfpipe.scenes import hard_cases
-from rfpipe.stages import studies
-from rfpipe.stages.studies import run_study
-from rfpipe.stages.studies.stability import stability_row
+from rfpipe.stages.evaluating import studies
+from rfpipe.stages.evaluating.studies import run_study
+from rfpipe.stages.evaluating.studies.stability import stability_row
 from rfpipe.store import open_arrays, read_manifest
 
 CONFIG = Config.model_validate({"report": {"resolutions": [4, 8]}})

@@ -8,10 +8,10 @@ import pandas as pd
 import pytest
 
 from rfpipe.config import Config
-from rfpipe.stages import evaluate, sweep
-from rfpipe.stages.evaluate import error_rows
+from rfpipe.stages.evaluating import evaluate, sweep
+from rfpipe.stages.evaluating.evaluate import error_rows
+from rfpipe.stages.evaluating.sweep import stored
 from rfpipe.stages.settings import acquire_options
-from rfpipe.stages.sweep import stored
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.dense import DenseTransport

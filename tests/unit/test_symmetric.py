@@ -7,10 +7,10 @@ import rfpipe
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.methods.base import Pack, Settings
-from rfpipe.methods.symmetric import Symmetric
+from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
-from rfpipe.stages.images import ImagesInMemory, NormalizedImages, normalize_level
-from rfpipe.stages.merging import LevelSum
+from rfpipe.stages.merging.images import ImagesInMemory, NormalizedImages, normalize_level
+from rfpipe.stages.merging.merger import LevelSum
 
 
 def dense(transport, channel=0):

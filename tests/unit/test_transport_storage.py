@@ -12,10 +12,11 @@ import rfpipe
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene, relighting_patterns
-from rfpipe.stages.metrics import relative_rms, unlit_rms
+from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
 from rfpipe.store import write_arrays
-from rfpipe.transport import Transport, leaves, open_transport, save_transport, truncation
-from rfpipe.transport.hierarchical import HierarchicalTransport
+from rfpipe.transport import Transport, open_transport, save_transport
+from rfpipe.transport.hierarchical import leaves, truncation
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
 SHAPE = (24, 28)
 

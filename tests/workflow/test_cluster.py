@@ -15,11 +15,12 @@ from tests.workflow.stagewise import CAMERA, SHAPE, Acquisition, contents, damag
 
 from rfpipe.config import parse_config
 from rfpipe.errors import CaptureError, ClusterError, ConfigError, IntegrityError
-from rfpipe.stages import cluster as cluster_module
-from rfpipe.stages import merge, merging
-from rfpipe.stages.cluster import connected
+from rfpipe.stages import merge
+from rfpipe.stages.jobs import cluster as cluster_module
+from rfpipe.stages.jobs.cluster import connected
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.merging import merger as merging
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.workers import Resources
 
 
 def local_cluster(workers: int) -> Any:

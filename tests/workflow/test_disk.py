@@ -14,7 +14,7 @@ from tests.workflow.stagewise import CAMERA, RAYS, SHAPE, Acquisition, FaultyRig
 
 from rfpipe.errors import StoreError
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages.disk import DiskNeed, expected_patterns
+from rfpipe.stages.capturing.disk import DiskNeed, expected_patterns
 from rfpipe.stages.plan import Plan
 from rfpipe.store import bytes_on_disk
 

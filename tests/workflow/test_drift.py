@@ -13,8 +13,8 @@ from tests.workflow.stagewise import CAMERA, RAYS, Acquisition, matrix_rig
 from rfpipe.config.model import CaptureConfig
 from rfpipe.errors import CaptureError
 from rfpipe.rigs import DRIFT_KEY, WARM_UP_KEY, OperatorRig
-from rfpipe.stages import warm_up
-from rfpipe.stages.drift import Drift, item_count, item_due, positions
+from rfpipe.stages.capturing import warm_up
+from rfpipe.stages.capturing.drift import Drift, item_count, item_due, positions
 from rfpipe.stages.plan import Plan
 from rfpipe.store import FrameStore
 
@@ -61,7 +61,7 @@ def begun(path: Path, loss: float = 0.2) -> Acquisition:
 @pytest.fixture
 def every_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     """Show a pattern for each ray on level 1: enough of them for a lamp to change."""
-    from rfpipe.methods import symmetric
+    from rfpipe.methods.symmetric import method as symmetric
     from rfpipe.patterns import Schedule
 
     def one_ray_each(_self: Any, state: Any) -> Schedule:

@@ -21,7 +21,7 @@ from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, merge, normalize
 from rfpipe.stages.plan import AcquisitionFolder, Plan
 from rfpipe.stages.results import write_bundle
-from rfpipe.stages.workers import Resources
+from rfpipe.stages.jobs.workers import Resources
 
 brackets.COMPILED_AFTER = 0  # else many patterns would load the compiler, and few would not
 shape, count = (40, 50), int(sys.argv[2])

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from tests.workflow.harness import TINY, Workflow, undo
 
-from rfpipe.stages import notify
+from rfpipe.stages.jobs import notify
 
 
 def writer(told: Path) -> str:

@@ -18,7 +18,7 @@ from rfpipe.calibration.mapping import camera_points, fit_map
 from rfpipe.config import load_rig_config
 from rfpipe.rigs.bench import optical_path
 from rfpipe.scenes import relighting_patterns, scene_from_config
-from rfpipe.stages.metrics import relative_rms
+from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.relight import images_of
 from rfpipe.store import open_arrays
 

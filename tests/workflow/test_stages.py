@@ -27,13 +27,11 @@ from tests.workflow.stagewise import (
 from rfpipe.errors import CaptureError, IntegrityError, StaleStoreError
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import (
-    merge,
-    merging,
-    progress,
-)
+from rfpipe.stages import merge
+from rfpipe.stages.jobs import progress
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.merging import merger as merging
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.workers import Resources
 from rfpipe.store import FrameStore, read_manifest
 
 
@@ -313,7 +311,7 @@ def test_a_job_says_why_it_ends_early(
     lines = [
         "import signal",
         "from rfpipe.errors import CaptureError",
-        "from rfpipe.stages.job import start",
+        "from rfpipe.stages.jobs.job import start",
         f"start({str(log)!r})",
         failure,
     ]

@@ -2,8 +2,8 @@
 
 from rfpipe.config import load_config, parse_config
 from rfpipe.provenance import code_fingerprint
-from rfpipe.stages.disk import expected_patterns
-from rfpipe.stages.notify import notify
+from rfpipe.stages.capturing.disk import expected_patterns
+from rfpipe.stages.jobs.notify import notify
 from rfpipe.stages.plan import Plan
 
 if len(workflow.configfiles) == 1:
@@ -16,12 +16,12 @@ CODE = {
     "schedule": ["blocks", "conflicts", "methods", "patterns", "transport"],
     "merge": [
         "photometry",
-        "stages.calibration",
-        "stages.merging",
-        "stages.sensors",
+        "stages.merging.references",
+        "stages.merging.merger",
+        "stages.capturing.sensors",
     ],
-    "normalize": ["methods", "photometry", "stages.images", "transport"],
-    "refine": ["blocks", "methods", "photometry", "stages.images", "transport"],
+    "normalize": ["methods", "photometry", "stages.merging.images", "transport"],
+    "refine": ["blocks", "methods", "photometry", "stages.merging.images", "transport"],
     "assemble": ["blocks", "methods", "transport"],
 }
 

@@ -1,5 +1,5 @@
 CODE |= {
-    "relight": ["scenes", "stages.slices", "transport"],
+    "relight": ["scenes", "stages.evaluating.slices", "transport"],
     "sweep": [
         "blocks",
         "conflicts",
@@ -9,8 +9,8 @@ CODE |= {
         "rigs",
         "scenes",
         "stages.acquire",
-        "stages.images",
-        "stages.merging",
+        "stages.merging.images",
+        "stages.merging.merger",
         "stages.settings",
         "transport",
     ],

@@ -1,10 +1,10 @@
 import rfpipe
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.studies import STUDIES
+from rfpipe.stages.evaluating.studies import STUDIES
 
 CODE |= {
-    "studies": [*CODE["sweep"], "stages.metrics"],
-    "evaluate": ["stages.metrics"],
+    "studies": [*CODE["sweep"], "stages.evaluating.metrics"],
+    "evaluate": ["stages.evaluating.metrics"],
 }
 
 # Simulated scenes on which the methods are compared: no part of what a rig's report is about.

@@ -1,7 +1,7 @@
 from pathlib import Path
 
 from rfpipe.stages import assemble
-from rfpipe.stages.job import start
+from rfpipe.stages.jobs.job import start
 from rfpipe.stages.plan import AcquisitionFolder, Plan
 
 manifest = Path(snakemake.output[0])

@@ -3,7 +3,7 @@ from pathlib import Path
 from rfpipe.calibration import CalibrationFolder, finish
 from rfpipe.config import CalibrationConfig
 from rfpipe.report.calibration import build_calibration_report
-from rfpipe.stages.job import start
+from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
 folder = CalibrationFolder(Path(snakemake.output.facts).parent)

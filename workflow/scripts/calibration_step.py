@@ -2,7 +2,7 @@ from pathlib import Path
 
 from rfpipe.calibration.job import calibrate_rig
 from rfpipe.config import RigConfig
-from rfpipe.stages.job import start
+from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
 calibrate_rig(

@@ -1,7 +1,7 @@
 from rfpipe.stages import hardware
-from rfpipe.stages.job import start
+from rfpipe.stages.jobs.job import start
+from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import AcquisitionFolder, Plan
-from rfpipe.stages.workers import Resources
 
 params, resources = snakemake.params, snakemake.resources
 start(snakemake.log[0])

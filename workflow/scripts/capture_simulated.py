@@ -3,9 +3,9 @@ from rfpipe.photometry import sensor_from_config
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes.reference import scene_from_config
 from rfpipe.stages import capture
-from rfpipe.stages.job import start
+from rfpipe.stages.jobs.job import start
+from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import AcquisitionFolder
-from rfpipe.stages.workers import Resources
 
 params = snakemake.params
 start(snakemake.log[0])

@@ -1,8 +1,8 @@
 from rfpipe.stages import merge
-from rfpipe.stages.job import start
+from rfpipe.stages.capturing.sensors import read_sensor
+from rfpipe.stages.jobs.job import start
+from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import AcquisitionFolder
-from rfpipe.stages.sensors import read_sensor
-from rfpipe.stages.workers import Resources
 
 params = snakemake.params
 start(snakemake.log[0])

@@ -1,7 +1,7 @@
 from rfpipe.stages import refine
-from rfpipe.stages.job import start
+from rfpipe.stages.jobs.job import start
+from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import AcquisitionFolder, Plan
-from rfpipe.stages.workers import Resources
 
 start(snakemake.log[0])
 refine.run(

@@ -2,7 +2,7 @@ from pathlib import Path
 
 from rfpipe.config import SceneConfig
 from rfpipe.stages import relight
-from rfpipe.stages.job import start
+from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
 relight.run(

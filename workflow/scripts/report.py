@@ -2,7 +2,7 @@ from pathlib import Path
 
 from rfpipe.config import Config
 from rfpipe.report import build_report
-from rfpipe.stages.job import start
+from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
 page = Path(snakemake.output[0])

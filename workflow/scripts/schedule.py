@@ -1,5 +1,5 @@
 from rfpipe.stages import schedule
-from rfpipe.stages.job import start
+from rfpipe.stages.jobs.job import start
 from rfpipe.stages.plan import AcquisitionFolder, Plan
 
 start(snakemake.log[0])

@@ -1,8 +1,8 @@
 from pathlib import Path
 
 from rfpipe.config import Config
-from rfpipe.stages import studies
-from rfpipe.stages.job import start
+from rfpipe.stages.evaluating import studies
+from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
 studies.run(

@@ -1,8 +1,8 @@
 from pathlib import Path
 
 from rfpipe.config import Config
-from rfpipe.stages import sweep
-from rfpipe.stages.job import start
+from rfpipe.stages.evaluating import sweep
+from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
 sweep.run(

@@ -61,8 +61,8 @@ def plan(
     from rfpipe.cli.plan import table
     from rfpipe.config import load_config
     from rfpipe.photometry import sensor_from_config
-    from rfpipe.stages.disk import free_bytes
-    from rfpipe.stages.forecast import forecast
+    from rfpipe.stages.capturing.disk import free_bytes
+    from rfpipe.stages.capturing.forecast import forecast
 
     settings = load_config(config)
     found = forecast(settings, sensor_from_config(settings.camera))

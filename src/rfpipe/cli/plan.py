@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rfpipe.stages.forecast import Forecast
+    from rfpipe.stages.capturing.forecast import Forecast
 
 __all__ = ["table"]
 

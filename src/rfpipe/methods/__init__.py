@@ -10,12 +10,12 @@ __all__ = ["METHODS", "LevelImages", "Method", "Pack", "Settings", "get_method"]
 
 METHODS = {
     "brute_force": ("rfpipe.methods.brute_force", "BruteForce"),
-    "compressive": ("rfpipe.methods.compressive", "Compressive"),
+    "compressive": ("rfpipe.methods.rivals.compressive", "Compressive"),
     "dual": ("rfpipe.methods.dual", "Dual"),
-    "hadamard": ("rfpipe.methods.hadamard", "Hadamard"),
-    "low_rank": ("rfpipe.methods.low_rank", "LowRank"),
-    "near_far": ("rfpipe.methods.near_far", "NearFar"),
-    "symmetric": ("rfpipe.methods.symmetric", "Symmetric"),
+    "hadamard": ("rfpipe.methods.rivals.hadamard", "Hadamard"),
+    "low_rank": ("rfpipe.methods.rivals.low_rank", "LowRank"),
+    "near_far": ("rfpipe.methods.near_far.method", "NearFar"),
+    "symmetric": ("rfpipe.methods.symmetric.method", "Symmetric"),
 }
 
 

@@ -13,8 +13,8 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.conflicts import colour, conflict_graph
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
 from rfpipe.patterns import Schedule
-from rfpipe.transport.leaves import ragged_ranges
-from rfpipe.transport.multilevel import MultilevelTransport, PairSet, fold, no_pairs
+from rfpipe.transport.hierarchical.leaves import ragged_ranges
+from rfpipe.transport.multilevel.transport import MultilevelTransport, PairSet, fold, no_pairs
 
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,6 @@ from rfpipe.photometry.demosaic import demosaic
 from rfpipe.photometry.hdr import ROUNDS, UNKNOWN_DEVIATION, merge_bracket
 from rfpipe.photometry.sensor import Merged, MergeOptions, check_black, check_frames, check_shape
 from rfpipe.units import COUNTS, RADIANCE
-
-if TYPE_CHECKING:
-    from rfpipe.photometry.camera import CameraModel
 
 __all__ = ["CountsMerge", "electrons_of_counts"]
 
@@ -30,6 +27,31 @@ COMPILED_AFTER = 2**25
 long for so many as the loading takes. Both give the same bits."""
 
 
+class CameraNumbers(Protocol):
+    """What the merge needs to know of a camera: see `rfpipe.photometry.camera.CameraModel`."""
+
+    @property
+    def exposures(self) -> tuple[float, ...]: ...
+    @property
+    def electrons_per_radiance(self) -> float: ...
+    @property
+    def full_well_electrons(self) -> float: ...
+    @property
+    def read_noise_electrons(self) -> float: ...
+    @property
+    def dark_current_electrons(self) -> float: ...
+    @property
+    def black_level_counts(self) -> int: ...
+    @property
+    def white_level(self) -> int: ...
+    @property
+    def electrons_per_count(self) -> float: ...
+    @property
+    def bayer(self) -> str | None: ...
+    @property
+    def response_gamma(self) -> float: ...
+
+
 class CountsMerge:
     """The merge of a camera's brackets; see `CameraModel.merging`.
 
@@ -37,13 +59,13 @@ class CountsMerge:
 
     Parameters
     ----------
-    camera : CameraModel
+    camera : CameraNumbers
     black : ndarray of float32, shape (E, ...)
         Mean of the all-off frames in counts.
     options : MergeOptions
     """
 
-    def __init__(self, camera: CameraModel, black: NDArray[Any], options: MergeOptions) -> None:
+    def __init__(self, camera: CameraNumbers, black: NDArray[Any], options: MergeOptions) -> None:
         black = np.asarray(black, np.float32)
         check_black(black, len(camera.exposures))
         self._camera = camera
@@ -134,7 +156,7 @@ class CountsMerge:
         return radiance, variance, int(saturated)
 
 
-def electrons_of_counts(camera: CameraModel, options: MergeOptions) -> Float:
+def electrons_of_counts(camera: CameraNumbers, options: MergeOptions) -> Float:
     """Return the electrons above the nominal black level behind each count, float32."""
     span = camera.white_level - camera.black_level_counts
     level = (np.arange(camera.white_level + 1) - camera.black_level_counts) / span
@@ -145,7 +167,7 @@ def electrons_of_counts(camera: CameraModel, options: MergeOptions) -> Float:
     return (fraction * camera.full_well_electrons).astype(np.float32)
 
 
-def _fixed_noise(camera: CameraModel, background: Float, options: MergeOptions) -> Float:
+def _fixed_noise(camera: CameraNumbers, background: Float, options: MergeOptions) -> Float:
     """Variance in electrons squared that doesn't come from the signal, (E, *frame).
 
     Read noise, dark current and the shot noise of light in the all-off frames (the projector's

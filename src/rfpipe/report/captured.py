@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rfpipe.report.blocks import Illustration, Section
 from rfpipe.report.drawing import label_below, label_left, new_figure, panel_ratio, show_radiance
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.stages.metrics import relative_rms
+from rfpipe.stages.evaluating.metrics import relative_rms
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

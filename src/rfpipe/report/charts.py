@@ -92,7 +92,7 @@ def resolution_figure(study: Sequence[Mapping[Any, Any]]) -> Figure:
     Parameters
     ----------
     study : sequence of dict
-        Rows of `rfpipe.stages.studies.resolution.resolution_study`.
+        Rows of `rfpipe.stages.evaluating.studies.resolution.resolution_study`.
     """
     figure, axes = new_figure(1, 2, (8.6, 3.3))
     methods = list(dict.fromkeys(row["method"] for row in study))

@@ -141,7 +141,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Study:
-    """A study's table and images; see `rfpipe.stages.studies`."""
+    """A study's table and images; see `rfpipe.stages.evaluating.studies`."""
 
     rows: list[dict[str, Any]]
     images: ArrayBundle
@@ -158,7 +158,7 @@ class Inputs:
         In the configuration's order.
     studies : dict of str to Study
     errors, speed_error : DataFrame
-        See `rfpipe.stages.evaluate`.
+        See `rfpipe.stages.evaluating.evaluate`.
     times : DataFrame
         ``scene``, ``method``, ``level`` (-1 for the transport's assembly), ``stage``,
         ``seconds`` of each job that left a benchmark file; may be empty.

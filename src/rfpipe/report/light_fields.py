@@ -12,7 +12,7 @@ from rfpipe.report.drawing import label_below, new_figure, show_radiance
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.tables import Table
 from rfpipe.report.text import percent, size
-from rfpipe.stages.metrics import relative_rms
+from rfpipe.stages.evaluating.metrics import relative_rms
 
 if TYPE_CHECKING:
     import pandas as pd

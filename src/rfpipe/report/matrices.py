@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from rfpipe.report.drawing import label_below, label_left, new_figure, panel_ratio, show_radiance
 from rfpipe.report.inputs import Run
 from rfpipe.report.text import TIMES
-from rfpipe.stages.metrics import relative_rms, unlit_rms
-from rfpipe.stages.slices import NO_LEAF
+from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
+from rfpipe.stages.evaluating.slices import NO_LEAF
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ import numpy as np
 from rfpipe.report.drawing import label_below, label_left, new_figure, panel_ratio, show_radiance
 from rfpipe.report.inputs import Run, Study
 from rfpipe.report.text import TIMES
-from rfpipe.stages.metrics import relative_rms, unlit_rms
+from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
 from rfpipe.stages.relight import right_half
 
 if TYPE_CHECKING:

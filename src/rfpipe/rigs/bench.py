@@ -25,6 +25,7 @@ from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.optics import OpticalPath, centred_corners, tilted_corners
 from rfpipe.rigs.pylon import PylonCamera
+from rfpipe.rigs.settings import camera_settings, sensor_of, window_settings
 from rfpipe.rigs.window import WindowProjector
 from rfpipe.rigs.xvfb import VirtualDisplay, xvfb
 
@@ -204,8 +205,6 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
     InputError
         When the scene doesn't fit the display.
     """
-    from rfpipe.rigs.build import camera_settings, sensor_of, window_settings
-
     bench = config.bench
     assert bench is not None
     projector = BenchProjector(bench.display_shape, **window_settings(config))

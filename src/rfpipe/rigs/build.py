@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from rfpipe.errors import ConfigError, InputError
-from rfpipe.photometry.camera import CameraModel, sensor_from_config
+from rfpipe.errors import ConfigError
+from rfpipe.photometry.camera import sensor_from_config
 from rfpipe.rigs.base import Rig
-from rfpipe.rigs.calibrated import Calibration, load_calibration
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
+from rfpipe.rigs.settings import calibration_of, camera_settings, sensor_of, window_settings
 
 if TYPE_CHECKING:
     from rfpipe.config import RigConfig
 
-__all__ = ["camera_settings", "devices_from_config", "rig_from_config", "sensor_of"]
+__all__ = ["devices_from_config", "rig_from_config"]
 
 
 def rig_from_config(config: RigConfig) -> Rig:
@@ -38,7 +37,7 @@ def rig_from_config(config: RigConfig) -> Rig:
     """
     if config.kind == "simulated":
         return _simulated(config)
-    calibration = _calibration(config)
+    calibration = calibration_of(config)
     projector, camera = devices_from_config(config)
     try:
         layout = calibration.layout
@@ -86,49 +85,6 @@ def devices_from_config(config: RigConfig) -> tuple[Projector, Camera]:
         projector.close()
         raise
     return projector, camera
-
-
-def sensor_of(config: RigConfig) -> CameraModel:
-    """Return what is known of a rig's camera: its settings, and its calibration's numbers."""
-    sensor = sensor_from_config(config.sensor)
-    if not isinstance(sensor, CameraModel):
-        raise ConfigError("sensor is null; a rig of devices needs the camera's numbers")
-    numbers: dict[str, Any] = dict(_calibration(config).camera)
-    if "black_level_counts" in numbers:  # of a fixed pattern's mean
-        numbers["black_level_counts"] = round(numbers["black_level_counts"])
-    try:
-        return replace(sensor, **numbers)
-    except (TypeError, InputError) as error:
-        raise ConfigError(
-            f"calibration {config.calibration}: its numbers of the camera don't fit the settings "
-            f"of sensor: {error}. Calibrate again"
-        ) from error
-
-
-def window_settings(config: RigConfig) -> dict[str, Any]:
-    """Return how the projector's window is opened, wherever its display is."""
-    from rfpipe.rigs.window import read_response
-
-    settings = config.projector
-    path = settings.response
-    response = _calibration(config).projector_response if path is None else read_response(path)
-    return {
-        "screen": settings.screen,
-        "offset": settings.offset,
-        "shape": settings.shape,
-        "settle_seconds": settings.settle_seconds,
-        "response": response,
-    }
-
-
-def camera_settings(config: RigConfig) -> dict[str, Any]:
-    """Return how frames are taken, of a real camera or of the bench's."""
-    names = "gain_db", "timeout_seconds", "retries", "reconnects", "reconnect_seconds"
-    return {name: getattr(config.camera, name) for name in names}
-
-
-def _calibration(config: RigConfig) -> Calibration:
-    return Calibration() if config.calibration is None else load_calibration(config.calibration)
 
 
 def _simulated(config: RigConfig) -> Rig:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.scenes.clusters import ClusterTree, cluster_pairs
-from rfpipe.scenes.formfactors import FacingPair
+from rfpipe.scenes.facing import FacingPair
 from rfpipe.scenes.geometry import Sphere
 from rfpipe.scenes.kernels import apply_blocks, fill_blocks
 from rfpipe.scenes.occluders import END_TOLERANCE

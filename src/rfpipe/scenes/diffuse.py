@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.formfactors import DenseFormFactors, FormFactors, facing_pairs, form_factors
+from rfpipe.scenes.facing import facing_pairs
+from rfpipe.scenes.formfactors import DenseFormFactors, FormFactors, form_factors
 from rfpipe.scenes.geometry import Points
 from rfpipe.scenes.occluders import Occluder
 

@@ -18,9 +18,14 @@ from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
 from rfpipe.rigs import Rig
-from rfpipe.stages.images import ImagesInMemory, NormalizedImages, known_light, normalize_level
-from rfpipe.stages.merging import LevelSum, Merger, reference_patterns, runs
-from rfpipe.stages.progress import log_estimate
+from rfpipe.stages.jobs.progress import log_estimate
+from rfpipe.stages.merging.images import (
+    ImagesInMemory,
+    NormalizedImages,
+    known_light,
+    normalize_level,
+)
+from rfpipe.stages.merging.merger import LevelSum, Merger, reference_patterns, runs
 from rfpipe.transport import Transport
 
 if TYPE_CHECKING:

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.stages.calibration import CALIBRATION, calibrate, read_merger
-from rfpipe.stages.drift import DRIFT, measure
-from rfpipe.stages.merging import LevelSum, Merger, chunk_patterns, runs
+from rfpipe.stages.capturing.drift import DRIFT, measure
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
+from rfpipe.stages.merging.raw import RawFrames
+from rfpipe.stages.merging.references import CALIBRATION, calibrate, read_merger
 from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, advice_on_damage
-from rfpipe.stages.raw import RawFrames
 from rfpipe.stages.results import bundle_entry, intact_bundle
-from rfpipe.stages.workers import Resources
 from rfpipe.store import (
     FrameStore,
     ItemWriter,
@@ -338,7 +338,7 @@ def read_level_sum(folder: AcquisitionFolder, level: int) -> LevelSum:
 
 @dataclass(frozen=True)
 class MergedFrames:
-    """The merged images of a level as they lie on disk; see `rfpipe.stages.images`."""
+    """The merged images of a level as they lie on disk; see `rfpipe.stages.merging.images`."""
 
     frames: FrameStore
 

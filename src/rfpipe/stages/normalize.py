@@ -6,9 +6,9 @@ import numpy as np
 
 from rfpipe.photometry.normalize import Mode, Normalization
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.calibration import CALIBRATION, read_floodlit
-from rfpipe.stages.images import known_light, normalize_level
 from rfpipe.stages.merge import SUMS, read_level_sum
+from rfpipe.stages.merging.images import known_light, normalize_level
+from rfpipe.stages.merging.references import CALIBRATION, read_floodlit
 from rfpipe.stages.plan import AcquisitionFolder, Plan, advice_on_damage, restore_state
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.schedule import read_schedule

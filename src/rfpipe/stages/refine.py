@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.images import NormalizedImages
+from rfpipe.stages.jobs.progress import log_estimate
+from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merge import merged_frames
+from rfpipe.stages.merging.images import NormalizedImages
 from rfpipe.stages.normalize import read_normalization
 from rfpipe.stages.plan import AcquisitionFolder, Plan, restore_state
-from rfpipe.stages.progress import log_estimate
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.stages.workers import Resources
 from rfpipe.units import RADIANCE_UNIT
 
 __all__ = ["run"]

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.calibration import read_floodlit
+from rfpipe.stages.evaluating.slices import leaf_levels, line_patterns
+from rfpipe.stages.merging.references import read_floodlit
 from rfpipe.stages.plan import AcquisitionFolder
 from rfpipe.stages.results import accept_bundle, write_bundle
-from rfpipe.stages.slices import leaf_levels, line_patterns
 from rfpipe.store import read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.units import RADIANCE_UNIT

@@ -13,10 +13,10 @@ from rfpipe.units import NumberFormat
 
 _CLASSES = {
     "dense": ("rfpipe.transport.dense", "DenseTransport"),
-    "hierarchical": ("rfpipe.transport.hierarchical", "HierarchicalTransport"),
+    "hierarchical": ("rfpipe.transport.hierarchical.transport", "HierarchicalTransport"),
     "low_rank": ("rfpipe.transport.low_rank", "LowRankTransport"),
-    "multiscale": ("rfpipe.transport.multiscale", "MultiscaleTransport"),
-    "multilevel": ("rfpipe.transport.multilevel", "MultilevelTransport"),
+    "multiscale": ("rfpipe.transport.multiscale.transport", "MultiscaleTransport"),
+    "multilevel": ("rfpipe.transport.multilevel.transport", "MultilevelTransport"),
     "sum": ("rfpipe.transport.sum", "SumTransport"),
 }
 
@@ -40,9 +40,9 @@ def save_transport(
     path : path
         The store's folder; an older store there is replaced.
     number_format : {"float32", "uint16", "uint8"}
-        "float32" keeps every bit. The others round (`rfpipe.transport.rounding`), factors of
-        leaves by about 1e-5 and 3e-3 of their values; "uint8" is the smallest, and the default of
-        runs (``storage.number_format``). The transport in memory is not changed.
+        "float32" keeps every bit. The others round, factors of leaves by about 1e-5 and 3e-3 of
+        their values; "uint8" is the smallest, and the default of runs
+        (``storage.number_format``). The transport in memory is not changed.
     **attributes
         Plain data to keep beside the transport's own (scene, method, fingerprints).
 

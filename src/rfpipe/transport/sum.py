@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.transport.base import Float, Transport
-from rfpipe.transport.multilevel import MultilevelTransport
+from rfpipe.transport.multilevel.transport import MultilevelTransport
 from rfpipe.transport.storage import unpack_transport
 from rfpipe.transport.stored import Bundle, PartOfBundle, bytes_in_memory, fits
 from rfpipe.units import NumberFormat

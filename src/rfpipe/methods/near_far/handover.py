@@ -1,0 +1,99 @@
+"""Symmetric photography as the continuation of a near/far acquisition: levels of another number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.base import Float, LevelImages, Pack, Settings
+from rfpipe.methods.symmetric.method import Symmetric, SymmetricState
+from rfpipe.patterns import Schedule
+
+__all__ = ["begin", "packed", "refine", "restored", "schedule"]
+
+_PREFIX = "symmetric_"
+
+
+@dataclass(frozen=True)
+class _Images:
+    """Images of a level under the number that they have in symmetric photography."""
+
+    schedule: Schedule
+    images: LevelImages
+
+    def read(self, first: int, last: int) -> tuple[Float, Float]:
+        return self.images.read(first, last)
+
+
+@dataclass(frozen=True)
+class _Floodlit:
+    """The floodlit image as the images of level 0."""
+
+    schedule: Schedule
+    image: tuple[Float, Float]
+
+    def read(self, first: int, last: int) -> tuple[Float, Float]:
+        radiance, variance = self.image
+        return radiance[first:last], variance[first:last]
+
+
+def begin(
+    domain: RayDomain, settings: Settings, floodlit: Float, floodlit_variance: Float
+) -> SymmetricState:
+    """Start from the floodlit image, float32 (C, N), which is there already."""
+    method, channels = Symmetric(), len(floodlit)
+    shape = (1, *domain.shape, channels)
+    radiance, variance = (
+        np.ascontiguousarray(image.T).reshape(shape) for image in (floodlit, floodlit_variance)
+    )
+    begun = method.start(domain, domain, channels, settings)
+    return method.refine(begun, _Floodlit(Schedule.floodlit(domain.shape), (radiance, variance)))
+
+
+def schedule(domain: RayDomain, state: SymmetricState | None, level: int) -> Schedule:
+    """Return the next patterns under a level's number; none where there is no state."""
+    if state is None:
+        nothing = np.full(domain.shape, -1, np.int32)
+        return Schedule(level, domain.shape, 0, pattern_of_ray=nothing)
+    return replace(Symmetric().schedule(state), level=level)
+
+
+def refine(state: SymmetricState, images: LevelImages, memory_bytes: int) -> SymmetricState:
+    """Refine a level."""
+    own = replace(images.schedule, level=state.level)
+    return Symmetric().refine(state, _Images(own, images), memory_bytes)
+
+
+def packed(state: SymmetricState) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Return a state's arrays, their names prefixed, and its attributes."""
+    pack = Symmetric().pack(state)
+    arrays = {f"{_PREFIX}{name}": array for name, array in pack.arrays.items()}
+    return arrays, dict(pack.attributes)
+
+
+def restored(
+    domain: RayDomain, channels: int, settings: Settings, packs: Sequence[Pack]
+) -> SymmetricState | None:
+    """Return the state after the last of packs, None where none of them has any."""
+    own = [
+        Pack(_unprefixed(pack.arrays), pack.attributes["symmetric"])
+        for pack in packs
+        if "symmetric" in pack.attributes
+    ]
+    if not own:
+        return None
+    method = Symmetric()
+    return method.restore(method.start(domain, domain, channels, settings), own)
+
+
+def _unprefixed(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    return {
+        name.removeprefix(_PREFIX): array
+        for name, array in arrays.items()
+        if name.startswith(_PREFIX)
+    }

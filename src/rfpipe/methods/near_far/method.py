@@ -1,0 +1,361 @@
+"""Near/far acquisition: transport by range, from few pictures, with a live error estimate.
+
+Direct light, near-range and far-range indirect light (S. K. Nayar et al., *Fast separation of
+direct and global components*, SIGGRAPH 2006, for the first step) are found together from random
+patterns. Where that model does not hold, symmetric photography takes over.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings, require_coaxial
+from rfpipe.methods.near_far import handover
+from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
+from rfpipe.methods.near_far.model import Model, fit
+from rfpipe.methods.near_far.patterns import (
+    held_out_strip_twice,
+    held_out_twice,
+    probe_patterns,
+)
+from rfpipe.methods.near_far.pictures import Pictures
+from rfpipe.methods.near_far.transport import as_transport, indirect, light_range
+from rfpipe.methods.rivals.signs import planar_batches
+from rfpipe.methods.symmetric.method import Symmetric, SymmetricState
+from rfpipe.patterns import Schedule
+from rfpipe.transport.base import Transport
+from rfpipe.transport.multiscale.basis import MultiscaleBasis
+from rfpipe.transport.sum import SumTransport
+
+# Held-out pictures that come with a round's probes, by level.
+HELD_OUT = {1: 2, 2: 2}
+# Probes of each round: a round should cut the error, and end soon where the target is met.
+ROUNDS = (6, 10, 8, 12, 16, 24, 32)
+MOST = 1 + sum(HELD_OUT.values()) + sum(ROUNDS)
+"""Patterns of all rounds."""
+
+# A round that leaves more than this of the error before it has shown that more won't help.
+_STALLED = 0.85
+# A model that leaves so much of the indirect light's norm unexplained is the wrong one: after the
+# first round, whose probes are few, and later.
+_UNEXPLAINED_AT_FIRST, _UNEXPLAINED = 0.5, 0.25
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class NearFarState:
+    """The state of a near/far acquisition.
+
+    Attributes
+    ----------
+    domain : RayDomain
+        Of camera and projector.
+    channels : int
+    settings : Settings
+    level : int
+        Level to be scheduled next: 0 is the floodlit image, then the rounds, then the levels of
+        symmetric photography from its level 1 on.
+    pictures : Pictures, optional
+        All pictures to fit; None before the floodlit image.
+    new : int
+        How many of them the last level brought.
+    held : Held, optional
+        Pictures that no fit sees; None before the first round.
+    model : Model, optional
+    estimates : tuple of Estimate
+        After each round.
+    done : bool
+        Whether no more probes are asked for.
+    symmetric : SymmetricState, optional
+        Where symmetric photography has taken over.
+    rows : tuple of dict
+        The table of levels so far.
+    """
+
+    domain: RayDomain
+    channels: int
+    settings: Settings
+    level: int = 0
+    pictures: Pictures | None = None
+    new: int = 0
+    held: Held | None = None
+    model: Model | None = None
+    estimates: tuple[Estimate, ...] = ()
+    done: bool = False
+    symmetric: SymmetricState | None = None
+    rows: tuple[dict[str, Any], ...] = ()
+
+    @property
+    def shown(self) -> int:
+        """Patterns shown so far."""
+        return sum(row["patterns"] for row in self.rows)
+
+
+class NearFar:
+    """Near/far acquisition as a `Method`.
+
+    Rounds of random patterns are fitted until the estimate of the error, from pictures that no fit
+    sees, is at most `Settings.target_error`. Where the light isn't smooth at any scale, symmetric
+    photography begins, and the held-out pictures decide at the end which of both is better.
+    """
+
+    name = "near_far"
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
+        """Return the floodlit level, the rounds, and the levels of symmetric photography.
+
+        Raises
+        ------
+        InputError
+            If camera and projector have different ray domains.
+        """
+        require_coaxial("near_far", camera, projector)
+        return len(ROUNDS) + Symmetric().n_levels(camera, projector)
+
+    def start(
+        self,
+        camera: RayDomain,
+        projector: RayDomain,
+        channels: int,
+        settings: Settings,
+    ) -> NearFarState:
+        """Return the state before the floodlit image."""
+        self.n_levels(camera, projector)
+        return NearFarState(camera, channels, settings)
+
+    def schedule(self, state: NearFarState) -> Schedule:
+        """Show the floodlit pattern, then probes; the first of them with the held-out patterns."""
+        shape, level = state.domain.shape, state.level
+        if level == 0:
+            return Schedule.floodlit(shape)
+        if level > len(ROUNDS):
+            return handover.schedule(state.domain, state.symmetric, level)
+        count = self._probes(state)
+        held, found = np.zeros((0, *shape), np.bool_), None
+        if level == 1 and count:
+            held = held_out_twice(shape)
+        elif count:
+            assert state.model is not None
+            assert state.pictures is not None
+            found = light_range(shape, state.model, state.pictures.floodlit)
+            if level == 2:
+                held = held_out_strip_twice(found)
+        patterns = np.concatenate([held, probe_patterns(shape, level, count, found)])
+        return Schedule(level, shape, len(patterns), weights=patterns.astype(np.float32))
+
+    def refine(
+        self, state: NearFarState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
+    ) -> NearFarState:
+        """Fit the model to all pictures so far and estimate its error; or refine the hierarchy."""
+        level, count = state.level, images.schedule.count
+        if level > len(ROUNDS):
+            return _refine_symmetric(state, images, memory_bytes)
+        if level and not count:
+            return replace(state, level=level + 1, new=0, rows=(*state.rows, _row(level, 0)))
+        radiance, variance = _read(state, images)
+        if level == 0:
+            nothing = np.zeros((0, *radiance.shape[1:]), np.float32)
+            dark = np.zeros((0, state.domain.size), np.bool_)
+            pictures = Pictures(radiance[0], variance[0], dark, nothing, nothing)
+            return replace(
+                state, level=1, pictures=pictures, rows=(_row(0, 1, scalar=state.domain.size),)
+            )
+        assert state.pictures is not None
+        lit = images.schedule.batch(0, count).reshape(count, -1) > 0
+        first = HELD_OUT.get(level, 0)
+        held = _with(state.held, Held(lit[:first], radiance[:first]))
+        pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
+        model = fit(state.domain.shape, pictures)
+        found = _estimate(pictures, model, held)
+        row = _row(level, count, nodes=len(model.basis.first), estimated_error=found.error)
+        state = replace(
+            state,
+            level=level + 1,
+            pictures=pictures,
+            new=count - first,
+            held=held,
+            model=model,
+            estimates=(*state.estimates, found),
+            rows=(*state.rows, row),
+        )
+        return self._decide(state)
+
+    def transport(self, state: NearFarState) -> Transport:
+        """Return direct, near-range and far-range light as parts of a sum; or the hierarchy."""
+        rows = list(state.rows)
+        if state.symmetric is not None and not _model_is_better(state):
+            hierarchy = Symmetric().transport(state.symmetric)
+            return SumTransport([hierarchy], rows, [len(ROUNDS)])
+        assert state.pictures is not None
+        return as_transport(state.domain.shape, rows, state.model, state.pictures.floodlit)
+
+    def pack(self, state: NearFarState) -> Pack:
+        """Return the last level's pictures, the model, and what symmetric photography found."""
+        assert state.pictures is not None
+        arrays: dict[str, NDArray[Any]] = {}
+        if state.level == 1:
+            arrays["floodlit"] = state.pictures.floodlit
+            arrays["floodlit_variance"] = state.pictures.floodlit_variance
+        first = len(state.pictures.lit) - state.new
+        arrays["lit"] = state.pictures.lit[first:].astype(np.uint8)
+        arrays["radiance"] = state.pictures.radiance[first:]
+        arrays["variance"] = state.pictures.variance[first:]
+        new_held = HELD_OUT.get(state.level - 1, 0) if state.held is not None and state.new else 0
+        if new_held:
+            assert state.held is not None
+            last = slice(len(state.held.lit) - new_held, None)
+            arrays["held_lit"] = state.held.lit[last].astype(np.uint8)
+            arrays["held_radiance"] = state.held.radiance[last]
+        if state.model is not None and state.new:
+            arrays["functions"] = state.model.basis.functions
+            arrays["cores"] = state.model.cores
+        attributes: dict[str, Any] = {
+            "level": state.level,
+            "new": state.new,
+            "estimates": [list(astuple(found)) for found in state.estimates],
+            "done": state.done,
+            "rows": list(state.rows),
+        }
+        if state.symmetric is not None:
+            inner, attributes["symmetric"] = handover.packed(state.symmetric)
+            arrays |= inner
+        return Pack(arrays, attributes)
+
+    def restore(self, start: NearFarState, packs: Sequence[Pack]) -> NearFarState:
+        """Return the state after the last of `packs`, one a level from level 0 on."""
+        if not packs:
+            return start
+        about = packs[-1].attributes
+        own = [pack.arrays for pack in packs]
+        pictures = Pictures(
+            own[0]["floodlit"],
+            own[0]["floodlit_variance"],
+            np.concatenate([arrays["lit"] for arrays in own]).astype(np.bool_),
+            np.concatenate([arrays["radiance"] for arrays in own]),
+            np.concatenate([arrays["variance"] for arrays in own]),
+        )
+        held = None
+        for arrays in own:
+            if "held_lit" in arrays:
+                lit = arrays["held_lit"].astype(np.bool_)
+                held = _with(held, Held(lit, arrays["held_radiance"]))
+        model = None
+        if fitted := [arrays for arrays in own if "cores" in arrays]:
+            basis = MultiscaleBasis(start.domain.shape, fitted[-1]["functions"])
+            model = Model(basis, fitted[-1]["cores"])
+        return replace(
+            start,
+            level=about["level"],
+            pictures=pictures,
+            new=about["new"],
+            held=held,
+            model=model,
+            estimates=tuple(Estimate(*found) for found in about["estimates"]),
+            done=about["done"],
+            symmetric=handover.restored(start.domain, start.channels, start.settings, packs),
+            rows=tuple(about["rows"]),
+        )
+
+    def _probes(self, state: NearFarState) -> int:
+        """Return how many probes the next round shows."""
+        # without held-out pictures from the first round there is no fit
+        if state.done or (state.level > 1 and state.held is None):
+            return 0
+        count = ROUNDS[state.level - 1]
+        if state.settings.patterns:
+            held = HELD_OUT.get(state.level, 0)
+            count = min(count, max(state.settings.patterns - state.shown - held, 0))
+        return count
+
+    def _decide(self, state: NearFarState) -> NearFarState:
+        """Go on, end, or let symmetric photography take over."""
+        found, first = state.estimates[-1], len(state.estimates) == 1
+        limit, target = state.settings.patterns, state.settings.target_error
+        # the first estimate knows no strip yet: it bounds the error only if nothing is indirect
+        reached = (found.indirect if first else found.error) <= target
+        if (reached and found.error <= target) or (limit and state.shown >= limit):
+            return replace(state, done=True)
+        comparable = len(state.estimates) > 2
+        stalled = comparable and found.error > _STALLED * state.estimates[-2].error
+        stalled = stalled or state.level > len(ROUNDS)
+        if stalled and found.is_noise:
+            return replace(state, done=True)
+        share = _UNEXPLAINED_AT_FIRST if first else _UNEXPLAINED
+        if limit or not (stalled or found.dark > share * found.indirect):
+            return state
+        _log.info("the light is not smooth enough; going on with symmetric photography")
+        return replace(state, done=True, symmetric=_taken_over(state))
+
+
+def _row(level: int, patterns: int, **counts: Any) -> dict[str, Any]:
+    """Return a row of the table of levels."""
+    row: dict[str, Any] = {"level": level, "patterns": patterns}
+    return row | dict.fromkeys(_COUNTS, 0) | counts
+
+
+_COUNTS = ("nodes", "empty", "rank1", "rank_k", "scalar", "subdivided")
+
+
+def _read(state: NearFarState, images: LevelImages) -> tuple[Float, Float]:
+    """Read all images of a level, radiance and variance (M, C, N)."""
+    channels, rays = state.channels, state.domain.size
+    shape = (images.schedule.count, channels, rays)
+    radiance, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    for part, seen, spread in planar_batches(images, channels, rays):
+        radiance[part], variance[part] = np.moveaxis(seen, 0, 1), np.moveaxis(spread, 0, 1)
+    return radiance, variance
+
+
+def _with(held: Held | None, more: Held) -> Held:
+    """Return held-out pictures and more of them."""
+    if held is None:
+        return more
+    return Held(
+        np.concatenate([held.lit, more.lit]),
+        np.concatenate([held.radiance, more.radiance]),
+    )
+
+
+def _estimate(pictures: Pictures, model: Model, held: Held) -> Estimate:
+    light = np.concatenate([held.lit, np.ones_like(held.lit[:1])]).astype(np.float32)
+    bounced = indirect(model, pictures.floodlit, light)
+    predicted = light[:-1, None] * (pictures.floodlit - bounced[-1]) + bounced[:-1]
+    return estimate(predicted, held)
+
+
+def _taken_over(state: NearFarState) -> SymmetricState:
+    assert state.pictures is not None
+    pictures = state.pictures
+    return handover.begin(
+        state.domain, state.settings, pictures.floodlit, pictures.floodlit_variance
+    )
+
+
+def _refine_symmetric(state: NearFarState, images: LevelImages, memory_bytes: int) -> NearFarState:
+    """Let symmetric photography refine a level of its own, if it has taken over."""
+    level = state.level
+    if state.symmetric is None:
+        return replace(state, level=level + 1, new=0, rows=(*state.rows, _row(level, 0)))
+    inner = handover.refine(state.symmetric, images, memory_bytes)
+    own = state.rows[: len(ROUNDS) + 1]
+    rows = [{**row, "level": row["level"] + len(ROUNDS)} for row in inner.rows[1:]]
+    return replace(state, level=level + 1, new=0, symmetric=inner, rows=(*own, *rows))
+
+
+def _model_is_better(state: NearFarState) -> bool:
+    """Whether the smooth model predicts the held-out pictures better than the whole hierarchy."""
+    if state.symmetric is None or state.symmetric.level < state.symmetric.tree.n_levels:
+        return False
+    assert state.held is not None
+    patterns = state.held.lit.reshape(-1, *state.domain.shape).astype(np.float32)
+    relit = Symmetric().transport(state.symmetric).relight_batch(patterns)
+    planar = np.moveaxis(relit.reshape(len(patterns), -1, state.channels), -1, 1)
+    return state.estimates[-1].error < estimate(planar, state.held).error

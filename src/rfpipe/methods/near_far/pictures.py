@@ -1,0 +1,76 @@
+"""The pictures from which near/far acquisition infers indirect light."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.methods.base import Float
+
+__all__ = ["SIGNIFICANT", "Pictures"]
+
+SIGNIFICANT = 3.0
+"""What exceeds noise by so many standard deviations is light."""
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures of patterns of light and dark.
+
+    Attributes
+    ----------
+    floodlit, floodlit_variance : ndarray of float32, shape (C, N)
+    lit : ndarray of bool, shape (M, N)
+        The patterns.
+    radiance, variance : ndarray of float32, shape (M, C, N)
+    """
+
+    floodlit: Float
+    floodlit_variance: Float
+    lit: NDArray[np.bool_]
+    radiance: Float
+    variance: Float
+
+    @property
+    def channels(self) -> int:
+        """Colour channels."""
+        return len(self.floodlit)
+
+    def shine(self) -> bool:
+        """Tell whether the floodlit image as a whole is brighter than its noise."""
+        light = float(self.floodlit.sum(dtype=np.float64))
+        noise = float(np.sqrt(self.floodlit_variance.sum(dtype=np.float64)))
+        return light > SIGNIFICANT * noise
+
+    def extended(self, lit: NDArray[np.bool_], radiance: Float, variance: Float) -> Pictures:
+        """Return these and more pictures."""
+        return Pictures(
+            self.floodlit,
+            self.floodlit_variance,
+            np.concatenate([self.lit, lit]),
+            np.concatenate([self.radiance, radiance]),
+            np.concatenate([self.variance, variance]),
+        )
+
+    def channel(self, index: int) -> Pictures:
+        """Return one channel."""
+        own = slice(index, index + 1)
+        return Pictures(
+            self.floodlit[own],
+            self.floodlit_variance[own],
+            self.lit,
+            self.radiance[:, own],
+            self.variance[:, own],
+        )
+
+    def grey(self) -> Pictures:
+        """Return the sum of the channels as one."""
+        return Pictures(
+            self.floodlit.sum(axis=0, keepdims=True),
+            self.floodlit_variance.sum(axis=0, keepdims=True),
+            self.lit,
+            self.radiance.sum(axis=1, keepdims=True),
+            self.variance.sum(axis=1, keepdims=True),
+        )

@@ -1,0 +1,250 @@
+"""The least-squares problem of near/far acquisition, and its solution by conjugate gradients."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.methods.base import Float
+from rfpipe.methods.near_far.pictures import Pictures
+from rfpipe.transport.multiscale.basis import MultiscaleBasis
+from rfpipe.transport.multiscale.transport import bounced
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+# Pixels are taken together over a quarter of the finest function's scale, at most so many a side.
+_PART_OF_SCALE, _LARGEST_PATCH = 4, 8
+# Octaves of distance among which indirect light is shared a priori: rather many, for small cores;
+# the data soon say better.
+_OCTAVES = 12.0
+_BINS_PER_SCALE = 2
+# Scales are images' extents at most.
+_SCALE_BITS = 20
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What pictures tell of the cores, patch by patch of pixels.
+
+    Attributes
+    ----------
+    basis : MultiscaleBasis
+    weights : csr_array of float32, shape (patches, n)
+        The functions' means over each patch.
+    light : ndarray of float32, shape (n, M + 1)
+        ``B^T F p`` of each pattern, and of full light.
+    dark, lit : ndarray of float32, shape (patches, M)
+        Weights of a patch's dark and of its lit pixels.
+    seen_dark, seen_lit : ndarray of float32, shape (patches, M)
+        Weighted sums of what they show, divided by F.
+    level : float
+        Indirect light on dark pixels as a fraction of the floodlit image, doubled, since patterns
+        light half of the pixels.
+    floodlit : float
+        Mean of the floodlit image.
+    """
+
+    basis: MultiscaleBasis
+    weights: csr_array[np.float32]
+    light: Float
+    dark: Float
+    lit: Float
+    seen_dark: Float
+    seen_lit: Float
+    level: float
+    floodlit: float
+
+    @classmethod
+    def of(cls, basis: MultiscaleBasis, pictures: Pictures, share: float) -> Observations:
+        """Take the observations out of pictures of one channel.
+
+        Parameters
+        ----------
+        basis : MultiscaleBasis
+        pictures : Pictures
+        share : float
+            Error of the model that is expected on a pixel, as a fraction of the floodlit image.
+        """
+        factor = pictures.floodlit[0]
+        pattern = pictures.lit.T.astype(np.float32)
+        patches = _patches(basis)
+        pixels: Float = np.diff(patches.indptr).astype(np.float32)
+        spread = pictures.variance[:, 0].T + pattern * pictures.floodlit_variance[0][:, None]
+        spread = spread + np.square(share * factor)[:, None]
+        certainty = np.divide(1, spread, where=spread > 0, out=np.zeros_like(spread))
+        weight = certainty * np.square(factor)[:, None]
+        shown = (
+            certainty * factor[:, None] * (pictures.radiance[:, 0].T - pattern * factor[:, None])
+        )
+        dark = 1 - pattern
+        light = np.concatenate([pattern, np.ones_like(pattern[:, :1])], axis=1) * factor[:, None]
+        seen = pictures.radiance[:, 0].T * dark
+        mean = float(factor.mean(dtype=np.float64))
+        pixels_dark = max(float(dark.sum(dtype=np.float64)), 1.0)
+        level = 2 * float(seen.sum(dtype=np.float64)) / pixels_dark
+        return cls(
+            basis,
+            _rows_scaled(patches @ basis.weights, np.float32(1) / pixels),
+            np.ascontiguousarray(basis.sums @ light),
+            patches @ (weight * dark),
+            patches @ (weight * pattern),
+            patches @ (shown * dark),
+            patches @ (shown * pattern),
+            max(level, 0.0) / mean if mean else 0.0,
+            mean,
+        )
+
+
+@dataclass(frozen=True)
+class Prior:
+    """How large cores are expected to be: independent normal deviates about zero.
+
+    Attributes
+    ----------
+    deviations : ndarray of float32, shape (pairs,)
+    group : ndarray of int64, shape (pairs,)
+        Pairs of the same two scales at about the same distance.
+    """
+
+    deviations: Float
+    group: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, basis: MultiscaleBasis, seen: Observations) -> Prior:
+        """Return the prior before any fit: indirect light falls with the distance's square."""
+        distance = basis.distances()
+        first, second = basis.scales[basis.first], basis.scales[basis.second]
+        coarser = np.maximum(first, second)
+        area = np.square(np.maximum(distance, coarser)) * _OCTAVES
+        expected = seen.level / (max(seen.floodlit, float(np.finfo(np.float32).tiny)) * area)
+        distance_bin = (_BINS_PER_SCALE * distance / coarser).astype(np.int64)
+        key = distance_bin << 2 * _SCALE_BITS | first.astype(np.int64) << _SCALE_BITS | second
+        _, group = np.unique(key, return_inverse=True)
+        return cls(expected.astype(np.float32), group)
+
+    def learned(self, cores: Float) -> Float:
+        """Return each group's deviation as the root of its cores' mean square."""
+        energy = np.bincount(self.group, np.square(cores, dtype=np.float64))
+        deviations = np.sqrt(energy / np.bincount(self.group))[self.group]
+        return deviations.astype(np.float32)
+
+
+def solve(
+    seen: Observations, deviations: Float, tolerance: float, most: int, start: Float | None = None
+) -> Float:
+    """Find the cores by preconditioned conjugate gradients.
+
+    Parameters
+    ----------
+    seen : Observations
+    deviations : ndarray of float32, shape (pairs,)
+        Of the prior.
+    tolerance : float
+        Part of the residual at which to stop.
+    most : int
+        Iterations at most.
+    start : ndarray of float32, shape (pairs,), optional
+
+    Returns
+    -------
+    ndarray of float32, shape (pairs,)
+    """
+    gradient = deviations * _adjoint(seen, seen.seen_dark, seen.seen_lit)
+    scaling = 1 / (1 + _diagonal(seen) * np.square(deviations))
+    known = np.zeros_like(gradient)
+    if start is not None:
+        np.divide(start, deviations, out=known, where=deviations > 0)
+    rest = gradient - _normal(seen, deviations, known) if start is not None else gradient
+    step = scaling * rest
+    direction = step
+    energy = _dot(rest, step)
+    goal = tolerance**2 * _dot(gradient, scaling * gradient)
+    for _ in range(most):
+        if energy <= goal:
+            break
+        image = _normal(seen, deviations, direction)
+        length = np.float32(energy / _dot(direction, image))
+        known = known + length * direction
+        rest = rest - length * image
+        step = scaling * rest
+        before, energy = energy, _dot(rest, step)
+        direction = step + np.float32(energy / before) * direction
+    return deviations * known
+
+
+def residual(basis: MultiscaleBasis, pictures: Pictures, cores: Float) -> Float:
+    """Return what the model leaves of the dark pixels of one channel's pictures, (M, N)."""
+    left: Float = pictures.radiance[:, 0] - bounced(
+        basis, basis.pairs, cores, pictures.floodlit[0], pictures.lit
+    )
+    return left
+
+
+def _normal(seen: Observations, deviations: Float, known: Float) -> Float:
+    """Apply the normal equations' matrix, in units of the prior's deviations."""
+    from rfpipe.transport.multiscale.kernels import couple
+
+    received = np.zeros_like(seen.light)
+    basis = seen.basis
+    couple(basis.first, basis.second, deviations * known, seen.light, received)
+    arriving = seen.weights @ received
+    under, full = arriving[:, :-1], arriving[:, -1:]
+    result: Float = deviations * _adjoint(seen, seen.dark * under, seen.lit * (under - full))
+    return result + known
+
+
+def _adjoint(seen: Observations, dark: Float, lit: Float) -> Float:
+    """Bring weighted pictures of the patches back to the pairs."""
+    from rfpipe.transport.multiscale.kernels import correlate
+
+    back = np.concatenate([dark + lit, -lit.sum(axis=1, keepdims=True)], axis=1)
+    arriving = np.ascontiguousarray(seen.weights.T @ back)
+    basis = seen.basis
+    out = np.empty(len(basis.first), np.float32)
+    correlate(basis.first, basis.second, arriving, seen.light, out)
+    return out
+
+
+def _diagonal(seen: Observations) -> Float:
+    """Estimate the diagonal of the normal equations' matrix, pair by pair."""
+    basis = seen.basis
+    certainty = (seen.dark + seen.lit).mean(axis=1)
+    weight = seen.weights.multiply(seen.weights).T @ certainty
+    light = np.square(seen.light).sum(axis=1)
+    one = weight[basis.first] * light[basis.second]
+    other = np.where(basis.first == basis.second, 0, weight[basis.second] * light[basis.first])
+    diagonal: Float = one + other
+    return diagonal
+
+
+def _dot(a: Float, b: Float) -> float:
+    return float(np.dot(a.astype(np.float64), b))
+
+
+def _patches(basis: MultiscaleBasis) -> csr_array[np.float32]:
+    """Put pixels together where only coarse functions are; sparse ones (patches, N)."""
+    from scipy.sparse import csr_array
+
+    weights = basis.weights
+    finest = np.minimum.reduceat(basis.scales[weights.indices], weights.indptr[:-1])
+    side = np.clip(finest // _PART_OF_SCALE, 1, _LARGEST_PATCH)
+    height, width = basis.shape[-2:]
+    rays = np.arange(len(finest))
+    row, column = rays // width % height, rays % width
+    view = rays // (width * height)
+    key = ((side * basis.shape[0] + view) * height + row // side) * width + column // side
+    _, patch = np.unique(key, return_inverse=True)
+    ones = np.ones(len(rays), np.float32)
+    return csr_array((ones, (patch, rays)), shape=(int(patch.max()) + 1, len(rays)))
+
+
+def _rows_scaled(matrix: Any, scale: Float) -> csr_array[np.float32]:
+    from scipy.sparse import diags_array
+
+    scaled: csr_array[np.float32] = (diags_array(scale) @ matrix).tocsr().astype(np.float32)
+    return scaled

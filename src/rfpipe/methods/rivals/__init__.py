@@ -1,0 +1,1 @@
+"""Methods from elsewhere, for comparison: Hadamard, compressive sensing, optical low rank."""

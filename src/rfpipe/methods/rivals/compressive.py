@@ -1,0 +1,221 @@
+"""Compressive sensing: sparse rows of T from random patterns of on and off.
+
+P. Peers et al., *Compressive light transport sensing*, ACM Trans. Graphics 28 (2009); P. Sen and
+S. Darabi, *Compressive dual photography*, Computer Graphics Forum 28 (2009).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
+from rfpipe.methods.rivals.pursuit import pursue, rays_and_wavelets
+from rfpipe.methods.rivals.signs import (
+    as_light,
+    planar_batches,
+    random_signs,
+    rounding,
+    trimmed_mean,
+)
+from rfpipe.patterns import Schedule
+from rfpipe.transport.dense import DenseTransport
+
+LARGEST_DOMAIN = 64 * 64
+"""Rays of the largest camera or projector: the recovery's time grows with the product of pixels,
+rays, patterns and atoms."""
+
+_SEED = 2009
+# Patterns where none are asked for: a fraction of the rays, and some on small domains.
+_RAYS_PER_PATTERN, _FEWEST = 8, 32
+# Measurements for each atom of a row. Where more would be taken the row is not sparse.
+_MEASUREMENTS_PER_ATOM = 4
+
+
+@dataclass(frozen=True)
+class CompressiveState:
+    """The state of compressive sensing.
+
+    Attributes
+    ----------
+    camera, projector : RayDomain
+    settings : Settings
+    matrix : ndarray of float32, shape (C, camera rays, projector rays)
+        Zeros before the floodlit image; its light spread over all rays after it.
+    floodlit, variance : ndarray of float32, shape (C, camera rays)
+        The floodlit image and its variance.
+    level : int
+        Level to be scheduled next: 0 is the floodlit image, 1 all random patterns.
+    rows : tuple of dict
+        The table of levels so far.
+    """
+
+    camera: RayDomain
+    projector: RayDomain
+    settings: Settings
+    matrix: Float
+    floodlit: Float
+    variance: Float
+    level: int = 0
+    rows: tuple[dict[str, int], ...] = ()
+
+
+class Compressive:
+    """Compressive sensing of the rows of ``T``, as a `Method`.
+
+    The patterns are the published ones of compressive dual photography, on and off at random; the
+    floodlit image makes signs of them, which are less alike. A row is taken to be a sum of few
+    atoms: Haar wavelets, as published, and single rays, which hold direct light in one atom where
+    wavelets take dozens. Nothing is subtracted beforehand. Atoms are added until what is left of a
+    pixel's measurements is their noise.
+    """
+
+    name = "compressive"
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
+        """Return 2: the floodlit image, and all random patterns; any camera will do."""
+        return 2
+
+    def start(
+        self, camera: RayDomain, projector: RayDomain, channels: int, settings: Settings
+    ) -> CompressiveState:
+        """Return the state before the floodlit image.
+
+        Raises
+        ------
+        InputError
+            If camera or projector has more rays than `LARGEST_DOMAIN`.
+        """
+        if max(camera.size, projector.size) > LARGEST_DOMAIN:
+            raise InputError(
+                f"compressive sensing of {projector.size} projector rays by {camera.size} camera "
+                f"rays: it recovers up to {LARGEST_DOMAIN} rays, beyond which it would take "
+                "hours; use dual or symmetric photography"
+            )
+        matrix = np.zeros((channels, camera.size, projector.size), np.float32)
+        dark = np.zeros(matrix.shape[:2], np.float32)
+        return CompressiveState(camera, projector, settings, matrix, dark, dark)
+
+    def schedule(self, state: CompressiveState) -> Schedule:
+        """Show the floodlit pattern, then all random ones."""
+        shape, rays = state.projector.shape, state.projector.size
+        if state.level == 0:
+            return Schedule.floodlit(shape)
+        count = pattern_count(rays, state.settings.patterns) - 1
+        weights = as_light(random_signs(count, rays, _SEED, state.level), shape)
+        return Schedule(state.level, shape, count, weights=weights)
+
+    def refine(
+        self,
+        state: CompressiveState,
+        images: LevelImages,
+        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - the largest domain's fits
+    ) -> CompressiveState:
+        """Keep the floodlit image; then recover the matrix."""
+        channels, pixels, rays = state.matrix.shape
+        count = images.schedule.count
+        measured, variance = (np.empty((channels, count, pixels), np.float32) for _ in range(2))
+        for part, radiance, spread in planar_batches(images, channels, pixels):
+            measured[:, part], variance[:, part] = radiance, spread
+        atoms = 0
+        if state.level == 0:
+            floodlit, variance = measured[:, 0], variance[:, 0]
+            matrix = np.repeat(floodlit[..., None] / np.float32(rays), rays, axis=2)
+            state = replace(state, floodlit=floodlit, variance=variance, matrix=matrix)
+        elif count:
+            floodlit = state.floodlit[:, None]
+            measured = np.concatenate([floodlit, 2 * measured - floodlit], axis=1)
+            # the floodlit image's noise is common to all and the least by far; not its rounding
+            variance = 4 * variance + rounding(floodlit)
+            variance = np.concatenate([state.variance[:, None], variance], axis=1)
+            signs = np.concatenate(
+                [np.ones((1, rays), np.float32), random_signs(count, rays, _SEED, state.level)]
+            )
+            matrix, atoms = recover(signs, measured, variance, state.projector)
+            state = replace(state, matrix=matrix)
+        row = {"level": state.level, "patterns": count, "nodes": pixels * channels, "empty": 0}
+        row |= {"rank1": 0, "scalar": atoms, "subdivided": 0}
+        return replace(state, level=state.level + 1, rows=(*state.rows, row))
+
+    def transport(self, state: CompressiveState) -> DenseTransport:
+        """Return the dense matrix."""
+        return DenseTransport(
+            state.camera.shape,
+            state.projector.shape,
+            len(state.matrix),
+            list(state.rows),
+            {"matrix": state.matrix},
+        )
+
+    def pack(self, state: CompressiveState) -> Pack:
+        """Return the matrix and the floodlit image."""
+        names = ("matrix", "floodlit", "variance")
+        arrays = {name: getattr(state, name) for name in names}
+        return Pack(arrays, {"level": state.level, "rows": list(state.rows)})
+
+    def restore(self, start: CompressiveState, packs: Sequence[Pack]) -> CompressiveState:
+        """Return the state after the last of `packs`."""
+        if not packs:
+            return start
+        arrays, about = packs[-1].arrays, packs[-1].attributes
+        return replace(
+            start,
+            matrix=arrays["matrix"],
+            floodlit=arrays["floodlit"],
+            variance=arrays["variance"],
+            level=about["level"],
+            rows=tuple(about["rows"]),
+        )
+
+
+def pattern_count(rays: int, asked: int) -> int:
+    """Return how many patterns are shown: as many as are asked for, or by the projector's rays."""
+    return asked or max(rays // _RAYS_PER_PATTERN, _FEWEST)
+
+
+def recover(
+    signs: Float, measured: Float, variance: Float, projector: RayDomain
+) -> tuple[Float, int]:
+    """Recover the rows of T from what each camera pixel saw under signed patterns.
+
+    Parameters
+    ----------
+    signs : ndarray of float32, shape (P, projector rays)
+    measured, variance : ndarray of float32, shape (C, P, camera rays)
+        ``T q`` and its variance.
+    projector : RayDomain
+
+    Returns
+    -------
+    matrix : ndarray of float32, shape (C, camera rays, projector rays)
+    atoms : int
+        How many it is made of.
+    """
+    dictionary = rays_and_wavelets(projector)
+    seen = dictionary @ signs.T.astype(np.float64)
+    most = max(1, len(signs) // _MEASUREMENTS_PER_ATOM)
+    matrix = np.empty((len(measured), measured.shape[2], projector.size), np.float32)
+    atoms = 0
+    for channel, (values, spread) in enumerate(zip(measured, variance, strict=True)):
+        weights = 1 / np.sqrt(trimmed_mean(spread))
+        chosen, factors = pursue(
+            seen * weights, values.T * weights, (spread.T * weights**2).sum(axis=1), most
+        )
+        matrix[channel] = _sum_of_atoms(chosen, factors, dictionary.shape[0]) @ dictionary
+        atoms += int(np.count_nonzero(chosen >= 0))
+    return matrix, atoms
+
+
+def _sum_of_atoms(
+    chosen: NDArray[np.int64], factors: NDArray[np.float64], atoms: int
+) -> NDArray[np.float64]:
+    """Return each row's factors of all atoms, (rows, atoms)."""
+    found = np.zeros((len(chosen), atoms))
+    row, place = np.nonzero(chosen >= 0)
+    found[row, chosen[row, place]] = factors[row, place]
+    return found

@@ -1,0 +1,294 @@
+"""Symmetric photography: local rank-1 factors from both sides of a coaxial rig (thesis ch. 5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.conflicts import colour, conflict_graph
+from rfpipe.methods.base import MEMORY_BYTES, LevelImages, Pack, Settings, require_coaxial
+from rfpipe.methods.symmetric.nodes import (
+    Frontier,
+    as_leaves,
+    child_pairs,
+    cut,
+    join_leaves,
+    join_nodes,
+    no_nodes,
+    select,
+)
+from rfpipe.methods.symmetric.pieces import affordable, collect
+from rfpipe.methods.symmetric.rank_k import predictable, rank_k_leaves
+from rfpipe.methods.symmetric.rank_test import (
+    AGREES,
+    CLOSE,
+    DIFFERS,
+    Found,
+    Limits,
+    classify,
+    disagreement,
+    rank_test,
+    reconcile,
+)
+from rfpipe.patterns import Schedule
+from rfpipe.transport.hierarchical.leaves import LEAF_PARTS, LeafSet
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
+
+
+@dataclass(frozen=True)
+class SymmetricState:
+    """The state of symmetric photography before a level.
+
+    Attributes
+    ----------
+    tree : BlockTree
+    channels : int
+    settings : Settings
+    level : int
+        Level to be scheduled next.
+    known : tuple of LeafSet
+        Leaves found so far.
+    added : tuple of LeafSet
+        Those of them that the last refinement found.
+    frontier : Frontier
+        Unknown nodes of level ``level - 1``.
+    floodlit_maximum : float
+        Maximum of the floodlit image, the unit of the tolerance.
+    dark : ndarray of bool, shape (N,)
+        Rays (in tree order) from which no light comes back under floodlight.
+    rows : tuple of dict
+        The table of levels so far.
+    """
+
+    tree: BlockTree
+    channels: int
+    settings: Settings
+    level: int
+    known: tuple[LeafSet, ...]
+    added: tuple[LeafSet, ...]
+    frontier: Frontier
+    floodlit_maximum: float
+    dark: NDArray[np.bool_]
+    rows: tuple[dict[str, int], ...] = field(default=())
+
+
+class Symmetric:
+    """Symmetric photography as a `Method`."""
+
+    name = "symmetric"
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
+        """Return the depth of the block tree; camera and projector must share their rays."""
+        require_coaxial("symmetric photography", camera, projector)
+        return BlockTree(projector).n_levels
+
+    def start(
+        self, camera: RayDomain, projector: RayDomain, channels: int, settings: Settings
+    ) -> SymmetricState:
+        """Return the state before the floodlit image."""
+        self.n_levels(camera, projector)
+        tree = BlockTree(projector)
+        dark = np.zeros(projector.size, np.bool_)
+        nothing = no_nodes(channels)
+        return SymmetricState(tree, channels, settings, 0, (), (), nothing, 0.0, dark)
+
+    def schedule(self, state: SymmetricState) -> Schedule:
+        """Colour the square of the graph of unknown transport (Lemmas 1 and 2)."""
+        if state.level == 0:
+            return Schedule.floodlit(state.tree.domain.shape)
+        tree, level = state.tree, state.level
+        _, first, second = child_pairs(tree, level - 1, state.frontier)
+        blocks, index = np.unique(np.concatenate([first, second]), return_inverse=True)
+        pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
+        if len(blocks):
+            graph = conflict_graph(len(blocks), index[: len(first)], index[len(first) :])
+            pattern_of_block[blocks] = colour(graph, apart=2)
+        lit = pattern_of_block[tree.block_of_position(level)] >= 0
+        return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | state.dark).all()))
+
+    def refine(
+        self, state: SymmetricState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
+    ) -> SymmetricState:
+        """Test the unknown nodes against the level's images; keep, or subdivide."""
+        if state.level == 0:
+            return self._begin(state, images)
+        tree, level, nodes = state.tree, state.level, state.frontier
+        if not images.schedule.count:
+            row = _row(level, patterns=0)
+            return replace(state, level=level + 1, added=(), rows=(*state.rows, row))
+        limits = _limits(state, tests=len(child_pairs(tree, level - 1, nodes)[0]))
+        refined = [
+            _refine_nodes(state, cut(tree, level - 1, nodes, run), images, limits, memory_bytes)
+            for run in affordable(tree, level - 1, nodes, memory_bytes)
+        ]
+        added = (
+            join_leaves(level - 1, [part.kept[kind] for kind in (0, 1) for part in refined]),
+            join_leaves(level, [part.found.leaves for part in refined]),
+        )
+        before = state.rows[-1]
+        outcome = {
+            "rank1": before["rank1"] + sum(len(part.kept[0]) for part in refined),
+            "rank_k": sum(part.smooth for part in refined),
+            "subdivided": sum(part.subdivided for part in refined),
+        }
+        counts = {
+            name: sum(part.found.counts[name] for part in refined)
+            for name in refined[0].found.counts
+        }
+        children = sum(part.children for part in refined)
+        row = _row(level, patterns=images.schedule.count, nodes=children, **counts)
+        return replace(
+            state,
+            level=level + 1,
+            known=(*state.known, *added),
+            added=added,
+            frontier=join_nodes([part.found.frontier for part in refined]),
+            rows=(*state.rows[:-1], {**before, **outcome}, row),
+        )
+
+    def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
+        """Make the root node from the floodlit image."""
+        root, channels = np.zeros(1, np.int32), state.channels
+        pieces = collect(state.tree, root, root, (), channels, images, MEMORY_BYTES)
+        significant = pieces.values > state.settings.noise_significance * np.sqrt(pieces.variances)
+        state = replace(
+            state,
+            floodlit_maximum=float(pieces.values.max(initial=0.0)),
+            dark=np.logical_not(significant.any(axis=0)),
+        )
+        first, nothing, unsettled = np.zeros(1, np.int64), no_nodes(channels), np.zeros(1, np.bool_)
+        exact = np.zeros((channels, 1))
+        limits = _limits(state, tests=1)
+        found = classify(state.tree, 0, pieces, first, unsettled, nothing, first, exact, limits)
+        return replace(
+            state,
+            level=1,
+            known=(found.leaves,),
+            added=(found.leaves,),
+            frontier=found.frontier,
+            rows=(_row(0, patterns=1, nodes=1, **found.counts),),
+        )
+
+    def transport(self, state: SymmetricState) -> HierarchicalTransport:
+        """Return the hierarchical tensor; nodes still unknown at their rank-1 estimate."""
+        estimate = as_leaves(state.tree, state.level - 1, state.frontier)
+        return HierarchicalTransport.from_leaf_sets(
+            state.tree, state.channels, list(state.rows), [*state.known, estimate]
+        )
+
+    def pack(self, state: SymmetricState) -> Pack:
+        """Return the leaves that the last refinement added, and the frontier."""
+        arrays: dict[str, NDArray[Any]] = {"dark": state.dark.astype(np.uint8)}
+        for leaves in state.added:
+            prefix = f"leaves_{leaves.level:02d}"
+            arrays |= {f"{prefix}_{part}": getattr(leaves, part) for part in LEAF_PARTS}
+        for name in _FRONTIER:
+            arrays[f"frontier_{name}"] = getattr(state.frontier, name)
+        attributes = {
+            "level": state.level,
+            "leaf_levels": [leaves.level for leaves in state.added],
+            "floodlit_maximum": state.floodlit_maximum,
+            "rows": list(state.rows),
+        }
+        return Pack(arrays, attributes)
+
+    def restore(self, start: SymmetricState, packs: Sequence[Pack]) -> SymmetricState:
+        """Return the state after the last of `packs`, one a level from level 0 on."""
+        if not packs:
+            return start
+        known: list[LeafSet] = []
+        added: list[LeafSet] = []
+        for pack in packs:
+            added = [
+                LeafSet(level, *(pack.arrays[f"leaves_{level:02d}_{part}"] for part in LEAF_PARTS))
+                for level in pack.attributes["leaf_levels"]
+            ]
+            known += added
+        last = packs[-1]
+        return replace(
+            start,
+            level=last.attributes["level"],
+            known=tuple(known),
+            added=tuple(added),
+            frontier=Frontier(*(last.arrays[f"frontier_{name}"] for name in _FRONTIER)),
+            floodlit_maximum=last.attributes["floodlit_maximum"],
+            dark=last.arrays["dark"].astype(np.bool_),
+            rows=tuple(last.attributes["rows"]),
+        )
+
+
+_FRONTIER = ("block_a", "block_b", "pieces", "energy", "variance")
+
+
+def _row(
+    level: int, *, patterns: int, nodes: int = 0, empty: int = 0, rank1: int = 0, scalar: int = 0
+) -> dict[str, int]:
+    """Return a row of the table of levels; what the rank test decides is known a level later."""
+    return {
+        "level": level,
+        "patterns": patterns,
+        "nodes": nodes,
+        "empty": empty,
+        "rank1": rank1,
+        "rank_k": 0,
+        "scalar": scalar,
+        "subdivided": 0,
+    }
+
+
+def _limits(state: SymmetricState, tests: int) -> Limits:
+    settings = state.settings
+    asked = (settings.tolerance * state.floodlit_maximum) ** 2 / 2
+    return Limits(asked, settings.noise_significance, tests)
+
+
+@dataclass(frozen=True)
+class _Refined:
+    """What a level's images told about some of the unknown nodes.
+
+    `kept` are the nodes' own leaves, of rank 1 and of rank k; `smooth` nodes have the latter.
+    """
+
+    kept: tuple[LeafSet, LeafSet]
+    found: Found
+    children: int
+    smooth: int
+    subdivided: int
+
+
+def _refine_nodes(
+    state: SymmetricState,
+    nodes: Frontier,
+    images: LevelImages,
+    limits: Limits,
+    memory_bytes: int,
+) -> _Refined:
+    """Test nodes of the level above the images'; keep them as leaves or sort their children."""
+    tree, level = state.tree, state.level
+    node, first, second = child_pairs(tree, level - 1, nodes)
+    pieces = collect(tree, first, second, state.known, state.channels, images, memory_bytes)
+    first_pair = np.searchsorted(node, np.arange(len(nodes) + 1))
+    verdict = rank_test(tree, level - 1, nodes, first_pair, pieces, limits)
+    unsettled = (verdict == DIFFERS) | (verdict == AGREES)
+    smooth = predictable(tree, level - 1, nodes, first_pair, pieces, unsettled, limits)
+    rank_1 = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
+    subdivided = (verdict < CLOSE) & ~smooth
+    divided = np.flatnonzero(subdivided[node])
+    above = node[divided]
+    wrong = disagreement(first_pair, pieces)
+    settled = verdict[above] == AGREES
+    reconcile(tree, level - 1, nodes, first_pair, pieces)
+    rank_k = rank_k_leaves(tree, level - 1, nodes, first_pair, pieces, smooth)
+    found = classify(tree, level, pieces, divided, settled, nodes, above, wrong, limits)
+    return _Refined(
+        (rank_1, rank_k),
+        found,
+        len(divided),
+        int(np.count_nonzero(smooth)),
+        int(np.count_nonzero(subdivided)),
+    )

@@ -1,0 +1,146 @@
+"""The unknown nodes of a level of symmetric photography (thesis §4.2, §5.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree
+from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, ragged_ranges
+
+Float = NDArray[np.float32]
+Double = NDArray[np.float64]
+Blocks = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Frontier:
+    """The unknown nodes of a level, with the rank-1 estimate that the next level tests.
+
+    Attributes
+    ----------
+    block_a, block_b : ndarray of int32, shape (n,)
+    pieces : ndarray of float32, shape (C, n_values)
+        Piece (a, b), then piece (b, a) unless it is the same, node after node; non-negative.
+    energy : ndarray of float64, shape (C, n)
+        Sum of either piece, ``m`` of Fig. 5.1.
+    variance : ndarray of float64, shape (C, 2, n)
+        Summed variance of the two pieces.
+    """
+
+    block_a: Blocks
+    block_b: Blocks
+    pieces: Float
+    energy: Double
+    variance: Double
+
+    def __len__(self) -> int:
+        return len(self.block_a)
+
+
+def no_nodes(channels: int) -> Frontier:
+    """Return an empty frontier."""
+    none = np.zeros(0, np.int32)
+    return Frontier(
+        none, none, np.zeros((channels, 0), np.float32), np.zeros((channels, 0)),
+        np.zeros((channels, 2, 0)),
+    )  # fmt: skip
+
+
+def child_pairs(
+    tree: BlockTree, level: int, nodes: Frontier
+) -> tuple[NDArray[np.int64], Blocks, Blocks]:
+    """Subdivide nodes of `level`: return each child's node, and its blocks of the next level.
+
+    A node off the diagonal gives every pair of a child of a and a child of b; one on the diagonal
+    gives each unordered pair once.
+    """
+    if level >= tree.n_levels - 1:
+        none = np.zeros(0, np.int32)
+        return np.zeros(0, np.int64), none, none
+    children = tree.child_starts[level]
+    a, b = nodes.block_a.astype(np.int64), nodes.block_b.astype(np.int64)
+    count_b = children[b + 1] - children[b]
+    total = (children[a + 1] - children[a]) * count_b
+    node = np.repeat(np.arange(len(nodes)), total)
+    within = ragged_ranges(np.zeros_like(total), total)
+    first = children[a][node] + within // count_b[node]
+    second = children[b][node] + within % count_b[node]
+    once = first <= second
+    return node[once], first[once].astype(np.int32), second[once].astype(np.int32)
+
+
+def compared_pixels(tree: BlockTree, level: int, nodes: Frontier) -> Double:
+    """Count the pixels that each node's rank test compares."""
+    sizes = np.diff(tree.starts[level])
+    children = np.diff(tree.child_starts[level])
+    a, b = nodes.block_a, nodes.block_b
+    one_side = sizes[a] * children[b]
+    return np.where(a == b, one_side, one_side + sizes[b] * children[a]).astype(np.float64)
+
+
+def select(tree: BlockTree, level: int, nodes: Frontier, chosen: NDArray[np.bool_]) -> Frontier:
+    """Return some of the nodes."""
+    starts = tree.starts[level]
+    offset_a, _, n_values = factor_offsets(starts, nodes.block_a, nodes.block_b)
+    lengths = np.diff(np.append(offset_a, n_values))
+    index = ragged_ranges(offset_a[chosen], lengths[chosen])
+    return Frontier(
+        nodes.block_a[chosen],
+        nodes.block_b[chosen],
+        np.ascontiguousarray(nodes.pieces[:, index]),
+        np.ascontiguousarray(nodes.energy[:, chosen]),
+        np.ascontiguousarray(nodes.variance[..., chosen]),
+    )
+
+
+def cut(tree: BlockTree, level: int, nodes: Frontier, run: slice) -> Frontier:
+    """Return a run of the nodes, views of their arrays."""
+    if run == slice(0, len(nodes)):
+        return nodes
+    offset_a, _, n_values = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
+    offsets = np.append(offset_a, n_values)
+    return Frontier(
+        nodes.block_a[run],
+        nodes.block_b[run],
+        nodes.pieces[:, offsets[run.start] : offsets[run.stop]],
+        nodes.energy[:, run],
+        nodes.variance[..., run],
+    )
+
+
+def as_leaves(tree: BlockTree, level: int, nodes: Frontier) -> LeafSet:
+    """Turn nodes into rank-1 leaves: ``T_ab = piece(a, b) x piece(b, a) / m`` (Fig. 5.1)."""
+    offset_a, _, n_values = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
+    lengths = np.diff(np.append(offset_a, n_values))
+    root = np.sqrt(nodes.energy, where=nodes.energy > 0, out=np.ones_like(nodes.energy))
+    scale = np.repeat((1.0 / root).astype(np.float32), lengths, axis=1)
+    return LeafSet(level, nodes.block_a, nodes.block_b, nodes.pieces * scale)
+
+
+def join_nodes(parts: Sequence[Frontier]) -> Frontier:
+    """Put nodes of one level, found one after the other, together; `parts` is not empty."""
+    if len(parts) == 1:
+        return parts[0]
+    return Frontier(
+        np.concatenate([part.block_a for part in parts]),
+        np.concatenate([part.block_b for part in parts]),
+        np.concatenate([part.pieces for part in parts], axis=1),
+        np.concatenate([part.energy for part in parts], axis=1),
+        np.concatenate([part.variance for part in parts], axis=2),
+    )
+
+
+def join_leaves(level: int, parts: Sequence[LeafSet]) -> LeafSet:
+    """Put leaves of one level, found one after the other, together; `parts` is not empty."""
+    if len(parts) == 1:
+        return parts[0]
+    return LeafSet(
+        level,
+        np.concatenate([part.block_a for part in parts]),
+        np.concatenate([part.block_b for part in parts]),
+        np.concatenate([part.values for part in parts], axis=1),
+    )

@@ -1,0 +1,135 @@
+"""What a level's images hold beside the light that is known already, pair by pair of blocks.
+
+(Thesis §5.1, C.2.) The images are read once, a few at a time, and only the pieces that a method
+asks for are kept: for the unknown nodes of a fine level a small part of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree
+from rfpipe.methods.base import LevelImages
+from rfpipe.methods.symmetric.nodes import Blocks, Double, Float, Frontier, compared_pixels
+from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets
+from rfpipe.transport.hierarchical.partition import predict
+
+# Bytes that a pixel of a piece takes, its variance included, and a pair of blocks in each channel:
+# sums, variances, energy.
+_PIXEL_BYTES = 2 * np.dtype(np.float32).itemsize
+_PAIR_BYTES = 8 * np.dtype(np.float64).itemsize
+# How much of the memory pieces may take: the nodes and leaves made of them take as much again at
+# most. And how much the images that are read at a time may take, of which there are five copies: as
+# read and in tree order with their variance, and predicted.
+_SHARE = 2
+_BATCH_SHARE = 8
+_IMAGE_COPIES = 5
+_MOST_AT_A_TIME = 64
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The two pieces of pairs of blocks of one level; one on the diagonal.
+
+    Attributes
+    ----------
+    block_a, block_b : ndarray of int32, shape (n,)
+    offset_a, offset_b : ndarray of int64, shape (n,)
+        Where piece (a, b) and piece (b, a) begin.
+    values, variances : ndarray of float32, shape (C, n_values)
+        Residual radiance; the variance includes the rounding of the images to float32.
+    sums, spread : ndarray of float64, shape (C, 2, n)
+        Sums of the two pieces, and their variances.
+    """
+
+    block_a: Blocks
+    block_b: Blocks
+    offset_a: NDArray[np.int64]
+    offset_b: NDArray[np.int64]
+    values: Float
+    variances: Float
+    sums: Double
+    spread: Double
+
+    def __len__(self) -> int:
+        return len(self.block_a)
+
+
+def affordable(tree: BlockTree, level: int, nodes: Frontier, memory_bytes: int) -> Iterator[slice]:
+    """Cut nodes of `level` into runs whose children's pieces fit into memory together.
+
+    Each run costs a pass over the level's images; there is one where memory is sufficient.
+    """
+    channels = len(nodes.pieces)
+    children = np.diff(tree.child_starts[level])
+    pairs = children[nodes.block_a] * children[nodes.block_b]
+    pixels = compared_pixels(tree, level, nodes)
+    taken = np.cumsum(pixels * _PIXEL_BYTES + pairs * _PAIR_BYTES) * channels
+    first, before = 0, 0.0
+    while first < len(nodes):
+        last = int(np.searchsorted(taken, before + memory_bytes / _SHARE, side="right"))
+        last = max(last, first + 1)
+        yield slice(first, last)
+        first, before = last, taken[last - 1]
+
+
+def collect(
+    tree: BlockTree,
+    block_a: Blocks,
+    block_b: Blocks,
+    known: Sequence[LeafSet],
+    channels: int,
+    images: LevelImages,
+    memory_bytes: int,
+) -> Pieces:
+    """Subtract the known leaves' prediction from a level's images and take the pairs' pieces.
+
+    Parameters
+    ----------
+    tree : BlockTree
+    block_a, block_b : ndarray of int32, shape (n,)
+        The pairs, blocks of the images' level.
+    known : sequence of LeafSet
+        Leaves found so far.
+    channels : int
+    images : LevelImages
+        Of a schedule that is a partition of the rays.
+    memory_bytes : int
+        Memory to work in; the pieces don't depend on it.
+    """
+    from rfpipe.methods.symmetric import kernels
+
+    schedule = images.schedule
+    starts = tree.starts[schedule.level]
+    offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
+    values = np.zeros((channels, n_values), np.float32)
+    variances = np.zeros_like(values)
+    pattern_of_block = schedule.pattern_of_block(tree)
+    image_bytes = channels * tree.domain.size * np.dtype(np.float32).itemsize * _IMAGE_COPIES
+    batch = min(max(1, memory_bytes // (_BATCH_SHARE * image_bytes)), _MOST_AT_A_TIME)
+    for first in range(0, schedule.count, batch):
+        last = min(first + batch, schedule.count)
+        radiance, variance = (_planar(part, tree, channels) for part in images.read(first, last))
+        rounding = np.finfo(np.float32).eps * radiance
+        variance += rounding * rounding
+        radiance -= predict(tree, known, schedule.level, pattern_of_block, first, last, channels)
+        kernels.collect_pieces(
+            starts, block_a, block_b, offset_a, offset_b, pattern_of_block, first, radiance,
+            variance, values, variances,
+        )  # fmt: skip
+    sums = np.empty((channels, 2, len(block_a)))
+    spread = np.empty_like(sums)
+    for part, total in ((values, sums), (variances, spread)):
+        kernels.sum_pieces(starts, block_a, block_b, offset_a, offset_b, part, total)
+    return Pieces(block_a, block_b, offset_a, offset_b, values, variances, sums, spread)
+
+
+def _planar(image: Float, tree: BlockTree, channels: int) -> Float:
+    """Bring images (P, *shape, C) into planar form and tree order, a copy (P, C, N)."""
+    rays = image.reshape(len(image), tree.domain.size, channels)
+    planar: Float = np.take(np.moveaxis(rays, 2, 1), tree.order, axis=2)
+    return planar

@@ -1,0 +1,280 @@
+"""What the pieces of a level say of the nodes above, and of the pairs themselves (thesis §5.1)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree
+from rfpipe.methods.symmetric.nodes import (
+    Double,
+    Frontier,
+    as_leaves,
+    compared_pixels,
+    no_nodes,
+    select,
+)
+from rfpipe.methods.symmetric.pieces import Pieces
+from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets
+
+__all__ = [
+    "AGREES",
+    "CLOSE",
+    "DIFFERS",
+    "UNTOLD",
+    "Found",
+    "Limits",
+    "classify",
+    "disagreement",
+    "rank_test",
+]
+
+# The mean of n squared normal deviates stays within 1 +- 3 sqrt(2 / n) of its expectation.
+_SPREAD = 3.0
+# Outcomes of the rank test, the better the higher.
+UNTOLD, DIFFERS, AGREES, CLOSE = range(4)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What counts as light, and as agreement.
+
+    Attributes
+    ----------
+    asked : float
+        Mean squared difference that the user's tolerance allows in the image of one child. A
+        pattern that lights half of a block adds up the errors of two of its four children, so
+        that this is half of the squared tolerance, in squared radiance.
+    significance : float
+        Standard deviations that make one measured light significant.
+    tests : int
+        How many of them are measured at this level.
+    """
+
+    asked: float
+    significance: float
+    tests: int
+
+    @property
+    def significant(self) -> float:
+        """Squared standard deviations that make any of the level's measurements significant.
+
+        The tail of n normal deviates beyond t is about ``n exp(-t^2 / 2)``: with this t, that noise
+        is taken for light anywhere in the level is as unlikely as it is for one measurement.
+        """
+        return self.significance**2 + 2.0 * math.log(max(self.tests, 1))
+
+    def allowed(self, noise: Double, samples: Double, share: float = 1.0) -> Double:
+        """Largest mean squared difference that still counts as agreement.
+
+        Noise alone makes a mean squared difference of `noise`. What exceeds it may be as large as
+        `share` of what the user asks for, or as the fluctuation of the noise's mean square over
+        `samples` pixels.
+        """
+        fluctuation = noise * _SPREAD * np.sqrt(2.0 / samples)
+        allowed: Double = noise + np.maximum(self.asked * share, fluctuation)
+        return allowed
+
+
+@dataclass(frozen=True)
+class Found:
+    """What became of the nodes of a level, and how many of each kind there are."""
+
+    leaves: LeafSet
+    frontier: Frontier
+    counts: dict[str, int]
+
+
+def rank_test(
+    tree: BlockTree,
+    level: int,
+    nodes: Frontier,
+    first_pair: NDArray[np.int64],
+    pieces: Pieces,
+    limits: Limits,
+) -> NDArray[np.int8]:
+    """Tell how well each unknown node of `level` predicts its children's pieces (thesis §5.1).
+
+    A node passes only on evidence: where a single child on either side has nearly all the energy,
+    its image is the node's own again, whatever lies underneath.
+
+    Parameters
+    ----------
+    tree : BlockTree
+    level : int
+    nodes : Frontier
+    first_pair : ndarray of int64, shape (n + 1,)
+        Node ``i``'s children are the pairs ``first_pair[i]:first_pair[i + 1]``.
+    pieces : Pieces
+        Of the children.
+    limits : Limits
+
+    Returns
+    -------
+    ndarray of int8, shape (n,)
+        `UNTOLD`: there is no evidence, its children are unknown. `DIFFERS`: so they are, unless the
+        node is found to be of a higher rank. `AGREES`: they are leaves, made of the images that
+        are there now; the error of a rank-1 leaf falls with the sides of both its blocks, so that
+        it is some four times less than the node's own. `CLOSE`: nothing is gained by that.
+    """
+    from rfpipe.methods.symmetric import kernels
+
+    offset_a, offset_b, _ = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
+    ssd = np.empty(nodes.energy.shape)
+    noise = np.empty_like(ssd)
+    squares = np.empty((len(ssd), 2, len(nodes)))
+    kernels.rank_test(
+        tree.child_starts[level], tree.starts[level + 1], nodes.block_a, nodes.block_b,
+        offset_a, offset_b, nodes.pieces, nodes.energy, nodes.variance, first_pair,
+        pieces.block_a, pieces.block_b, pieces.offset_a, pieces.offset_b, pieces.values,
+        pieces.spread, ssd, noise, squares,
+    )  # fmt: skip
+    samples = compared_pixels(tree, level, nodes)
+    children = np.diff(tree.child_starts[level])
+    # Two of four children with half the energy each are evidence enough, or three quarters and
+    # one quarter where there are only two children.
+    enough = 3.0 / (children[np.stack([nodes.block_b, nodes.block_a])] + 2.0)
+    evident = (squares <= enough).any(axis=1)
+    evident |= nodes.energy == 0
+    verdict = np.full(len(nodes), DIFFERS, np.int8)
+    for outcome, share in ((AGREES, 1.0), (CLOSE, 1.0 / 16)):
+        allowed = limits.allowed(noise / samples, samples, share)
+        verdict[(ssd / samples <= allowed).all(axis=0)] = outcome
+    verdict[~evident.all(axis=0)] = UNTOLD
+    return verdict
+
+
+def disagreement(first_pair: NDArray[np.int64], pieces: Pieces) -> Double:
+    """Estimate what is wrong with nodes' children's sums beyond camera noise.
+
+    Returns
+    -------
+    ndarray of float64, shape (C, n)
+        Variance of the mean of a child's two sums; see the kernel of this name.
+    """
+    from rfpipe.methods.symmetric import kernels
+
+    excess = np.empty((len(pieces.values), len(first_pair) - 1))
+    kernels.disagreement(
+        first_pair, pieces.block_a, pieces.block_b, pieces.sums, pieces.spread, excess
+    )
+    return excess / 4
+
+
+def reconcile(
+    tree: BlockTree, level: int, nodes: Frontier, first_pair: NDArray[np.int64], pieces: Pieces
+) -> None:
+    """Make the pieces of the children of nodes of `level` agree with the nodes', in place.
+
+    Their sums stay as they were measured.
+    """
+    from rfpipe.methods.symmetric import kernels
+
+    offset_a, offset_b, _ = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
+    kernels.reconcile(
+        tree.starts[level + 1], tree.child_starts[level], nodes.block_a, nodes.block_b,
+        offset_a, offset_b, nodes.pieces, nodes.variance, first_pair, pieces.block_a,
+        pieces.block_b, pieces.offset_a, pieces.offset_b, pieces.values, pieces.variances,
+    )  # fmt: skip
+
+
+def classify(
+    tree: BlockTree,
+    level: int,
+    pieces: Pieces,
+    chosen: NDArray[np.int64],
+    settled: NDArray[np.bool_],
+    above: Frontier,
+    node: NDArray[np.int64],
+    wrong: Double,
+    limits: Limits,
+) -> Found:
+    """Sort pairs that a level measured into empty ones, leaves and unknown ones.
+
+    Parameters
+    ----------
+    tree : BlockTree
+    level : int
+        Of the pairs.
+    pieces : Pieces
+    chosen : ndarray of int64, shape (n,)
+        Which of the pairs to sort.
+    settled : ndarray of bool, shape (n,)
+        Those that are no longer unknown in any case.
+    above : Frontier
+        Nodes of the level above, none at level 0.
+    node : ndarray of int64, shape (n,)
+        Each pair's node among them.
+    wrong : ndarray of float64, shape (C, nodes)
+        Variance of the energies of a node's children beyond camera noise; they are shrunk by it.
+    limits : Limits
+    """
+    from rfpipe.methods.symmetric import kernels
+
+    energy = np.empty((len(pieces.values), len(chosen)))
+    kernels.weigh_pairs(
+        pieces.block_a, pieces.block_b, pieces.sums, pieces.spread, chosen, wrong, node,
+        limits.significant, energy,
+    )  # fmt: skip
+    full: NDArray[np.bool_] = np.any(energy, axis=0)
+    empty = len(full) - int(np.count_nonzero(full))
+    chosen, node, settled = chosen[full], node[full], settled[full]
+    energy = np.ascontiguousarray(energy[:, full])
+    block_a, block_b = pieces.block_a[chosen], pieces.block_b[chosen]
+    channels = len(energy)
+    if level == tree.n_levels - 1:
+        leaves = LeafSet(level, block_a, block_b, energy.astype(np.float32))
+        return Found(leaves, no_nodes(channels), {"empty": empty, "scalar": len(leaves)})
+    starts = tree.starts[level]
+    offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
+    factors = np.empty((channels, n_values), np.float32)
+    worst = np.empty((channels, len(block_a)))
+    lit = np.empty_like(worst)
+    profile_a, profile_b = _profiles(tree, level, block_a, block_b, above, node)
+    kernels.take_pieces(
+        starts, tree.child_starts[level], tree.starts[level + 1], block_a, block_b,
+        pieces.offset_a[chosen], pieces.offset_b[chosen], pieces.values, pieces.variances,
+        profile_a, profile_b, above.pieces, limits.significance, energy,
+        offset_a, offset_b, factors, worst, lit,
+    )  # fmt: skip
+    spread = np.empty((channels, 2, len(chosen)))
+    kernels.sum_pieces(
+        starts, block_a, block_b, pieces.offset_a[chosen], pieces.offset_b[chosen],
+        pieces.variances, spread,
+    )  # fmt: skip
+    nodes = Frontier(block_a, block_b, factors, energy, spread)
+    sizes = np.diff(starts)
+    pixels = np.where(block_a == block_b, sizes[block_a], sizes[block_a] + sizes[block_b])
+    noise = np.where(block_a == block_b, spread[:, 0], spread.sum(axis=1)) / pixels
+    # The images of the children can't differ from their prediction by more than `worst`: where
+    # that is within bounds the rank test is passed already, and no pattern is spent on it. A node
+    # over a single ray is of rank 1 whatever it holds.
+    lit = np.maximum(lit, 1.0)
+    certain = (worst / lit <= limits.allowed(noise, lit)).all(axis=0)
+    certain |= (sizes[block_a] == 1) | (sizes[block_b] == 1) | settled
+    leaves = as_leaves(tree, level, select(tree, level, nodes, certain))
+    frontier = select(tree, level, nodes, ~certain)
+    return Found(leaves, frontier, {"empty": empty, "rank1": len(leaves)})
+
+
+def _profiles(
+    tree: BlockTree,
+    level: int,
+    block_a: NDArray[np.int32],
+    block_b: NDArray[np.int32],
+    above: Frontier,
+    node: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Find the pictures of two blocks among the factors of the nodes above; -1 where none are."""
+    if not len(above):
+        none = np.full(len(block_a), -1, np.int64)
+        return none, none
+    starts, own = tree.starts[level - 1], tree.starts[level]
+    offset_a, offset_b, _ = factor_offsets(starts, above.block_a, above.block_b)
+    return (
+        offset_a[node] + own[block_a] - starts[above.block_a[node]],
+        offset_b[node] + own[block_b] - starts[above.block_b[node]],
+    )

@@ -1,0 +1,59 @@
+"""What a rig's settings and its calibration say together of its devices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from rfpipe.errors import ConfigError, InputError
+from rfpipe.photometry.camera import CameraModel, sensor_from_config
+from rfpipe.rigs.calibrated import Calibration, load_calibration
+
+if TYPE_CHECKING:
+    from rfpipe.config import RigConfig
+
+__all__ = ["calibration_of", "camera_settings", "sensor_of", "window_settings"]
+
+
+def sensor_of(config: RigConfig) -> CameraModel:
+    """Return what is known of a rig's camera: its settings, and its calibration's numbers."""
+    sensor = sensor_from_config(config.sensor)
+    if not isinstance(sensor, CameraModel):
+        raise ConfigError("sensor is null; a rig of devices needs the camera's numbers")
+    numbers: dict[str, Any] = dict(calibration_of(config).camera)
+    if "black_level_counts" in numbers:  # of a fixed pattern's mean
+        numbers["black_level_counts"] = round(numbers["black_level_counts"])
+    try:
+        return replace(sensor, **numbers)
+    except (TypeError, InputError) as error:
+        raise ConfigError(
+            f"calibration {config.calibration}: its numbers of the camera don't fit the settings "
+            f"of sensor: {error}. Calibrate again"
+        ) from error
+
+
+def window_settings(config: RigConfig) -> dict[str, Any]:
+    """Return how the projector's window is opened, wherever its display is."""
+    from rfpipe.rigs.window import read_response
+
+    settings = config.projector
+    path = settings.response
+    response = calibration_of(config).projector_response if path is None else read_response(path)
+    return {
+        "screen": settings.screen,
+        "offset": settings.offset,
+        "shape": settings.shape,
+        "settle_seconds": settings.settle_seconds,
+        "response": response,
+    }
+
+
+def camera_settings(config: RigConfig) -> dict[str, Any]:
+    """Return how frames are taken, of a real camera or of the bench's."""
+    names = "gain_db", "timeout_seconds", "retries", "reconnects", "reconnect_seconds"
+    return {name: getattr(config.camera, name) for name in names}
+
+
+def calibration_of(config: RigConfig) -> Calibration:
+    """Return a rig's calibration, one that says nothing where it has none."""
+    return Calibration() if config.calibration is None else load_calibration(config.calibration)

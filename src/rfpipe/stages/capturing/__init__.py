@@ -1,0 +1,1 @@
+"""What a capture needs besides its patterns: brackets, the lamp, the disk."""

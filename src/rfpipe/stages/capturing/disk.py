@@ -1,0 +1,213 @@
+"""Disk space: what a capture, and all that is made of it, will take at most."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.errors import StoreError
+from rfpipe.methods.near_far.method import MOST
+from rfpipe.methods.rivals.compressive import pattern_count
+from rfpipe.methods.rivals.hadamard import s_matrix_order
+from rfpipe.methods.rivals.low_rank import OWN_MOST
+from rfpipe.photometry import Sensor
+from rfpipe.units import RADIANCE
+
+__all__ = [
+    "DiskNeed",
+    "Imaging",
+    "check_level",
+    "check_run",
+    "expected_patterns",
+    "free_bytes",
+    "most_patterns",
+]
+
+# A file takes whole blocks of its file system.
+_BLOCK_BYTES = 4096
+# What the methods keep of a level: each pixel of each image belongs to one piece that they may
+# store, in the level's own store and in the transport.
+_PIECES = 2
+# Patterns a level, from the largest counts of the thesis' scenes at 310 x 350 rays, which are ten
+# levels: Table 5.1, scene II (1,085) and scene IV by dual photography (7,382). Patterns grow with
+# the number of levels [Fig. 3.8].
+_PATTERNS_PER_LEVEL = {"symmetric": 1_085 / 10, "dual": 7_382 / 10}
+# Methods whose patterns don't grow with the resolution, but where the scene asks for them.
+_PATTERNS = {"near_far": MOST, "low_rank": OWN_MOST}
+
+_log = logging.getLogger(__name__)
+
+
+def expected_patterns(
+    method: str, projector_shape: tuple[int, ...], n_levels: int, asked: int = 0
+) -> int:
+    """Guess the patterns of a whole acquisition from those of the thesis; brute force is exact.
+
+    Parameters
+    ----------
+    method : str
+        A name in `rfpipe.methods.METHODS`.
+    projector_shape : tuple of int
+    n_levels : int
+    asked : int
+        The setting ``acquisition.patterns``, 0 for none.
+    """
+    rays = prod(projector_shape)
+    if method in _PATTERNS_PER_LEVEL:
+        return min(rays, round(n_levels * _PATTERNS_PER_LEVEL[method]))
+    if method == "compressive":
+        return pattern_count(rays, asked)
+    if method in _PATTERNS:
+        return min(rays, asked or _PATTERNS[method])
+    if method == "hadamard":
+        return s_matrix_order(rays)
+    return rays
+
+
+def most_patterns(method: str, projector_shape: tuple[int, ...], asked: int = 0) -> int:
+    """Return the patterns of an acquisition of a scene without any structure.
+
+    All blocks of all levels one after the other, for the methods that descend by levels.
+
+    Parameters
+    ----------
+    method : str
+        A name in `rfpipe.methods.METHODS`.
+    projector_shape : tuple of int
+    asked : int
+        The setting ``acquisition.patterns``, 0 for none.
+    """
+    if method not in _PATTERNS_PER_LEVEL and method != "near_far":
+        return max(prod(projector_shape), expected_patterns(method, projector_shape, 1, asked))
+    tree = BlockTree(RayDomain(projector_shape))
+    return sum(tree.n_blocks(level) for level in range(tree.n_levels))
+
+
+class Imaging(Protocol):
+    """A rig, as far as the size of its pictures goes."""
+
+    @property
+    def camera_shape(self) -> tuple[int, ...]:
+        """As that of `rfpipe.rigs.Rig`."""
+
+    @property
+    def channels(self) -> int:
+        """As that of `rfpipe.rigs.Rig`."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """As that of `rfpipe.rigs.Rig`."""
+
+
+@dataclass(frozen=True)
+class DiskNeed:
+    """Bytes on the disk, before compression.
+
+    Parameters
+    ----------
+    raw : int
+        Of the brackets.
+    merged : int
+        Of radiance and variance.
+    rest : int
+        Of sums and factors, and of what the method keeps.
+    """
+
+    raw: int
+    merged: int
+    rest: int
+
+    @classmethod
+    def of(cls, rig: Imaging, to_capture: int, patterns: int) -> DiskNeed:
+        """Return that of some brackets still to be captured, and of patterns to be merged."""
+        bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
+        image = prod(rig.camera_shape) * rig.channels
+        radiance = np.dtype(RADIANCE).itemsize
+        sums = 2 * np.dtype(np.float64).itemsize
+        return cls(
+            raw=to_capture * (bracket * rig.sensor.frame_dtype.itemsize + _BLOCK_BYTES),
+            merged=patterns * (2 * image * radiance + _BLOCK_BYTES),
+            rest=image * (_PIECES * patterns * radiance + sums),
+        )
+
+    @property
+    def total(self) -> int:
+        """Sum of all."""
+        return self.raw + self.merged + self.rest
+
+    def __str__(self) -> str:
+        return (
+            f"{_shown(self.total)} (raw exposures {_shown(self.raw)}, merged images "
+            f"{_shown(self.merged)}, the rest {_shown(self.rest)})"
+        )
+
+
+def check_level(
+    name: str, need: DiskNeed, folder: Path, present: int = 0, *, keep_raw: bool = True
+) -> None:
+    """Log what a level will take at most, and refuse its capture where that doesn't fit.
+
+    Parameters
+    ----------
+    name : str
+    need : DiskNeed
+    folder : Path
+        Where it is to lie.
+    present : int
+        Bytes there already that will be written over.
+    keep_raw : bool
+        Whether the brackets of all levels stay.
+
+    Raises
+    ------
+    StoreError
+        When less is free on the folder's file system.
+    """
+    free = free_bytes(folder)
+    if need.total - present > free:
+        raise StoreError(
+            f"{folder}: the capture of {name} isn't begun: it and what is made of it take up to "
+            f"{need}, of which {_shown(present)} are there already; {_shown(free)} are free on "
+            f"this file system. {_advice(keep_raw)}, or take a coarser acquisition.tolerance for "
+            "fewer patterns; then run again: what is captured is kept"
+        )
+    _log.info("%s: takes up to %s; %s are free", name, need, _shown(free))
+
+
+def check_run(need: DiskNeed, patterns: int, folder: Path, *, keep_raw: bool = True) -> None:
+    """Log what a whole acquisition will take; warn where that isn't likely to fit.
+
+    It is no error: how many patterns it takes is a guess, and each level is checked again before
+    its capture.
+    """
+    free = free_bytes(folder)
+    _log.info("all levels: about %d patterns take up to %s", patterns, need)
+    if need.total > free:
+        _log.warning(
+            "%s: all levels may take up to %s, but %s are free. The run will stop before the "
+            "level that doesn't fit. %s",
+            folder, need, _shown(free), _advice(keep_raw),
+        )  # fmt: skip
+
+
+def free_bytes(folder: Path) -> int:
+    """Return the bytes free on the file system of a folder, which needn't exist yet."""
+    while not folder.exists():
+        folder = folder.parent
+    return shutil.disk_usage(folder).free
+
+
+def _advice(keep_raw: bool) -> str:
+    drop = ", set capture.keep_raw to false" if keep_raw else ""
+    return f"Make room, put the results on another disk{drop}"
+
+
+def _shown(count: int) -> str:
+    return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"

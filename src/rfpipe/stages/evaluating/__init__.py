@@ -1,0 +1,1 @@
+"""Errors of what was acquired: figures, sweeps and studies."""

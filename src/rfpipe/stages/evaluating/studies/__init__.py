@@ -1,0 +1,80 @@
+"""Stage: studies for the report that stand beside the acquisitions of the configured scenes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.provenance import fingerprint
+from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.units import RADIANCE_UNIT
+
+if TYPE_CHECKING:
+    from rfpipe.config import Config
+
+__all__ = ["STUDIES", "run", "run_study"]
+
+STUDIES = ("resolution", "stability", "mosaic")
+"""Patterns against resolution [Fig. 3.8], numerically hard cases, colour normalization under a
+Bayer mosaic [Fig. B.1]."""
+
+
+def run_study(name: str, config: Config) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
+    """Run one of `STUDIES`; return its table's rows as plain data, and its images.
+
+    Raises
+    ------
+    InputError
+        If there is no such study.
+    """
+    if name == "resolution":
+        from rfpipe.stages.evaluating.studies.resolution import resolution_study
+
+        return resolution_study(config), {}
+    if name == "stability":
+        from rfpipe.stages.evaluating.studies.stability import stability_study
+
+        return stability_study(config), {}
+    if name == "mosaic":
+        from rfpipe.stages.evaluating.studies.mosaic import mosaic_study
+
+        return mosaic_study(config)
+    raise InputError(f"study {name!r}: expected one of {', '.join(STUDIES)}")
+
+
+def run(name: str, config: Config, manifest: Path, code: str) -> None:
+    """Run a study; write its images and a manifest that holds its table.
+
+    Parameters
+    ----------
+    name : str
+        One of `STUDIES`.
+    config : Config
+    manifest : Path
+        The store of images stands beside it; empty for a study without images.
+    code : str
+        Fingerprint of the code behind the stage.
+    """
+    store = manifest.with_suffix(".zarr")
+    made_from = fingerprint({"study": name, "config": config, "code": code})
+    if accept_bundle(store, manifest, made_from):
+        return
+    rows, arrays = run_study(name, config)
+    facts = {
+        "stage": "study",
+        "study": name,
+        "rows": [{key: _plain(value) for key, value in row.items()} for row in rows],
+        "units": RADIANCE_UNIT,
+    }
+    write_bundle(store, manifest, made_from, arrays, facts)
+
+
+def _plain(value: Any) -> Any:
+    """Return a value that JSON can hold; NaN and infinity become None."""
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value

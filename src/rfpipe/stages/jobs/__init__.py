@@ -1,0 +1,1 @@
+"""What every job has: a log, progress, threads and memory."""

@@ -1,0 +1,1 @@
+"""Brackets into radiance: calibrating references, the merge itself, and its images."""

@@ -1,0 +1,1 @@
+"""The hierarchical tensor of symmetric photography (thesis ch. 4)."""

@@ -1,0 +1,317 @@
+"""Compiled kernels of the hierarchical tensor: applying leaves, and truncating them.
+
+All images and factors are planar and in tree order: channels first, rays contiguous. Factors are
+float32, or unsigned codes of rounded ones (see ``codes.py``), which are squared as they are
+read: it takes less time than fetching four times the bytes. A leaf's sign is that of its scale,
+which stands for one of its two factors by its size alone.
+
+The sums of a task don't depend on the number of threads, nor on the other tasks.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+from numba.extending import overload
+
+_FAST = {"reassoc", "contract", "nsz", "arcp"}
+
+# Up to this many rays a block is worked off ray by ray: setting up a vector loop takes longer.
+_SHORT = 16
+# Products that are added up in float32; their sums are added up in float64.
+_RUN = 8192
+# Rays of a task that goes through images.
+_PART = 2**12
+
+
+def _number(stored: Any) -> Any:
+    """Return what a stored number stands for, to the scale of its factor; in compiled code."""
+    raise NotImplementedError
+
+
+@overload(_number)
+def _overload_number(stored):  # type: ignore[no-untyped-def]
+    if isinstance(stored, numba.types.Float):
+        return lambda stored: stored
+    return lambda stored: np.float32(stored) * np.float32(stored)
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _dot(factor, weights):  # type: ignore[no-untyped-def]
+    total = np.float32(0.0)
+    for k in range(factor.shape[0]):
+        total += _number(factor[k]) * weights[k]
+    return total
+
+
+@numba.njit(cache=True)
+def _long_dot(factor, weights):  # type: ignore[no-untyped-def]
+    total = 0.0
+    for k in range(0, factor.shape[0], _RUN):
+        total += _dot(factor[k : k + _RUN], weights[k : k + _RUN])
+    return np.float32(total)
+
+
+@numba.njit(cache=True, fastmath=_FAST)
+def _add_scaled(target, factor, scale):  # type: ignore[no-untyped-def]
+    for k in range(factor.shape[0]):
+        target[k] += _number(factor[k]) * scale
+
+
+@numba.njit(cache=True)
+def _apply_short_leaf(a0, a1, b0, b1, values, at, scale, source, target):  # type: ignore[no-untyped-def]
+    """Apply a leaf over two small blocks; its values begin at `at`.
+
+    All indices are unsigned, which saves a test for negative ones in each use.
+    """
+    of_a = at - a0
+    from_a, from_b = np.float32(0.0), np.float32(0.0)
+    for k in range(a0, a1):
+        from_a += _number(values[of_a + k]) * source[k]
+    from_a = from_a * scale * abs(scale)
+    if a0 == b0:
+        for k in range(a0, a1):
+            target[k] += _number(values[of_a + k]) * from_a
+        return
+    of_b = at + a1 - a0 - b0
+    for k in range(b0, b1):
+        from_b += _number(values[of_b + k]) * source[k]
+        target[k] += _number(values[of_b + k]) * from_a
+    from_b = from_b * scale * abs(scale)
+    for k in range(a0, a1):
+        target[k] += _number(values[of_a + k]) * from_b
+
+
+@numba.njit(cache=True)
+def _apply_leaf(a0, a1, b0, b1, lit_a, lit_b, values, at, scale, source, target):  # type: ignore[no-untyped-def]
+    """Apply a leaf, its values from `at` on; they come from memory once, then from the cache."""
+    factor_a = values[at : at + a1 - a0]
+    if a0 == b0:
+        from_a = _dot(factor_a, source[a0:a1]) * scale * abs(scale)
+        _add_scaled(target[a0:a1], factor_a, from_a)
+        return
+    factor_b = values[at + a1 - a0 : at + a1 - a0 + b1 - b0]
+    if lit_a:
+        from_a = _dot(factor_a, source[a0:a1]) * scale * abs(scale)
+        _add_scaled(target[b0:b1], factor_b, from_a)
+    if lit_b:
+        from_b = _dot(factor_b, source[b0:b1]) * scale * abs(scale)
+        _add_scaled(target[a0:a1], factor_a, from_b)
+
+
+@numba.njit(cache=True)
+def _apply_long_leaf(a0, a1, b0, b1, values, at, scale, source, target):  # type: ignore[no-untyped-def]
+    """Apply a leaf of so many values that their products can't be added up in float32."""
+    factor_a = values[at : at + a1 - a0]
+    from_a = _long_dot(factor_a, source[a0:a1]) * scale * abs(scale)
+    if a0 == b0:
+        _add_scaled(target[a0:a1], factor_a, from_a)
+        return
+    factor_b = values[at + a1 - a0 : at + a1 - a0 + b1 - b0]
+    from_b = _long_dot(factor_b, source[b0:b1]) * scale * abs(scale)
+    _add_scaled(target[b0:b1], factor_b, from_a)
+    _add_scaled(target[a0:a1], factor_a, from_b)
+
+
+@numba.njit(cache=True)
+def _apply_run(  # type: ignore[no-untyped-def]
+    starts, block_a, block_b, first, last, values, scales, at, lit, source, target
+):
+    """Apply leaves ``first:last``, whose values begin at `at`, to one plane of one pattern."""
+    for n in range(first, last):
+        a, b = block_a[n], block_b[n]
+        a0, a1, b0, b1 = starts[a], starts[a + 1], starts[b], starts[b + 1]
+        longest = max(a1 - a0, b1 - b0)
+        if lit[a] or lit[b]:
+            if longest <= _SHORT:
+                _apply_short_leaf(
+                    np.uint64(a0), np.uint64(a1), np.uint64(b0), np.uint64(b1), values,
+                    np.uint64(at), scales[n], source, target,
+                )  # fmt: skip
+            elif longest <= _RUN:
+                _apply_leaf(
+                    a0, a1, b0, b1, lit[a], lit[b], values, at, scales[n], source, target
+                )  # fmt: skip
+            else:
+                _apply_long_leaf(a0, a1, b0, b1, values, at, scales[n], source, target)
+        at += a1 - a0
+        if a != b:
+            at += b1 - b0
+
+
+@numba.njit(cache=True, parallel=True)
+def apply_leaves(  # type: ignore[no-untyped-def]
+    starts, block_a, block_b, values, scales, channels, bounds, offsets, group, patterns, lit, out
+):
+    """Add ``T p`` of the rank-1 leaves of one level.
+
+    A task is one share of the leaves, one plane and a group of patterns.
+
+    Parameters
+    ----------
+    starts : int64 (n_blocks + 1,)
+        First tree position of each block of the level.
+    block_a, block_b : int32 (n,)
+        The two blocks of each leaf; equal on the diagonal.
+    values : float32 or unsigned (C, n_values)
+        Factors, or codes of them.
+    scales : float32 (C, n)
+        By which both factors of a leaf are multiplied, one of them by its absolute value.
+    channels : int64 (K,)
+        The channel of each plane of `out`.
+    bounds, offsets : int64 (shares, runs + 1)
+        Leaves ``bounds[s, r]:bounds[s, r + 1]`` are run ``r`` of share ``s``; their values begin
+        at ``offsets[s, r]``. A run is small enough to stay in the cache for a group of patterns.
+    group : int
+        Patterns of a task: a leaf's factors are fetched once for all of them.
+    patterns : float32 (P, K, N) or (P, 1, N)
+        The same light for all planes if there is one.
+    lit : uint8 (P, n_blocks)
+        Whether a pattern lights a block; leaves between dark blocks aren't read.
+    out : float32 (shares, P, K, N)
+        Added to in place.
+    """
+    count, planes = out.shape[1], out.shape[2]
+    groups = (count + group - 1) // group
+    for task in numba.prange(bounds.shape[0] * planes * groups):
+        share, plane = task // groups // planes, task // groups % planes
+        first = task % groups * group
+        light = min(plane, patterns.shape[1] - 1)
+        factors, factor_scales = values[channels[plane]], scales[channels[plane]]
+        for run in range(bounds.shape[1] - 1):
+            for p in range(first, min(first + group, count)):
+                _apply_run(
+                    starts, block_a, block_b, bounds[share, run], bounds[share, run + 1], factors,
+                    factor_scales, offsets[share, run], lit[p], patterns[p, light],
+                    out[share, p, plane],
+                )  # fmt: skip
+
+
+@numba.njit(cache=True, parallel=True)
+def apply_scalars(ray_a, ray_b, values, channels, bounds, group, patterns, out):  # type: ignore[no-untyped-def]
+    """Add ``T p`` of the scalar leaves; arguments and tasks as in `apply_leaves`.
+
+    Parameters
+    ----------
+    ray_a, ray_b : int32 (n,)
+        Tree positions of each scalar; ``ray_a <= ray_b``, each off-diagonal one counts both ways.
+    values : float32 (C, n)
+    """
+    count, planes = out.shape[1], out.shape[2]
+    groups = (count + group - 1) // group
+    for task in numba.prange(bounds.shape[0] * planes * groups):
+        share, plane = task // groups // planes, task // groups % planes
+        first = task % groups * group
+        scalars = values[channels[plane]]
+        for p in range(first, min(first + group, count)):
+            source = patterns[p, min(plane, patterns.shape[1] - 1)]
+            target = out[share, p, plane]
+            for n in range(bounds[share, 0], bounds[share, -1]):
+                a, b = np.uint64(ray_a[n]), np.uint64(ray_b[n])
+                target[a] += scalars[n] * source[b]
+                if a != b:
+                    target[b] += scalars[n] * source[a]
+
+
+@numba.njit(cache=True, parallel=True)
+def lit_rays(patterns, out):  # type: ignore[no-untyped-def]
+    """Tell which rays a pattern (P, K, N) lights in any plane, as uint8 (P, N)."""
+    count, planes, rays = patterns.shape
+    parts = (rays + _PART - 1) // _PART
+    for task in numba.prange(count * parts):
+        p, first = task // parts, task % parts * _PART
+        lit = out[p, first : first + _PART]
+        lit[:] = 0
+        for plane in range(planes):
+            light = patterns[p, plane, first : first + _PART]
+            for n in range(lit.shape[0]):
+                lit[n] |= np.uint8(light[n] != 0)
+
+
+@numba.njit(cache=True, parallel=True)
+def lit_parents(child_starts, lit, out):  # type: ignore[no-untyped-def]
+    """Tell which blocks have a lit child: uint8 (P, children) to uint8 (P, blocks)."""
+    for b in numba.prange(out.shape[1]):
+        for p in range(lit.shape[0]):
+            found = np.uint8(0)
+            for child in range(child_starts[b], child_starts[b + 1]):
+                found |= lit[p, child]
+            out[p, b] = found
+
+
+@numba.njit(cache=True, parallel=True)
+def clear(images):  # type: ignore[no-untyped-def]
+    """Set float32 (shares, P, K, N) to zero, by the threads that will add to it."""
+    shares, count, planes, _ = images.shape
+    for task in numba.prange(shares * planes):
+        for p in range(count):
+            images[task // planes, p, task % planes] = np.float32(0.0)
+
+
+@numba.njit(cache=True, parallel=True)
+def add_reordered(images, index, out):  # type: ignore[no-untyped-def]
+    """Write the sum over the first axis, reordered: ``images.sum(axis=0)[..., index]``.
+
+    Parameters
+    ----------
+    images : float32 (S, P, K, N)
+        Of any strides.
+    index : int64 (N,)
+    out : float32 (P, K, N)
+    """
+    shares, count, planes, rays = images.shape
+    parts = (rays + _PART - 1) // _PART
+    for task in numba.prange(count * parts):
+        p, first = task // parts, task % parts * _PART
+        places = index[first : first + _PART]
+        for plane in range(planes):
+            target = out[p, plane, first : first + _PART]
+            for share in range(shares):
+                source = images[share, p, plane]
+                for n in range(places.shape[0]):
+                    light = source[np.uint64(places[n])]
+                    target[n] = target[n] + light if share else light
+
+
+@numba.njit(cache=True)
+def add_marginals(  # type: ignore[no-untyped-def]
+    starts, block_a, block_b, offset_a, offset_b, values, signs, node, first_a, first_b, marginals
+):
+    """Add each leaf's row and column sums to those of the node above it.
+
+    Parameters
+    ----------
+    starts, block_a, block_b, offset_a, offset_b, values
+        As in `apply_leaves`.
+    signs : int8 (C, n) or (C, 0)
+        Of the leaves; none if all are positive.
+    node : int64 (n,)
+        The node above each leaf.
+    first_a, first_b : int64 (n_nodes,)
+        What to add to a tree position to find it in the node's two marginals; equal on the
+        diagonal.
+    marginals : float64 (C, n_marginals)
+        Added to in place.
+    """
+    for n in range(block_a.shape[0]):
+        a0, a1 = starts[block_a[n]], starts[block_a[n] + 1]
+        b0, b1 = starts[block_b[n]], starts[block_b[n] + 1]
+        for c in range(values.shape[0]):
+            factor_a = values[c, offset_a[n] : offset_a[n] + a1 - a0]
+            factor_b = values[c, offset_b[n] : offset_b[n] + b1 - b0]
+            sum_a, sum_b = 0.0, 0.0
+            for k in range(factor_a.shape[0]):
+                sum_a += factor_a[k]
+            for k in range(factor_b.shape[0]):
+                sum_b += factor_b[k]
+            if signs.shape[1] and signs[c, n] < 0:
+                sum_a, sum_b = -sum_a, -sum_b
+            at = first_a[node[n]] + a0
+            for k in range(factor_a.shape[0]):
+                marginals[c, at + k] += factor_a[k] * sum_b
+            if block_a[n] != block_b[n]:
+                at = first_b[node[n]] + b0
+                for k in range(factor_b.shape[0]):
+                    marginals[c, at + k] += factor_b[k] * sum_a

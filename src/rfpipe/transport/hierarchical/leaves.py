@@ -1,0 +1,165 @@
+"""The leaves of the hierarchical tensor, side by side in flat arrays (thesis §4.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree
+from rfpipe.transport.base import Float
+
+# A set of leaves that is stored or read at a time has at most this many values a channel, unless
+# one leaf has more: some 25 MB of RGB, so that a transport beyond the memory budget streams.
+_SET_VALUES = 2**21
+
+LEAF_PARTS = ("block_a", "block_b", "values")
+"""The arrays of a `LeafSet`, by which stores name them."""
+
+
+@dataclass(frozen=True, eq=False)
+class LeafSet:
+    """Rank-1 leaves of one level: ``T_ab = factor_a x factor_b`` and, by symmetry, ``T_ba``.
+
+    A leaf of rank k is k of them over the same pair, its terms: what leaves of a pair hold adds
+    up. Factors may be negative; on the diagonal, where both factors are the same, a term has a
+    sign of its own: ``T_aa = sum_r s_r u_r x u_r``.
+
+    Attributes
+    ----------
+    level : int
+    block_a, block_b : ndarray of int32, shape (n,)
+        ``block_a <= block_b``. At the last level a leaf is a scalar.
+    values : ndarray of float32, shape (channels, n_values)
+        The factors one leaf after the other: over block a, then over block b unless it is the
+        same; one value a scalar. With `scales`, codes of them: uint8 or uint16.
+    scales : ndarray of float32, shape (channels, n), optional
+        Of rounded leaves: a value is its code squared times its leaf's scale.
+    signs : ndarray of int8, shape (channels, n), optional
+        1 or -1, by which the product of a leaf's two factors is multiplied; all 1 if there are
+        none. A scalar has its sign in its value.
+    kept : dict
+        Preparations that `rfpipe.transport.hierarchical.apply` makes once, by name.
+    """
+
+    level: int
+    block_a: NDArray[np.int32]
+    block_b: NDArray[np.int32]
+    values: NDArray[Any]
+    scales: Float | None = None
+    signs: NDArray[np.int8] | None = None
+    kept: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def __len__(self) -> int:
+        return len(self.block_a)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        optional = sum(array.nbytes for array in (self.scales, self.signs) if array is not None)
+        return self.block_a.nbytes + self.block_b.nbytes + self.values.nbytes + optional
+
+    @property
+    def signs_if_any(self) -> NDArray[np.int8]:
+        """The signs as compiled kernels take them: ``(channels, 0)`` where there are none."""
+        return np.empty((len(self.values), 0), np.int8) if self.signs is None else self.signs
+
+    def subset(self, tree: BlockTree, chosen: NDArray[np.bool_]) -> LeafSet:
+        """Return some of the leaves."""
+        offsets = leaf_offsets(tree, self)
+        index = ragged_ranges(offsets[:-1][chosen], np.diff(offsets)[chosen])
+        # numpy would leave channels side by side
+        values = np.ascontiguousarray(self.values[:, index])
+        scales = None if self.scales is None else np.ascontiguousarray(self.scales[:, chosen])
+        signs = None if self.signs is None else np.ascontiguousarray(self.signs[:, chosen])
+        blocks = self.block_a[chosen], self.block_b[chosen]
+        return LeafSet(self.level, *blocks, values, scales, signs)
+
+
+def factor_offsets(
+    starts: NDArray[np.int64], block_a: NDArray[np.int32], block_b: NDArray[np.int32]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Return where each pair's two factors begin, and the number of values of all.
+
+    On the diagonal both factors are the same values.
+    """
+    sizes = np.diff(starts)
+    size_a = sizes[block_a]
+    size_b = np.where(block_a == block_b, 0, sizes[block_b])
+    ends = np.cumsum(size_a + size_b)
+    first = ends - size_a - size_b
+    second = np.where(block_a == block_b, first, first + size_a)
+    return first, second, int(ends[-1]) if len(ends) else 0
+
+
+def leaf_offsets(tree: BlockTree, leaves: LeafSet) -> NDArray[np.int64]:
+    """Return where each leaf's values begin, and the number of values at the end."""
+    if leaves.level == tree.n_levels - 1:
+        return np.arange(len(leaves) + 1)
+    first, _, n_values = factor_offsets(tree.starts[leaves.level], leaves.block_a, leaves.block_b)
+    return np.append(first, n_values)
+
+
+def ragged_ranges(begin: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the indices of runs ``begin[i] : begin[i] + lengths[i]``, one after the other."""
+    ends = np.cumsum(lengths)
+    return np.arange(int(ends[-1]) if len(ends) else 0) + np.repeat(begin - ends + lengths, lengths)
+
+
+def merge_leaf_sets(leaf_sets: Sequence[LeafSet], tree: BlockTree) -> list[LeafSet]:
+    """Return the leaves by level and block, from sets found one after the other.
+
+    A level is one set, or several where it has many values. Leaves of the same pair, the terms of
+    a leaf of rank k, stand side by side in the order in which they were found.
+    """
+    merged: list[LeafSet] = []
+    for level in sorted({leaves.level for leaves in leaf_sets if len(leaves)}):
+        parts = [leaves for leaves in leaf_sets if leaves.level == level and len(leaves)]
+        merged += _merge_level(parts, tree)
+    return merged
+
+
+def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]:
+    """Yield the leaves of one level in order, in sets of at most `_SET_VALUES`, or of one leaf."""
+    block_a = np.concatenate([leaves.block_a for leaves in parts])
+    block_b = np.concatenate([leaves.block_b for leaves in parts])
+    part = np.repeat(np.arange(len(parts)), [len(leaves) for leaves in parts])
+    offsets = [leaf_offsets(tree, leaves) for leaves in parts]
+    begin = np.concatenate([ends[:-1] for ends in offsets])
+    length = np.concatenate([np.diff(ends) for ends in offsets])
+    signs = _joined_signs(parts)
+    order = np.lexsort((block_b, block_a))
+    ends = np.cumsum(length[order])
+    first = 0
+    while first < len(order):
+        before = ends[first] - length[order[first]]
+        last = int(np.searchsorted(ends, before + _SET_VALUES, "right"))
+        last = max(last, first + 1)
+        chosen = order[first:last]
+        target = ends[first:last] - length[chosen] - before
+        values = np.empty((len(parts[0].values), int(ends[last - 1] - before)), np.float32)
+        for index, leaves in enumerate(parts):
+            own = part[chosen] == index
+            of_leaf = length[chosen[own]]
+            found = leaves.values[:, ragged_ranges(begin[chosen[own]], of_leaf)]
+            values[:, ragged_ranges(target[own], of_leaf)] = found
+        of_chosen = None if signs is None else np.ascontiguousarray(signs[:, chosen])
+        yield LeafSet(parts[0].level, block_a[chosen], block_b[chosen], values, signs=of_chosen)
+        first = last
+
+
+def _joined_signs(parts: Sequence[LeafSet]) -> NDArray[np.int8] | None:
+    """Return the signs of sets of leaves one after the other; None if no set has any."""
+    if all(leaves.signs is None for leaves in parts):
+        return None
+    ones = (np.ones((len(leaves.values), len(leaves)), np.int8) for leaves in parts)
+    return np.concatenate(
+        [
+            one if leaves.signs is None else leaves.signs
+            for leaves, one in zip(parts, ones, strict=True)
+        ],
+        axis=1,
+    )

@@ -1,0 +1,157 @@
+"""Leaves of fine levels as rank-1 leaves of a coarser one (thesis Fig. 5.7)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree
+from rfpipe.transport.hierarchical.codes import decoded
+from rfpipe.transport.hierarchical.leaves import (
+    LeafSet,
+    factor_offsets,
+    merge_leaf_sets,
+    ragged_ranges,
+)
+
+# Values a channel that are added up at a time, in float64: some 100 MB of RGB.
+_SUMMED_VALUES = 2**22
+# What the light of a node counts for at least, as a part of its row or column sums without their
+# signs: where signed leaves all but cancel, a quotient of their sums would be of any size.
+_LEAST_LIGHT = 0.25
+
+Index = NDArray[np.int64]
+
+
+def found_later(tree: BlockTree, leaf_sets: Sequence[LeafSet]) -> list[NDArray[np.bool_]]:
+    """Tell for sets of one level which leaves are terms of rank k, off the diagonal.
+
+    A level's patterns measure one picture for each side of a pair: the other terms come from the
+    images of the level after.
+    """
+    if not leaf_sets:
+        return []
+    pairs = [
+        leaves.block_a * np.int64(tree.n_blocks(leaves.level)) + leaves.block_b
+        for leaves in leaf_sets
+    ]
+    _, index, count = np.unique(np.concatenate(pairs), return_inverse=True, return_counts=True)
+    off_diagonal = np.concatenate([leaves.block_a != leaves.block_b for leaves in leaf_sets])
+    ends = np.cumsum([len(leaves) for leaves in leaf_sets])
+    return np.split((count[index] > 1) & off_diagonal, ends[:-1])
+
+
+def collapse(
+    tree: BlockTree, leaf_sets: Sequence[LeafSet], level: int, channels: int
+) -> Iterator[LeafSet]:
+    """Sum leaves into rank-1 leaves of `level`, made of their row and column sums.
+
+    Row and column sums are kept, unless the leaves below have signs and all but cancel: then they
+    are reduced.
+
+    Parameters
+    ----------
+    tree : BlockTree
+    leaf_sets : sequence of LeafSet
+        Of `level` or below, rounded or not; one at a time is in use.
+    level : int
+    channels : int
+
+    Yields
+    ------
+    LeafSet
+        With float32 factors.
+    """
+    keys = [_node_keys(tree, leaves, level) for leaves in leaf_sets]
+    if not keys:
+        return
+    n_blocks = tree.n_blocks(level)
+    nodes = np.unique(np.concatenate(keys))
+    block_a, block_b = np.divmod(nodes, n_blocks)
+    sizes = np.diff(tree.starts[level])
+    lengths = sizes[block_a] + np.where(block_a == block_b, 0, sizes[block_b])
+    for run in _runs(lengths):
+        collapsed = _collapse_run(tree, leaf_sets, keys, nodes[run], level, channels)
+        yield from merge_leaf_sets([collapsed], tree)
+
+
+def _node_keys(tree: BlockTree, leaves: LeafSet, level: int) -> Index:
+    """Number the nodes of `level` above leaves, in the order of their blocks."""
+    above = tree.ancestors(leaves.level, level)
+    keys: Index = above[leaves.block_a] * np.int64(tree.n_blocks(level)) + above[leaves.block_b]
+    return keys
+
+
+def _runs(lengths: Index) -> Iterator[slice]:
+    """Cut nodes into runs of at most `_SUMMED_VALUES`, or of one node."""
+    ends = np.cumsum(lengths)
+    first, before = 0, 0
+    while first < len(lengths):
+        last = max(int(np.searchsorted(ends, before + _SUMMED_VALUES, "right")), first + 1)
+        yield slice(first, last)
+        first, before = last, int(ends[last - 1])
+
+
+def _collapse_run(
+    tree: BlockTree,
+    leaf_sets: Sequence[LeafSet],
+    keys: Sequence[Index],
+    nodes: Index,
+    level: int,
+    channels: int,
+) -> LeafSet:
+    """Return the rank-1 leaves of some nodes, made of the leaves below them."""
+    block_a, block_b = (
+        blocks.astype(np.int32) for blocks in np.divmod(nodes, tree.n_blocks(level))
+    )
+    starts = tree.starts[level]
+    offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
+    marginals = np.zeros((channels, n_values))
+    own = offset_a - starts[block_a], offset_b - starts[block_b]
+    for index, key in enumerate(keys):
+        inside = (key >= nodes[0]) & (key <= nodes[-1])
+        if inside.any():
+            leaves = decoded(tree, leaf_sets[index].subset(tree, inside))
+            _add_marginals(tree, leaves, np.searchsorted(nodes, key[inside]), own, marginals)
+    sizes = np.diff(starts)
+    sides = [
+        (ragged_ranges(offset, sizes[block]), np.cumsum(sizes[block]) - sizes[block])
+        for offset, block in ((offset_a, block_a), (offset_b, block_b))
+    ]
+    lengths = np.diff(np.append(offset_a, n_values))
+    values = np.empty(marginals.shape, np.float32)
+    signs = np.empty((channels, len(nodes)), np.int8)
+    for sums, factors, sign in zip(marginals, values, signs, strict=True):
+        total = np.add.reduceat(sums[sides[0][0]], sides[0][1])
+        absolute = [np.add.reduceat(np.abs(sums[of_side]), begin) for of_side, begin in sides]
+        light = np.maximum(np.abs(total), _LEAST_LIGHT * np.maximum(*absolute))
+        scale = np.where(light > 0, 1 / np.sqrt(np.where(light > 0, light, 1)), 0.0)
+        np.multiply(sums, np.repeat(scale, lengths), out=factors, casting="same_kind")
+        sign[:] = np.where(total < 0, -1, 1)
+    return LeafSet(level, block_a, block_b, values, signs=signs if (signs < 0).any() else None)
+
+
+def _add_marginals(
+    tree: BlockTree,
+    leaves: LeafSet,
+    node: Index,
+    own: tuple[Index, Index],
+    marginals: NDArray[np.float64],
+) -> None:
+    """Add the row and column sums of leaves to those of their nodes."""
+    from rfpipe.transport.hierarchical import kernels
+
+    starts, values = tree.starts[leaves.level], leaves.values
+    if leaves.level == tree.n_levels - 1:
+        # A scalar is the leaf x * 1: give it a second factor of one.
+        values = np.stack([values, np.ones_like(values)], axis=2).reshape(len(values), -1)
+        offset_a = 2 * np.arange(len(leaves), dtype=np.int64)
+        offset_b = offset_a + 1
+    else:
+        offset_a, offset_b, _ = factor_offsets(starts, leaves.block_a, leaves.block_b)
+    kernels.add_marginals(
+        starts, leaves.block_a, leaves.block_b, offset_a, offset_b, values,
+        leaves.signs_if_any, node, *own, marginals,
+    )  # fmt: skip

@@ -1,0 +1,1 @@
+"""The multilevel transport of dual photography (thesis §3.2)."""

@@ -1,0 +1,337 @@
+"""Dual photography's transport: a sparse matrix (block, pixel) -> value a level (thesis §3.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.errors import InputError
+from rfpipe.transport.base import Float, Transport, planar_patterns
+from rfpipe.transport.rounding import rounded
+from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
+from rfpipe.units import NumberFormat
+
+Double = NDArray[np.float64]
+
+# Patterns relit together: bounds the memory of the planes that are summed in float64.
+_BATCH = 16
+
+PAIR_PARTS = ("block", "pixel", "values")
+"""The arrays of a `PairSet`, by which stores name them."""
+
+
+@dataclass(frozen=True)
+class PairSet:
+    """Responses of camera pixels to projector blocks of one level, ordered by block, then pixel.
+
+    Attributes
+    ----------
+    level : int
+    block, pixel : ndarray of int32, shape (n,)
+        A block of the level and a camera ray (C order); no pair comes twice.
+    values : ndarray of float32, shape (channels, n)
+        Radiance of the pixel when the whole block is lit.
+    """
+
+    level: int
+    block: NDArray[np.int32]
+    pixel: NDArray[np.int32]
+    values: Float
+
+    def __len__(self) -> int:
+        return len(self.block)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+        return self.block.nbytes + self.pixel.nbytes + self.values.nbytes
+
+
+def no_pairs(level: int, channels: int) -> PairSet:
+    """Return an empty set of pairs."""
+    none = np.empty(0, np.int32)
+    return PairSet(level, none, none, np.empty((channels, 0), np.float32))
+
+
+def fold(
+    tree: BlockTree, level: int, pair_sets: Sequence[PairSet], channels: int, pixels: int
+) -> PairSet:
+    """Add up pairs of `level` and of finer levels over their blocks of `level`."""
+    if not any(len(pairs) for pairs in pair_sets):
+        return no_pairs(level, channels)
+    key = np.concatenate(
+        [
+            tree.ancestors(pairs.level, level)[pairs.block] * pixels + pairs.pixel
+            for pairs in pair_sets
+        ]
+    )
+    values = np.concatenate([pairs.values for pairs in pair_sets], axis=1)
+    kept, index = np.unique(key, return_inverse=True)
+    sums = np.stack([np.bincount(index, plane, len(kept)) for plane in values])
+    block, pixel = np.divmod(kept, pixels)
+    return PairSet(level, block.astype(np.int32), pixel.astype(np.int32), sums.astype(np.float32))
+
+
+class MultilevelTransport(Transport):
+    """Transport as a sum over levels of sparse matrices (block, pixel) -> value.
+
+    Parameters
+    ----------
+    camera_shape, projector_shape : tuple of int
+    channels : int
+    level_rows : list of dict
+        The rows of `levels`.
+    pair_sets : sequence of PairSet
+        By level, the coarsest first; may be read when used.
+    nbytes : int, optional
+        Bytes on disk; by default the bytes of the pairs.
+    """
+
+    kind = "multilevel"
+
+    def __init__(
+        self,
+        camera_shape: tuple[int, ...],
+        projector_shape: tuple[int, ...],
+        channels: int,
+        level_rows: list[dict[str, Any]],
+        pair_sets: Sequence[PairSet],
+        nbytes: int | None = None,
+    ) -> None:
+        self.camera_shape = tuple(camera_shape)
+        self.projector_shape = tuple(projector_shape)
+        self.channels = channels
+        self.pair_sets = pair_sets
+        self._rows = level_rows
+        self._nbytes = nbytes
+
+    @classmethod
+    def from_pair_sets(
+        cls,
+        camera: RayDomain,
+        projector: RayDomain,
+        channels: int,
+        level_rows: list[dict[str, Any]],
+        pair_sets: Sequence[PairSet],
+    ) -> MultilevelTransport:
+        """Build a transport from pair sets, at most one a level."""
+        filled = sorted(filter(len, pair_sets), key=lambda pairs: pairs.level)
+        return cls(camera.shape, projector.shape, channels, level_rows, filled)
+
+    @cached_property
+    def tree(self) -> BlockTree:
+        """The block tree of the projector's rays."""
+        return BlockTree(RayDomain(self.projector_shape))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes on disk if opened from a store, else of the pairs in memory."""
+        if self._nbytes is not None:
+            return self._nbytes
+        return sum(pairs.nbytes for pairs in self.pair_sets)
+
+    @property
+    def last_level(self) -> int:
+        """Finest level that `truncate` tells apart: single rays."""
+        return self.tree.n_levels - 1
+
+    @property
+    def level_rows(self) -> list[dict[str, Any]]:
+        """Per level: patterns, nodes, empty, rank1, scalar, subdivided."""
+        return self._rows
+
+    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
+        """Return ``T p`` for planar patterns ``(P, K, N)``, by eq. (3.2).
+
+        Each level's matrix acts on the pattern's means over the level's blocks.
+        """
+        from rfpipe.transport.multilevel.kernels import scatter_to_pixels
+
+        pixels = int(np.prod(self.camera_shape))
+        result = np.empty((*patterns.shape[:2], pixels), np.float32)
+        for first in range(0, len(patterns), _BATCH):
+            part = patterns[first : first + _BATCH][..., self.tree.order]
+            images = np.zeros((*part.shape[:2], pixels))
+            for pairs, starts, values in self._chosen(channels):
+                sums = np.add.reduceat(part, starts[:-1], axis=-1, dtype=np.float64)
+                scatter_to_pixels(pairs.block, pairs.pixel, values, sums / np.diff(starts), images)
+            result[first : first + _BATCH] = images
+        return result
+
+    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
+        """Return ``T^T c`` for planar images ``(P, K, M)``: `forward` transposed.
+
+        Each level's block values are spread evenly over the block.
+        """
+        rays = self.tree.domain.size
+        result = np.empty((*images.shape[:2], rays), np.float32)
+        for first in range(0, len(images), _BATCH):
+            part = images[first : first + _BATCH]
+            spread = np.zeros((*part.shape[:2], rays))
+            for density, starts in self._densities(part, channels):
+                spread += np.repeat(density, np.diff(starts), axis=-1)
+            result[first : first + _BATCH] = spread[..., self.tree.inverse]
+        return result
+
+    def dual_image(self, camera_pattern: ArrayLike) -> Float:
+        """Return the image from the projector's view under light from the camera, by eq. (3.3).
+
+        Each level's block values are interpolated bicubically between the blocks' centres, as
+        the thesis renders its dual images, where `T.relight` shows blocks of even brightness.
+
+        Parameters
+        ----------
+        camera_pattern : array, shape (*camera_shape) or (*camera_shape, channels)
+            Any finite real weights; without a channel axis the light is white.
+
+        Returns
+        -------
+        ndarray of float32, shape (*projector_shape, channels)
+
+        Raises
+        ------
+        InputError
+            If the pattern has another shape or is not finite.
+        """
+        given = np.asarray(camera_pattern)[None]
+        planar = planar_patterns(given, self.camera_shape, self.channels)
+        image = np.zeros((self.channels, *self.projector_shape))
+        pair_sets = self._densities(planar, range(self.channels))
+        for pairs, (density, _) in zip(self.pair_sets, pair_sets, strict=True):
+            image += _interpolate(density[0], self.tree.labels(pairs.level))
+        return np.moveaxis(image, 0, -1).astype(np.float32)
+
+    def _chosen(
+        self, channels: Sequence[int]
+    ) -> Iterator[tuple[PairSet, NDArray[np.int64], Float]]:
+        """Yield each level's pairs, the starts of its blocks, and the values of some channels."""
+        chosen = list(channels)
+        for pairs in self.pair_sets:
+            every = chosen == list(range(self.channels))
+            yield (
+                pairs,
+                self.tree.starts[pairs.level],
+                pairs.values if every else pairs.values[chosen],
+            )
+
+    def _densities(
+        self, images: Float, channels: Sequence[int]
+    ) -> Iterator[tuple[Double, NDArray[np.int64]]]:
+        """Yield each level's block values a ray, float64 ``(P, K, n_blocks)``, and block starts."""
+        from rfpipe.transport.multilevel.kernels import gather_to_blocks
+
+        light = np.ascontiguousarray(images)
+        for pairs, starts, values in self._chosen(channels):
+            sizes = np.diff(starts)
+            totals = np.zeros((*images.shape[:2], len(sizes)))
+            gather_to_blocks(pairs.block, pairs.pixel, values, light, totals)
+            yield totals / sizes, starts
+
+    def truncate(self, level: int) -> MultilevelTransport:
+        """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7).
+
+        What was subdivided at `level` gets the sum of what was stored below it.
+        """
+        if not 0 <= level < self.tree.n_levels:
+            raise InputError(
+                f"level {level} of a transport with levels 0..{self.tree.n_levels - 1}"
+            )
+        kept = [pairs for pairs in self.pair_sets if pairs.level < level]
+        folded = [pairs for pairs in self.pair_sets if pairs.level >= level]
+        camera = RayDomain(self.camera_shape)
+        kept.append(fold(self.tree, level, folded, self.channels, camera.size))
+        rows = [row for row in self._rows if row["level"] <= level]
+        return self.from_pair_sets(camera, self.tree.domain, self.channels, rows, kept)
+
+    def pack(
+        self, number_format: NumberFormat = "float32"
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the arrays and attributes that a store keeps."""
+        attributes = {
+            "kind": self.kind,
+            "number_format": number_format,
+            "camera_shape": list(self.camera_shape),
+            "projector_shape": list(self.projector_shape),
+            "channels": self.channels,
+            "levels": self._rows,
+        }
+        arrays: dict[str, NDArray[Any]] = {}
+        for pairs in self.pair_sets:
+            prefix = f"level_{pairs.level:02d}"
+            arrays[f"{prefix}_block"] = pairs.block
+            arrays[f"{prefix}_pixel"] = pairs.pixel
+            arrays[f"{prefix}_values"] = rounded(pairs.values, number_format)
+        return arrays, attributes
+
+    @classmethod
+    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
+        """Build a transport from a store; its pairs are read when first used."""
+        prefixes = by_prefix(bundle, PAIR_PARTS)
+
+        def read(prefix: str) -> PairSet:
+            names = prefixes[prefix]
+            return PairSet(
+                int(prefix.split("_")[1]), *(bundle.read(names[part]) for part in PAIR_PARTS)
+            )
+
+        about = bundle.attributes
+        return cls(
+            tuple(about["camera_shape"]),
+            tuple(about["projector_shape"]),
+            about["channels"],
+            about["levels"],
+            SetsOnDemand(list(prefixes), read, keep=fits(bundle, memory_budget)),
+            bundle.nbytes_stored,
+        )
+
+
+def _interpolate(density: Double, labels: NDArray[np.int32]) -> Double:
+    """Interpolate block values ``(C, n_blocks)`` bicubically into images of the labels' shape.
+
+    The blocks of a view form a grid, rows and columns of uneven widths. A level that hasn't split
+    a stack into its views yet has one value for all.
+    """
+    views = labels.reshape(-1, *labels.shape[-2:])
+    if labels.max() == labels.min():
+        return np.broadcast_to(density[:, :1], (len(density), labels.size)).reshape(
+            -1, *labels.shape
+        )
+    images = np.empty((len(density), *views.shape))
+    for view, label in enumerate(views):
+        rows = np.flatnonzero(np.diff(label[:, 0], prepend=-1))
+        columns = np.flatnonzero(np.diff(label[0], prepend=-1))
+        grid = density[:, label[np.ix_(rows, columns)]]
+        images[:, view] = (
+            _cubic_weights(rows, label.shape[0]) @ grid @ _cubic_weights(columns, label.shape[1]).T
+        )
+    return images.reshape(len(density), *labels.shape)
+
+
+def _cubic_weights(first: NDArray[np.int64], length: int) -> Double:
+    """Return the weights ``(length, intervals)`` of cubic convolution [Keys 1981, a = -1/2].
+
+    Parameters
+    ----------
+    first : ndarray of int
+        First ray of each interval of an axis of `length` rays.
+    """
+    count = len(first)
+    centres = (first + np.append(first[1:], length) - 1) / 2
+    # The place of each ray, in units of intervals from centre to centre.
+    place = np.interp(np.arange(length), centres, np.arange(count))
+    base = np.floor(place).astype(np.int64)
+    weights = np.zeros((length, count))
+    for step in (-1, 0, 1, 2):
+        distance = np.abs(place - (base + step))
+        near = 1.5 * distance**3 - 2.5 * distance**2 + 1
+        far = -0.5 * distance**3 + 2.5 * distance**2 - 4 * distance + 2
+        weight = np.where(distance <= 1, near, np.where(distance < 2, far, 0.0))
+        # Beyond the border the outermost interval repeats.
+        np.add.at(weights, (np.arange(length), np.clip(base + step, 0, count - 1)), weight)
+    return weights
