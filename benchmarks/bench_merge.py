@@ -63,7 +63,7 @@ def run_merge(
 ) -> float:
     """Merge and normalize a level anew; return the seconds."""
     FrameStore.discard(folder.store(level, "merge"))
-    plan = Plan("brute_force", rig.camera_shape, rig.projector_shape, rig.channels)
+    plan = Plan("brute_force", "brute_force", rig.camera_shape, rig.projector_shape, rig.channels)
     began = perf_counter()
     merge.run(
         rig.sensor,

@@ -19,7 +19,7 @@ SIDES = (8, 16, 32, 64, 128)
 def main() -> None:
     """Run the study."""
     config = Config.model_validate(
-        {"camera": None, "methods": ["dual", "symmetric"], "report": {"resolutions": SIDES}}
+        {"camera": None, "methods": {"dual": {}, "symmetric": {}}, "report": {"resolutions": SIDES}}
     )
     table = pd.DataFrame(resolution_study(config))
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)

@@ -89,7 +89,7 @@ def measure(name: str, shape: tuple[int, int], repeats: int) -> dict[str, Any]:
         "height": shape[0],
         "width": shape[1],
         "rays": views * prod(shape),
-        "tolerance": config.tolerance_of(name),
+        "tolerance": config.methods_of(name)["symmetric"].options()["tolerance"],
         "peak": 1024 * int(peak[1]),
         **best,
     }
@@ -179,8 +179,9 @@ def acquire(config: Any, name: str, shape: tuple[int, int]) -> dict[str, Any]:
         scene_from_config(scene), sensor_from_config(config.camera), config.seed, threads=threads
     )
     rig.capture = clock.inside("simulation", rig.capture)  # type: ignore[method-assign]
-    settings = {**config.acquisition.model_dump(), "tolerance": config.tolerance_of(name)}
-    plan = Plan("symmetric", scene.ray_shape, scene.ray_shape, scene.channels, **settings)
+    options = config.methods_of(name)["symmetric"].options()
+    rays = scene.ray_shape, scene.ray_shape
+    plan = Plan("symmetric", "symmetric", *rays, scene.channels, options)
     references = (config.capture.black_frames, config.capture.floodlit_frames)
     with TemporaryDirectory(prefix="rfpipe-bench-") as path:
         folder = AcquisitionFolder(Path(path))

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import inspect
 import logging
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,7 +26,7 @@ import numpy as np
 
 import rfpipe
 from rfpipe.errors import RfpipeError
-from rfpipe.methods import METHODS
+from rfpipe.methods import get_method, method_names
 from rfpipe.photometry import CameraModel
 from rfpipe.report.speed_error import COLUMNS, against_symmetric, summary_lines
 from rfpipe.rigs import SimulatedRig
@@ -52,18 +51,13 @@ SCENES: dict[str, tuple[str, tuple[str, ...], tuple[Any, ...]]] = {
 }
 DEFAULT_SCENES = ("II", "IV", "corner")
 
-# What a method may be told, as an argument of `rfpipe.acquire`, and the values; None: nothing.
-_TOLERANCES = ("tolerance", (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4))
-_COUNTS = ("patterns", (20, 50, 100, 200, 500, 1000))
-KNOBS: dict[str, tuple[str | None, tuple[float, ...]]] = {
-    "symmetric": _TOLERANCES,
-    "dual": _TOLERANCES,
-    "near_far": ("target_error", (0.05, 0.02, 0.01, 0.005, 0.002)),
-    "hadamard": (None, (0,)),
-    "brute_force": (None, (0,)),
-    "compressive": _COUNTS,
-    "low_rank": _COUNTS,
+# Values of the options by which methods trade patterns for accuracy.
+VALUES = {
+    "tolerance": (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4),
+    "target_error": (0.05, 0.02, 0.01, 0.005, 0.002),
+    "patterns": (20, 50, 100, 200, 500, 1000),
 }
+KNOBS = {name: get_method(name).trades for name in method_names()}
 DEFAULT_METHODS = ("symmetric", "near_far")
 
 # Low light: a sixteenth of the photons in the same exposures, as with a dimmer projector.
@@ -103,7 +97,7 @@ class Case:
     def __str__(self) -> str:
         """Name the run in a line of the log."""
         size = f"{self.height} x {self.width}"
-        knob = KNOBS[self.method][0]
+        knob = KNOBS[self.method]
         told = f", {knob} {self.setting:g}" if knob else ""
         return f"{self.method} on {self.scene}, {size}, {self.noise}, seed {self.seed}{told}"
 
@@ -152,28 +146,15 @@ def size(text: str) -> tuple[int, int]:
 
 def cases_of(asked: argparse.Namespace) -> Iterator[Case]:
     """List the runs asked for, sizes first, of the methods that this build has."""
-    methods = [method for method in asked.methods if is_known(method)]
     scenes = list(SCENES) if "all" in asked.scenes else asked.scenes
     for (height, width), scene, seed, noise, method in product(
-        asked.sizes, scenes, asked.seeds, asked.noise, methods
+        asked.sizes, scenes, asked.seeds, asked.noise, asked.methods
     ):
-        knob, values = KNOBS[method]
-        for value in (asked.settings or values) if knob else values:
+        knob = KNOBS[method]
+        for value in (asked.settings or VALUES[knob]) if knob else (0,):
             yield Case(
                 method, scene, SCENES[scene][0], height, width, asked.channels, noise, seed, value
             )
-
-
-def is_known(method: str) -> bool:
-    """Whether this build has a method and what it is told; say so where it has not."""
-    knob = KNOBS[method][0]
-    if method not in METHODS:
-        _log.warning("skipped: this build has no method %s", method)
-    elif knob and knob not in inspect.signature(rfpipe.acquire).parameters:
-        _log.warning("skipped: %s needs rfpipe.acquire(%s=...), not in this build", method, knob)
-    else:
-        return True
-    return False
 
 
 def rows_of(path: Path) -> set[tuple[str, ...]]:
@@ -227,7 +208,7 @@ def measure(case: Case) -> Mapping[str, object]:
     """Acquire, relight, compare; return a row of the table."""
     scene, truth = scene_of(case.scene, (case.height, case.width), case.channels, case.seed)
     rig = SimulatedRig(scene, CAMERAS[case.noise], case.seed)
-    knob = KNOBS[case.method][0]
+    knob = KNOBS[case.method]
     told: dict[str, Any] = {knob: int(case.setting) if knob == "patterns" else case.setting}
     result = rfpipe.acquire(rig, case.method, progress=False, **(told if knob else {}))
     patterns = scene_patterns(scene)

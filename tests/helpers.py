@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods import Method, Pack, Settings
+from rfpipe.methods import Method, Pack, options_of
 from rfpipe.patterns import Schedule
 from rfpipe.transport import Transport
 
@@ -68,8 +68,9 @@ def acquire_matrix(
     matrix = np.asarray(matrix)
     matrix = (matrix[None] if matrix.ndim == 2 else matrix).astype(np.float64)
     camera, projector = RayDomain(camera_shape), RayDomain(projector_shape)
-    settings = Settings(tolerance, subtract_stored=subtract_stored)
-    state = method.start(camera, projector, len(matrix), settings)
+    asked = {"tolerance": tolerance, "subtract_stored": subtract_stored}
+    own = {name: asked[name] for name in method.Options.model_fields if name in asked}
+    state = method.start(camera, projector, len(matrix), options_of(method, **own))
     schedules, states, packs = [], [state], []
     for _ in range(method.n_levels(camera, projector)):
         schedule = method.schedule(state)

@@ -28,7 +28,7 @@ class Acquisition:
 
     def __init__(self, path: Path, url: str, camera_shape: tuple[int, ...] = SHAPE) -> None:
         self.folder = AcquisitionFolder(path / "results")
-        self.plan = Plan("dual", camera_shape, SHAPE, 3, tolerance=1e-3)
+        self.plan = Plan("dual", "dual", camera_shape, SHAPE, 3, {"tolerance": 1e-3})
         self.url = url
         self.token = path / "rig.token"
         self.token.write_text(TOKEN)
@@ -75,7 +75,9 @@ def acquired(tmp_path_factory: pytest.TempPathFactory) -> Acquisition:
 
 def test_a_resampled_sensor_is_made_again_from_what_its_capture_left(acquired: Acquisition) -> None:
     found = open_transport(acquired.folder.path / "transport.zarr").pack("float32")
-    expected = acquire(ResampledRig(), "dual", 1e-3, progress=False).transport.pack("float32")
+    expected = acquire(ResampledRig(), "dual", tolerance=1e-3, progress=False).transport.pack(
+        "float32"
+    )
     assert found[1] == expected[1]
     for name, array in expected[0].items():
         np.testing.assert_array_equal(found[0][name], array, err_msg=name)

@@ -8,7 +8,7 @@ from tests.helpers import acquire_matrix, dense
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods import Settings
+from rfpipe.methods import options_of
 from rfpipe.methods.brute_force import BruteForce
 from rfpipe.transport import open_transport, save_transport
 
@@ -82,7 +82,7 @@ def test_states_restore_and_transports_are_stored(matrix: np.ndarray, tmp_path: 
 
 def test_nothing_is_known_before_the_scan() -> None:
     method = BruteForce()
-    state = method.start(RayDomain((2, 2)), RayDomain((1, 3)), 1, Settings())
+    state = method.start(RayDomain((2, 2)), RayDomain((1, 3)), 1, options_of(method))
     assert not method.transport(state).relight(np.ones((1, 3))).any()
     assert method.transport(state).level_rows == []
 
@@ -90,4 +90,4 @@ def test_nothing_is_known_before_the_scan() -> None:
 def test_a_scan_too_large_to_hold_is_refused() -> None:
     domain = RayDomain((310, 350))
     with pytest.raises(InputError, match=r"131\.6 GiB, more than 8; use dual or symmetric"):
-        BruteForce().start(domain, domain, 3, Settings())
+        BruteForce().start(domain, domain, 3, options_of(BruteForce()))

@@ -10,7 +10,7 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
-from rfpipe.methods import Settings
+from rfpipe.methods import options_of
 from rfpipe.methods.rivals.compressive import Compressive
 from rfpipe.methods.rivals.pursuit import pursue, rays_and_wavelets
 from rfpipe.scenes import reference_scene
@@ -162,6 +162,6 @@ def test_states_go_through_a_store_and_transports_too(tmp_path: Path) -> None:
 def test_a_large_domain_is_refused() -> None:
     large = RayDomain((65, 64))
     with pytest.raises(InputError, match="up to 4096 rays, beyond which it would take hours"):
-        Compressive().start(RayDomain((2, 2)), large, 1, Settings())
+        Compressive().start(RayDomain((2, 2)), large, 1, options_of(Compressive()))
     with pytest.raises(InputError, match="4160 camera rays"):
-        Compressive().start(large, RayDomain((2, 2)), 1, Settings())
+        Compressive().start(large, RayDomain((2, 2)), 1, options_of(Compressive()))

@@ -19,6 +19,7 @@ from rfpipe.config import (
     parse_config,
 )
 from rfpipe.errors import ConfigError
+from rfpipe.methods import get_method, method_names
 
 FOLDER = Path(__file__).parents[2] / "config"
 
@@ -66,8 +67,10 @@ def test_thesis_file_has_the_default_scenes_at_full_size_and_a_light_field() -> 
     assert set(thesis.acquisitions) == {(name, "symmetric") for name in thesis.scenes}
     assert thesis.camera == default.camera
     assert thesis.scenes["light_field"].ray_shape == (9, 130, 200)
-    assert thesis.tolerance_of("light_field") == 2e-3
-    assert thesis.tolerance_of("planes_i") == thesis.acquisition.tolerance
+    field, plane = (thesis.methods_of(name)["symmetric"] for name in ("light_field", "planes_i"))
+    assert field.options()["tolerance"] == 2e-3
+    assert plane == thesis.methods["symmetric"]
+    assert plane.options()["tolerance"] == 1.5e-4
 
 
 def test_empty_file_means_defaults(tmp_path: Path) -> None:
@@ -81,6 +84,9 @@ def test_every_setting_has_a_description() -> None:
         for name, field in model.model_fields.items()
         if not field.description
     ]
+    options = {name: get_method(name).Options.model_fields for name in method_names()}
+    bare += [f"{name}.{key}" for name in options for key, it in options[name].items()
+             if not it.description]  # fmt: skip
     assert bare == []
 
 
@@ -97,8 +103,8 @@ def test_null_camera_means_exact_radiance() -> None:
 
 def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
     # YAML 1.1 takes 1e-4, without a dot, for a string
-    settings = load_config(write(tmp_path, "acquisition: {tolerance: 1e-4}"))
-    assert settings.acquisition.tolerance == 1e-4
+    settings = load_config(write(tmp_path, "methods: {symmetric: {tolerance: 1e-4}}"))
+    assert settings.methods["symmetric"].options()["tolerance"] == 1e-4
 
 
 def test_settings_do_not_change() -> None:
@@ -107,8 +113,10 @@ def test_settings_do_not_change() -> None:
 
 
 def test_unknown_key_names_file_key_and_closest_known() -> None:
-    text = message({"acquisition": {"tolerence": 1e-3}})
-    assert text.startswith("mine.yaml: acquisition.tolerence is unknown; did you mean tolerance?")
+    text = message({"methods": {"symmetric": {"tolerence": 1e-3}}})
+    assert text.startswith(
+        "mine.yaml: methods.symmetric.tolerence is unknown; did you mean tolerance?"
+    )
     assert "noise_significance" in text
 
 
@@ -121,22 +129,47 @@ def test_unknown_key_inside_a_scene() -> None:
 @pytest.mark.parametrize(
     ("data", "key", "value", "expected"),
     [
-        ({"acquisition": {"tolerance": "2 s"}}, "acquisition.tolerance", "'2 s'", "valid number"),
-        ({"acquisition": {"tolerance": 0}}, "acquisition.tolerance", "0", "greater than 0"),
-        ({"acquisition": {"tolerance": True}}, "acquisition.tolerance", "true", "not be true"),
-        ({"acquisition": {"target_error": 1}}, "acquisition.target_error", "1", "less than 1"),
-        ({"acquisition": {"patterns": -1}}, "acquisition.patterns", "-1", "greater than or equal"),
+        (
+            {"methods": {"symmetric": {"tolerance": "2 s"}}},
+            "methods.symmetric.tolerance",
+            "'2 s'",
+            "valid number",
+        ),
+        (
+            {"methods": {"symmetric": {"tolerance": 0}}},
+            "methods.symmetric.tolerance",
+            "0",
+            "greater than 0",
+        ),
+        (
+            {"methods": {"symmetric": {"tolerance": True}}},
+            "methods.symmetric.tolerance",
+            "true",
+            "not be true",
+        ),
+        (
+            {"methods": {"near_far": {"target_error": 1}}},
+            "methods.near_far.target_error",
+            "1",
+            "less than 1",
+        ),
+        (
+            {"methods": {"low_rank": {"patterns": -1}}},
+            "methods.low_rank.patterns",
+            "-1",
+            "greater than or equal",
+        ),
         ({"camera": {"flare": float("nan")}}, "camera.flare", "nan", "finite number"),
         ({"camera": {"bits": 10.5}}, "camera.bits", "10.5", "valid integer"),
         ({"camera": {"exposures": []}}, "camera.exposures", "[]", "at least 1 item"),
         ({"seed": -1}, "seed", "-1", "greater than or equal to 0"),
-        ({"methods": ["dual", "dual"]}, "methods", "['dual', 'dual']", "each method once"),
-        ({"methods": ["duel"]}, "methods[0]", "'duel'", "'near_far' or 'symmetric'"),
+        ({"methods": ["dual"]}, "methods", "['dual']", "as in {dual: {}}"),
+        ({"methods": {"Dual!": {"method": "dual"}}}, "methods.Dual!", "'Dual!'", "match pattern"),
         ({"capture": 3}, "capture", "3", "group of 'key: value' settings"),
         ({"scenes": {"Mine!": {}}}, "scenes.Mine!", "'Mine!'", "match pattern"),
         ({"normalization": "all"}, "normalization", "'all'", "'none', 'per_channel'"),
     ],
-)
+)  # fmt: skip
 def test_wrong_value_names_key_value_and_expected(
     data: object, key: str, value: str, expected: str
 ) -> None:
@@ -163,8 +196,10 @@ ROOM = {"geometry": "room", "surfaces": ["texture", "white", "white"]}
         ({"span_degrees": [90, 29]}, "should be less than or equal to 45"),
         ({"occluders": [{"centre": [0, 0, 2], "edge_u": [1, 0, 0], "edge_v": [0, 1, 0]}]},
          "occluders should be empty"),
-        ({"methods": []}, "scenes.mine.methods is []"),
-        ({"methods": ["dual", "dual"]}, "each method once"),
+        ({"methods": {}}, "scenes.mine.methods is {}"),
+        ({"methods": ["dual"]}, "as in {dual: {}}"),
+        ({"methods": {"dual": {"tolerance": 2}}}, "scenes.mine.methods.dual.tolerance is 2; it"),
+        ({"methods": {"duel": None}}, "scenes.mine.methods.duel: 'duel' is unknown"),
         ({"geometry": "plane", "surfaces": ["white"], "views": [3, 3]},
          "views should be null with geometry plane"),
     ],
@@ -175,10 +210,59 @@ def test_mistakes_in_a_light_field_are_explained(change: dict[str, object], expe
 
 def test_a_scene_has_the_methods_of_the_run_unless_it_names_its_own() -> None:
     settings = parse_config(
-        {"scenes": {"one": ROOM, "other": {**ROOM, "methods": ["dual"]}}, "methods": ["symmetric"]},
+        {
+            "scenes": {"one": ROOM, "other": {**ROOM, "methods": {"dual": None}}},
+            "methods": {"symmetric": {}},
+        },
         "mine.yaml",
     )
     assert settings.acquisitions == [("one", "symmetric"), ("other", "dual")]
+
+
+def test_a_scene_overrides_options_of_the_run() -> None:
+    own = {"symmetric": {"tolerance": 0.02}}
+    settings = parse_config(
+        {
+            "scenes": {"one": ROOM, "other": {**ROOM, "methods": own}},
+            "methods": {"symmetric": {"noise_significance": 2}, "dual": {}},
+        },
+        "mine.yaml",
+    )
+    assert settings.acquisitions == [
+        ("one", "symmetric"),
+        ("one", "dual"),
+        ("other", "symmetric"),
+    ]
+    found = settings.methods_of("other")["symmetric"].options()
+    assert found == {"noise_significance": 2, "tolerance": 0.02}
+    assert settings.methods_of("one")["symmetric"].options()["tolerance"] == 1e-3
+    assert parse_config(settings.model_dump(mode="json"), "again") == settings
+
+
+def test_a_method_stands_twice_under_names_of_its_own() -> None:
+    fine = {"method": "symmetric", "tolerance": 1e-4}
+    settings = parse_config({"methods": {"symmetric": {}, "fine": fine}}, "mine.yaml")
+    assert list(settings.methods) == ["symmetric", "fine"]
+    assert settings.methods["fine"].subject("fine").name == "symmetric"
+
+
+def test_an_old_file_is_refused_with_the_new_spelling() -> None:
+    text = message({"acquisition": {"tolerance": 1e-3}})
+    assert "methods: {symmetric: {tolerance: 1.0e-3}" in text
+
+
+def test_an_option_that_a_method_does_not_have_is_refused() -> None:
+    text = message({"methods": {"dual": {"target_error": 0.01}}})
+    assert "methods.dual.target_error is unknown" in text
+    assert "subtract_stored" in text
+
+
+def test_the_schema_knows_the_options_of_every_method() -> None:
+    schema = json_schema()
+    of_run = schema["properties"]["methods"]["properties"]
+    assert set(of_run) == set(method_names())
+    options = schema["$defs"][of_run["near_far"]["$ref"].rpartition("/")[2]]["properties"]
+    assert "norm" in options["target_error"]["description"]
 
 
 def test_every_mistake_is_reported_once() -> None:

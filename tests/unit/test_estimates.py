@@ -34,8 +34,11 @@ WEDGE = {"geometry": "wedge", "surfaces": ["texture", "white"], "shape": [8, 10]
 CONFIG = Config.model_validate(
     {
         "scenes": {"corner": WEDGE, "other": WEDGE},
-        "methods": ["near_far", "low_rank", "symmetric"],
-        "acquisition": {"target_error": 0.02},
+        "methods": {
+            "near_far": {"target_error": 0.02},
+            "low_rank": {"target_error": 0.02},
+            "symmetric": {},
+        },
     }
 )
 
@@ -98,7 +101,12 @@ def test_the_log_tells_of_a_levels_own_estimate_alone(caplog) -> None:
 
 
 def run(scene: str, method: str, rows: list) -> Run:
-    facts = {"levels": [{**COUNTS, **row} for row in rows], "patterns": 40}
+    options = CONFIG.methods[method].options()
+    facts = {
+        "levels": [{**COUNTS, **row} for row in rows],
+        "patterns": 40,
+        "options": options,
+    }
     return Run(scene, method, CONFIG.scenes[scene], facts, images=None)
 
 
@@ -199,14 +207,15 @@ def test_there_is_no_section_where_nothing_was_estimated() -> None:
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("estimates") / "results"
+    low_rank = {"low_rank": CONFIG.methods["low_rank"]}
     config = CONFIG.model_copy(
-        update={"scenes": {"corner": CONFIG.scenes["corner"]}, "methods": ["low_rank"]}
+        update={"scenes": {"corner": CONFIG.scenes["corner"]}, "methods": low_rank}
     )
     acquired = folder / "corner" / "low_rank"
     rig = SimulatedRig(scene_from_config(config.scenes["corner"]), sensor_from_config(None), 1)
     result = acquire(rig, "low_rank", progress=False, target_error=0.02)
     digest = save_transport(result.transport, acquired / "transport.zarr")
-    about = {"scene": "corner", "method": "low_rank", "tolerance": 1e-3}
+    about = {"scene": "corner", "method": "low_rank", "options": {"target_error": 0.02}}
     write_manifest(
         acquired / "transport.json", {**about, "digest": digest, "patterns": result.patterns}
     )

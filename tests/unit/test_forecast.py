@@ -27,20 +27,20 @@ def test_it_counts_patterns_references_looks_and_the_warm_up() -> None:
         "warm_up_minutes": 4,
         "drift_minutes": 0.5,
     }
-    (only,) = forecast(settings(methods=["brute_force"], capture=capture), CameraModel())
+    (only,) = forecast(settings(methods={"brute_force": {}}, capture=capture), CameraModel())
     assert (only.scene, only.method, only.rays) == ("wall", "brute_force", 35)
     assert only.expected.patterns == only.most.patterns == 35
     looks = math.ceil(35 / 10) + 1
     assert only.expected.seconds == 240 + 3 * (35 + 7 + looks)
     bracket = 4 * 35 * 3 * 2 + 4096
     assert only.expected.disk.raw == (35 + 7 + looks) * bracket
-    dropped = settings(methods=["brute_force"], capture={**capture, "keep_raw": False})
+    dropped = settings(methods={"brute_force": {}}, capture={**capture, "keep_raw": False})
     (other,) = forecast(dropped, CameraModel())
     assert other.expected.disk.raw == (7 + looks) * bracket
 
 
 def test_a_method_that_descends_shows_at_most_every_block() -> None:
-    (only,) = forecast(settings(methods=["symmetric"]), ExactSensor())
+    (only,) = forecast(settings(methods={"symmetric": {}}), ExactSensor())
     assert only.levels == 4
     assert only.most.patterns == 1 + 4 + 16 + 35
     assert only.expected.patterns == 35  # the thesis' scenes took 434 for four levels
@@ -51,7 +51,7 @@ def test_the_command_says_what_does_not_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = tmp_path / "config.yaml"
-    config.write_text("methods: [dual]")
+    config.write_text("methods: {dual: {}}")
     runner = CliRunner()
     result = runner.invoke(app, ["plan", str(config), "--folder", str(tmp_path / "results")])
     assert result.exit_code == 0

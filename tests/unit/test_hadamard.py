@@ -10,7 +10,7 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
-from rfpipe.methods import Settings
+from rfpipe.methods import options_of
 from rfpipe.methods.brute_force import BruteForce
 from rfpipe.methods.rivals.hadamard import Hadamard, s_matrix_order, s_matrix_row
 from rfpipe.transport import open_transport, save_transport
@@ -81,7 +81,7 @@ def test_nothing_is_gained_where_noise_grows_with_the_light() -> None:
     matrix = np.random.default_rng(3).random((1, 400, 103))
     errors = []
     for method in (BruteForce(), Hadamard()):
-        state = method.start(RayDomain((20, 20)), RayDomain((1, 103)), 1, Settings())
+        state = method.start(RayDomain((20, 20)), RayDomain((1, 103)), 1, options_of(method))
         images = ShotNoiseImages(matrix, (20, 20), method.schedule(state))
         transport = method.transport(method.refine(state, images))
         errors.append(np.sqrt(np.mean((dense(transport) - matrix) ** 2)))
@@ -116,4 +116,4 @@ def test_states_restore_and_transports_are_stored(matrix: np.ndarray, tmp_path: 
 def test_a_scan_too_large_to_hold_is_refused() -> None:
     domain = RayDomain((310, 350))
     with pytest.raises(InputError, match=r"131\.6 GiB, more than 8; use dual or symmetric"):
-        Hadamard().start(domain, domain, 3, Settings())
+        Hadamard().start(domain, domain, 3, options_of(Hadamard()))

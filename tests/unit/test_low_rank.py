@@ -10,7 +10,7 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
-from rfpipe.methods import Settings
+from rfpipe.methods import options_of
 from rfpipe.methods.rivals.low_rank import LowRank
 from rfpipe.scenes import reference_scene
 from rfpipe.store.arrays import open_arrays, write_arrays
@@ -84,7 +84,7 @@ def test_a_coarser_target_takes_fewer_patterns() -> None:
 def test_the_held_out_estimate_is_the_error_on_patterns_not_yet_seen() -> None:
     matrix = of_rank(60) + np.eye(256)
     method, domain = LowRank(), RayDomain((16, 16))
-    state = method.start(domain, domain, 1, Settings(target_error=1e-6))
+    state = method.start(domain, domain, 1, options_of(method, target_error=1e-6))
     for _ in range(3):
         before = dense(method.transport(state))[0] if state.level else None
         schedule = method.schedule(state)
@@ -189,16 +189,18 @@ def test_terms_of_two_domains() -> None:
 
 
 def test_another_rig_is_refused() -> None:
-    with pytest.raises(InputError, match=r"coaxial rig.*\(2, 3\).*\(4, 5\); use dual"):
+    with pytest.raises(
+        InputError, match=r"coaxial rig.*\(2, 3\).*\(4, 5\); use a method for any rig"
+    ):
         LowRank().n_levels(RayDomain((2, 3)), RayDomain((4, 5)))
 
 
 @pytest.mark.parametrize(
     ("option", "expected"),
     [
-        ({"target_error": 0.0}, "target_error is 0.0; it must be a number between 0 and 1"),
+        ({"target_error": 0.0}, "target_error is 0.0; it should be greater than 0"),
         ({"target_error": float("nan")}, "target_error is nan"),
-        ({"patterns": -1}, "patterns is -1; it must be at least 0"),
+        ({"patterns": -1}, "patterns is -1; it should be greater than or equal to 0"),
     ],
 )
 def test_impossible_wishes_are_refused(option: dict[str, float], expected: str) -> None:

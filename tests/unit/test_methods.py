@@ -1,24 +1,19 @@
 """What every acquisition method has in common."""
 
 import json
-from typing import get_args
 
 import numpy as np
 import pytest
 from tests.helpers import MatrixImages, acquire_matrix, dense
 
 from rfpipe.blocks import RayDomain
-from rfpipe.config import MethodName
-from rfpipe.methods import METHODS, Pack, Settings, get_method
-from rfpipe.report.drawing import METHOD_COLOURS
-from rfpipe.report.inputs import METHOD_TITLES
+from rfpipe.methods import Pack, get_method, method_names, options_of
 from rfpipe.scenes import reference_scene
-from rfpipe.stages.capturing.disk import expected_patterns, most_patterns
 from rfpipe.testing import dot_test
 
 SHAPE = (6, 7)
 RAYS = 42
-NAMES = list(METHODS)
+NAMES = method_names()
 
 
 @pytest.fixture(scope="module")
@@ -26,9 +21,10 @@ def matrix() -> np.ndarray:
     return np.stack([reference_scene("IV", SHAPE).dense(channel) for channel in range(3)])
 
 
-def test_configuration_and_reports_know_the_same_methods() -> None:
-    assert set(METHODS) == set(get_args(MethodName)) == set(METHOD_TITLES) == set(METHOD_COLOURS)
-    assert len(set(METHOD_COLOURS.values())) == len(set(METHOD_TITLES.values())) == len(METHODS)
+def test_methods_are_told_apart() -> None:
+    methods = [get_method(name) for name in NAMES]
+    assert len({method.title for method in methods}) == len(NAMES) == 7
+    assert len({method.colour for method in methods}) == len(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -76,7 +72,7 @@ def test_a_state_is_restored_from_what_its_levels_left(name: str, matrix: np.nda
     method = get_method(name)
     run = acquire_matrix(method, matrix, SHAPE, SHAPE)
     packs = [Pack(pack.arrays, json.loads(json.dumps(pack.attributes))) for pack in run.packs]
-    start = method.start(RayDomain(SHAPE), RayDomain(SHAPE), 3, Settings())
+    start = method.start(RayDomain(SHAPE), RayDomain(SHAPE), 3, options_of(method))
     for level in range(1, len(packs)):
         restored = method.restore(start, packs[:level])
         schedule = method.schedule(restored)
@@ -97,23 +93,28 @@ def test_darkness_gives_darkness(name: str) -> None:
     assert not run.transport.relight(np.ones(SHAPE)).any()
 
 
-@pytest.mark.parametrize("name", ["compressive", "hadamard", "low_rank", "near_far"])
+@pytest.mark.parametrize("name", NAMES)
 def test_a_guess_of_the_patterns_is_at_most_what_there_may_be(name: str) -> None:
-    assert 0 < expected_patterns(name, (62, 70), 8) <= most_patterns(name, (62, 70))
+    method, rays = get_method(name), RayDomain((62, 70))
+    options = options_of(method)
+    expected = method.expected_patterns(rays, rays, options)
+    assert 0 < expected <= method.most_patterns(rays, rays, options)
 
 
 @pytest.mark.parametrize(
     ("name", "asked", "patterns"),
     [
-        ("compressive", 0, 542),
-        ("compressive", 100, 100),
-        ("low_rank", 0, 512),
-        ("low_rank", 100, 100),
-        ("hadamard", 100, 4363),
-        ("brute_force", 100, 4340),
+        ("compressive", {}, 542),
+        ("compressive", {"patterns": 100}, 100),
+        ("low_rank", {}, 512),
+        ("low_rank", {"patterns": 100}, 100),
+        ("near_far", {"patterns": 30}, 30),
+        ("hadamard", {}, 4363),
+        ("brute_force", {}, 4340),
     ],
 )
 def test_the_number_that_is_asked_for_counts_where_a_method_takes_it(
-    name: str, asked: int, patterns: int
+    name: str, asked: dict[str, int], patterns: int
 ) -> None:
-    assert expected_patterns(name, (62, 70), 1, asked) == patterns
+    method, rays = get_method(name), RayDomain((62, 70))
+    assert method.expected_patterns(rays, rays, options_of(method, **asked)) == patterns

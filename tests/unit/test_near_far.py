@@ -15,7 +15,7 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
-from rfpipe.methods import Pack, Settings, get_method
+from rfpipe.methods import Pack, get_method, options_of
 from rfpipe.methods.near_far.method import HELD_OUT, MOST, ROUNDS, NearFar
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import generator
@@ -236,7 +236,7 @@ def test_the_result_does_not_depend_on_the_memory() -> None:
     method, domain = get_method("near_far"), RayDomain((24, 24))
     packed = []
     for memory in (2**24, 2**32):
-        state = method.start(domain, domain, 1, Settings())
+        state = method.start(domain, domain, 1, options_of(method))
         for _ in range(3):
             images = MatrixImages(scene.dense()[None], (24, 24), method.schedule(state))
             state = method.refine(state, images, memory)
@@ -322,7 +322,7 @@ def test_pictures_gone_wrong_make_an_error_but_no_nonsense(
 ) -> None:
     scene = reference_scene("IV", (16, 16), channels=1)
     method, domain = NearFar(), RayDomain((16, 16))
-    state = method.start(domain, domain, 1, Settings())
+    state = method.start(domain, domain, 1, options_of(method))
     for _ in range(method.n_levels(domain, domain)):
         images = MatrixImages(scene.dense()[None], (16, 16), method.schedule(state))
         state = method.refine(state, Defective(images, which, defect))

@@ -30,7 +30,9 @@ SCENE = SceneConfig(geometry="wedge", surfaces=("white", "texture"), shape=(9, 1
 def transports() -> dict[str, Transport]:
     rig = SimulatedRig(scene_from_config(SCENE))
     methods = ("symmetric", "dual", "brute_force", "hadamard", "low_rank")
-    return {method: acquire(rig, method, 1e-3, progress=False).transport for method in methods}
+    return {
+        method: acquire(rig, method, tolerance=1e-3, progress=False).transport for method in methods
+    }
 
 
 @pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force", "hadamard", "low_rank"])
@@ -58,7 +60,7 @@ def test_a_stack_of_views_is_relit_from_each_in_the_light_of_each():
         geometry="room", surfaces=("texture", "white", "white"), shape=(6, 9), views=(2, 2)
     )
     scene = scene_from_config(room)
-    transport = acquire(SimulatedRig(scene), "symmetric", 1e-3, progress=False).transport
+    transport = acquire(SimulatedRig(scene), "symmetric", tolerance=1e-3, progress=False).transport
     arrays = relit_arrays(transport, scene)
     assert arrays["relit"].shape == (6, 4, 6, 9, 3)
     assert arrays["floodlit_truth"].shape == (4, 6, 9, 3)

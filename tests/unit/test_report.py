@@ -38,16 +38,18 @@ WEDGE = {"geometry": "wedge", "surfaces": ["texture", "texture"], "shape": [8, 1
 BOTH = Config.model_validate(
     {
         "scenes": {"flat": PLANE, "corner": WEDGE},
-        "methods": ["symmetric", "dual"],
-        "report": {"title": "Two <small> scenes", "tolerances": [0.03, 0.001]},
+        "methods": {"symmetric": {}, "dual": {}},
+        "report": {
+            "title": "Two <small> scenes",
+            "trials": {"symmetric": [0.03, 0.001], "dual": [0.03, 0.001]},
+        },
     }
 )
 GREY = Config.model_validate(
     {
         "scenes": {"grey": {**WEDGE, "channels": 1, "shape": [5, 6]}},
-        "methods": ["brute_force"],
+        "methods": {"brute_force": {}},
         "camera": None,
-        "report": {"tolerances": [0.01]},
     }
 )
 FIELD = Config.model_validate(
@@ -56,11 +58,11 @@ FIELD = Config.model_validate(
             "corner": WEDGE,
             "field": {
                 "geometry": "room", "surfaces": ["texture", "white", "white"], "shape": [6, 9],
-                "views": [2, 3], "methods": ["symmetric"], "sweep": False,
+                "views": [2, 3], "methods": {"symmetric": {}}, "sweep": False,
             },
         },
-        "methods": ["symmetric", "dual"],
-        "report": {"tolerances": [0.01]},
+        "methods": {"symmetric": {}, "dual": {}},
+        "report": {"trials": {"symmetric": [0.01], "dual": [0.01]}},
     }
 )  # fmt: skip
 
@@ -99,15 +101,15 @@ def acquired(results: Path, config: Config) -> None:
     for scene, method in config.acquisitions:
         settings, folder = config.scenes[scene], results / scene / method
         rig = SimulatedRig(scene_from_config(settings), sensor_from_config(config.camera), 1)
-        tolerance = config.acquisition.tolerance
-        result = acquire(rig, method, tolerance, progress=False)
+        options = config.methods_of(scene)[method].options()
+        result = acquire(rig, method, progress=False, **options)
         digest = save_transport(result.transport, folder / "transport.zarr")
-        about = {"scene": scene, "method": method, "tolerance": tolerance}
+        about = {"scene": scene, "method": method, "options": options}
         manifest = {**about, "digest": digest, "patterns": result.patterns}
         write_manifest(folder / "transport.json", manifest)
         relight.run(folder, settings, "code")
         relit.append(folder / "relight.json")
-        if settings.sweep:
+        if sweep.is_swept(config, scene, method):
             sweep.run(config, scene, method, folder, "code")
             swept.append(folder / "sweep.json")
     evaluate.run(relit, swept, *tables_of(results), 2.0)
@@ -350,9 +352,9 @@ def test_costs_count_patterns_bytes_and_seconds(results):
 def test_without_benchmarks_the_sweeps_processing_time_stands_in(results):
     inputs = load_inputs(BOTH, results, *tables_of(results))
     alone = type(inputs)(**{**vars(inputs), "times": inputs.times.iloc[:0]})
-    times = pd.read_csv(results / "corner" / "dual" / "sweep.csv").set_index("tolerance")
+    times = pd.read_csv(results / "corner" / "dual" / "sweep.csv").set_index("value")
     assert costs(alone)[3]["processing_s"] == pytest.approx(
-        times.loc[BOTH.acquisition.tolerance, "processing_s"], rel=1e-4
+        times.loc[1e-3, "processing_s"], rel=1e-4
     )
 
 
@@ -382,8 +384,8 @@ def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
     for missing in ("Fig. 5.9", "Fig. 5.7", "Fig. 5.10", "Fig. 3.8", "Fig. B.1", "Table 5.1"):
         assert missing not in page.words
     figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
-    assert figures == {"fig_2_1_brute_force", "speed_error"}
-    assert len(page.images) == 2
+    assert figures == {"fig_2_1_brute_force"}  # it has no option that trades patterns
+    assert len(page.images) == 1
 
 
 @pytest.fixture(scope="module")

@@ -96,7 +96,7 @@ REMOTE = {"rig": "remote"}
 
 def test_a_captured_scene() -> None:
     scene = parse_config(
-        {"scenes": DESK, "capture": REMOTE, "methods": ["symmetric"]}, "test"
+        {"scenes": DESK, "capture": REMOTE, "methods": {"symmetric": {}}}, "test"
     ).scenes["desk"]
     assert scene.is_captured
     assert not scene.is_swept
@@ -114,7 +114,7 @@ def test_a_captured_scene() -> None:
         ({"capture": REMOTE}, "scenes should be one with capture.rig remote, not planes_i"),
         (
             {"scenes": {"desk": {**DESK["desk"], "camera_shape": [6, 7]}}, "capture": REMOTE},
-            r"scenes.desk.camera_shape should be null, for a coaxial rig",
+            r"scenes.desk.methods should be methods for any rig",
         ),
         (
             {"scenes": {"desk": {**DESK["desk"], "surfaces": ["white"]}}, "capture": REMOTE},
@@ -135,6 +135,6 @@ def test_settings_that_do_not_fit_a_rig(settings: dict[str, Any], message: str) 
 
 def test_other_rigs_than_coaxial_ones_take_dual_photography() -> None:
     desk = {**DESK["desk"], "camera_shape": [6, 7]}
-    config = Config(scenes={"desk": desk}, capture=REMOTE, methods=["dual"])
+    config = Config(scenes={"desk": desk}, capture=REMOTE, methods={"dual": {}})
     assert config.scenes["desk"].camera_ray_shape == (6, 7)
     assert config.capture.rule == "hardware"

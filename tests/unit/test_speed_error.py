@@ -154,16 +154,7 @@ def test_the_benchmark_refuses_a_table_of_other_columns(bench, tmp_path):
         bench.main(["--append", str(path)])
 
 
-def test_the_benchmark_says_which_methods_and_sizes_it_skips(
-    bench, tmp_path, caplog, monkeypatch
-):  # fmt: skip
-    monkeypatch.setitem(bench.KNOBS, "mind_reading", (None, (0,)))
-    monkeypatch.setitem(bench.KNOBS, "dual", ("patience", (1,)))
-    assert not bench.is_known("mind_reading")
-    assert not bench.is_known("dual")
-    assert "this build has no method mind_reading" in caplog.text
-    assert "dual needs rfpipe.acquire(patience=...)" in caplog.text
-
+def test_the_benchmark_says_which_sizes_it_skips(bench, tmp_path, caplog, monkeypatch):
     def refuse(*_arguments, **_settings):
         raise bench.RfpipeError("too large for it")
 

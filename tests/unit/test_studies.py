@@ -19,7 +19,9 @@ def test_patterns_against_resolution_with_brute_force_computed():
     assert arrays == {}
     found = {(row["method"], row["side"]): row for row in rows}
     assert set(found) == {
-        (method, side) for method in ("brute_force", "symmetric", "dual") for side in (4, 8)
+        (method, side)
+        for method in ("brute_force", "near_far", "symmetric", "dual")
+        for side in (4, 8)
     }
     assert found["brute_force", 8]["patterns"] == 64
     assert found["symmetric", 8]["patterns"] < found["dual", 8]["patterns"]
@@ -27,7 +29,10 @@ def test_patterns_against_resolution_with_brute_force_computed():
 
 
 def test_brute_force_alone_is_computed_too():
-    rows, _ = run_study("resolution", CONFIG.model_copy(update={"methods": ("brute_force",)}))
+    rows, _ = run_study(
+        "resolution",
+        Config.model_validate({"report": {"resolutions": [4, 8]}, "methods": {"brute_force": {}}}),
+    )
     assert [row["patterns"] for row in rows] == [16, 64]
 
 

@@ -20,8 +20,8 @@ CONFIG = Config.model_validate(
     {
         "scenes": {"corner": {"geometry": "wedge", "surfaces": ["white", "texture"],
                               "shape": [8, 10]}},
-        "methods": ["symmetric"],
-        "report": {"tolerances": [0.03, 0.003]},
+        "methods": {"symmetric": {}},
+        "report": {"trials": {"symmetric": [0.03, 0.003]}},
     }
 )  # fmt: skip
 
@@ -35,7 +35,10 @@ def swept(tmp_path_factory):
 
 def test_a_smaller_tolerance_takes_more_patterns_and_bytes(swept):
     rows = read_manifest(swept / "sweep.json")["rows"]
-    assert [row["tolerance"] for row in rows] == [0.03, 0.003]
+    assert [(row["option"], row["value"]) for row in rows] == [
+        ("tolerance", 0.03),
+        ("tolerance", 0.003),
+    ]
     assert rows[0]["patterns"] < rows[1]["patterns"]
     assert rows[0]["bytes"] < rows[1]["bytes"]
     relit = open_arrays(swept / "sweep.zarr").read("relit")
@@ -48,7 +51,7 @@ def test_times_stand_apart_from_the_manifest_which_is_the_same_in_every_run(swep
     assert (tmp_path / "sweep.json").read_bytes() == (swept / "sweep.json").read_bytes()
     with (tmp_path / "sweep.csv").open() as file:
         times = list(csv.DictReader(file))
-    assert [float(row["tolerance"]) for row in times] == [0.03, 0.003]
+    assert [float(row["value"]) for row in times] == [0.03, 0.003]
     assert all(float(row["processing_s"]) > 0 for row in times)
 
 
@@ -63,10 +66,10 @@ def test_an_unchanged_sweep_is_kept_and_a_changed_one_made_anew(swept):
 
 def test_settings_of_the_acquisition_are_passed_on():
     changed = CONFIG.model_copy(update={"normalization": "none"})
-    options = acquire_options(changed)
+    options = acquire_options(changed, "symmetric", changed.methods["symmetric"])
     assert options["normalization"] == "none"
     assert options["black_frames"] == CONFIG.capture.black_frames
-    assert "tolerance" not in options
+    assert (options["method"], options["tolerance"]) == ("symmetric", 1e-3)
 
 
 def test_bytes_and_numbers_are_those_of_the_same_transport_on_disk(tmp_path):
@@ -87,9 +90,9 @@ def test_errors_are_blank_where_they_are_undefined(swept, tmp_path):
     facts = {"scene": "box", "method": "dual", "names": ["everything"]}
     write_manifest(tmp_path / "relight.json", facts)
     write_arrays(tmp_path / "sweep.zarr", {"relit": truth[None]}, {})
-    rows = [{"tolerance": 0.01, "patterns": 3, "bytes": 99}]
+    rows = [{"option": "tolerance", "value": 0.01, "patterns": 3, "bytes": 99}]
     write_manifest(tmp_path / "sweep.json", {"scene": "box", "method": "dual", "rows": rows})
-    (tmp_path / "sweep.csv").write_text("tolerance,processing_s,simulation_s\n0.01,0.5,0.25\n")
+    (tmp_path / "sweep.csv").write_text("value,processing_s,simulation_s\n0.01,0.5,0.25\n")
     errors, speed = tmp_path / "tables" / "errors.csv", tmp_path / "tables" / "speed_error.csv"
     evaluate.run([tmp_path / "relight.json"], [tmp_path / "sweep.json"], errors, speed, 2.0)
 

@@ -6,7 +6,7 @@ import pytest
 import rfpipe
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError, InputError
-from rfpipe.methods.base import Pack, Settings
+from rfpipe.methods import Pack, options_of
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.stages.merging.images import ImagesInMemory, NormalizedImages, normalize_level
@@ -170,7 +170,7 @@ def test_truncation_is_what_stopping_there_would_have_given():
     x = np.linspace(0, 1, 144)
     matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
     method, domain = Symmetric(), RayDomain((12, 12))
-    state = method.start(domain, domain, 1, Settings(1e-6))
+    state = method.start(domain, domain, 1, options_of(method, tolerance=1e-6))
     stopped = []
     for _ in range(method.n_levels(domain, domain)):
         state = method.refine(state, _images(matrix, method.schedule(state), (12, 12)))
@@ -187,7 +187,7 @@ def test_a_state_restored_from_its_packs_goes_on_alike():
     x = np.linspace(0, 1, 144)
     matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
     method, domain = Symmetric(), RayDomain((12, 12))
-    start = method.start(domain, domain, 1, Settings(1e-4))
+    start = method.start(domain, domain, 1, options_of(method, tolerance=1e-4))
     state, packs = start, []
     for _ in range(method.n_levels(domain, domain)):
         images = _images(matrix, method.schedule(state), (12, 12))
@@ -220,7 +220,7 @@ def test_what_is_found_does_not_depend_on_the_memory(memory_bytes):
     x = np.linspace(0, 1, 144)
     matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
     method, domain = Symmetric(), RayDomain((12, 12))
-    state = method.start(domain, domain, 1, Settings(1e-4))
+    state = method.start(domain, domain, 1, options_of(method, tolerance=1e-4))
     for _ in range(method.n_levels(domain, domain)):
         images = _images(matrix, method.schedule(state), (12, 12))
         frugal = method.refine(state, images, memory_bytes)

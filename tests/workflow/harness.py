@@ -21,7 +21,7 @@ CONFIG: dict[str, Any] = {
         "tiny": {"geometry": "wedge", "surfaces": ["white", "texture"], "shape": [8, 8]},
         "long": {"geometry": "wedge", "surfaces": ["white", "texture"], "shape": [16, 18]},
     },
-    "methods": ["symmetric", "dual", "brute_force"],
+    "methods": {"symmetric": {}, "dual": {}, "brute_force": {}},
     # one pattern at a time, for captures that can be stopped anywhere
     "capture": {"batch_patterns": 1, "black_frames": 4, "floodlit_frames": 4},
 }

@@ -35,7 +35,7 @@ class Acquisition:
     def __init__(self, path: Path, rig: Any, tolerance: float = 1e-3) -> None:
         self.rig = rig
         self.folder = AcquisitionFolder(path)
-        self.plan = Plan("symmetric", SHAPE, SHAPE, 1, tolerance=tolerance)
+        self.plan = Plan("symmetric", "symmetric", SHAPE, SHAPE, 1, {"tolerance": tolerance})
         self.resources = Resources()
         self.keep_raw = True
         self.code = CODE

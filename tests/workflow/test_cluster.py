@@ -45,7 +45,7 @@ def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Acquisition:
     monkeypatch.setattr(merging, "_CHUNK_BYTES", 1)
     monkeypatch.setattr(merging, "_CHUNKS_PER_RUN", 2)
     acquisition = Acquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
-    acquisition.plan = Plan("brute_force", SHAPE, SHAPE, 1)
+    acquisition.plan = Plan("brute_force", "brute_force", SHAPE, SHAPE, 1)
     acquisition.schedule(0)
     acquisition.capture(0)
     return acquisition

@@ -12,9 +12,11 @@ from typing import Any
 import pytest
 from tests.workflow.stagewise import CAMERA, RAYS, SHAPE, Acquisition, FaultyRig, matrix_rig
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import StoreError
+from rfpipe.methods import get_method, options_of
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages.capturing.disk import DiskNeed, expected_patterns
+from rfpipe.stages.capturing.disk import DiskNeed
 from rfpipe.stages.plan import Plan
 from rfpipe.store import bytes_on_disk
 
@@ -35,7 +37,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
 def acquisition(folder: Path, **settings: Any) -> Acquisition:
     rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
     found = Acquisition(folder, rig, **settings)
-    found.plan = Plan("brute_force", SHAPE, SHAPE, 1)
+    found.plan = Plan("brute_force", "brute_force", SHAPE, SHAPE, 1)
     found.schedule(0)
     return found
 
@@ -127,15 +129,16 @@ def test_a_run_that_may_not_fit_is_warned_of_before_level_0(
 
 
 @pytest.mark.parametrize(
-    ("method", "shape", "levels", "patterns"),
+    ("name", "shape", "patterns"),
     [
-        ("symmetric", (310, 350), 10, 1085),
-        ("dual", (310, 350), 10, 7382),
-        ("brute_force", (310, 350), 1, 108_500),
-        ("dual", (8, 8), 4, 64),
+        ("symmetric", (310, 350), 1085),
+        ("dual", (310, 350), 7382),
+        ("brute_force", (310, 350), 108_500),
+        ("dual", (8, 8), 64),
     ],
 )
 def test_expected_patterns_are_those_of_the_thesis(
-    method: str, shape: tuple[int, ...], levels: int, patterns: int
+    name: str, shape: tuple[int, ...], patterns: int
 ) -> None:
-    assert expected_patterns(method, shape, levels) == patterns
+    method, rays = get_method(name), RayDomain(shape)
+    assert method.expected_patterns(rays, rays, options_of(method)) == patterns

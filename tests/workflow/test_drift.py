@@ -52,7 +52,7 @@ class DimmingRig:
 def begun(path: Path, loss: float = 0.2) -> Acquisition:
     """An acquisition that is about to capture level 1."""
     mine = Acquisition(path, DimmingRig(matrix_rig(noise=CAMERA), loss))
-    mine.plan = Plan("symmetric", (4, 5), (4, 5), 1, tolerance=1e-6)
+    mine.plan = Plan("symmetric", "symmetric", (4, 5), (4, 5), 1, {"tolerance": 1e-6})
     mine.level(0)
     mine.schedule(1)
     return mine

@@ -27,7 +27,7 @@ brackets.COMPILED_AFTER = 0  # else many patterns would load the compiler, and f
 shape, count = (40, 50), int(sys.argv[2])
 rays = shape[0] * shape[1]
 folder = AcquisitionFolder(Path(sys.argv[1]))
-plan = Plan("brute_force", shape, shape, 3)
+plan = Plan("brute_force", "brute_force", shape, shape, 3)
 light = scipy.sparse.identity(rays, format="csr")
 rig = OperatorRig([light, 0.5 * light, 0.1 * light], shape, shape, CameraModel(), seed=1)
 resources = Resources(memory_gib=0.01, threads=2)

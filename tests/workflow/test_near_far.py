@@ -25,8 +25,8 @@ WEDGE = {
 
 def test_a_run_killed_between_probes_ends_as_an_acquisition_in_process(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path)
-    report = {"tolerances": [1e-2], "resolutions": [4, 8]}
-    workflow.configure(scenes={"wedge": WEDGE}, methods=["near_far"], report=report)
+    report = {"resolutions": [4, 8]}
+    workflow.configure(scenes={"wedge": WEDGE}, methods={"near_far": {}}, report=report)
     store = workflow.path("wedge/near_far/L02/capture.zarr")
     process = workflow.start("results/wedge/near_far/transport.json")
     freeze_writer(store, 3)

@@ -82,7 +82,7 @@ class Server:
     def workflow(self, folder: Path, **settings: Any) -> Workflow:
         """Return a run of the served scene alone, by brute force where nothing else is asked."""
         capture = {"rig": "remote", "url": self.url, "token_file": str(self.token_file)}
-        defaults = {"scenes": {"long": CONFIG["scenes"]["long"]}, "methods": ["brute_force"]}
+        defaults = {"scenes": {"long": CONFIG["scenes"]["long"]}, "methods": {"brute_force": {}}}
         return Workflow(folder, {**defaults, **settings, "capture": capture})
 
 
@@ -181,7 +181,7 @@ def test_a_server_that_stays_away_ends_the_run_with_advice(tmp_path: Path, serve
     workflow = server.workflow(tmp_path / "run")
     workflow.configure(
         scenes={"long": CONFIG["scenes"]["long"]},
-        methods=["brute_force"],
+        methods={"brute_force": {}},
         capture={
             "rig": "remote",
             "url": server.url,
@@ -224,7 +224,7 @@ def test_a_captured_scene_is_relit_and_reported_without_a_truth(tmp_path: Path) 
         workflow = server.workflow(
             tmp_path / "run",
             scenes={"desk": {"geometry": "captured", "shape": [8, 8]}},
-            methods=["symmetric", "dual"],
+            methods={"symmetric": {}, "dual": {}},
             report={"resolutions": [4, 8]},
         )
         workflow.run()

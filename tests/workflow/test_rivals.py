@@ -16,12 +16,13 @@ from rfpipe.stages.plan import Plan
 @pytest.mark.parametrize("method", ["hadamard", "compressive", "low_rank", "near_far"])
 def test_the_files_hold_what_an_acquisition_in_process_finds(method: str, tmp_path: Path) -> None:
     acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
-    acquisition.plan = Plan(method, SHAPE, SHAPE, 1, tolerance=1e-3, patterns=20)
+    asked = {} if method == "hadamard" else {"patterns": 20}
+    acquisition.plan = Plan(method, method, SHAPE, SHAPE, 1, asked)
     for level in range(acquisition.plan.n_levels):
         acquisition.level(level)
     stored = acquisition.assemble()
     result = acquire(
-        acquisition.rig, method, progress=False, patterns=20, black_frames=2, floodlit_frames=2
+        acquisition.rig, method, progress=False, black_frames=2, floodlit_frames=2, **asked
     )
     expected, about = result.transport.pack()
     found, stored_about = stored.pack()
@@ -36,7 +37,9 @@ def test_refining_tells_what_the_method_estimates(
 ) -> None:
     caplog.set_level(logging.INFO, "rfpipe")
     acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
-    acquisition.plan = Plan("low_rank", SHAPE, SHAPE, 1, target_error=1e-4, patterns=20)
+    acquisition.plan = Plan(
+        "low_rank", "low_rank", SHAPE, SHAPE, 1, {"target_error": 1e-4, "patterns": 20}
+    )
     for level in range(acquisition.plan.n_levels):
         acquisition.level(level)
     told = [record.message for record in caplog.records if "estimated" in record.message]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,7 +60,7 @@ def test_the_files_hold_what_an_acquisition_in_process_finds(
 
 def test_the_whole_run_ends_in_a_report_and_then_has_nothing_to_do(copy: Workflow) -> None:
     scenes = {**ONE_SCENE, "field": LIGHT_FIELD}
-    copy.configure(scenes=scenes, methods=["symmetric", "dual"], report=SMALL_REPORT)
+    copy.configure(scenes=scenes, methods={"symmetric": {}, "dual": {}}, report=SMALL_REPORT)
     copy.run()  # goes on from the acquisitions that stand there
     page = copy.path("report/index.html").read_text(encoding="utf-8")
     assert "<html" in page
@@ -80,10 +81,15 @@ LIGHT_FIELD = {
     "surfaces": ["texture", "white", "white"],
     "shape": [8, 12],
     "views": [2, 2],
-    "methods": ["symmetric"],
+    "methods": {"symmetric": {}},
     "sweep": False,
 }
-SMALL_REPORT = {"tolerances": [1e-2], "resolutions": [4, 8]}
+SMALL_REPORT = {"trials": {"symmetric": [1e-2], "dual": [1e-2]}, "resolutions": [4, 8]}
+
+
+def with_tolerance(tolerance: float) -> dict[str, Any]:
+    """Return the methods with another tolerance of symmetric photography."""
+    return {**CONFIG["methods"], "symmetric": {"tolerance": tolerance}}
 
 
 def test_a_looser_tolerance_captures_only_changed_patterns_anew(copy: Workflow) -> None:
@@ -92,7 +98,7 @@ def test_a_looser_tolerance_captures_only_changed_patterns_anew(copy: Workflow) 
     shown = {level: patterns_shown(folder, level) for level in range(4)}
     captured = {level: (folder / f"L{level:02d}/capture.zarr").stat().st_ino for level in range(4)}
 
-    copy.configure(acquisition={"tolerance": 0.05})
+    copy.configure(methods=with_tolerance(0.05))
     output = copy.run(TINY)
     for level in range(4):
         changed = patterns_shown(folder, level) != shown[level]
@@ -103,7 +109,7 @@ def test_a_looser_tolerance_captures_only_changed_patterns_anew(copy: Workflow) 
     assert patterns_shown(folder, 0) == shown[0]
     assert patterns_shown(folder, 3) != shown[3]  # or the test shows nothing
 
-    copy.configure(acquisition={"tolerance": 1e-3})
+    copy.configure(methods=with_tolerance(1e-3))
     output = copy.run(TINY)  # the old pictures are found again: no pattern is shown
     assert "patterns in" not in output
     assert "captured with these settings before" in output
@@ -122,7 +128,7 @@ def test_other_resources_run_nothing_again(copy: Workflow) -> None:
 
 
 def test_changed_patterns_can_be_refused(copy: Workflow) -> None:
-    copy.configure(acquisition={"tolerance": 0.05}, capture={"when_patterns_change": "refuse"})
+    copy.configure(methods=with_tolerance(0.05), capture={"when_patterns_change": "refuse"})
     kept = journal(copy.path("tiny/symmetric/L03/capture.zarr"))
     output = copy.run(TINY, succeeds=False)
     assert re.search(r"holds \d+ captured patterns of other settings \(patterns \d+ -> \d+", output)

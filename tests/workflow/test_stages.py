@@ -213,7 +213,7 @@ def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> N
 
     rig = Counting(symmetric_matrix(), SHAPE, SHAPE, CAMERA)
     acquisition = Acquisition(tmp_path, rig)
-    acquisition.plan = Plan("brute_force", SHAPE, SHAPE, 1)
+    acquisition.plan = Plan("brute_force", "brute_force", SHAPE, SHAPE, 1)
     acquisition.schedule(0)
     acquisition.capture(0, batch_patterns=3)
     assert max(batches) == 3
@@ -250,7 +250,7 @@ def test_no_byte_depends_on_memory_and_threads(
     }.items():
         acquisition = Acquisition(tmp_path / name, matrix_rig(noise=CAMERA))
         acquisition.resources = resources
-        acquisition.plan = Plan("brute_force", SHAPE, SHAPE, 1)
+        acquisition.plan = Plan("brute_force", "brute_force", SHAPE, SHAPE, 1)
         acquisition.level(0)
         left.append({path.name: contents(path) for path in (tmp_path / name / "L00").iterdir()})
     assert len(read_manifest(tmp_path / "plain/L00/merge.json")["shape"]) == 5

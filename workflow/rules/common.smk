@@ -2,9 +2,9 @@
 
 from rfpipe.config import load_config, parse_config
 from rfpipe.provenance import code_fingerprint
-from rfpipe.stages.capturing.disk import expected_patterns
+from rfpipe.stages.evaluating.sweep import is_swept
 from rfpipe.stages.jobs.notify import notify
-from rfpipe.stages.plan import Plan
+from rfpipe.stages.plan import Plan, plan_of
 
 if len(workflow.configfiles) == 1:
     load_config(workflow.configfiles[0])  # finds keys that stand twice, too
@@ -80,20 +80,12 @@ def threads(wildcards):
 def scene_settings(wildcards):
     """What is true of a scene, however often and by whatever method it is acquired."""
     scene = SETTINGS.scenes[wildcards.scene]
-    return scene.model_dump(mode="json", exclude={"methods", "sweep", "tolerance"})
+    return scene.model_dump(mode="json", exclude={"methods", "sweep"})
 
 
 def plan(wildcards):
     """Arguments of the Plan that the stages of an acquisition follow."""
-    scene = SETTINGS.scenes[wildcards.scene]
-    return {
-        "method": wildcards.method,
-        "camera_shape": list(scene.camera_ray_shape),
-        "projector_shape": list(scene.ray_shape),
-        "channels": scene.channels,
-        **plain(SETTINGS.acquisition),
-        "tolerance": SETTINGS.tolerance_of(wildcards.scene),
-    }
+    return plan_of(SETTINGS, wildcards.scene, wildcards.method)
 
 
 def n_levels(wildcards):
@@ -128,7 +120,7 @@ def every_sweep(name):
     return [
         f"results/{scene}/{method}/{name}"
         for scene, method in SETTINGS.acquisitions
-        if SETTINGS.scenes[scene].is_swept
+        if is_swept(SETTINGS, scene, method)
     ]
 
 
@@ -150,22 +142,18 @@ def references(wildcards):
 
 def expected(wildcards):
     """Patterns that all levels may take, for level 0 to estimate the disk space."""
-    about = plan(wildcards)
-    return expected_patterns(
-        wildcards.method,
-        about["projector_shape"],
-        n_levels(wildcards),
-        about["patterns"],
-    )
+    about = Plan(**plan(wildcards))
+    return about.method.expected_patterns(about.camera, about.projector, about.options)
 
 
 def sweep_settings(wildcards):
     """The settings of one scene and method's sweep."""
+    section = SETTINGS.methods_of(wildcards.scene)[wildcards.method]
     return {
         **SHAPING,
         "scenes": {wildcards.scene: scene_settings(wildcards)},
-        "methods": [wildcards.method],
-        "report": {"tolerances": list(SETTINGS.report.tolerances)},
+        "methods": {wildcards.method: plain(section)},
+        "report": {"trials": SHAPING["report"]["trials"]},
     }
 
 

@@ -39,11 +39,22 @@ def validate(
     from rfpipe.config import load_config
 
     settings = load_config(config)
-    runs = len(settings.scenes) * len(settings.methods)
-    typer.echo(
-        f"{config}: valid. {runs} acquisitions: {', '.join(settings.scenes)} "
-        f"by {', '.join(settings.methods)}"
-    )
+    lines = [f"{scene} by {', '.join(settings.methods_of(scene))}" for scene in settings.scenes]
+    typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions: {'; '.join(lines)}")
+
+
+@app.command()
+def methods() -> None:
+    """List the methods that are installed, each with its options."""
+    from rfpipe.methods import get_method, method_names
+
+    for name in method_names():
+        method = get_method(name)
+        rig = "coaxial rigs" if method.needs_coaxial_rig else "any rig"
+        typer.echo(f"{name}: {method.title.lower()}, {rig}")
+        for option, field in method.Options.model_fields.items():
+            if option != method.Options.key:
+                typer.echo(f"    {option} ({field.default!r}): {field.description}")
 
 
 @app.command()

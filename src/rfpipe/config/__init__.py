@@ -3,6 +3,7 @@
 ``python -m rfpipe.config`` writes the default files and the JSON schemas from the models.
 """
 
+from rfpipe.config.base import MethodSettings
 from rfpipe.config.calibration import CalibrationConfig
 from rfpipe.config.devices import (
     BenchConfig,
@@ -20,12 +21,10 @@ from rfpipe.config.files import (
     parse_rig_config,
 )
 from rfpipe.config.model import (
-    AcquisitionConfig,
     CameraConfig,
     CaptureConfig,
     Config,
     MergeConfig,
-    MethodName,
     Normalization,
     NumberFormat,
     OccluderConfig,
@@ -37,14 +36,13 @@ from rfpipe.config.model import (
 )
 
 __all__ = [
-    "AcquisitionConfig",
     "BenchConfig",
     "CalibrationConfig",
     "CameraConfig",
     "CaptureConfig",
     "Config",
     "MergeConfig",
-    "MethodName",
+    "MethodSettings",
     "Normalization",
     "NumberFormat",
     "OccluderConfig",

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
-__all__ = ["Extent", "MethodName", "Settings", "Tolerance", "each_once"]
+from rfpipe import plugins
+from rfpipe.errors import InputError
 
-MethodName = Literal[
-    "brute_force", "compressive", "dual", "hadamard", "low_rank", "near_far", "symmetric"
-]
+__all__ = ["Described", "Extent", "Fraction", "MethodSettings", "SectionsOf", "Settings"]
+
 Extent = Annotated[int, Field(ge=1, le=4096)]
-Tolerance = Annotated[float, Field(gt=0, lt=1)]
+Fraction = Annotated[float, Field(gt=0, lt=1)]
 
 
 class Settings(BaseModel):
@@ -30,8 +32,74 @@ class Settings(BaseModel):
         return value
 
 
-def each_once(methods: tuple[MethodName, ...]) -> tuple[MethodName, ...]:
-    """Return methods if none is named twice; else raise ValueError."""
-    if len(set(methods)) < len(methods):
-        raise ValueError("should name each method once")
-    return methods
+class Described(Settings):
+    """Settings by name whose model belongs to what they set up, and lies beside it.
+
+    Attributes
+    ----------
+    group : str
+        The group of entry points among which a name is looked up; what it stands for has an
+        attribute ``Options``, its model, derived from this one.
+    key : str
+        The setting that says the name.
+    """
+
+    group: ClassVar[str]
+    key: ClassVar[str]
+
+    @classmethod
+    def name_in(cls, section: object) -> str | None:
+        """Return the name that a section says, if it does."""
+        asked = section.get(cls.key) if isinstance(section, Mapping) else None
+        return asked if isinstance(asked, str) else None
+
+    @classmethod
+    def model_of(cls, name: str) -> type[Self]:
+        """Return the model that belongs to a name.
+
+        Raises
+        ------
+        InputError
+            When nothing goes by that name, or it has no such model.
+        """
+        model = getattr(plugins.find(cls.group, name), "Options", None)
+        if not (isinstance(model, type) and issubclass(model, cls)):
+            raise InputError(f"{name!r} has no Options derived from {cls.__name__}")
+        return model
+
+    def subject(self, name: str) -> Any:
+        """Return what the settings are about, in a section of this name."""
+        return plugins.find(self.group, self.name_in(self.model_dump()) or name)
+
+    def options(self) -> dict[str, Any]:
+        """Return all settings but the name, as plain data."""
+        return self.model_dump(mode="json", exclude={self.key})
+
+
+@dataclass(frozen=True)
+class SectionsOf:
+    """Marks a field of sections by name that describe themselves.
+
+    Parameters
+    ----------
+    model : type of Described
+    partial : bool
+        Whether sections hold only what differs from others of the same name, or nothing.
+    """
+
+    model: type[Described]
+    partial: bool = False
+
+
+class MethodSettings(Described):
+    """What the settings' section of every method has."""
+
+    group: ClassVar[str] = plugins.METHODS
+    key: ClassVar[str] = "method"
+
+    method: str | None = Field(
+        None,
+        min_length=1,
+        description="The method's name, or a class of your own as module:Class or file.py:Class; "
+        "null where the section is called by the method's name.",
+    )

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from rfpipe.config.base import Settings, Tolerance
+from rfpipe.config.base import Fraction, Settings
 from rfpipe.config.rig import ViewCount
 
 __all__ = ["CalibrationConfig", "Quadrilateral"]
@@ -19,7 +19,7 @@ Count = Annotated[int, Field(ge=2, le=1000)]
 class CalibrationConfig(Settings):
     """How a rig is calibrated: what is shown and taken, and how good the rig is to be."""
 
-    tolerance: Tolerance = Field(
+    tolerance: Fraction = Field(
         0.02,
         description="Error in total of a relit picture that the rig is to stay below, a fraction "
         "above 0 and below 1; verdicts follow it.",

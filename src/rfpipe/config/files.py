@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import difflib
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
-from pydantic.fields import FieldInfo
 
-from rfpipe.config.base import Settings
+from rfpipe.config.base import Described, Settings
 from rfpipe.config.devices import BenchConfig, RigConfig, WindowConfig
 from rfpipe.config.model import Config
+from rfpipe.config.problems import explained, model_within, shown
+from rfpipe.config.schema import schema_of
 from rfpipe.errors import ConfigError
 
 __all__ = [
@@ -84,12 +84,12 @@ def parse_rig_config(data: object, source: str) -> RigConfig:
 
 def json_schema() -> dict[str, Any]:
     """JSON schema of a settings file, for editors that check and complete YAML."""
-    return _schema_of(Config)
+    return schema_of(Config)
 
 
 def rig_json_schema() -> dict[str, Any]:
     """JSON schema of a rig's settings file."""
-    return _schema_of(RigConfig)
+    return schema_of(RigConfig)
 
 
 def default_yaml() -> str:
@@ -144,28 +144,14 @@ def _parsed(kind: type[_S], data: object, source: str) -> _S:
     """Check settings, and say every mistake in them."""
     if not isinstance(data, Mapping):
         raise ConfigError(
-            f"{source}: holds {_shown(data)}; expected 'key: value' lines with the keys "
+            f"{source}: holds {shown(data)}; expected 'key: value' lines with the keys "
             f"{', '.join(kind.model_fields)}"
         )
     try:
         return kind.model_validate(dict(data))
     except ValidationError as error:
-        problems = error.errors(include_url=False, include_context=False)
-        # a list with a wrong item is reported as wrong itself, too: keep the innermost
-        outer = {problem["loc"][:n] for problem in problems for n in range(len(problem["loc"]))}
-        lines = [
-            f"{source}: {_explained(kind, problem)}"
-            for problem in problems
-            if problem["loc"] not in outer
-        ]
+        lines = [f"{source}: {line}" for line in explained(kind, error, data)]
         raise ConfigError("\n".join(lines)) from None
-
-
-def _schema_of(kind: type[Settings]) -> dict[str, Any]:
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **kind.model_json_schema(),
-    }
 
 
 def _file_of(settings: Settings, schema: str, head: Sequence[str]) -> str:
@@ -189,78 +175,14 @@ class _UniqueKeyLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def _shown(value: object) -> str:
-    """Show a value as YAML would, short enough for a message."""
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return textwrap.shorten(repr(value), 80, placeholder=" ...")
-
-
-def _explained(kind: type[Settings], problem: Mapping[str, Any]) -> str:
-    """Say one of pydantic's problems as: key, value, what was expected, what the key means."""
-    location: tuple[str | int, ...] = tuple(part for part in problem["loc"] if part != "[key]")
-    key = _dotted(location)
-    model, field = _at(kind, location)
-    if problem["type"] == "extra_forbidden":
-        return _unknown_key(location, model)
-    meaning = f" ({key}: {field.description})" if field is not None else ""
-    if problem["type"] == "missing":
-        return f"{key} is missing; add it.{meaning}"
-    expected = problem["msg"].removeprefix("Value error, ").removesuffix(" after validation")
-    if problem["type"] != "value_error":
-        expected = expected[expected.find("should") :]  # without "Input", "String", "Tuple"
-    if problem["type"] in ("model_type", "dict_type"):
-        expected = "should be a group of 'key: value' settings"
-    if problem["type"] == "value_error" and not expected.startswith("should"):
-        # a rule between settings names them and their values itself
-        return f"{key}: {expected}" if key else expected
-    return f"{key} is {_shown(problem['input'])}; it {expected}.{meaning}"
-
-
-def _unknown_key(location: tuple[str | int, ...], model: type[BaseModel]) -> str:
-    unknown = str(location[-1])
-    known = list(model.model_fields)
-    close = difflib.get_close_matches(unknown, known, n=1)
-    suggestion = f"did you mean {close[0]}? " if close else ""
-    return f"{_dotted(location)} is unknown; {suggestion}Known here: {', '.join(known)}."
-
-
-def _dotted(location: Sequence[str | int]) -> str:
-    """Join a location's parts: ("camera", "exposures", 0) is camera.exposures[0]."""
-    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
-    return text.removeprefix(".")
-
-
-def _at(
-    kind: type[Settings], location: Sequence[str | int]
-) -> tuple[type[BaseModel], FieldInfo | None]:
-    """Find the innermost model that a location passes through, and the last field in it."""
-    model: type[BaseModel] = kind
-    field: FieldInfo | None = None
-    for part in location:
-        found = model.model_fields.get(str(part))
-        if found is None:  # a scene's name, a list's index or an unknown key
-            continue
-        field = found
-        model = _model_within(found.annotation) or model
-    return model, field
-
-
-def _model_within(annotation: object) -> type[BaseModel] | None:
-    """Find the settings model inside a field's type, such as ``dict[str, SceneConfig]``."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next(filter(None, map(_model_within, get_args(annotation))), None)
-
-
 def _yaml_lines(settings: BaseModel, indent: int, *, commented: bool) -> list[str]:
     """Lines of a model's settings, with their descriptions as comments when asked for."""
     margin = " " * indent
     lines: list[str] = []
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
+        if isinstance(settings, Described) and name == settings.key and value is None:
+            continue
         if commented:
             lines += textwrap.wrap(
                 str(field.description),
@@ -271,23 +193,21 @@ def _yaml_lines(settings: BaseModel, indent: int, *, commented: bool) -> list[st
         if isinstance(value, BaseModel):
             lines.append(f"{margin}{name}:")
             lines += _yaml_lines(value, indent + 2, commented=commented)
-        elif isinstance(value, dict) and _has_groups(field):
+        elif isinstance(value, dict) and model_within(field) is not None:
             lines.append(f"{margin}{name}:")
-            for position, (entry, inner) in enumerate(value.items()):
+            seen: set[type[BaseModel]] = set()
+            for entry, inner in value.items():
                 lines.append(f"{margin}  {entry}:")
-                # the keys of entries are the same: comments at the first will do
-                lines += _yaml_lines(inner, indent + 4, commented=commented and position == 0)
+                # entries of one model have the same keys: comments at the first will do
+                first = type(inner) not in seen
+                seen.add(type(inner))
+                lines += _yaml_lines(inner, indent + 4, commented=commented and first)
         else:
             plain = settings.model_dump(mode="json", include={name})[name]
             lines.append(f"{margin}{name}: {_flow(plain)}")
         if indent == 0:
             lines.append("")
     return lines if indent else lines[:-1]
-
-
-def _has_groups(field: FieldInfo) -> bool:
-    """Whether a field's values are groups of settings by name."""
-    return _model_within(field.annotation) is not None
 
 
 def _flow(value: object) -> str:

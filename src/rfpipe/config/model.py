@@ -5,20 +5,20 @@ Plain data only: the layers above build cameras, scenes and methods from it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from rfpipe.config.base import Extent, MethodName, Settings, Tolerance, each_once
+from rfpipe.config.base import Extent, MethodSettings, SectionsOf, Settings
 from rfpipe.config.rig import CameraConfig, OccluderConfig, SceneConfig, Surface
+from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
 
 __all__ = [
-    "AcquisitionConfig",
     "CameraConfig",
     "CaptureConfig",
     "Config",
     "MergeConfig",
-    "MethodName",
     "Normalization",
     "NumberFormat",
     "OccluderConfig",
@@ -31,46 +31,11 @@ __all__ = [
 
 Normalization = Literal["none", "per_channel", "total_energy"]
 NumberFormat = Literal["float32", "uint16", "uint8"]
-# Methods that rest on the symmetry of T.
-_COAXIAL = ("symmetric", "near_far", "low_rank")
 
-SceneName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 
-
-class AcquisitionConfig(Settings):
-    """When a method stops subdividing."""
-
-    tolerance: Tolerance = Field(
-        1e-3,
-        description="Error allowed in a stored block, as a fraction of the floodlit image's "
-        "maximum, between 0 and 1.",
-    )
-    noise_significance: float = Field(
-        3.0,
-        ge=0,
-        le=100,
-        description="Light counts as measured above this many standard deviations of its noise, "
-        "0 to 100.",
-    )
-    subtract_stored: bool = Field(
-        False,
-        description="Dual photography: take the light stored at coarser levels off finer images, "
-        "true or false. The thesis [C.1] doesn't, and counts some of it twice.",
-    )
-    target_error: float = Field(
-        0.01,
-        gt=0,
-        lt=1,
-        description="Methods that estimate their own error (near_far, low_rank) stop at this one, "
-        "as a fraction of a relit image's norm, between 0 and 1.",
-    )
-    patterns: int = Field(
-        0,
-        ge=0,
-        le=1_000_000,
-        description="Patterns that near_far, low_rank and compressive may show, the floodlit one "
-        "included, 0 to 1000000; 0 leaves it to the method.",
-    )
+# Those of the default run, in the order of its report.
+_DEFAULT_METHODS = ("near_far", "symmetric", "dual")
 
 
 class CaptureConfig(Settings):
@@ -215,11 +180,11 @@ class ReportConfig(Settings):
     title: str = Field(
         "Light transport of four scenes", min_length=1, description="The report's title."
     )
-    tolerances: tuple[Tolerance, ...] = Field(
-        (1e-2, 3e-3, 1e-3, 3e-4),
-        min_length=1,
-        description="Tolerances of the plot of speed against error, as fractions of the floodlit "
-        "image's maximum, between 0 and 1.",
+    trials: dict[SectionName, tuple[float, ...]] = Field(
+        default_factory=dict,
+        description="For the plot of speed against error, by method: values of the option by which "
+        "it trades patterns for accuracy, such as {symmetric: [0.01, 0.001]}. A method that isn't "
+        "named has values of its own; an empty list means none.",
     )
     resolutions: tuple[Extent, ...] = Field(
         (8, 16, 32, 64),
@@ -243,20 +208,19 @@ class Config(Settings):
     """All settings of a run."""
 
     seed: int = Field(1, ge=0, description="Seed of the captures' noise, an integer of at least 0.")
-    scenes: dict[SceneName, SceneConfig] = Field(
+    scenes: dict[SectionName, SceneConfig] = Field(
         default_factory=_thesis_scenes,
         min_length=1,
         description="The scenes by name: lower-case letters, digits and _. The default are "
         "scenes I to IV of Fig. 2.1.",
     )
-    methods: tuple[MethodName, ...] = Field(
-        ("symmetric", "dual"),
+    methods: Annotated[
+        dict[SectionName, SerializeAsAny[MethodSettings]], SectionsOf(MethodSettings)
+    ] = Field(
+        default_factory=lambda: method_sections(dict.fromkeys(_DEFAULT_METHODS)),
         min_length=1,
-        description="Methods to acquire each scene with: brute_force, dual, symmetric, near_far, "
-        "hadamard, compressive, low_rank.",
-    )
-    acquisition: AcquisitionConfig = Field(
-        default_factory=AcquisitionConfig, description="When a method stops subdividing."
+        description="Methods to acquire each scene with, each with options of its own; what is "
+        "left out has its default, as in {symmetric: {}}. 'rfpipe methods' lists them all.",
     )
     camera: CameraConfig | None = Field(
         default_factory=CameraConfig,
@@ -295,23 +259,38 @@ class Config(Settings):
     )
     report: ReportConfig = Field(default_factory=ReportConfig, description="What the report shows.")
 
-    def methods_of(self, scene: str) -> tuple[MethodName, ...]:
-        """Methods to acquire a scene with: its own, or those of the run."""
-        return self.scenes[scene].methods or self.methods
-
-    def tolerance_of(self, scene: str) -> float:
-        """Tolerance to acquire a scene with: its own, or that of the run."""
-        return self.scenes[scene].tolerance or self.acquisition.tolerance
+    def methods_of(self, scene: str) -> dict[str, MethodSettings]:
+        """Methods to acquire a scene with, and their options: its own, or those of the run."""
+        return methods_of_scene(self.methods, self.scenes[scene].methods)
 
     @property
-    def acquisitions(self) -> list[tuple[str, MethodName]]:
+    def acquisitions(self) -> list[tuple[str, str]]:
         """Scene and method of every acquisition."""
         return [(scene, method) for scene in self.scenes for method in self.methods_of(scene)]
 
-    @field_validator("methods", mode="after")
+    @field_validator("methods", mode="before")
     @classmethod
-    def _no_method_twice(cls, methods: tuple[MethodName, ...]) -> tuple[MethodName, ...]:
-        return each_once(methods)
+    def _have_sections(cls, methods: object) -> object:
+        return method_sections(methods)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_no_acquisition(cls, settings: object) -> object:
+        if isinstance(settings, Mapping) and "acquisition" in settings:
+            raise ValueError(
+                "acquisition is no group of settings any more: each method has a section of its "
+                "own, such as methods: {symmetric: {tolerance: 1.0e-3}, near_far: {target_error: "
+                "0.01}}, and each scene may change it, as in methods: {symmetric: {tolerance: "
+                "2.0e-3}} of the scene"
+            )
+        return settings
+
+    @model_validator(mode="after")
+    def _scenes_have_methods(self) -> Self:
+        check_methods_of_scenes(
+            self.methods, {name: scene.methods for name, scene in self.scenes.items()}
+        )
+        return self
 
     @model_validator(mode="after")
     def _rig_fits_the_scenes(self) -> Self:
@@ -326,12 +305,13 @@ class Config(Settings):
                 f"scenes should be one with capture.rig remote, not {', '.join(self.scenes)}: a "
                 "rig sees one at a time; give each settings of its own"
             )
-        for name in captured:
-            coaxial = [method for method in self.methods_of(name) if method in _COAXIAL]
-            if self.scenes[name].camera_shape and coaxial:
+        for name, method in self.acquisitions:
+            scene = self.scenes[name]
+            about = self.methods_of(name)[method].subject(method)
+            if about.needs_coaxial_rig and scene.camera_ray_shape != scene.ray_shape:
                 raise ValueError(
-                    f"scenes.{name}.camera_shape should be null, for a coaxial rig, with the "
-                    f"method {coaxial[0]}; other rigs take dual or brute_force"
+                    f"scenes.{name}.methods should be methods for any rig, such as {{dual: {{}}}}: "
+                    f"{method} needs a coaxial one, whose camera and projector share their rays"
                 )
         return self
 

@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from rfpipe.config.base import Extent, MethodName, Settings, Tolerance, each_once
+from rfpipe.config.base import Extent, MethodSettings, SectionsOf, Settings
+from rfpipe.config.sections import no_list
 
 __all__ = ["CameraConfig", "OccluderConfig", "SceneConfig", "Surface"]
 
@@ -115,19 +116,19 @@ class SceneConfig(Settings):
         description="Parallelograms that block light between surfaces; none in a room.",
     )
     seed: int = Field(0, ge=0, description="Seed of the texture's strokes, at least 0.")
-    methods: tuple[MethodName, ...] | None = Field(
+    methods: Annotated[
+        dict[str, dict[str, Any] | None] | None, SectionsOf(MethodSettings, partial=True)
+    ] = Field(
         None,
         min_length=1,
-        description="Methods to acquire this scene with, or null for those of the whole run.",
-    )
-    tolerance: Tolerance | None = Field(
-        None,
-        description="Tolerance of this scene, as acquisition.tolerance, or null for that one.",
+        description="Methods to acquire this scene with, each with the options that differ from "
+        "its section among the run's methods, such as {symmetric: {tolerance: 2.0e-3}}; null for "
+        "all methods of the run as they are.",
     )
     sweep: bool = Field(
         True,
-        description="Whether to acquire the scene again at each of report.tolerances, for the "
-        "plot of speed against error: true or false.",
+        description="Whether to acquire the scene again with other options, for the plot of speed "
+        "against error: true or false.",
     )
 
     @property
@@ -150,10 +151,10 @@ class SceneConfig(Settings):
         """Whether it is acquired at several tolerances; a real one isn't."""
         return self.sweep and not self.is_captured
 
-    @field_validator("methods", mode="after")
+    @field_validator("methods", mode="before")
     @classmethod
-    def _no_method_twice(cls, methods: tuple[MethodName, ...] | None) -> Any:
-        return methods and each_once(methods)
+    def _have_sections(cls, methods: object) -> object:
+        return no_list(methods)
 
     @model_validator(mode="after")
     def _fits_the_geometry(self) -> Self:

@@ -1,20 +1,26 @@
-"""The protocol that every acquisition method follows; free of any file or device."""
+"""What every acquisition method is; free of any file or device."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from rfpipe.blocks import RayDomain
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.config.base import MethodSettings
 from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 
 Float = NDArray[np.float32]
+
+TOLERANCES = (1e-2, 3e-3, 1e-3, 3e-4)
+"""Tolerances for plots of speed against error, as fractions of the floodlit image's maximum."""
 
 MEMORY_BYTES = 2**32
 """Memory that refining a level may take where nothing else is said: 4 GiB."""
@@ -31,32 +37,20 @@ class LevelState(Protocol):
 State = TypeVar("State", bound=LevelState)
 
 
-@dataclass(frozen=True)
-class Settings:
-    """What a method needs to know of the user's wishes.
+class Options(MethodSettings):
+    """The options that every method has; a method's own come on top of them.
 
-    Attributes
-    ----------
-    tolerance : float
-        Error allowed in an image, as a fraction of the floodlit image's maximum; above 0.
-    noise_significance : float
-        How many standard deviations make a measured energy significant; at least 0.
-    subtract_stored : bool
-        Dual photography: whether to take the light stored at coarser levels off finer images.
-        The thesis does not.
-    target_error : float
-        Methods that estimate their own error: the error at which they stop, relative to the norm
-        of a relit image; above 0.
-    patterns : int
-        Methods that choose how many patterns they show: how many at most, the floodlit one
-        included, at least 0; 0 leaves it to the method.
+    Each has a description with its unit and range: the settings' file and its schema are made from
+    them.
     """
 
-    tolerance: float = 1e-3
-    noise_significance: float = 3.0
-    subtract_stored: bool = False
-    target_error: float = 0.01
-    patterns: int = 0
+    noise_significance: float = Field(
+        3.0,
+        ge=0,
+        le=100,
+        description="Light counts as measured above this many standard deviations of its noise, "
+        "0 to 100.",
+    )
 
 
 class LevelImages(Protocol):
@@ -78,28 +72,104 @@ class Pack:
     attributes: Mapping[str, Any]
 
 
-class Method(Protocol[State]):
+class Method(ABC, Generic[State]):
     """An acquisition method: a state machine from floodlit image to transport.
 
     A level is: `schedule`, the capture of its patterns by somebody else, `refine`. The levels of
     a run are known beforehand (`n_levels`); a level with nothing left to ask has an empty
     schedule and is refined with no images.
+
+    A method describes itself: what settings, reports, forecasts and benchmarks know of it stands
+    in its own class, and they find it by its name among the entry points of the group
+    ``rfpipe.methods``, or by its path, ``module:Class``. `rfpipe.testing.MethodContract` has the
+    tests that every method should pass.
+
+    Attributes
+    ----------
+    name : str
+        What settings and the results' folders call it: lower-case letters, digits and _.
+    title : str
+        What reports call it, such as "Dual photography".
+    colour : str
+        Of its marks in plots, as matplotlib takes it.
+    marker, line : str
+        Of its marks in plots, as matplotlib takes them.
+    needs_coaxial_rig : bool
+        Whether it rests on ``T = T^T``.
+    estimates_error : bool
+        Whether its rows of levels have an ``estimated_error``.
+    thesis_table : str or None
+        Number of the thesis' table with the method's costs.
+    Options : type of Options
+        Its options: a pydantic model.
+    trades : str or None
+        The option by which users trade patterns for accuracy.
+    trials : tuple of float
+        Its values, from the coarsest, for plots of speed against error.
     """
 
-    name: str
+    name: ClassVar[str]
+    title: ClassVar[str]
+    colour: ClassVar[str]
+    marker: ClassVar[str] = "o"
+    line: ClassVar[str] = "-"
+    needs_coaxial_rig: ClassVar[bool] = False
+    estimates_error: ClassVar[bool] = False
+    thesis_table: ClassVar[str | None] = None
+    Options: ClassVar[type[Options]] = Options
+    trades: ClassVar[str | None] = None
+    trials: ClassVar[tuple[float, ...]] = ()
 
+    def check(self, camera: RayDomain, projector: RayDomain) -> None:
+        """Raise InputError if the method does not fit a rig of these rays."""
+        if self.needs_coaxial_rig and camera.shape != projector.shape:
+            raise InputError(
+                f"{self.title.lower()} needs a coaxial rig, whose camera and projector share one "
+                f"ray domain, but the camera's is {camera.shape} and the projector's "
+                f"{projector.shape}; use a method for any rig, such as dual photography, or "
+                "resample the camera onto the projector's grid"
+            )
+
+    @abstractmethod
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the number of levels; raises InputError if the method does not fit the rig."""
+        """Return the number of levels of a rig that the method fits."""
 
-    def start(
-        self, camera: RayDomain, projector: RayDomain, channels: int, settings: Settings
-    ) -> State:
-        """Return the state before the first level."""
+    def expected_patterns(
+        self,
+        camera: RayDomain,  # noqa: ARG002
+        projector: RayDomain,
+        options: Any,  # noqa: ARG002
+    ) -> int:
+        """Guess the patterns of a whole acquisition, for forecasts; one a ray if not said."""
+        return projector.size
 
+    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
+        """Return the patterns that a scene without any structure may take."""
+        return max(projector.size, self.expected_patterns(camera, projector, options))
+
+    @abstractmethod
+    def start(self, camera: RayDomain, projector: RayDomain, channels: int, options: Any) -> State:
+        """Return the state before the first level.
+
+        Parameters
+        ----------
+        camera, projector : RayDomain
+        channels : int
+        options : Options
+            The method's own.
+
+        Raises
+        ------
+        InputError
+            If the method can't take so many rays.
+        """
+
+    @abstractmethod
     def schedule(self, state: State) -> Schedule:
         """Return the patterns of the next level."""
 
-    def refine(self, state: State, images: LevelImages, memory_bytes: int = ...) -> State:
+    @abstractmethod
+    def refine(self, state: State, images: LevelImages, memory_bytes: int = MEMORY_BYTES) -> State:
         """Return the state after a level's images.
 
         Parameters
@@ -111,21 +181,20 @@ class Method(Protocol[State]):
             does not depend on it.
         """
 
+    @abstractmethod
     def transport(self, state: State) -> Transport:
         """Return what is known of the transport so far; nodes still open at their estimate."""
 
+    @abstractmethod
     def pack(self, state: State) -> Pack:
         """Return what the last refinement added, and what the next one needs."""
 
+    @abstractmethod
     def restore(self, start: State, packs: Sequence[Pack]) -> State:
         """Return the state after the last of the given levels' packs."""
 
 
-def require_coaxial(method: str, camera: RayDomain, projector: RayDomain) -> None:
-    """Raise InputError unless camera and projector share one ray domain."""
-    if camera.shape != projector.shape:
-        raise InputError(
-            f"{method} needs a coaxial rig, whose camera and projector share one ray domain, but "
-            f"the camera's is {camera.shape} and the projector's {projector.shape}; use dual "
-            "photography, or resample the camera onto the projector's grid"
-        )
+def all_blocks(projector: RayDomain) -> int:
+    """Return the patterns of a descent that lights all blocks of all levels one by one."""
+    tree = BlockTree(projector)
+    return sum(tree.n_blocks(level) for level in range(tree.n_levels))

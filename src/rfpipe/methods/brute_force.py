@@ -15,7 +15,9 @@ class BruteForce(Scan):
     """A scan of the projector's pixels as a `Method`."""
 
     name = "brute_force"
-    title = "a brute-force scan"
+    title = "Brute force"
+    colour = "#5c5c5c"
+    line = "--"
 
     def schedule(self, state: ScanState) -> Schedule:
         """Light one ray after the other, in the order of the image."""

@@ -8,10 +8,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.config.base import Fraction
 from rfpipe.conflicts import colour, conflict_graph
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
+from rfpipe.methods.base import (
+    MEMORY_BYTES,
+    TOLERANCES,
+    Float,
+    LevelImages,
+    Method,
+    Options,
+    Pack,
+    all_blocks,
+)
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
 from rfpipe.transport.multilevel.transport import MultilevelTransport, PairSet, fold, no_pairs
@@ -26,6 +37,21 @@ _BATCH_BYTES = 32 * 2**20
 _DROPPED, _STORED, _OPEN = 0, 1, 2
 
 
+class DualOptions(Options):
+    """What dual photography may be told."""
+
+    tolerance: Fraction = Field(
+        1e-3,
+        description="Response below which a block is not subdivided for a pixel, as a fraction of "
+        "the floodlit image's maximum, between 0 and 1.",
+    )
+    subtract_stored: bool = Field(
+        False,
+        description="Take the light stored at coarser levels off finer images, true or false. The "
+        "thesis [C.1] doesn't, and counts some of it twice.",
+    )
+
+
 @dataclass(frozen=True)
 class DualState:
     """The state of dual photography before a level.
@@ -36,7 +62,7 @@ class DualState:
     tree : BlockTree
         Of the projector's rays.
     channels : int
-    settings : Settings
+    options : DualOptions
     level : int
         Level to be scheduled next.
     stored : tuple of PairSet
@@ -54,7 +80,7 @@ class DualState:
     camera: RayDomain
     tree: BlockTree
     channels: int
-    settings: Settings
+    options: DualOptions
     level: int
     stored: tuple[PairSet, ...]
     frontier: PairSet
@@ -63,26 +89,50 @@ class DualState:
     rows: tuple[dict[str, int], ...] = ()
 
 
-class Dual:
+class Dual(Method[DualState]):
     """Dual photography as a `Method`.
 
     The thesis subtracts nothing from an image: the light that reaches a pixel from a block stored
     for it is still in the images of finer levels, and where the pixel reads such an image for
-    another of its blocks it counts again. `Settings.subtract_stored` takes it off first.
+    another of its blocks it counts again. ``subtract_stored`` takes it off first.
     """
 
     name = "dual"
+    title = "Dual photography"
+    colour = "#c4611a"
+    thesis_table = "3.1"
+    Options = DualOptions
+    trades = "tolerance"
+    trials = TOLERANCES
+
+    def expected_patterns(
+        self,
+        camera: RayDomain,
+        projector: RayDomain,
+        options: DualOptions,  # noqa: ARG002
+    ) -> int:
+        """Guess the patterns from those of the thesis' scene IV, 310 x 350 rays in ten levels."""
+        return min(projector.size, round(self.n_levels(camera, projector) * 7_382 / 10))
+
+    def most_patterns(
+        self,
+        camera: RayDomain,  # noqa: ARG002
+        projector: RayDomain,
+        options: DualOptions,  # noqa: ARG002
+    ) -> int:
+        """Return the patterns of a scene in which every pixel sees all blocks."""
+        return all_blocks(projector)
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
         """Return the depth of the projector's block tree; any camera will do."""
         return BlockTree(projector).n_levels
 
     def start(
-        self, camera: RayDomain, projector: RayDomain, channels: int, settings: Settings
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: DualOptions
     ) -> DualState:
         """Return the state before the floodlit image."""
         tree = BlockTree(projector)
-        return DualState(camera, tree, channels, settings, 0, (), no_pairs(0, channels))
+        return DualState(camera, tree, channels, options, 0, (), no_pairs(0, channels))
 
     def schedule(self, state: DualState) -> Schedule:
         """Colour the conflict graph of the blocks to be subdivided; light their children in turn.
@@ -120,7 +170,7 @@ class Dual:
         values = np.empty((state.channels, total), np.float32)
         outcome = np.empty(total, np.uint8)
         maximum = state.floodlit_maximum
-        known = self._known(state) if state.settings.subtract_stored else None
+        known = self._known(state) if state.options.subtract_stored else None
         planar = (-1, state.camera.size, state.channels)
         for first, last in _batches(schedule.count, state.camera.size * state.channels):
             radiance, variance = (part.reshape(planar) for part in images.read(first, last))
@@ -140,8 +190,8 @@ class Dual:
             values[:, place] = np.maximum(response, 0.0).T
             outcome[place] = _judge(
                 response,
-                state.settings.noise_significance * noise,
-                state.settings.tolerance * maximum,
+                state.options.noise_significance * noise,
+                state.options.tolerance * maximum,
                 np.repeat(divisible[here], count),
             )
         block = np.repeat(asked.block, asked.count).astype(np.int32)

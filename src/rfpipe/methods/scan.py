@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import Float, LevelImages, Pack, Settings
+from rfpipe.methods.base import Float, LevelImages, Method, Options, Pack
 from rfpipe.transport.dense import DenseTransport
 
 __all__ = ["Scan", "ScanState", "read_columns"]
@@ -43,16 +43,8 @@ class ScanState:
     rows: tuple[dict[str, int], ...] = ()
 
 
-class Scan:
-    """The part of a `Method` that all scans share.
-
-    Attributes
-    ----------
-    title : str
-        The scan's name in messages, with its article.
-    """
-
-    title: str
+class Scan(Method[ScanState]):
+    """The part of a `Method` that all scans share."""
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
         """Return 1: all patterns are known beforehand."""
@@ -63,7 +55,7 @@ class Scan:
         camera: RayDomain,
         projector: RayDomain,
         channels: int,
-        settings: Settings,  # noqa: ARG002
+        options: Options,  # noqa: ARG002
     ) -> ScanState:
         """Return the state before the scan.
 
@@ -76,7 +68,7 @@ class Scan:
         size = int(np.prod(shape)) * np.dtype(np.float32).itemsize
         if size > LARGEST_MATRIX_BYTES:
             raise InputError(
-                f"{self.title} of {projector.size} projector rays and {camera.size} camera "
+                f"{self.title}: a scan of {projector.size} projector rays and {camera.size} camera "
                 f"rays in {channels} channels gives a matrix of {size / 2**30:.1f} GiB, more than "
                 f"{LARGEST_MATRIX_BYTES / 2**30:.0f}; use dual or symmetric photography"
             )

@@ -9,7 +9,7 @@ from rfpipe.report import charts, pictures, study_tables, tables
 from rfpipe.report.blocks import Illustration, Section, Tabulation
 from rfpipe.report.inputs import Inputs
 from rfpipe.report.tables import Table
-from rfpipe.report.text import ray_size
+from rfpipe.report.text import ray_size, wishes
 
 __all__ = [
     "mosaic_section",
@@ -26,8 +26,8 @@ def resolution_section(inputs: Inputs) -> Section | None:
     if study is None:
         return None
     caption = (
-        "Patterns for scene IV (two textured planes at an angle, grey, exact radiance, tolerance "
-        f"{inputs.config.acquisition.tolerance:g}) against the projector's resolution; the "
+        "Patterns for scene IV (two textured planes at an angle, grey, exact radiance; "
+        f"{wishes(inputs.config)}) against the projector's resolution; the "
         "texture is as fine as the pixels at each. Left on a linear scale, where growth as "
         "O(log pq) is a straight line; right with brute force, which takes one pattern a pixel."
     )
@@ -157,7 +157,11 @@ def setup_section(inputs: Inputs) -> Section:
         )
     acquisition = {
         "seed": config.seed,
-        **config.acquisition.model_dump(mode="json"),
+        **{
+            f"{name}.{option}": value
+            for name, section in config.methods.items()
+            for option, value in section.options().items()
+        },
         **config.capture.model_dump(mode="json", exclude={"url", "token_file", "patience_seconds"}),
         **config.merge.model_dump(mode="json"),
         "normalization": config.normalization,

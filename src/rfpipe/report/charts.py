@@ -188,9 +188,9 @@ def _number_axes(column: Sequence[Axes], title: str, seconds_per_pattern: float)
 def _draw_errors(axis: Axes, table: pd.DataFrame, name: str) -> None:
     """Draw each method's mean over the relighting patterns, and their range as a band."""
     for method, rows in table.dropna(subset=[name]).groupby("method"):
-        by_tolerance = rows.groupby("tolerance")
-        shown = by_tolerance["patterns"].first()
-        mean, low, high = (by_tolerance[name].agg(f) for f in ("mean", "min", "max"))
+        by_value = rows.groupby("value")
+        shown = by_value["patterns"].first()
+        mean, low, high = (by_value[name].agg(f) for f in ("mean", "min", "max"))
         colour = METHOD_COLOURS[str(method)]
         axis.fill_between(shown, low, high, color=colour, alpha=0.14, linewidth=0)
         is_main = method == "symmetric"

@@ -32,7 +32,8 @@ def estimates_section(inputs: Inputs) -> Section | None:
     if steps.empty:
         return None
     compared = compare(inputs)
-    target = inputs.config.acquisition.target_error
+    targets = sorted(set(compared["target_error"].dropna()))
+    target = targets[0] if targets else math.nan
     curve = (
         "The error that a method estimated against the patterns shown until then, both axes "
         f"logarithmic. Dotted: the error asked for, {target:.3g} of a relit image's norm. An "
@@ -110,7 +111,7 @@ def compare(inputs: Inputs) -> pd.DataFrame:
                 "scene": run.scene,
                 "method": run.method,
                 "patterns": run.patterns,
-                "target_error": inputs.config.acquisition.target_error,
+                "target_error": run.facts["options"].get("target_error", math.nan),
                 "estimated_error": estimated,
                 "true_error": true,
                 "ratio": estimated / (true or math.nan),

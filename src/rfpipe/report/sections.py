@@ -6,7 +6,7 @@ from rfpipe.report import charts, matrices, pictures, tables
 from rfpipe.report.blocks import Illustration, Section, Tabulation
 from rfpipe.report.drawing import chunks
 from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run
-from rfpipe.report.text import size
+from rfpipe.report.text import size, wishes
 from rfpipe.report.thesis import DUAL_ON_SCENE_IV, PLANES_SHAPE, TABLE_5_1, numeral_of
 
 __all__ = [
@@ -27,13 +27,6 @@ def summary_section(inputs: Inputs) -> Section:
     """Every run on one line."""
     per_pattern = inputs.config.capture.seconds_per_pattern
     config = inputs.config
-    tolerances = sorted({config.tolerance_of(scene) for scene in config.scenes})
-    if len(tolerances) == 1:
-        asked = f"Every scene was acquired with a tolerance of {tolerances[0]:g}"
-    else:
-        asked = "The scenes were acquired with tolerances of " + ", ".join(
-            f"{config.tolerance_of(scene):g} ({scene.replace('_', ' ')})" for scene in config.scenes
-        )
     caption = (
         f"Patterns shown and the time to capture them at {per_pattern:g} s a pattern; bytes on "
         "disk; and the largest errors over the relighting patterns. Errors are relative RMS "
@@ -43,8 +36,8 @@ def summary_section(inputs: Inputs) -> Section:
         "the true floodlit image's maximum shown as white."
     )
     about = (
-        f"{asked} of the floodlit image's "
-        "maximum. Brute force, one pattern for each projector pixel, is the yardstick."
+        f"Asked for were {wishes(config)}. Brute force, one pattern for each projector pixel, is "
+        "the yardstick."
     )
     detail = (
         "The same errors for each relighting pattern: bars, noise, a binary picture, a small "
@@ -164,7 +157,8 @@ def methods_section(inputs: Inputs) -> Section | None:
         f"patterns against {DUAL_ON_SCENE_IV:,}; there, too, dual photography blurs what it can't "
         "resolve."
     )
-    if not inputs.config.acquisition.subtract_stored:
+    sections = [inputs.config.methods_of(dual.scene)["dual"] for _, dual in scenes]
+    if not all(section.options()["subtract_stored"] for section in sections):
         caption += (
             " As in the thesis, what it stored for a coarse block is not taken out of the finer "
             "levels' images and can count twice, which shows as bright patches."
@@ -253,10 +247,9 @@ def speed_section(inputs: Inputs) -> Section | None:
     """Speed against error."""
     if not len(inputs.speed_error):
         return None
-    tolerances = ", ".join(f"{value:g}" for value in inputs.config.report.tolerances)
     caption = (
-        f"Each scene acquired at tolerances of {tolerances} with the camera below. Relative RMS "
-        "error against the patterns shown and, above, the minutes that they take at "
+        "Each scene acquired with other options, from coarse to fine, with the camera below. "
+        "Relative RMS error against the patterns shown and, above, the minutes that they take at "
         f"{inputs.config.capture.seconds_per_pattern:g} s a pattern: the mean over the relighting "
         "patterns, the band their range. Dotted: the patterns of brute force. The table beside "
         "it has processing time, bytes, PSNR and CIEDE2000 as well."

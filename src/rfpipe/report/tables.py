@@ -102,7 +102,8 @@ def in_process_seconds(inputs: Inputs, scene: str, method: str) -> float:
     """Return the processing seconds of a run's acquisition within the sweep; NaN without one."""
     table = inputs.speed_error
     own = table[(table["scene"] == scene) & (table["method"] == method)]
-    at = own[own["tolerance"] == inputs.config.tolerance_of(scene)]
+    section = inputs.config.methods_of(scene)[method]
+    at = own[own["value"] == section.options().get(section.subject(method).trades)]
     return float(at["processing_s"].iloc[0]) if len(at) else float("nan")
 
 
@@ -288,8 +289,8 @@ def levels_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
 
 
 def speed_table(inputs: Inputs) -> Table:
-    """Return cost and mean errors at each tolerance of the sweep."""
-    columns = ["scene", "method", "tolerance"]
+    """Return cost and mean errors at each value of the sweep."""
+    columns = ["scene", "method", "option", "value"]
     grouped = inputs.speed_error.groupby(columns, sort=False)
     means = grouped[
         ["patterns", "capture_s", "processing_s", "bytes", "rms_total", "rms_unlit", "psnr_db",
@@ -297,12 +298,14 @@ def speed_table(inputs: Inputs) -> Table:
     ].mean()  # fmt: skip
     titles = {run.scene: run.title for run in inputs.runs}
     rows = []
-    for (scene, method, tolerance), row in zip(means.index, means.to_dict("records"), strict=True):
+    for (scene, method, option, value), row in zip(
+        means.index, means.to_dict("records"), strict=True
+    ):
         rows.append(
             [
                 titles.get(scene, scene),
                 METHOD_TITLES[method],
-                f"{tolerance:g}",
+                f"{option.replace('_', ' ')} {value:g}",
                 number(row["patterns"]),
                 number(row["capture_s"] / 60, ".1f"),
                 number(row["processing_s"], ".2f"),
@@ -315,7 +318,7 @@ def speed_table(inputs: Inputs) -> Table:
         )
     return Table(
         [("", 3), ("cost", 4), ("mean error", 4)],
-        ["scene", "method", "tolerance", "patterns", "capture, min", "processing, s", "size, MB",
+        ["scene", "method", "asked for", "patterns", "capture, min", "processing, s", "size, MB",
          "total, %", "unlit, %", "PSNR, dB", "CIEDE2000"],
         rows,
         text_columns=2,

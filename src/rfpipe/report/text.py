@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rfpipe.config import Config
+
 import math
 from typing import Any
 
@@ -35,3 +40,17 @@ def size(*lengths: int) -> str:
 def ray_size(scene: SceneConfig) -> str:
     """Return the size of a scene's ray domain: rows and columns of views before the image's."""
     return size(*(scene.views or ()), *scene.shape)
+
+
+def wishes(config: Config) -> str:
+    """Say what the methods were asked for: the option by which each trades patterns."""
+    asked: dict[str, None] = {}
+    for scene in config.scenes:
+        for name, section in config.methods_of(scene).items():
+            method = section.subject(name)
+            if method.trades:
+                value = section.options()[method.trades]
+                words = f"{method.trades.replace('_', ' ')} {value:g}"
+                own = config.scenes[scene].methods is not None
+                asked[f"{name} {words}" + (f" ({scene.replace('_', ' ')})" if own else "")] = None
+    return ", ".join(asked) or "no particular accuracy"

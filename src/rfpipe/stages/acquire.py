@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods import get_method
-from rfpipe.methods.base import Settings
+from rfpipe.methods import Method, get_method, options_of
 from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
@@ -73,44 +72,27 @@ class AcquisitionResult:
 
 def acquire(
     rig: Rig,
-    method: str = "symmetric",
-    tolerance: float = 1e-3,
-    progress: bool = True,
+    method: str | Method[Any] = "symmetric",
     *,
-    noise_significance: float = 3.0,
-    subtract_stored: bool = False,
-    target_error: float | None = None,
-    patterns: int = 0,
+    progress: bool = True,
     normalization: Mode = "per_channel",
     black_frames: int = 8,
     floodlit_frames: int = 64,
     repair_defects: bool = True,
     saturation_fraction: float = 0.98,
+    **options: Any,
 ) -> AcquisitionResult:
     """Acquire the transport between a rig's projector and camera.
 
     Parameters
     ----------
     rig : Rig
-    method : str
-        A name in `rfpipe.methods.METHODS`. "symmetric", "near_far" and "low_rank" need a coaxial
-        rig, camera and projector on one ray domain.
-    tolerance : float
-        Error allowed in an image, as a fraction of the floodlit image's maximum; above 0.
+    method : str or Method
+        A name in `rfpipe.methods.method_names`, the path of a class of one's own as
+        ``module:Class`` or ``file.py:Class``, or a method itself.
     progress : bool
         Whether to show a progress bar a level on stderr, and to log what methods estimate of
         their error.
-    noise_significance : float
-        Standard deviations that make a measured energy significant; at least 0.
-    subtract_stored : bool
-        Dual photography: whether to take the light stored at coarser levels off finer images.
-        The thesis does not, and counts some of it twice.
-    target_error : float, optional
-        Methods that estimate their own error ("near_far", "low_rank"): the error at which they
-        stop, relative to the norm of a relit image, between 0 and 1; None is 0.01.
-    patterns : int
-        Patterns that "near_far", "low_rank" and "compressive" may show, the floodlit one included;
-        0 leaves it to the method.
     normalization : {"per_channel", "none", "total_energy"}
         How a level's images are made to add up to the floodlit image (thesis B.2).
     black_frames : int
@@ -122,6 +104,10 @@ def acquire(
         Whether dead and hot pixels are filled in from their neighbours.
     saturation_fraction : float
         Counts from this fraction of full scale on are not used.
+    **options
+        The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
+        a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
+        ``target_error``, the mean error of relit pictures at which "near_far" stops.
 
     Returns
     -------
@@ -130,11 +116,12 @@ def acquire(
     Raises
     ------
     InputError
-        If a setting is out of range or the method does not fit the rig.
+        If the method lacks an option, one is out of range, or the method does not fit the rig.
     CaptureError
         If the rig fails or returns what can't be a picture.
     """
-    settings = _settings(tolerance, noise_significance, subtract_stored, target_error, patterns)
+    chosen = get_method(method)
+    asked = options_of(chosen, **options)
     if min(black_frames, floodlit_frames) < 1:
         raise InputError(
             f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
@@ -142,9 +129,8 @@ def acquire(
         )
     began = perf_counter()
     camera, projector = RayDomain(rig.camera_shape), RayDomain(rig.projector_shape)
-    plan = get_method(method)
-    n_levels = plan.n_levels(camera, projector)
-    state = plan.start(camera, projector, rig.channels, settings)
+    n_levels = chosen.n_levels(camera, projector)
+    state = chosen.start(camera, projector, rig.channels, asked)
     session = _Session(
         rig,
         progress,
@@ -154,43 +140,25 @@ def acquire(
     )
     shown = 0
     for _ in range(n_levels):
-        schedule = plan.schedule(state)
+        schedule = chosen.schedule(state)
         shown += schedule.count
         merged, level_sum = session.capture(schedule)
         gain = normalize_level(
             schedule,
             level_sum,
             (session.merger.floodlit, session.merger.floodlit_variance),
-            None if normalization == "none" else known_light(plan, state, schedule),
+            None if normalization == "none" else known_light(chosen, state, schedule),
             normalization,
-            noise_significance,
+            asked.noise_significance,
         )
-        state = plan.refine(state, NormalizedImages(schedule, merged, gain))
+        state = chosen.refine(state, NormalizedImages(schedule, merged, gain))
         if progress:
-            log_estimate(state.rows, settings.target_error)
-    transport = plan.transport(state)
+            log_estimate(state.rows, getattr(asked, "target_error", None))
+    transport = chosen.transport(state)
     processing = perf_counter() - began - session.capture_seconds
     return AcquisitionResult(
         transport, shown, session.capture_seconds, processing, session.saturated
     )
-
-
-def _settings(
-    tolerance: float,
-    noise_significance: float,
-    subtract_stored: bool,
-    target_error: float | None,
-    patterns: int,
-) -> Settings:
-    if not tolerance > 0 or not np.isfinite(tolerance):
-        raise InputError(f"tolerance is {tolerance}; it must be a finite number above 0")
-    if target_error is None:
-        target_error = Settings.target_error
-    if not 0 < target_error < 1:
-        raise InputError(f"target_error is {target_error}; it must be a number between 0 and 1")
-    if patterns < 0:
-        raise InputError(f"patterns is {patterns}; it must be at least 0, 0 for the method's own")
-    return Settings(tolerance, noise_significance, subtract_stored, target_error, patterns)
 
 
 class _Session:

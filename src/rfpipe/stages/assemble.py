@@ -48,7 +48,7 @@ def run(
         }
     )
     transport = plan.method.transport(restore_state(plan, folder, n_levels))
-    about: dict[str, Any] = {"scene": scene, "method": plan.method.name, "fingerprint": made_from}
+    about: dict[str, Any] = {"scene": scene, "method": plan.name, "fingerprint": made_from}
     store = manifest.with_suffix(".zarr")
     digest = save_transport(transport, store, number_format, **about)
     write_manifest(
@@ -63,7 +63,7 @@ def run(
             "units": RADIANCE_UNIT,
             "levels": transport.level_rows,
             "patterns": sum(int(row["patterns"]) for row in transport.level_rows),
-            "tolerance": plan.settings.tolerance,
+            "options": plan.options.options(),
             "versions": versions(),
         },
     )

@@ -38,7 +38,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
         "calibration": folder.read_manifest(0, "merge")[CALIBRATION]["digest"],
         "schedule": [planned["shown"], planned["complete"]],
         "mode": mode,
-        "noise_significance": plan.settings.noise_significance,
+        "noise_significance": plan.options.noise_significance,
         "code": code,
     }
     # What is known already counts only where the level leaves rays dark.
@@ -60,7 +60,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
         read_floodlit(folder),
         known,
         mode,
-        plan.settings.noise_significance,
+        plan.options.noise_significance,
     )
     facts = {
         "stage": "normalize",

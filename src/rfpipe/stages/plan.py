@@ -2,66 +2,102 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import IntegrityError
-from rfpipe.methods import Method, Pack, Settings, get_method
+from rfpipe.methods import Method, Pack, get_method, options_of
 from rfpipe.store import ArrayBundle, FrameStore, open_arrays, read_manifest
 
-__all__ = ["REFERENCE", "AcquisitionFolder", "Plan", "advice_on_damage", "restore_state"]
+if TYPE_CHECKING:
+    from rfpipe.config import Config
+
+__all__ = ["REFERENCE", "AcquisitionFolder", "Plan", "advice_on_damage", "plan_of", "restore_state"]
 
 REFERENCE = "reference"
 """The all-off and all-on brackets, taken with level 0: their store and their manifest's key."""
 
 
 class Plan:
-    """The settings of an acquisition that its method knows.
+    """What an acquisition's stages know of it: its method, with its options, and its rays.
 
     Parameters
     ----------
+    name : str
+        What the settings' section and the results' folder are called.
     method : str
-        A name in `rfpipe.methods.METHODS`.
+        A method's name or path, see `rfpipe.methods.get_method`.
     camera_shape, projector_shape : sequence of int
         (H, W) or (V, H, W).
     channels : int
         Colour channels, 1 or 3.
-    **settings
-        Those of `rfpipe.methods.Settings`.
+    options : mapping
+        The method's.
+
+    Raises
+    ------
+    InputError
+        When there is no such method, or it lacks an option.
     """
 
     def __init__(
         self,
+        name: str,
         method: str,
         camera_shape: Sequence[int],
         projector_shape: Sequence[int],
         channels: int,
-        **settings: Any,
+        options: Mapping[str, Any] | None = None,
     ) -> None:
+        self.name = name
         self.method: Method[Any] = get_method(method)
         self.camera = RayDomain(tuple(camera_shape))
         self.projector = RayDomain(tuple(projector_shape))
         self.channels = channels
-        self.settings = Settings(**settings)
+        self.options = options_of(self.method, **(options or {}))
+
+    @classmethod
+    def of(cls, settings: Config, scene: str, name: str) -> Plan:
+        """Return the plan of one of a run's acquisitions."""
+        return cls(**plan_of(settings, scene, name))
 
     @property
     def n_levels(self) -> int:
         """Number of levels; raises InputError where the method doesn't fit the rays."""
         return self.method.n_levels(self.camera, self.projector)
 
+    @property
+    def target_error(self) -> float | None:
+        """The error at which the method is to stop, if it is one that stops at an error."""
+        return getattr(self.options, "target_error", None)
+
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints."""
         return {
+            "name": self.name,
             "method": self.method.name,
             "camera_shape": list(self.camera.shape),
             "projector_shape": list(self.projector.shape),
             "channels": self.channels,
-            **asdict(self.settings),
+            "options": self.options.options(),
         }
+
+
+def plan_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
+    """Return the arguments of one of a run's plans as plain data."""
+    section, about = settings.methods_of(scene)[name], settings.scenes[scene]
+    return {
+        "name": name,
+        "method": section.method or name,
+        "camera_shape": list(about.camera_ray_shape),
+        "projector_shape": list(about.ray_shape),
+        "channels": about.channels,
+        "options": section.options(),
+    }
 
 
 @dataclass(frozen=True)
@@ -163,5 +199,5 @@ def restore_state(plan: Plan, folder: AcquisitionFolder, level: int) -> Any:
         with advice_on_damage(folder.manifest(above, "refine")):
             arrays = {name: bundle.read(name) for name in bundle.names}
         packs.append(Pack(arrays, bundle.attributes["state"]))
-    start = plan.method.start(plan.camera, plan.projector, plan.channels, plan.settings)
+    start = plan.method.start(plan.camera, plan.projector, plan.channels, plan.options)
     return plan.method.restore(start, packs)

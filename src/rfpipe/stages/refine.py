@@ -56,11 +56,11 @@ def run(
             read_schedule(folder, level), merged, read_normalization(folder, level)
         )
         state = plan.method.refine(state, images, resources.data_bytes)
-    log_estimate(state.rows, plan.settings.target_error)
+    log_estimate(state.rows, plan.target_error)
     pack = plan.method.pack(state)
     facts = {
         "stage": "refine",
-        "method": plan.method.name,
+        "method": plan.name,
         "level": level,
         "patterns": planned["patterns"],
         "units": RADIANCE_UNIT,

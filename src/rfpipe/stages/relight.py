@@ -228,7 +228,7 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
         "patterns": acquired["patterns"],
         "bytes": transport.nbytes,
         "levels": transport.level_rows,
-        "tolerance": acquired["tolerance"],
+        "options": acquired["options"],
         "units": RADIANCE_UNIT,
     }
     write_bundle(store, manifest, made_from, arrays, facts)

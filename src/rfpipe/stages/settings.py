@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
+    from rfpipe.config.base import MethodSettings
 
 __all__ = ["acquire_options"]
 
 
-def acquire_options(config: Config) -> dict[str, Any]:
-    """Return keyword arguments of `acquire`, all but the tolerance."""
+def acquire_options(config: Config, name: str, section: MethodSettings) -> dict[str, Any]:
+    """Return keyword arguments of `acquire` for a method's section of this name."""
     return {
-        **config.acquisition.model_dump(exclude={"tolerance"}),
+        "method": section.method or name,
+        **section.options(),
         **config.capture.model_dump(include={"black_frames", "floodlit_frames"}),
         **config.merge.model_dump(exclude={"divide_out_drift"}),  # in process none is watched
         "normalization": config.normalization,

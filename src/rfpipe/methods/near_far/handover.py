@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import Float, LevelImages, Pack, Settings
-from rfpipe.methods.symmetric.method import Symmetric, SymmetricState
+from rfpipe.methods.base import Float, LevelImages, Pack
+from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
 from rfpipe.patterns import Schedule
 
 __all__ = ["begin", "packed", "refine", "restored", "schedule"]
@@ -43,7 +43,7 @@ class _Floodlit:
 
 
 def begin(
-    domain: RayDomain, settings: Settings, floodlit: Float, floodlit_variance: Float
+    domain: RayDomain, options: SymmetricOptions, floodlit: Float, floodlit_variance: Float
 ) -> SymmetricState:
     """Start from the floodlit image, float32 (C, N), which is there already."""
     method, channels = Symmetric(), len(floodlit)
@@ -51,7 +51,7 @@ def begin(
     radiance, variance = (
         np.ascontiguousarray(image.T).reshape(shape) for image in (floodlit, floodlit_variance)
     )
-    begun = method.start(domain, domain, channels, settings)
+    begun = method.start(domain, domain, channels, options)
     return method.refine(begun, _Floodlit(Schedule.floodlit(domain.shape), (radiance, variance)))
 
 
@@ -77,7 +77,7 @@ def packed(state: SymmetricState) -> tuple[dict[str, NDArray[Any]], dict[str, An
 
 
 def restored(
-    domain: RayDomain, channels: int, settings: Settings, packs: Sequence[Pack]
+    domain: RayDomain, channels: int, options: SymmetricOptions, packs: Sequence[Pack]
 ) -> SymmetricState | None:
     """Return the state after the last of packs, None where none of them has any."""
     own = [
@@ -88,7 +88,7 @@ def restored(
     if not own:
         return None
     method = Symmetric()
-    return method.restore(method.start(domain, domain, channels, settings), own)
+    return method.restore(method.start(domain, domain, channels, options), own)
 
 
 def _unprefixed(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

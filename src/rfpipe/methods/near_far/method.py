@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings, require_coaxial
+from rfpipe.config.base import Fraction
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Method, Pack, all_blocks
 from rfpipe.methods.near_far import handover
 from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far.model import Model, fit
@@ -28,7 +30,7 @@ from rfpipe.methods.near_far.patterns import (
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.near_far.transport import as_transport, indirect, light_range
 from rfpipe.methods.rivals.signs import planar_batches
-from rfpipe.methods.symmetric.method import Symmetric, SymmetricState
+from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 from rfpipe.transport.multiscale.basis import MultiscaleBasis
@@ -50,6 +52,23 @@ _UNEXPLAINED_AT_FIRST, _UNEXPLAINED = 0.5, 0.25
 _log = logging.getLogger(__name__)
 
 
+class NearFarOptions(SymmetricOptions):
+    """What near/far acquisition, and symmetric photography if it takes over, may be told."""
+
+    target_error: Fraction = Field(
+        0.01,
+        description="Mean error of relit pictures at which to stop, as a fraction of their norm, "
+        "between 0 and 1.",
+    )
+    patterns: int = Field(
+        0,
+        ge=0,
+        le=1_000_000,
+        description="Patterns to show at most, the floodlit one included, 0 to 1000000; 0 leaves "
+        "it to the method.",
+    )
+
+
 @dataclass(frozen=True)
 class NearFarState:
     """The state of a near/far acquisition.
@@ -59,7 +78,7 @@ class NearFarState:
     domain : RayDomain
         Of camera and projector.
     channels : int
-    settings : Settings
+    options : NearFarOptions
     level : int
         Level to be scheduled next: 0 is the floodlit image, then the rounds, then the levels of
         symmetric photography from its level 1 on.
@@ -82,7 +101,7 @@ class NearFarState:
 
     domain: RayDomain
     channels: int
-    settings: Settings
+    options: NearFarOptions
     level: int = 0
     pictures: Pictures | None = None
     new: int = 0
@@ -99,37 +118,52 @@ class NearFarState:
         return sum(row["patterns"] for row in self.rows)
 
 
-class NearFar:
+class NearFar(Method[NearFarState]):
     """Near/far acquisition as a `Method`.
 
     Rounds of random patterns are fitted until the estimate of the error, from pictures that no fit
-    sees, is at most `Settings.target_error`. Where the light isn't smooth at any scale, symmetric
+    sees, is at most ``target_error``. Where the light isn't smooth at any scale, symmetric
     photography begins, and the held-out pictures decide at the end which of both is better.
     """
 
     name = "near_far"
+    title = "Near/far acquisition"
+    colour = "#b3263a"
+    needs_coaxial_rig = True
+    estimates_error = True
+    Options = NearFarOptions
+    trades = "target_error"
+    trials = (0.03, 0.01, 0.003)
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the floodlit level, the rounds, and the levels of symmetric photography.
-
-        Raises
-        ------
-        InputError
-            If camera and projector have different ray domains.
-        """
-        require_coaxial("near_far", camera, projector)
+        """Return the floodlit level, the rounds, and the levels of symmetric photography."""
+        self.check(camera, projector)
         return len(ROUNDS) + Symmetric().n_levels(camera, projector)
 
-    def start(
+    def expected_patterns(
         self,
-        camera: RayDomain,
+        camera: RayDomain,  # noqa: ARG002
         projector: RayDomain,
-        channels: int,
-        settings: Settings,
+        options: NearFarOptions,
+    ) -> int:
+        """Return the patterns of all rounds: they don't grow with the resolution."""
+        return min(projector.size, options.patterns or MOST)
+
+    def most_patterns(
+        self,
+        camera: RayDomain,  # noqa: ARG002
+        projector: RayDomain,
+        options: NearFarOptions,  # noqa: ARG002
+    ) -> int:
+        """Return those of symmetric photography of a scene in which no block is of low rank."""
+        return all_blocks(projector)
+
+    def start(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: NearFarOptions
     ) -> NearFarState:
         """Return the state before the floodlit image."""
         self.n_levels(camera, projector)
-        return NearFarState(camera, channels, settings)
+        return NearFarState(camera, channels, options)
 
     def schedule(self, state: NearFarState) -> Schedule:
         """Show the floodlit pattern, then probes; the first of them with the held-out patterns."""
@@ -260,7 +294,7 @@ class NearFar:
             model=model,
             estimates=tuple(Estimate(*found) for found in about["estimates"]),
             done=about["done"],
-            symmetric=handover.restored(start.domain, start.channels, start.settings, packs),
+            symmetric=handover.restored(start.domain, start.channels, start.options, packs),
             rows=tuple(about["rows"]),
         )
 
@@ -270,15 +304,15 @@ class NearFar:
         if state.done or (state.level > 1 and state.held is None):
             return 0
         count = ROUNDS[state.level - 1]
-        if state.settings.patterns:
+        if state.options.patterns:
             held = HELD_OUT.get(state.level, 0)
-            count = min(count, max(state.settings.patterns - state.shown - held, 0))
+            count = min(count, max(state.options.patterns - state.shown - held, 0))
         return count
 
     def _decide(self, state: NearFarState) -> NearFarState:
         """Go on, end, or let symmetric photography take over."""
         found, first = state.estimates[-1], len(state.estimates) == 1
-        limit, target = state.settings.patterns, state.settings.target_error
+        limit, target = state.options.patterns, state.options.target_error
         # the first estimate knows no strip yet: it bounds the error only if nothing is indirect
         reached = (found.indirect if first else found.error) <= target
         if (reached and found.error <= target) or (limit and state.shown >= limit):
@@ -335,7 +369,7 @@ def _taken_over(state: NearFarState) -> SymmetricState:
     assert state.pictures is not None
     pictures = state.pictures
     return handover.begin(
-        state.domain, state.settings, pictures.floodlit, pictures.floodlit_variance
+        state.domain, state.options, pictures.floodlit, pictures.floodlit_variance
     )
 
 

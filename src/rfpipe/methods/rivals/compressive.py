@@ -11,10 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Method, Options, Pack
 from rfpipe.methods.rivals.pursuit import pursue, rays_and_wavelets
 from rfpipe.methods.rivals.signs import (
     as_light,
@@ -37,6 +38,18 @@ _RAYS_PER_PATTERN, _FEWEST = 8, 32
 _MEASUREMENTS_PER_ATOM = 4
 
 
+class CompressiveOptions(Options):
+    """What compressive sensing may be told."""
+
+    patterns: int = Field(
+        0,
+        ge=0,
+        le=1_000_000,
+        description="Patterns to show at most, the floodlit one included, 0 to 1000000; 0 leaves "
+        "it to the method.",
+    )
+
+
 @dataclass(frozen=True)
 class CompressiveState:
     """The state of compressive sensing.
@@ -44,7 +57,7 @@ class CompressiveState:
     Attributes
     ----------
     camera, projector : RayDomain
-    settings : Settings
+    options : CompressiveOptions
     matrix : ndarray of float32, shape (C, camera rays, projector rays)
         Zeros before the floodlit image; its light spread over all rays after it.
     floodlit, variance : ndarray of float32, shape (C, camera rays)
@@ -57,7 +70,7 @@ class CompressiveState:
 
     camera: RayDomain
     projector: RayDomain
-    settings: Settings
+    options: CompressiveOptions
     matrix: Float
     floodlit: Float
     variance: Float
@@ -65,7 +78,7 @@ class CompressiveState:
     rows: tuple[dict[str, int], ...] = ()
 
 
-class Compressive:
+class Compressive(Method[CompressiveState]):
     """Compressive sensing of the rows of ``T``, as a `Method`.
 
     The patterns are the published ones of compressive dual photography, on and off at random; the
@@ -76,13 +89,27 @@ class Compressive:
     """
 
     name = "compressive"
+    title = "Compressive sensing"
+    colour = "#4c8c4a"
+    Options = CompressiveOptions
+    trades = "patterns"
+    trials = (50, 100, 200, 500)
+
+    def expected_patterns(
+        self,
+        camera: RayDomain,  # noqa: ARG002
+        projector: RayDomain,
+        options: CompressiveOptions,
+    ) -> int:
+        """Return the number that is asked for, or one for some rays."""
+        return pattern_count(projector.size, options.patterns)
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
         """Return 2: the floodlit image, and all random patterns; any camera will do."""
         return 2
 
     def start(
-        self, camera: RayDomain, projector: RayDomain, channels: int, settings: Settings
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: CompressiveOptions
     ) -> CompressiveState:
         """Return the state before the floodlit image.
 
@@ -99,14 +126,14 @@ class Compressive:
             )
         matrix = np.zeros((channels, camera.size, projector.size), np.float32)
         dark = np.zeros(matrix.shape[:2], np.float32)
-        return CompressiveState(camera, projector, settings, matrix, dark, dark)
+        return CompressiveState(camera, projector, options, matrix, dark, dark)
 
     def schedule(self, state: CompressiveState) -> Schedule:
         """Show the floodlit pattern, then all random ones."""
         shape, rays = state.projector.shape, state.projector.size
         if state.level == 0:
             return Schedule.floodlit(shape)
-        count = pattern_count(rays, state.settings.patterns) - 1
+        count = pattern_count(rays, state.options.patterns) - 1
         weights = as_light(random_signs(count, rays, _SEED, state.level), shape)
         return Schedule(state.level, shape, count, weights=weights)
 

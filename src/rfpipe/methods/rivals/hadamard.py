@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
 from rfpipe.methods.scan import Scan, ScanState, read_columns
 from rfpipe.patterns import Schedule
 
@@ -36,7 +37,17 @@ class Hadamard(Scan):
     """
 
     name = "hadamard"
-    title = "a Hadamard scan"
+    title = "Hadamard multiplexing"
+    colour = "#7d5ba6"
+
+    def expected_patterns(
+        self,
+        camera: RayDomain,  # noqa: ARG002
+        projector: RayDomain,
+        options: Options,  # noqa: ARG002
+    ) -> int:
+        """Return the order of the S-matrix."""
+        return s_matrix_order(projector.size)
 
     def schedule(self, state: ScanState) -> Schedule:
         """Light about half of the rays in each pattern, the next pattern's shifted by one ray."""

@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, Settings, require_coaxial
+from rfpipe.config.base import Fraction
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Method, Options, Pack
 from rfpipe.methods.rivals.low_rank_fit import Fit, fit, relit, start_fit
 from rfpipe.methods.rivals.signs import (
     as_light,
@@ -36,6 +38,23 @@ _FIRST_ROUND = 16
 OWN_MOST, _MOST = 512, 4096
 
 
+class LowRankOptions(Options):
+    """What an optical low-rank acquisition may be told."""
+
+    target_error: Fraction = Field(
+        0.01,
+        description="Mean error of relit pictures at which to stop, as a fraction of their norm, "
+        "between 0 and 1.",
+    )
+    patterns: int = Field(
+        0,
+        ge=0,
+        le=1_000_000,
+        description="Patterns to show at most, the floodlit one included, 0 to 1000000; 0 leaves "
+        "it to the method.",
+    )
+
+
 @dataclass(frozen=True)
 class LowRankState:
     """The state of an optical low-rank acquisition.
@@ -45,7 +64,7 @@ class LowRankState:
     domain : RayDomain
         Of camera and projector.
     channels : int
-    settings : Settings
+    options : LowRankOptions
     level : int
         Level to be scheduled next: 0 is the floodlit image, then one round of random signs each.
     images : tuple of ndarray of float32, shape (C, patterns, rays)
@@ -65,7 +84,7 @@ class LowRankState:
 
     domain: RayDomain
     channels: int
-    settings: Settings
+    options: LowRankOptions
     fit: Fit
     level: int = 0
     images: tuple[Float, ...] = ()
@@ -80,12 +99,12 @@ class LowRankState:
         return sum(images.shape[1] for images in self.images)
 
 
-class LowRank:
+class LowRank(Method[LowRankState]):
     """A randomised range finder that computes in light, as a `Method`.
 
     The images of each round of random signs first test the fit to those before it, which has not
-    seen them. It ends when that error is below `Settings.target_error` or within noise, or at
-    `Settings.patterns`.
+    seen them. It ends when that error is below ``target_error`` or within noise, or at
+    ``patterns``.
 
     The published methods have no diagonal. On a coaxial rig direct light is one, of full rank, and
     without it hundreds of patterns leave nine tenths of the light unexplained: it is estimated
@@ -93,16 +112,26 @@ class LowRank:
     """
 
     name = "low_rank"
+    title = "Optical low rank"
+    colour = "#b08a1e"
+    needs_coaxial_rig = True
+    estimates_error = True
+    Options = LowRankOptions
+    trades = "patterns"
+    trials = (50, 100, 200, 500)
+
+    def expected_patterns(
+        self,
+        camera: RayDomain,  # noqa: ARG002
+        projector: RayDomain,
+        options: LowRankOptions,
+    ) -> int:
+        """Return the number that is asked for, or the most that it shows of itself."""
+        return min(projector.size, options.patterns or OWN_MOST)
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the number of rounds that make as many patterns as rays, and the floodlit image.
-
-        Raises
-        ------
-        InputError
-            If camera and projector have different ray domains.
-        """
-        require_coaxial("low_rank", camera, projector)
+        """Return the rounds that make as many patterns as rays, and the floodlit level."""
+        self.check(camera, projector)
         rays = min(max(projector.size, _FIRST_ROUND), _MOST)
         return 2 + ceil(log2(rays / _FIRST_ROUND))
 
@@ -111,17 +140,17 @@ class LowRank:
         camera: RayDomain,
         projector: RayDomain,  # noqa: ARG002 - the camera's
         channels: int,
-        settings: Settings,
+        options: LowRankOptions,
     ) -> LowRankState:
         """Return the state before the floodlit image."""
-        return LowRankState(camera, channels, settings, start_fit(channels, camera.size))
+        return LowRankState(camera, channels, options, start_fit(channels, camera.size))
 
     def schedule(self, state: LowRankState) -> Schedule:
         """Show the floodlit pattern, then in each round as many random signs as before it."""
         shape = state.domain.shape
         if state.level == 0:
             return Schedule.floodlit(shape)
-        limit = min(state.settings.patterns or OWN_MOST, _MOST)
+        limit = min(state.options.patterns or OWN_MOST, _MOST)
         count = 0 if state.done else min(_round(state.level), max(limit - state.shown, 0))
         weights = as_light(_signs(state.domain, state.level, count), shape)
         return Schedule(state.level, shape, count, weights=weights)
@@ -141,7 +170,7 @@ class LowRank:
             signs = _signs(state.domain, level, count)
             estimate, within_noise = _held_out(state.fit, signs, signed, noise)
             found = {"estimated_error": estimate}
-            done = within_noise or estimate <= state.settings.target_error
+            done = within_noise or estimate <= state.options.target_error
         state = replace(
             state,
             level=level + 1,

@@ -8,10 +8,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.config.base import Fraction
 from rfpipe.conflicts import colour, conflict_graph
-from rfpipe.methods.base import MEMORY_BYTES, LevelImages, Pack, Settings, require_coaxial
+from rfpipe.methods.base import (
+    MEMORY_BYTES,
+    TOLERANCES,
+    LevelImages,
+    Method,
+    Options,
+    Pack,
+    all_blocks,
+)
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
     as_leaves,
@@ -40,6 +50,16 @@ from rfpipe.transport.hierarchical.leaves import LEAF_PARTS, LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
 
+class SymmetricOptions(Options):
+    """What symmetric photography may be told."""
+
+    tolerance: Fraction = Field(
+        1e-3,
+        description="Error allowed in a stored block, as a fraction of the floodlit image's "
+        "maximum, between 0 and 1.",
+    )
+
+
 @dataclass(frozen=True)
 class SymmetricState:
     """The state of symmetric photography before a level.
@@ -48,7 +68,7 @@ class SymmetricState:
     ----------
     tree : BlockTree
     channels : int
-    settings : Settings
+    options : SymmetricOptions
     level : int
         Level to be scheduled next.
     known : tuple of LeafSet
@@ -67,7 +87,7 @@ class SymmetricState:
 
     tree: BlockTree
     channels: int
-    settings: Settings
+    options: SymmetricOptions
     level: int
     known: tuple[LeafSet, ...]
     added: tuple[LeafSet, ...]
@@ -77,25 +97,50 @@ class SymmetricState:
     rows: tuple[dict[str, int], ...] = field(default=())
 
 
-class Symmetric:
+class Symmetric(Method[SymmetricState]):
     """Symmetric photography as a `Method`."""
 
     name = "symmetric"
+    title = "Symmetric photography"
+    colour = "#1f5a9e"
+    needs_coaxial_rig = True
+    thesis_table = "5.1"
+    Options = SymmetricOptions
+    trades = "tolerance"
+    trials = TOLERANCES
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the depth of the block tree; camera and projector must share their rays."""
-        require_coaxial("symmetric photography", camera, projector)
+        """Return the depth of the block tree."""
+        self.check(camera, projector)
         return BlockTree(projector).n_levels
 
+    def expected_patterns(
+        self,
+        camera: RayDomain,
+        projector: RayDomain,
+        options: SymmetricOptions,  # noqa: ARG002
+    ) -> int:
+        """Guess the patterns from those of the thesis' scene II, 310 x 350 rays in ten levels."""
+        return min(projector.size, round(self.n_levels(camera, projector) * 1_085 / 10))
+
+    def most_patterns(
+        self,
+        camera: RayDomain,  # noqa: ARG002
+        projector: RayDomain,
+        options: SymmetricOptions,  # noqa: ARG002
+    ) -> int:
+        """Return the patterns of a scene in which no block is of low rank."""
+        return all_blocks(projector)
+
     def start(
-        self, camera: RayDomain, projector: RayDomain, channels: int, settings: Settings
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: SymmetricOptions
     ) -> SymmetricState:
         """Return the state before the floodlit image."""
         self.n_levels(camera, projector)
         tree = BlockTree(projector)
         dark = np.zeros(projector.size, np.bool_)
         nothing = no_nodes(channels)
-        return SymmetricState(tree, channels, settings, 0, (), (), nothing, 0.0, dark)
+        return SymmetricState(tree, channels, options, 0, (), (), nothing, 0.0, dark)
 
     def schedule(self, state: SymmetricState) -> Schedule:
         """Colour the square of the graph of unknown transport (Lemmas 1 and 2)."""
@@ -155,7 +200,7 @@ class Symmetric:
         """Make the root node from the floodlit image."""
         root, channels = np.zeros(1, np.int32), state.channels
         pieces = collect(state.tree, root, root, (), channels, images, MEMORY_BYTES)
-        significant = pieces.values > state.settings.noise_significance * np.sqrt(pieces.variances)
+        significant = pieces.values > state.options.noise_significance * np.sqrt(pieces.variances)
         state = replace(
             state,
             floodlit_maximum=float(pieces.values.max(initial=0.0)),
@@ -242,9 +287,9 @@ def _row(
 
 
 def _limits(state: SymmetricState, tests: int) -> Limits:
-    settings = state.settings
-    asked = (settings.tolerance * state.floodlit_maximum) ** 2 / 2
-    return Limits(asked, settings.noise_significance, tests)
+    options = state.options
+    asked = (options.tolerance * state.floodlit_maximum) ** 2 / 2
+    return Limits(asked, options.noise_significance, tests)
 
 
 @dataclass(frozen=True)

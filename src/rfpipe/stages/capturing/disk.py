@@ -11,12 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import StoreError
-from rfpipe.methods.near_far.method import MOST
-from rfpipe.methods.rivals.compressive import pattern_count
-from rfpipe.methods.rivals.hadamard import s_matrix_order
-from rfpipe.methods.rivals.low_rank import OWN_MOST
 from rfpipe.photometry import Sensor
 from rfpipe.units import RADIANCE
 
@@ -25,9 +20,7 @@ __all__ = [
     "Imaging",
     "check_level",
     "check_run",
-    "expected_patterns",
     "free_bytes",
-    "most_patterns",
 ]
 
 # A file takes whole blocks of its file system.
@@ -35,59 +28,7 @@ _BLOCK_BYTES = 4096
 # What the methods keep of a level: each pixel of each image belongs to one piece that they may
 # store, in the level's own store and in the transport.
 _PIECES = 2
-# Patterns a level, from the largest counts of the thesis' scenes at 310 x 350 rays, which are ten
-# levels: Table 5.1, scene II (1,085) and scene IV by dual photography (7,382). Patterns grow with
-# the number of levels [Fig. 3.8].
-_PATTERNS_PER_LEVEL = {"symmetric": 1_085 / 10, "dual": 7_382 / 10}
-# Methods whose patterns don't grow with the resolution, but where the scene asks for them.
-_PATTERNS = {"near_far": MOST, "low_rank": OWN_MOST}
-
 _log = logging.getLogger(__name__)
-
-
-def expected_patterns(
-    method: str, projector_shape: tuple[int, ...], n_levels: int, asked: int = 0
-) -> int:
-    """Guess the patterns of a whole acquisition from those of the thesis; brute force is exact.
-
-    Parameters
-    ----------
-    method : str
-        A name in `rfpipe.methods.METHODS`.
-    projector_shape : tuple of int
-    n_levels : int
-    asked : int
-        The setting ``acquisition.patterns``, 0 for none.
-    """
-    rays = prod(projector_shape)
-    if method in _PATTERNS_PER_LEVEL:
-        return min(rays, round(n_levels * _PATTERNS_PER_LEVEL[method]))
-    if method == "compressive":
-        return pattern_count(rays, asked)
-    if method in _PATTERNS:
-        return min(rays, asked or _PATTERNS[method])
-    if method == "hadamard":
-        return s_matrix_order(rays)
-    return rays
-
-
-def most_patterns(method: str, projector_shape: tuple[int, ...], asked: int = 0) -> int:
-    """Return the patterns of an acquisition of a scene without any structure.
-
-    All blocks of all levels one after the other, for the methods that descend by levels.
-
-    Parameters
-    ----------
-    method : str
-        A name in `rfpipe.methods.METHODS`.
-    projector_shape : tuple of int
-    asked : int
-        The setting ``acquisition.patterns``, 0 for none.
-    """
-    if method not in _PATTERNS_PER_LEVEL and method != "near_far":
-        return max(prod(projector_shape), expected_patterns(method, projector_shape, 1, asked))
-    tree = BlockTree(RayDomain(projector_shape))
-    return sum(tree.n_blocks(level) for level in range(tree.n_levels))
 
 
 class Imaging(Protocol):
@@ -175,7 +116,7 @@ def check_level(
         raise StoreError(
             f"{folder}: the capture of {name} isn't begun: it and what is made of it take up to "
             f"{need}, of which {_shown(present)} are there already; {_shown(free)} are free on "
-            f"this file system. {_advice(keep_raw)}, or take a coarser acquisition.tolerance for "
+            f"this file system. {_advice(keep_raw)}, or choose the method's options for "
             "fewer patterns; then run again: what is captured is kept"
         )
     _log.info("%s: takes up to %s; %s are free", name, need, _shown(free))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rfpipe.photometry import ExactSensor, Sensor
-from rfpipe.stages.capturing.disk import DiskNeed, expected_patterns, most_patterns
+from rfpipe.stages.capturing.disk import DiskNeed
 from rfpipe.stages.capturing.drift import item_count
 from rfpipe.stages.plan import Plan
 
@@ -79,21 +79,15 @@ def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
         When a method doesn't fit a scene's rays.
     """
     found = []
-    asked = settings.acquisition.patterns
-    for name, method in settings.acquisitions:
-        scene = settings.scenes[name]
-        rays = scene.camera_ray_shape, scene.ray_shape
-        plan = Plan(method, *rays, scene.channels, tolerance=1.0)
+    for scene, name in settings.acquisitions:
+        plan = Plan.of(settings, scene, name)
         camera = _Camera(plan.camera.shape, plan.channels, sensor)
-        shape, levels = plan.projector.shape, plan.n_levels
+        rays = plan.camera, plan.projector
         needs = (
-            _need(settings, camera, patterns)
-            for patterns in (
-                expected_patterns(method, shape, levels, asked),
-                most_patterns(method, shape, asked),
-            )
+            _need(settings, camera, patterns(*rays, plan.options))
+            for patterns in (plan.method.expected_patterns, plan.method.most_patterns)
         )
-        found.append(Forecast(name, method, plan.projector.size, levels, *needs))
+        found.append(Forecast(scene, name, plan.projector.size, plan.n_levels, *needs))
     return found
 
 

@@ -79,7 +79,7 @@ def speed_error_table(
     sweep_manifests: Iterable[Path],
     seconds_per_pattern: float,
 ) -> pd.DataFrame:
-    """Return cost and errors at every tolerance of the sweeps.
+    """Return cost and errors at every value of the sweeps.
 
     Parameters
     ----------
@@ -91,9 +91,9 @@ def speed_error_table(
     Returns
     -------
     DataFrame
-        A row for each scene, method, tolerance and relighting pattern: ``patterns`` shown,
-        ``capture_s`` at the rig's stated seconds a pattern, ``processing_s`` and ``simulation_s``
-        as measured, ``bytes`` stored, and `ERROR_COLUMNS`.
+        A row for each scene, method, value of its option and relighting pattern: ``patterns``
+        shown, ``capture_s`` at the rig's stated seconds a pattern, ``processing_s`` and
+        ``simulation_s`` as measured, ``bytes`` stored, and `ERROR_COLUMNS`.
     """
     import pandas as pd
 
@@ -102,8 +102,8 @@ def speed_error_table(
         run, images = _opened(path)
         if "truth" in images.names:
             truths[run["scene"]] = _truth(run, images)
-    columns = ["scene", "method", "tolerance", "patterns", "capture_s", "processing_s"]
-    columns += ["simulation_s", "bytes", *ERROR_COLUMNS]
+    columns = ["scene", "method", "option", "value", "patterns", "capture_s"]
+    columns += ["processing_s", "simulation_s", "bytes", *ERROR_COLUMNS]
     rows = []
     for path in sweep_manifests:
         run, images = _opened(path)

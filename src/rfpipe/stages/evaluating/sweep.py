@@ -1,4 +1,4 @@
-"""Stage: speed against error: the same acquisition at several tolerances, in this process."""
+"""Stage: speed against error: the same acquisition with other options, in this process."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ from rfpipe.units import RADIANCE_UNIT, NumberFormat
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
+    from rfpipe.config.base import MethodSettings
     from rfpipe.transport import Transport
 
-__all__ = ["TIMES_COLUMNS", "Sweep", "run", "stored", "sweep_tolerances"]
+__all__ = ["TIMES_COLUMNS", "Sweep", "is_swept", "run", "stored", "sweep_option", "trials"]
 
-TIMES_COLUMNS = ("tolerance", "processing_s", "simulation_s")
+TIMES_COLUMNS = ("value", "processing_s", "simulation_s")
 """Wall seconds measured here, of processing and of simulating the pictures."""
 
 _log = logging.getLogger(__name__)
@@ -35,14 +36,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Sweep:
-    """What `sweep_tolerances` found, one entry a tolerance.
+    """What `sweep_option` found, one entry a value of the option.
 
     Attributes
     ----------
     relit : ndarray of float32, shape (T, P, *shape, C)
         The reference patterns relit, radiance.
     rows : list of dict
-        ``tolerance``, ``patterns`` shown, ``bytes`` stored: the same in every run.
+        ``option`` and its ``value``, ``patterns`` shown, ``bytes`` stored: the same in every run.
     times : list of dict
         `TIMES_COLUMNS`.
     """
@@ -63,14 +64,14 @@ def stored(transport: Transport, number_format: NumberFormat) -> Iterator[Transp
         yield open_transport(path)
 
 
-def sweep_tolerances(config: Config, scene: str, method: str) -> Sweep:
-    """Acquire one scene with one method at each of ``report.tolerances``.
+def sweep_option(config: Config, scene: str, method: str) -> Sweep:
+    """Acquire one scene with one method at several values of the option that trades patterns.
 
     Parameters
     ----------
     config : Config
     scene, method : str
-        A name in ``config.scenes``; one of the methods.
+        A name in ``config.scenes``; one of its methods, with an option by which it ``trades``.
 
     Returns
     -------
@@ -83,26 +84,47 @@ def sweep_tolerances(config: Config, scene: str, method: str) -> Sweep:
 
     exact = scene_from_config(config.scenes[scene], compress=True)
     rig = SimulatedRig(exact, sensor_from_config(config.camera), config.seed)
-    _warm_up(method)
+    section = config.methods_of(scene)[method]
+    option, values = trials(config, method, section)
+    asked = acquire_options(config, method, section)
+    _warm_up(asked["method"])
     patterns = np.stack(list(scene_patterns(exact).values()))
     relit: list[NDArray[np.float32]] = []
     rows: list[dict[str, Any]] = []
     times: list[dict[str, float]] = []
-    for tolerance in config.report.tolerances:
-        result = acquire(rig, method, tolerance, progress=False, **acquire_options(config))
+    for value in values:
+        result = acquire(rig, progress=False, **{**asked, option: value})
         with stored(result.transport, config.storage.number_format) as transport:
             relit.append(transport.relight_batch(patterns))
             nbytes = transport.nbytes
-        row = {"tolerance": tolerance, "patterns": result.patterns, "bytes": nbytes}
+        row = {"option": option, "value": value, "patterns": result.patterns, "bytes": nbytes}
         rows.append(row)
-        seconds = (tolerance, result.processing_seconds, result.capture_seconds)
+        seconds = (value, result.processing_seconds, result.capture_seconds)
         times.append(dict(zip(TIMES_COLUMNS, seconds, strict=True)))
-        _log.info("%s, %s at tolerance %g: %s", scene, method, tolerance, row)
+        _log.info("%s, %s: %s", scene, method, row)
     return Sweep(np.stack(relit), rows, times)
 
 
+def is_swept(config: Config, scene: str, method: str) -> bool:
+    """Tell whether a method is to acquire a scene again with other options."""
+    section = config.methods_of(scene)[method]
+    wanted = config.scenes[scene].is_swept and section.subject(method).trades is not None
+    return wanted and bool(trials(config, method, section)[1])
+
+
+def trials(config: Config, name: str, section: MethodSettings) -> tuple[str, tuple[float, ...]]:
+    """Return the option by which a method trades patterns for accuracy, and its values to try.
+
+    A whole number stays one: numbers of patterns are.
+    """
+    method = section.subject(name)
+    whole = isinstance(section.options()[method.trades], int)
+    values = config.report.trials.get(name, method.trials)
+    return method.trades, tuple(round(value) if whole else value for value in values)
+
+
 def _warm_up(method: str) -> None:
-    """Load the compiled kernels, so that no tolerance's time includes it."""
+    """Load the compiled kernels, so that no acquisition's time includes it."""
     from rfpipe.rigs import SimulatedRig
     from rfpipe.scenes import reference_scene
     from rfpipe.stages.acquire import acquire
@@ -112,7 +134,7 @@ def _warm_up(method: str) -> None:
 
 
 def run(config: Config, scene: str, method: str, folder: Path, code: str) -> None:
-    """Run `sweep_tolerances`; write ``sweep.zarr``, ``sweep.csv`` and ``sweep.json``.
+    """Run `sweep_option`; write ``sweep.zarr``, ``sweep.csv`` and ``sweep.json``.
 
     The CSV table holds the times, which differ from run to run; the rest doesn't.
 
@@ -126,21 +148,22 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
         Fingerprint of the code behind the stage.
     """
     store, times, manifest = (folder / f"sweep.{suffix}" for suffix in ("zarr", "csv", "json"))
+    section = config.methods_of(scene)[method]
     made_from = fingerprint(
         {
             "method": method,
             "scene": config.scenes[scene],
             "camera": config.camera,
             "seed": config.seed,
-            "tolerances": config.report.tolerances,
-            "acquisition": acquire_options(config),
+            "trials": trials(config, method, section),
+            "acquisition": acquire_options(config, method, section),
             "storage": config.storage,
             "code": code,
         }
     )
     if times.exists() and accept_bundle(store, manifest, made_from):
         return
-    found = sweep_tolerances(config, scene, method)
+    found = sweep_option(config, scene, method)
     text = io.StringIO()
     writer = csv.DictWriter(text, TIMES_COLUMNS, lineterminator="\n")
     writer.writeheader()

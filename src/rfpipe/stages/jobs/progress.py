@@ -66,25 +66,27 @@ class Progress:
             _log.info("%s: %d patterns in %s", self._name, patterns, _time(seconds))
 
 
-def log_estimate(level_rows: Sequence[Mapping[str, Any]], target_error: float) -> None:
+def log_estimate(
+    level_rows: Sequence[Mapping[str, Any]], target_error: float | None = None
+) -> None:
     """Log the error that a method estimated after the last of its levels, if it did.
 
     Parameters
     ----------
     level_rows : sequence of dict
         Of the levels so far, as `rfpipe.transport.Transport.level_rows`.
-    target_error : float
+    target_error : float, optional
         The error asked for, a fraction like the estimate.
     """
     found = estimates(level_rows)
     if found and found[-1]["level"] == level_rows[-1]["level"]:
         last = found[-1]
         _log.info(
-            "level %d: estimated error %.2f %% after %d patterns, %.3g %% asked for",
+            "level %d: estimated error %.2f %% after %d patterns%s",
             last["level"],
             100 * last["estimated_error"],
             last["patterns"],
-            100 * target_error,
+            "" if target_error is None else f", {100 * target_error:.3g} % asked for",
         )
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.methods import Options
 from rfpipe.photometry import Merged, sensor_from_config
 from rfpipe.photometry.demosaic import demosaic, mosaic
 from rfpipe.photometry.normalize import Mode, apply, level_gain
@@ -60,7 +61,7 @@ def mosaic_study(config: Config) -> tuple[list[dict[str, Any]], dict[str, NDArra
         update={"bayer": None, "psf_sigma": 0.0, "vignetting": 0.0, "flare": 0.0}
     )
     shortest = settings.model_copy(update={"exposures": settings.exposures[:1]})
-    significance = config.acquisition.noise_significance
+    significance = Options().noise_significance
     rows: list[dict[str, Any]] = []
     arrays: dict[str, NDArray[Any]] = {}
     for chain, camera in (("linear", settings), ("median", shortest)):

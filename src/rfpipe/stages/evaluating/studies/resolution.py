@@ -34,16 +34,15 @@ def resolution_study(config: Config) -> list[dict[str, Any]]:
         shape, rays = (side, side), side * side
         row: dict[str, Any] = {"side": side, "rays": rays}
         rows.append({"method": "brute_force", **row, "patterns": rays, "rms_total": float("nan")})
-        methods = [method for method in config.methods if method != "brute_force"]
-        if not methods:
-            continue
         scene = reference_scene("IV", shape, channels=1)
         bar = relighting_patterns(shape)["vertical_bar"]
         truth = scene.apply(bar[None])[0].reshape(*shape, 1)
-        for method in methods:
+        for name, section in config.methods.items():
             rig = SimulatedRig(scene)
-            tolerance = config.acquisition.tolerance
-            result = acquire(rig, method, tolerance, progress=False, **acquire_options(config))
+            if name == "brute_force":
+                continue
+            asked = acquire_options(config, name, section)
+            result = acquire(rig, progress=False, **asked)
             error = relative_rms(result.transport.relight(bar), truth)
-            rows.append({"method": method, **row, "patterns": result.patterns, "rms_total": error})
+            rows.append({"method": name, **row, "patterns": result.patterns, "rms_total": error})
     return rows

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rfpipe.config.base import MethodSettings
 from rfpipe.errors import RfpipeError
 from rfpipe.scenes.base import Scene
 from rfpipe.scenes.hard import hard_cases
@@ -97,9 +98,9 @@ def stability_row(
         "refused": "",
     }
     rig = SimulatedRig(scene, sensor_from_config(camera), config.seed)
+    section = config.methods.get(method) or MethodSettings.model_of(method)()
     try:
-        tolerance = config.acquisition.tolerance
-        result = acquire(rig, method, tolerance, progress=False, **acquire_options(config))
+        result = acquire(rig, progress=False, **acquire_options(config, method, section))
     except RfpipeError as error:
         return {**row, "refused": str(error)}
     return {**row, "patterns": result.patterns, **_errors(result.transport, scene)}

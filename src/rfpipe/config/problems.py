@@ -1,0 +1,120 @@
+"""What is wrong with settings: the key, its value, what was expected, and what the key means."""
+
+from __future__ import annotations
+
+import difflib
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from rfpipe.config.base import Described, SectionsOf, Settings
+from rfpipe.errors import InputError
+
+__all__ = ["explained", "model_within", "shown"]
+
+
+def explained(kind: type[Settings], error: ValidationError, data: object) -> list[str]:
+    """Say every mistake in settings, a line each.
+
+    Parameters
+    ----------
+    kind : type of Settings
+        The model that they were checked by.
+    error : ValidationError
+    data
+        The settings.
+    """
+    problems = error.errors(include_url=False, include_context=False)
+    # a list with a wrong item is reported as wrong itself, too: keep the innermost
+    outer = {problem["loc"][:n] for problem in problems for n in range(len(problem["loc"]))}
+    return [_explained(kind, problem, data) for problem in problems if problem["loc"] not in outer]
+
+
+def shown(value: object) -> str:
+    """Show a value as YAML would, short enough for a message."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return textwrap.shorten(repr(value), 80, placeholder=" ...")
+
+
+def _explained(kind: type[Settings], problem: Mapping[str, Any], data: object) -> str:
+    """Say one of pydantic's problems as: key, value, what was expected, what the key means."""
+    location: tuple[str | int, ...] = tuple(part for part in problem["loc"] if part != "[key]")
+    key = _dotted(location)
+    model, field = _at(kind, location, data)
+    if problem["type"] == "unknown_name":
+        return f"{key}: {problem['msg']}"
+    if problem["type"] == "extra_forbidden":
+        return _unknown_key(location, model)
+    meaning = f" ({key}: {field.description})" if field is not None else ""
+    if problem["type"] == "missing":
+        return f"{key} is missing; add it.{meaning}"
+    expected = problem["msg"].removeprefix("Value error, ").removesuffix(" after validation")
+    if problem["type"] != "value_error":
+        expected = expected[expected.find("should") :]  # without "Input", "String", "Tuple"
+    if problem["type"] in ("model_type", "dict_type"):
+        expected = "should be a group of 'key: value' settings"
+    if problem["type"] == "value_error" and not expected.startswith("should"):
+        # a rule between settings names them and their values itself
+        return f"{key}: {expected}" if key else expected
+    return f"{key} is {shown(problem['input'])}; it {expected}.{meaning}"
+
+
+def _unknown_key(location: tuple[str | int, ...], model: type[BaseModel]) -> str:
+    unknown = str(location[-1])
+    known = list(model.model_fields)
+    close = difflib.get_close_matches(unknown, known, n=1)
+    suggestion = f"did you mean {close[0]}? " if close else ""
+    return f"{_dotted(location)} is unknown; {suggestion}Known here: {', '.join(known)}."
+
+
+def _dotted(location: Sequence[str | int]) -> str:
+    """Join a location's parts: ("camera", "exposures", 0) is camera.exposures[0]."""
+    text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location)
+    return text.removeprefix(".")
+
+
+def _at(
+    kind: type[Settings], location: Sequence[str | int], data: object
+) -> tuple[type[BaseModel], FieldInfo | None]:
+    """Find the innermost model that a location passes through, and the last field in it."""
+    model: type[BaseModel] = kind
+    field: FieldInfo | None = None
+    for part in location:
+        data = data.get(part) if isinstance(data, Mapping) else None
+        found = model.model_fields.get(str(part))
+        if found is None:  # a section's name, a list's index or an unknown key
+            model = _described(model, str(part), data)
+            continue
+        field = found
+        model = model_within(found) or model
+    return model, field
+
+
+def _described(model: type[BaseModel], name: str, section: object) -> type[BaseModel]:
+    """Return the model that a section's name stands for, where it stands for one."""
+    if not issubclass(model, Described):
+        return model
+    try:
+        return model.model_of(model.name_in(section) or name)
+    except InputError:
+        return model
+
+
+def model_within(field: FieldInfo) -> type[BaseModel] | None:
+    """Find the settings model inside a field's type, such as ``dict[str, SceneConfig]``."""
+    for mark in field.metadata:
+        if isinstance(mark, SectionsOf):
+            return mark.model
+    return _within(field.annotation)
+
+
+def _within(annotation: object) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next(filter(None, map(_within, get_args(annotation))), None)

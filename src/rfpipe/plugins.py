@@ -1,0 +1,110 @@
+"""What describes itself: methods, scenes and devices, found by name or by a path of the user's own.
+
+A name is that of an entry point in one of rfpipe's groups, of rfpipe or of another package. A path
+is ``module:Class``, the module found as Python finds it or in the folder where rfpipe runs, or
+``file.py:Class``, the file relative to that folder.
+"""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from hashlib import sha256
+from importlib import import_module
+from importlib.metadata import entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from rfpipe.errors import InputError
+
+__all__ = ["METHODS", "find", "names", "path_of"]
+
+METHODS = "rfpipe.methods"
+"""The group of acquisition methods."""
+
+
+@cache
+def names(group: str) -> tuple[str, ...]:
+    """Return the names in a group of entry points, in alphabetical order."""
+    return tuple(sorted(entry_points(group=group).names))
+
+
+def path_of(group: str, name: str) -> str:
+    """Return where a name of a group leads, ``module:Class``; a path leads to itself.
+
+    Raises
+    ------
+    InputError
+        When the group has no such name.
+    """
+    if ":" in name:
+        return name
+    if name not in names(group):
+        known = ", ".join(names(group)) or "none: install rfpipe with 'make install'"
+        raise InputError(
+            f"{name!r} is unknown; expected one of {known}; or a class of your own as "
+            "module:Class or file.py:Class"
+        )
+    (entry,) = entry_points(group=group, name=name)
+    return entry.value
+
+
+def find(group: str, name: str) -> Any:
+    """Return what a name or path of a group stands for.
+
+    Raises
+    ------
+    InputError
+        When there is no such name, module, file or class: says which, and what to do.
+    """
+    module, _, attribute = path_of(group, name).rpartition(":")
+    try:
+        found = _file(module) if module.endswith(".py") else _module(module)
+        return getattr(found, attribute)
+    except AttributeError as error:
+        raise InputError(f"{name!r}: {module} has no {attribute!r}; expected a class in it") from (
+            error
+        )
+
+
+def _module(name: str) -> ModuleType:
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{name}.".startswith(f"{error.name}."):
+            raise  # the module is there, and lacks one that it needs
+    here = str(Path.cwd())
+    if here in sys.path:
+        raise _missing(name)
+    sys.path.insert(0, here)
+    try:
+        return import_module(name)
+    except ModuleNotFoundError as error:
+        raise _missing(name) from error
+
+
+def _missing(name: str) -> InputError:
+    return InputError(
+        f"module {name!r} is not to be found; install it, put {name.partition('.')[0]}.py into "
+        f"{Path.cwd()}, or give the path of its file, as in folder/file.py:Class"
+    )
+
+
+def _file(path: str) -> ModuleType:
+    file = Path(path).resolve()
+    name = f"{file.stem}_{sha256(str(file).encode()).hexdigest()[:12]}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = spec_from_file_location(name, file)
+    if spec is None or spec.loader is None or not file.is_file():
+        raise InputError(f"there is no file {path} in {Path.cwd()}; expected Python code")
+    module = module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
