@@ -26,6 +26,9 @@ CODE = {
 }
 
 
+EVALUATING = ("sweep", "studies", "evaluate")
+
+
 wildcard_constraints:
     scene="|".join(SETTINGS.scenes),
     method="|".join(sorted({method for _, method in SETTINGS.acquisitions})),
@@ -38,7 +41,7 @@ def stage_code(stage):
         *CODE[stage],
         "stages.plan",
         "stages.results",
-        f"stages.{stage}",
+        f"stages.evaluating.{stage}" if stage in EVALUATING else f"stages.{stage}",
         "store",
     ]
     return code_fingerprint(*(f"rfpipe.{module}" for module in modules))

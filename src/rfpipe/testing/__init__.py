@@ -1,4 +1,4 @@
-"""The public contract suites: what every rig, projector and camera must do; and the dot test.
+"""The public contract suites: what methods, rigs, projectors and cameras must do; the dot test.
 
 In a test file of your own, for pytest::
 
@@ -10,7 +10,8 @@ In a test file of your own, for pytest::
 """
 
 from rfpipe.testing.devices import CameraContract, ProjectorContract
+from rfpipe.testing.methods import MethodContract
 from rfpipe.testing.operators import dot_test
 from rfpipe.testing.rigs import RigContract
 
-__all__ = ["CameraContract", "ProjectorContract", "RigContract", "dot_test"]
+__all__ = ["CameraContract", "MethodContract", "ProjectorContract", "RigContract", "dot_test"]

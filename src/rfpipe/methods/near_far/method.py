@@ -228,7 +228,9 @@ class NearFar(Method[NearFarState]):
         if state.symmetric is not None and not _model_is_better(state):
             hierarchy = Symmetric().transport(state.symmetric)
             return SumTransport([hierarchy], rows, [len(ROUNDS)])
-        assert state.pictures is not None
+        if state.pictures is None:
+            dark = np.zeros((state.channels, state.domain.size), np.float32)
+            return as_transport(state.domain.shape, rows, None, dark)
         return as_transport(state.domain.shape, rows, state.model, state.pictures.floodlit)
 
     def pack(self, state: NearFarState) -> Pack:

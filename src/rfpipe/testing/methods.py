@@ -1,0 +1,331 @@
+"""What every acquisition method must do."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from math import prod
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
+from rfpipe.methods import Method, Pack, options_of
+from rfpipe.methods.base import MEMORY_BYTES
+from rfpipe.patterns import Schedule
+from rfpipe.provenance import generator
+from rfpipe.testing.checks import require
+from rfpipe.testing.operators import dot_test
+from rfpipe.transport import Transport, open_transport, save_transport
+
+__all__ = ["MatrixImages", "MethodContract", "MethodRun", "matrix_of", "run_method"]
+
+Float = NDArray[np.float32]
+
+_COAXIAL = (6, 7), (6, 7)
+_ANY = (3, 4), (5, 6)
+_COUNTS = {"level", "patterns", "nodes", "empty", "rank1", "scalar", "subdivided"}
+
+
+@dataclass
+class MatrixImages:
+    """The images of one level as a rig of a known matrix would take them.
+
+    Parameters
+    ----------
+    matrix : ndarray of float, shape (C, camera rays, projector rays)
+    camera_shape : tuple of int
+    schedule : Schedule
+    sigma : float
+        Standard deviation of the noise of each pixel, radiance; at least 0.
+    seed : int
+        Of the noise. A pattern's is the same in whatever batch it is read.
+    """
+
+    matrix: NDArray[Any]
+    camera_shape: tuple[int, ...]
+    schedule: Schedule
+    sigma: float = 0.0
+    seed: int = 0
+
+    def read(self, first: int, last: int) -> tuple[Float, Float]:
+        """Return radiance and variance of some patterns, ``(last - first, *camera_shape, C)``."""
+        last = min(last, self.schedule.count)
+        patterns = self.schedule.batch(first, last).reshape(last - first, -1).astype(np.float64)
+        images = np.einsum("cmn,pn->pmc", self.matrix, patterns, optimize=True)
+        if self.sigma:
+            for index in range(first, last):
+                random = generator(self.seed, self.schedule.level, index)
+                images[index - first] += self.sigma * random.standard_normal(images.shape[1:])
+        shape = (last - first, *self.camera_shape, len(self.matrix))
+        radiance = images.reshape(shape).astype(np.float32)
+        return radiance, np.full_like(radiance, self.sigma**2)
+
+
+@dataclass
+class MethodRun:
+    """What a run of a method left: its transport, and schedule, state and pack of each level.
+
+    There is one state more than there are levels: the one before the first.
+    """
+
+    transport: Transport
+    schedules: list[Schedule]
+    states: list[Any]
+    packs: list[Pack]
+
+    @property
+    def patterns(self) -> list[int]:
+        """Patterns of each level."""
+        return [schedule.count for schedule in self.schedules]
+
+
+def run_method(
+    method: Method[Any],
+    matrix: NDArray[Any],
+    camera_shape: tuple[int, ...],
+    projector_shape: tuple[int, ...],
+    *,
+    sigma: float = 0.0,
+    seed: int = 0,
+    memory_bytes: int = MEMORY_BYTES,
+    **options: Any,
+) -> MethodRun:
+    """Acquire a matrix ``(M, N)`` or ``(C, M, N)`` level by level, in memory.
+
+    Parameters
+    ----------
+    method : Method
+    matrix : ndarray of float
+    camera_shape, projector_shape : tuple of int
+        Of M and of N rays.
+    sigma, seed
+        As `MatrixImages`.
+    memory_bytes : int
+        As `Method.refine`.
+    **options
+        The method's.
+    """
+    matrix = np.asarray(matrix, np.float64)
+    matrix = matrix[None] if matrix.ndim == 2 else matrix
+    camera, projector = RayDomain(camera_shape), RayDomain(projector_shape)
+    state = method.start(camera, projector, len(matrix), options_of(method, **options))
+    schedules, states, packs = [], [state], []
+    for _ in range(method.n_levels(camera, projector)):
+        schedule = method.schedule(state)
+        images = MatrixImages(matrix, camera_shape, schedule, sigma, seed)
+        state = method.refine(state, images, memory_bytes)
+        schedules.append(schedule)
+        states.append(state)
+        packs.append(method.pack(state))
+    return MethodRun(method.transport(state), schedules, states, packs)
+
+
+def matrix_of(transport: Transport) -> Float:
+    """Return a small transport's matrices, float32 (C, M, N)."""
+    rays = prod(transport.projector_shape)
+    impulses = np.eye(rays, dtype=np.float32).reshape(rays, *transport.projector_shape)
+    columns = transport.relight_batch(impulses).reshape(rays, -1, transport.channels)
+    return np.moveaxis(columns, (0, 1), (2, 1))
+
+
+class MethodContract:
+    """Tests that any method must pass; subclass it as ``Test...`` and define `make_method`.
+
+    Attributes
+    ----------
+    options : dict
+        Options under which the method is as exact as it can be on the small matrices here.
+    error : float
+        Largest relative error (Frobenius) of these matrices, from exact radiance.
+    floodlit_error : float
+        Largest relative error of the floodlit image.
+    """
+
+    options: dict[str, Any] = {}  # noqa: RUF012 - a constant of each suite
+    error: float = 0.1
+    floodlit_error: float = 0.02
+
+    def make_method(self) -> Method[Any]:
+        """Return the method."""
+        raise NotImplementedError(f"{type(self).__name__} must define make_method()")
+
+    def _run(self, matrix: NDArray[Any], **changes: Any) -> MethodRun:
+        method = self.make_method()
+        return run_method(method, matrix, *self._shapes(), **{**self.options, **changes})
+
+    def _shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        return _COAXIAL if self.make_method().needs_coaxial_rig else _ANY
+
+    def _matrix(self, channels: int = 3) -> NDArray[np.float64]:
+        """Return direct light and smooth indirect light, symmetric where rays are shared."""
+        camera, projector = (prod(shape) for shape in self._shapes())
+        random = generator(7)
+        one, other = np.linspace(0, 1, camera)[:, None], np.linspace(0, 1, projector)
+        smooth = np.exp(-3 * np.square(one - other)) / projector
+        direct = np.eye(camera, projector) * random.uniform(0.3, 1, (channels, 1, 1))
+        matrix: NDArray[np.float64] = direct + smooth * random.uniform(0.5, 1, (channels, 1, 1))
+        return matrix
+
+    def test_it_describes_itself(self) -> None:
+        """Name, title, colour, options with descriptions, and an option that trades patterns."""
+        from matplotlib.colors import is_color_like
+
+        method = self.make_method()
+        require(bool(re.fullmatch(r"[a-z][a-z0-9_]*", method.name)), f"name is {method.name!r}")
+        require(bool(method.title), "title is empty")
+        require(is_color_like(method.colour), f"colour {method.colour!r} is none of matplotlib's")
+        fields = method.Options.model_fields
+        bare = [name for name, field in fields.items() if not field.description]
+        require(not bare, f"options without a description: {', '.join(bare)}")
+        if method.trades is not None:
+            require(method.trades in fields, f"trades {method.trades!r}, which is no option")
+            for value in method.trials:
+                options_of(method, **{method.trades: value})
+
+    def test_an_option_that_it_does_not_have_is_refused(self) -> None:
+        """With the name of the option and those that there are."""
+        try:
+            options_of(self.make_method(), no_such_option=1)
+        except InputError as error:
+            require("no_such_option" in str(error), f"the message doesn't name it: {error}")
+        else:
+            raise AssertionError("no_such_option = 1 was accepted")
+
+    def test_forecasts(self) -> None:
+        """At least one pattern is expected, and no more than there may be."""
+        method = self.make_method()
+        options = options_of(method)
+        for shape in ((1, 1), (8, 8), (62, 70), (3, 10, 11)):
+            rays = RayDomain(shape)
+            expected = method.expected_patterns(rays, rays, options)
+            most = method.most_patterns(rays, rays, options)
+            require(0 < expected <= most, f"{expected} patterns of at most {most} for {shape}")
+
+    def test_rigs_that_do_not_fit_are_refused(self) -> None:
+        """A method for coaxial rigs takes no other; one for any rig takes all."""
+        method, (camera, projector) = self.make_method(), map(RayDomain, _ANY)
+        try:
+            method.n_levels(camera, projector)
+        except InputError:
+            require(method.needs_coaxial_rig, f"{_ANY} was refused, though it takes any rig")
+        else:
+            require(not method.needs_coaxial_rig, f"{_ANY} was accepted, though it isn't coaxial")
+
+    def test_small_matrices_are_found(self) -> None:
+        """The matrix itself and its floodlit image; the dual belongs to the primal."""
+        matrix = self._matrix()
+        run = self._run(matrix)
+        found = matrix_of(run.transport)
+        self._require_close(found, matrix, self.error, "the matrix")
+        self._require_close(found.sum(2), matrix.sum(2), self.floodlit_error, "the floodlit image")
+        dot_test(run.transport)
+
+    def test_it_is_linear_in_light(self) -> None:
+        """Twice the radiance is twice the transport; relighting is linear in the pattern."""
+        matrix = self._matrix()
+        once, twice = (matrix_of(self._run(scale * matrix).transport) for scale in (1, 2))
+        self._require_close(twice, 2 * once, 1e-4, "twice the light")
+        transport = self._run(matrix).transport
+        one, other = generator(1).random((2, *transport.projector_shape), np.float32)
+        joint = transport.relight(2 * one + 3 * other)
+        apart = 2 * transport.relight(one) + 3 * transport.relight(other)
+        self._require_close(joint, apart, 1e-5, "the picture of a sum of patterns")
+
+    def test_patterns(self) -> None:
+        """Weights in [0, 1] over the projector's rays; complete ones add up to full light."""
+        shape = self._shapes()[1]
+        for level, schedule in enumerate(self._run(self._matrix()).schedules):
+            require(schedule.level == level, f"level {level} says {schedule.level}")
+            shown = schedule.batch(0, schedule.count)
+            expected = (schedule.count, *shape)
+            require(shown.shape == expected, f"patterns are {shown.shape}, not {expected}")
+            require(bool(((shown >= 0) & (shown <= 1)).all()), f"level {level}: not in [0, 1]")
+            if schedule.complete:
+                total = shown.sum(axis=0)
+                require(np.allclose(total, 1), f"level {level} is complete but adds up to {total}")
+
+    def test_the_table_of_levels(self) -> None:
+        """A row a level with its patterns and counts, plain data."""
+        run = self._run(self._matrix())
+        rows = run.transport.level_rows
+        require([row["level"] for row in rows] == list(range(len(run.patterns))), f"{rows}")
+        require([row["patterns"] for row in rows] == run.patterns, f"{rows}")
+        for row in rows:
+            require(set(row) >= _COUNTS, f"a row lacks {_COUNTS - set(row)}")
+        require(json.loads(json.dumps(rows)) == rows == list(run.states[-1].rows), f"{rows}")
+
+    def test_a_state_is_restored_from_its_packs(self) -> None:
+        """Before each level, to the last bit, as a run that was stopped needs it."""
+        method, matrix = self.make_method(), self._matrix()
+        run = self._run(matrix)
+        packs = [Pack(pack.arrays, json.loads(json.dumps(pack.attributes))) for pack in run.packs]
+        for level in range(len(packs) + 1):
+            restored = method.restore(run.states[0], packs[:level])
+            self._require_same(method.transport(restored), method.transport(run.states[level]))
+            if level == len(packs):
+                break
+            schedule = method.schedule(restored)
+            require(schedule.digest() == run.schedules[level].digest(), f"level {level} differs")
+            images = MatrixImages(matrix, self._shapes()[0], schedule)
+            after = method.refine(restored, images)
+            self._require_same(method.transport(after), method.transport(run.states[level + 1]))
+
+    def test_memory_changes_nothing(self) -> None:
+        """As little as there may be gives the same bytes."""
+        matrix = self._matrix()
+        for sigma in (0.0, 0.01):
+            small = self._run(matrix, sigma=sigma, memory_bytes=2**16)
+            self._require_same(small.transport, self._run(matrix, sigma=sigma).transport)
+
+    def test_nothing_but_finite_numbers(self) -> None:
+        """Not from darkness, nor from noise, nor where a channel has no light."""
+        matrix = self._matrix()
+        dim = matrix * np.array([1, 0, 1])[:, None, None]
+        for light, sigma in ((0 * matrix, 0.0), (0 * matrix, 0.1), (matrix, 0.3), (dim, 0.01)):
+            found = matrix_of(self._run(light, sigma=sigma).transport)
+            require(bool(np.isfinite(found).all()), f"NaN or infinite at noise {sigma}")
+            if not light.any() and not sigma:
+                require(not found.any(), "darkness gave light")
+
+    def test_more_accuracy_is_no_worse(self) -> None:
+        """Along its own trials, errors don't rise by more than a little."""
+        method, matrix = self.make_method(), self._matrix()
+        if method.trades is None:
+            return
+        errors = []
+        for value in method.trials:
+            found = matrix_of(self._run(matrix, **{method.trades: value}).transport)
+            errors.append(float(np.linalg.norm(found - matrix) / np.linalg.norm(matrix)))
+        for before, after in pairwise(errors):
+            require(after <= 1.1 * before + 1e-4, f"errors along the trials: {errors}")
+
+    def test_stores_keep_every_bit(self) -> None:
+        """What is stored as float32 is opened as it was."""
+        transport = self._run(self._matrix()).transport
+        with TemporaryDirectory(prefix="rfpipe-") as folder:
+            save_transport(transport, Path(folder) / "transport.zarr")
+            stored = open_transport(Path(folder) / "transport.zarr")
+            self._require_same(stored, transport)
+
+    @staticmethod
+    def _require_close(
+        found: NDArray[Any], expected: NDArray[Any], error: float, what: str
+    ) -> None:
+        difference = np.linalg.norm(np.asarray(found, np.float64) - expected)
+        relative = float(difference / np.linalg.norm(expected))
+        require(relative <= error, f"{what} is {relative:.2g} off, more than {error:g}")
+
+    @staticmethod
+    def _require_same(found: Transport, expected: Transport) -> None:
+        (arrays, about), (wanted, facts) = found.pack(), expected.pack()
+        require(set(arrays) == set(wanted), f"arrays {sorted(arrays)}, not {sorted(wanted)}")
+        for name, array in wanted.items():
+            require(np.array_equal(arrays[name], array), f"{name} differs")
+        require(json.loads(json.dumps(about)) == json.loads(json.dumps(facts)), f"{about}")

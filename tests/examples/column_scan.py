@@ -1,0 +1,80 @@
+"""A method of one's own in one file: a scan of the projector by whole columns.
+
+It takes light to be the same all along a column of the projector, as it is where a scene looks the
+same from top to bottom, and shows as many patterns as the projector has columns.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import Field
+
+from rfpipe.methods import Method, Options, Pack
+from rfpipe.patterns import Schedule
+from rfpipe.transport.dense import DenseTransport
+
+
+class ColumnOptions(Options):
+    """What the scan may be told."""
+
+    width: int = Field(1, ge=1, le=64, description="Columns lit together, 1 to 64.")
+
+
+@dataclass(frozen=True)
+class ColumnState:
+    """Rays, options and what was found."""
+
+    camera: tuple[int, ...]
+    projector: tuple[int, ...]
+    options: ColumnOptions
+    matrix: np.ndarray  # (C, camera rays, projector rays)
+    rows: tuple[dict[str, int], ...] = ()
+
+
+class ColumnScan(Method[ColumnState]):
+    """A scan of the projector's columns."""
+
+    name = "column_scan"
+    title = "Scan of columns"
+    colour = "#2f7f7f"
+    Options = ColumnOptions
+
+    def n_levels(self, camera, projector):
+        return 1
+
+    def expected_patterns(self, camera, projector, options):
+        return -(-projector.shape[-1] // options.width)
+
+    def start(self, camera, projector, channels, options):
+        matrix = np.zeros((channels, camera.size, projector.size), np.float32)
+        return ColumnState(camera.shape, projector.shape, options, matrix)
+
+    def schedule(self, state):
+        column = np.arange(state.projector[-1], dtype=np.int32) // state.options.width
+        pattern_of_ray = np.broadcast_to(column, state.projector).copy()
+        count = int(column.max()) + 1
+        return Schedule(0, state.projector, count, pattern_of_ray=pattern_of_ray, complete=True)
+
+    def refine(self, state, images, memory_bytes=0):
+        schedule = images.schedule
+        pattern = schedule.pattern_of_ray.ravel()
+        radiance, _ = images.read(0, schedule.count)
+        seen = radiance.reshape(schedule.count, -1, len(state.matrix))
+        matrix = np.moveaxis(seen, (0, 2), (2, 0))[:, :, pattern] / np.bincount(pattern)[pattern]
+        row = dict.fromkeys(("level", "empty", "rank1", "subdivided"), 0)
+        row |= {"patterns": schedule.count, "nodes": schedule.count, "scalar": schedule.count}
+        return replace(state, matrix=matrix.astype(np.float32), rows=(row,))
+
+    def transport(self, state):
+        arrays = {"matrix": state.matrix}
+        rows = list(state.rows)
+        return DenseTransport(state.camera, state.projector, len(state.matrix), rows, arrays)
+
+    def pack(self, state):
+        return Pack({"matrix": state.matrix}, {"rows": list(state.rows)})
+
+    def restore(self, start, packs):
+        if not packs:
+            return start
+        rows = tuple(packs[-1].attributes["rows"])
+        return replace(start, matrix=packs[-1].arrays["matrix"], rows=rows)
