@@ -1,7 +1,8 @@
 """Acquire, store and relight the light transport between a projector and a camera.
 
 ``open_transport`` opens what a run stored; ``acquire`` runs a whole acquisition in this process;
-``OperatorRig`` is a rig made from a matrix or linear operator. Each is imported when it is first
+``OperatorRig`` is a rig made from a matrix or linear operator, and ``CameraModel`` the camera that
+it may be given. Each is imported when it is first
 used, so that ``import rfpipe`` stays quick.
 """
 
@@ -9,15 +10,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rfpipe.photometry import CameraModel
     from rfpipe.rigs import OperatorRig
     from rfpipe.stages.acquire import acquire
     from rfpipe.transport import open_transport
 
     __version__: str
 
-__all__ = ["OperatorRig", "__version__", "acquire", "open_transport"]
+__all__ = ["CameraModel", "OperatorRig", "__version__", "acquire", "open_transport"]
 
 _HOMES = {
+    "CameraModel": "rfpipe.photometry",
     "OperatorRig": "rfpipe.rigs",
     "acquire": "rfpipe.stages.acquire",
     "open_transport": "rfpipe.transport",

@@ -149,7 +149,9 @@ def test_what_is_no_transport(matrix: Any, message: str) -> None:
 
 
 def test_wrong_settings() -> None:
-    with pytest.raises(InputError, match=r"camera_shape is \(20,\); expected \(H, W\)"):
+    with pytest.raises(
+        InputError, match=r"camera_shape is \(20,\); expected height and width, \(H, W\)"
+    ):
         OperatorRig(MATRICES, (20,), PROJECTOR_SHAPE)
     with pytest.raises(InputError, match=r"projector_shape is \(0, 7\)"):
         OperatorRig(MATRICES, CAMERA_SHAPE, (0, 7))
@@ -287,3 +289,34 @@ def test_frames_do_not_depend_on_the_number_of_threads() -> None:
         )
         digests.add(done.stdout)
     assert len(digests) == 1
+
+
+@pytest.mark.parametrize("shape", [16, (4, 4.5), "44", (4,), (0, 4), (2, 2, 2, 2)])
+def test_a_shape_that_is_none_says_what_was_meant(shape: Any) -> None:
+    with pytest.raises(
+        InputError, match=r"camera_shape is .*; expected height and width, \(H, W\)"
+    ):
+        OperatorRig(np.eye(16), shape, (4, 4))
+
+
+def test_a_matrix_with_its_channels_last_says_how_to_turn_it() -> None:
+    with pytest.raises(InputError, match=r"\(20, 21, 3\).*numpy\.moveaxis\(matrix, -1, 0\)"):
+        rig_of(np.moveaxis(MATRICES, 0, -1))
+
+
+def test_rigs_transports_and_results_say_what_they_are() -> None:
+    rig = rig_of(MATRICES, noise=rfpipe.CameraModel())
+    assert repr(rig).startswith("OperatorRig(camera (4, 5), projector (3, 7), 3 channels, Camera")
+    result = rfpipe.acquire(rig_of(MATRICES), "brute_force", progress=False)
+    about = "DenseTransport(camera (4, 5), projector (3, 7), 3 channels, 0.00504 MB)"
+    assert repr(result.transport) == about
+    assert repr(result.transport.T) == f"{about}.T"
+    assert repr(result).startswith(f"AcquisitionResult(transport={about}, patterns=21, ")
+
+
+def test_an_almost_dark_floodlit_image_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    options: dict[str, Any] = {"progress": False, "floodlit_frames": 4, "black_frames": 4}
+    rfpipe.acquire(rig_of(MATRICES / 21, noise=CameraConfig()), "brute_force", **options)
+    assert "almost dark" not in caplog.text
+    rfpipe.acquire(rig_of(MATRICES * 1.2e-6, noise=CameraConfig()), "brute_force", **options)
+    assert "the floodlit image is almost dark: its mean radiance" in caplog.text

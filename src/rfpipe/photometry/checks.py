@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,9 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
 
-__all__ = ["check_floodlit"]
+__all__ = ["check_floodlit", "warn_if_dim"]
+
+_log = logging.getLogger(__name__)
 
 
 def check_floodlit(
@@ -49,4 +52,29 @@ def check_floodlit(
             f"the floodlit image is all black: radiance {total:.3g} in all, noise {error:.3g}. "
             "Check that the projector is on, that the camera sees what it lights, and that the "
             "exposures are long enough"
+        )
+
+
+def warn_if_dim(radiance: NDArray[Any], variance: NDArray[Any], significance: float = 5.0) -> None:
+    """Warn where a single picture of full light is hardly brighter than its noise.
+
+    Patterns light a part of the projector, and indirect light is a part of theirs: what full light
+    leaves near the noise, they leave below it.
+
+    Parameters
+    ----------
+    radiance, variance : ndarray of float, any one shape
+        The mean floodlit image, and the variance of one picture.
+    significance : float
+        Standard deviations of noise that a pixel's mean light should exceed.
+    """
+    light = float(np.mean(radiance, dtype=np.float64))
+    noise = float(np.sqrt(np.mean(variance, dtype=np.float64)))
+    if light < significance * noise:
+        _log.warning(
+            "the floodlit image is almost dark: its mean radiance, %.3g, is %.2g times a "
+            "picture's noise. Indirect light will be lost in it: take longer exposures, a "
+            "brighter projector, or a wider aperture",
+            light,
+            light / noise,
         )

@@ -53,6 +53,11 @@ def as_pattern_operator(matrix: Transportish, rows: int, columns: int) -> Patter
         operator: PatternOperator = matrix
         return operator
     if isinstance(matrix, np.ndarray) and matrix.ndim == 3:
+        if matrix.shape[:2] == (rows, columns) and matrix.shape[1:] != (rows, columns):
+            raise InputError(
+                f"the transport has the shape {matrix.shape}, its channels last; expected "
+                f"{(matrix.shape[2], rows, columns)}: give numpy.moveaxis(matrix, -1, 0)"
+            )
         matrix = list(matrix)
     given = list(matrix) if isinstance(matrix, list | tuple) else [matrix]
     if not given:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from math import prod
@@ -74,6 +75,12 @@ class OperatorRig:
         self._threads = threads
         self._frame_shape = self.sensor.frame_shape(self.camera_shape, self.channels)
 
+    def __repr__(self) -> str:
+        return (
+            f"{type(self).__name__}(camera {self.camera_shape}, projector {self.projector_shape}, "
+            f"{self.channels} channel{'s' if self.channels > 1 else ''}, {self.sensor!r})"
+        )
+
     def capture(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`."""
         patterns = check_patterns(patterns, keys, self.projector_shape)
@@ -130,8 +137,12 @@ def _as_sensor(noise: Sensor | CameraConfig | None) -> Sensor:
     return noise
 
 
-def _checked_shape(shape: tuple[int, ...], name: str) -> tuple[int, ...]:
-    shape = tuple(int(extent) for extent in shape)
+def _checked_shape(given: tuple[int, ...], name: str) -> tuple[int, ...]:
+    expected = "expected height and width, (H, W), or (V, H, W) for V views, each at least 1"
+    try:
+        shape = tuple(operator.index(extent) for extent in given)
+    except TypeError:
+        raise InputError(f"{name} is {given!r}; {expected}") from None
     if len(shape) not in (2, 3) or min(shape) < 1:
-        raise InputError(f"{name} is {shape}; expected (H, W) or (V, H, W), each at least 1")
+        raise InputError(f"{name} is {shape}; {expected}")
     return shape

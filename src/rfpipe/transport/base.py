@@ -35,6 +35,9 @@ class Transport(ABC):
     projector_shape: tuple[int, ...]
     channels: int
 
+    def __repr__(self) -> str:
+        return _shown(self)
+
     @abstractmethod
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, projector rays)``, K = ``len(channels)``."""
@@ -126,6 +129,16 @@ class Transport(ABC):
         return _channel_operator(self, index)
 
 
+def _shown(transport: Transport) -> str:
+    """Say what a transport is, without reading it."""
+    channels = transport.channels
+    return (
+        f"{type(transport).__name__}(camera {transport.camera_shape}, projector "
+        f"{transport.projector_shape}, {channels} channel{'s' if channels > 1 else ''}, "
+        f"{transport.nbytes / 1e6:.3g} MB)"
+    )
+
+
 def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: int) -> Float:
     """Bring patterns ``(P, *shape[, channels])`` into planar form ``(P, channels, rays)``.
 
@@ -166,6 +179,9 @@ class TransposedTransport:
         self.camera_shape = primal.projector_shape
         self.projector_shape = primal.camera_shape
         self.channels = primal.channels
+
+    def __repr__(self) -> str:
+        return f"{self.T!r}.T"
 
     def relight(self, pattern: NDArray[Any]) -> Float:
         """Return the dual image ``p'' = T^T c''`` (eq. 2.12), ``(*projector_shape, channels)``."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
-from rfpipe.photometry.checks import check_floodlit
+from rfpipe.photometry.checks import check_floodlit, warn_if_dim
 from rfpipe.photometry.defects import DarkFrames, DefectMap, Repair, find_defects
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
@@ -160,6 +160,7 @@ class Merger:
         _check_saturation(saturated / samples, sensor)
         if is_camera:
             check_floodlit(total.radiance, total.variance)
+            warn_if_dim(total.radiance / count, total.variance / count)
         return replace(
             merger,
             floodlit=(total.radiance / count).astype(np.float32),
