@@ -19,10 +19,13 @@ from typing import Any
 
 from rfpipe.errors import InputError
 
-__all__ = ["METHODS", "find", "names", "path_of"]
+__all__ = ["CAMERAS", "METHODS", "PROJECTORS", "RIGS", "find", "names", "path_of"]
 
 METHODS = "rfpipe.methods"
 """The group of acquisition methods."""
+
+PROJECTORS, CAMERAS, RIGS = "rfpipe.projectors", "rfpipe.cameras", "rfpipe.rigs"
+"""The groups of devices' drivers, and of rigs as a whole."""
 
 
 @cache
@@ -42,13 +45,12 @@ def path_of(group: str, name: str) -> str:
     if ":" in name:
         return name
     if name not in names(group):
-        known = ", ".join(names(group)) or "none: install rfpipe with 'make install'"
+        known = f"one of {', '.join(names(group))}, or " if names(group) else ""
         raise InputError(
-            f"{name!r} is unknown; expected one of {known}; or a class of your own as "
-            "module:Class or file.py:Class"
+            f"{name!r} is unknown; expected {known}a class of your own as module:Class or "
+            "file.py:Class"
         )
-    (entry,) = entry_points(group=group, name=name)
-    return entry.value
+    return next(iter(entry_points(group=group, name=name))).value
 
 
 def find(group: str, name: str) -> Any:

@@ -39,7 +39,7 @@ def settings(**changes: Any) -> RigConfig:
     }
     plain = {
         "rays": RAYS,
-        "projector": {"settle_seconds": 0},
+        "projector": {"options": {"settle_seconds": 0}},
         "sensor": {"exposures": [1 / 64, 1 / 8]},
         "bench": bench,
         **changes,
@@ -48,7 +48,7 @@ def settings(**changes: Any) -> RigConfig:
 
 
 COLOUR = {
-    "camera": {"pixel_format": "BayerRG12"},
+    "camera": {"options": {"pixel_format": "BayerRG12"}},
     "sensor": {"exposures": [1 / 64, 1 / 8], "bayer": "RGGB"},
     "bench": {
         "scene": {
@@ -151,7 +151,7 @@ def test_the_projector_bends_light_until_its_response_is_known(tmp_path: Path) -
         bent = merged(rig, np.concatenate([grey, np.ones_like(grey)])).radiance.sum(axis=(1, 2, 3))
     np.savetxt(tmp_path / "response.txt", (np.arange(256) / 255) ** 2.2)
     known = {"settle_seconds": 0, "response": str(tmp_path / "response.txt")}
-    with bench(projector=known) as rig:
+    with bench(projector={"options": known}) as rig:
         straight = merged(rig, np.concatenate([grey, np.ones_like(grey)])).radiance.sum(
             axis=(1, 2, 3)
         )

@@ -17,7 +17,7 @@ from rfpipe.scenes.relighting import relighting_patterns
 RAYS = (16, 16)
 SETTINGS = {
     "rays": list(RAYS),
-    "projector": {"settle_seconds": 0.0},
+    "projector": {"options": {"settle_seconds": 0.0}},
     "bench": {
         "scene": {
             "geometry": "wedge", "surfaces": ["white", "texture"], "shape": list(RAYS),

@@ -189,11 +189,11 @@ def test_there_is_no_report_of_nothing(tmp_path: Path) -> None:
 
 def test_an_earlier_calibration_is_not_built_upon() -> None:
     config = parse_rig_config(
-        {"calibration": "old", "projector": {"response": "old.txt"}}, "rig.yaml"
+        {"calibration": "old", "projector": {"options": {"response": "old.txt"}}}, "rig.yaml"
     )
     bare = uncalibrated(config)
     assert bare.calibration is None
-    assert bare.projector.response is None
+    assert bare.projector.arguments()["response"] is None
 
 
 def test_the_command_calibrates_and_reports(

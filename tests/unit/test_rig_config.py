@@ -9,8 +9,12 @@ from pydantic import BaseModel
 
 import rfpipe.config
 from rfpipe.config import RigConfig, load_rig_config, parse_rig_config
+from rfpipe.config.base import Settings
+from rfpipe.config.drivers import FreeOptions
 from rfpipe.config.files import bench_yaml, rig_json_schema, rig_yaml
 from rfpipe.errors import ConfigError
+from rfpipe.rigs.pylon_options import PylonOptions
+from rfpipe.rigs.window_options import WindowOptions
 
 FOLDER = Path(__file__).parents[2] / "config"
 PLANE = {"geometry": "plane", "surfaces": ["white"], "channels": 1}
@@ -37,12 +41,16 @@ def test_the_bench_file_is_a_bench() -> None:
     config = load_rig_config(FOLDER / "bench.yaml")
     assert config.bench is not None
     assert config.bench.scene.ray_shape == (32, 32)
-    assert config.projector.settle_seconds == 0
+    assert config.projector.arguments()["settle_seconds"] == 0
 
 
 def test_every_setting_has_a_description() -> None:
     names = ["RigConfig", *RigConfig.model_json_schema()["$defs"]]
-    models: list[type[BaseModel]] = [getattr(rfpipe.config, name) for name in names]
+    own = {"FreeOptions": FreeOptions, "Settings": Settings}
+    models: list[type[BaseModel]] = [
+        own.get(name) or getattr(rfpipe.config, name) for name in names
+    ]
+    models += [WindowOptions, PylonOptions]
     bare = [
         f"{model.__name__}.{name}"
         for model in models
@@ -66,40 +74,51 @@ def test_every_setting_has_a_description() -> None:
 )
 def test_pixel_formats_say_bits_and_mosaic(name: str, bits: int, bayer: str | None) -> None:
     sensor = {"bits": bits, "bayer": bayer}
-    config = parse_rig_config({"camera": {"pixel_format": name}, "sensor": sensor}, "rig.yaml")
-    assert (config.camera.bits, config.camera.bayer) == (bits, bayer)
+    config = parse_rig_config(
+        {"camera": {"options": {"pixel_format": name}}, "sensor": sensor}, "rig.yaml"
+    )
+    assert (config.camera.options.bits, config.camera.options.bayer) == (bits, bayer)
 
 
 def test_further_nodes_keep_their_types() -> None:
     nodes = {"ReverseX": True, "DigitalShift": 1, "Gamma": 0.5, "SensorReadoutMode": "Fast"}
-    config = parse_rig_config({"camera": {"nodes": nodes}}, "rig.yaml")
-    assert config.camera.nodes == nodes
-    assert [type(value) for value in config.camera.nodes.values()] == [bool, int, float, str]
+    config = parse_rig_config({"camera": {"options": {"nodes": nodes}}}, "rig.yaml")
+    assert config.camera.arguments()["nodes"] == nodes
+    assert [type(value) for value in config.camera.arguments()["nodes"].values()] == [
+        bool,
+        int,
+        float,
+        str,
+    ]
 
 
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
         ({"kind": "hardware"}, "kind is 'hardware'; it should be 'devices' or 'simulated'"),
-        ({"projector": {"screen": -1}}, "projector.screen is -1"),
-        ({"projector": {"display": "HDMI-1"}}, "projector.display is 'HDMI-1'"),
-        ({"projector": {"shape": [1080]}}, "projector.shape[1] is missing"),
-        ({"projector": {"settle_second": 1}}, "did you mean settle_seconds?"),
-        ({"camera": {"pixel_format": "Mono12p"}}, "camera.pixel_format is 'Mono12p'"),
-        ({"camera": {"retries": 2.5}}, "camera.retries is 2.5"),
-        ({"camera": {"pixel_format": "BayerRG8"}},
-         "sensor.bits should be 8 with camera.pixel_format BayerRG8, not 12"),
-        ({"camera": {"pixel_format": "BayerRG12"}},
-         "sensor.bayer should be RGGB with camera.pixel_format BayerRG12, not null"),
+        ({"projector": {"options": {"screen": -1}}}, "projector.options.screen is -1"),
+        ({"projector": {"options": {"display": "HDMI-1"}}},
+         "projector.options.display is 'HDMI-1'"),
+        ({"projector": {"options": {"shape": [1080]}}}, "projector.options.shape[1] is missing"),
+        ({"projector": {"options": {"settle_second": 1}}}, "did you mean settle_seconds?"),
+        ({"camera": {"options": {"pixel_format": "Mono12p"}}},
+         "camera.options.pixel_format is 'Mono12p'"),
+        ({"camera": {"options": {"retries": 2.5}}}, "camera.options.retries is 2.5"),
+        ({"camera": {"options": {"pixel_format": "BayerRG8"}}},
+         "sensor.bits should be 8 with camera.options.pixel_format BayerRG8, not 12"),
+        ({"camera": {"options": {"pixel_format": "BayerRG12"}}},
+         "sensor.bayer should be RGGB with camera.options.pixel_format BayerRG12, not null"),
         ({"sensor": None}, "sensor should be set with kind devices"),
         ({"scene": PLANE}, "scene should be null with kind devices"),
         ({"kind": "simulated"}, "scene should be set with kind simulated"),
         ({"kind": "simulated", "scene": PLANE, "bench": {}}, "bench should be null"),
         ({"bench": {"scene": {**PLANE, "channels": 3}}},
-         "bench.scene.channels should be 1 with camera.pixel_format Mono12, not 3"),
+         "bench.scene.channels should be 1 with camera.options.pixel_format Mono12, not 3"),
         ({"bench": {"camera": {"bits": 10}}}, "bench.camera.bits should be 12"),
-        ({"bench": {}, "projector": {"display": ":0"}}, "projector.display should be null"),
-        ({"bench": {}, "camera": {"shape": [8, 8]}}, "camera.shape should be null"),
+        ({"bench": {}, "projector": {"options": {"display": ":0"}}},
+         "projector.options.display should be null"),
+        ({"bench": {}, "camera": {"options": {"shape": [8, 8]}}},
+         "camera.options.shape should be null"),
         ({"bench": {"camera_corners": [[[0, 0], [9, 0], [9, 9], [0, 9]]] * 2}},
          "camera_corners should have four corners for each of the scene's 1 views, not for 2"),
         ({"bench": {"projector_gamma": 0}}, "bench.projector_gamma is 0"),

@@ -8,7 +8,7 @@ from tests.workflow.harness import Workflow
 
 RIG = {
     "rays": [8, 8],
-    "projector": {"settle_seconds": 0.0},
+    "projector": {"options": {"settle_seconds": 0.0}},
     "bench": {
         "scene": {"geometry": "wedge", "surfaces": ["white", "white"], "shape": [8, 8],
                   "channels": 1},

@@ -14,7 +14,10 @@ __all__ = ["calibrate_rig", "uncalibrated"]
 
 def uncalibrated(config: RigConfig) -> RigConfig:
     """Return the settings without what an earlier calibration, or a file, knows of the devices."""
-    projector = config.projector.model_copy(update={"response": None})
+    projector = config.projector
+    if "response" in type(projector.options).model_fields:
+        options = projector.options.model_copy(update={"response": None})
+        projector = projector.model_copy(update={"options": options})
     return config.model_copy(update={"calibration": None, "projector": projector})
 
 

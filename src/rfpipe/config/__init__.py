@@ -7,11 +7,9 @@ from rfpipe.config.base import MethodSettings
 from rfpipe.config.calibration import CalibrationConfig
 from rfpipe.config.devices import (
     BenchConfig,
-    PixelFormat,
-    PylonConfig,
     RigConfig,
-    WindowConfig,
 )
+from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
 from rfpipe.config.files import (
     default_yaml,
     json_schema,
@@ -39,6 +37,7 @@ __all__ = [
     "BenchConfig",
     "CalibrationConfig",
     "CameraConfig",
+    "CameraDriver",
     "CaptureConfig",
     "Config",
     "MergeConfig",
@@ -46,15 +45,14 @@ __all__ = [
     "Normalization",
     "NumberFormat",
     "OccluderConfig",
-    "PixelFormat",
-    "PylonConfig",
+    "ProjectorDriver",
     "ReportConfig",
     "ResourcesConfig",
     "RigConfig",
+    "RigDriver",
     "SceneConfig",
     "StorageConfig",
     "Surface",
-    "WindowConfig",
     "default_yaml",
     "json_schema",
     "load_config",

@@ -1,122 +1,17 @@
-"""The settings of a rig: its projector, its camera, and the optical bench in software."""
+"""The settings of a rig: its devices, and the optical bench in software."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from rfpipe.config.base import Extent, Settings
 from rfpipe.config.calibration import CalibrationConfig, Quadrilateral
+from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
 from rfpipe.config.rig import CameraConfig, SceneConfig
 
-__all__ = ["BenchConfig", "PixelFormat", "PylonConfig", "RigConfig", "WindowConfig"]
-
-PixelFormat = Literal[
-    "Mono8", "Mono10", "Mono12", "Mono16",
-    "BayerRG8", "BayerRG10", "BayerRG12", "BayerRG16",
-    "BayerGR8", "BayerGR10", "BayerGR12", "BayerGR16",
-    "BayerGB8", "BayerGB10", "BayerGB12", "BayerGB16",
-    "BayerBG8", "BayerBG10", "BayerBG12", "BayerBG16",
-]  # fmt: skip
-Offset = Annotated[int, Field(ge=0, le=32768)]
-PictureExtent = Annotated[int, Field(ge=1, le=32768)]
-
-_MOSAICS = {"RG": "RGGB", "GR": "GRBG", "GB": "GBRG", "BG": "BGGR"}
-
-
-class WindowConfig(Settings):
-    """The projector: a full-screen window on a display."""
-
-    display: str | None = Field(
-        None,
-        pattern=r"^\S*:\d+(\.\d+)?$",
-        description="X display, such as :0, or null for that of the environment's DISPLAY.",
-    )
-    screen: int = Field(
-        0, ge=0, le=63, description="Number of the monitor on that display, 0 to 63."
-    )
-    offset: tuple[Offset, Offset] = Field(
-        (0, 0),
-        description="Place of the picture on the monitor: pixels from its upper edge and from "
-        "its left edge.",
-    )
-    shape: tuple[PictureExtent, PictureExtent] | None = Field(
-        None,
-        description="Height and width of the picture in pixels, or null for the whole monitor. "
-        "Set the monitor to the projector's native resolution.",
-    )
-    settle_seconds: float = Field(
-        0.1,
-        ge=0,
-        le=60,
-        description="Wait after a picture was drawn, until the projector shows it, in seconds, 0 "
-        "to 60: two or three frames of the display plus the projector's own delay.",
-    )
-    response: str | None = Field(
-        None,
-        description="Text file with the light of the codes 0 to 255, one number a line, as a "
-        "fraction of that of 255; null for that of the calibration, or, without one, light in "
-        "proportion to the code.",
-    )
-
-
-class PylonConfig(Settings):
-    """A Basler camera."""
-
-    serial: str | None = Field(
-        None, min_length=1, description="Serial number, or null for the only camera connected."
-    )
-    pixel_format: PixelFormat = Field(
-        "Mono12",
-        description="Mono8, Mono10, Mono12 or Mono16, or one of a colour mosaic: BayerRG, "
-        "BayerGR, BayerGB or BayerBG with 8, 10, 12 or 16 bits. sensor.bits and sensor.bayer say "
-        "the same.",
-    )
-    shape: tuple[PictureExtent, PictureExtent] | None = Field(
-        None, description="Height and width of the frames in pixels, or null for the whole sensor."
-    )
-    offset: tuple[Offset, Offset] = Field(
-        (0, 0),
-        description="Place of the frames on the sensor: rows from its upper edge, columns from "
-        "its left edge.",
-    )
-    gain_db: float = Field(
-        0.0, ge=0, le=48, description="Gain in decibels, fixed, 0 to 48; 0 has the least noise."
-    )
-    timeout_seconds: float = Field(
-        2.0,
-        gt=0,
-        le=600,
-        description="Seconds until a frame counts as lost, beyond its exposure time; above 0, at "
-        "most 600.",
-    )
-    retries: int = Field(
-        3, ge=0, le=100, description="How often a failed frame is taken again, 0 to 100."
-    )
-    reconnects: int = Field(
-        5, ge=0, le=1000, description="How often a lost camera is looked for, 0 to 1000."
-    )
-    reconnect_seconds: float = Field(
-        2.0, ge=0, le=600, description="Wait before each of these attempts in seconds, 0 to 600."
-    )
-    nodes: dict[str, bool | int | float | str] = Field(
-        default_factory=dict,
-        description="Further settings of the camera, as its manual names them, such as "
-        "{SensorReadoutMode: Fast}.",
-    )
-
-    @property
-    def bits(self) -> int:
-        """Bits of the pixel format."""
-        return int(self.pixel_format.removeprefix("Mono").removeprefix("Bayer").lstrip("RGB"))
-
-    @property
-    def bayer(self) -> str | None:
-        """Colour mosaic of the pixel format, None for grey."""
-        if self.pixel_format.startswith("Mono"):
-            return None
-        return _MOSAICS[self.pixel_format.removeprefix("Bayer")[:2]]
+__all__ = ["BenchConfig", "RigConfig"]
 
 
 class BenchConfig(Settings):
@@ -194,8 +89,9 @@ class RigConfig(Settings):
         description="devices: a projector and a camera, or the bench; simulated: a scene under a "
         "coaxial rig, exactly as in a run's settings.",
     )
-    projector: WindowConfig = Field(
-        default_factory=WindowConfig, description="The projector of a rig of devices."
+    projector: ProjectorDriver = Field(
+        default_factory=lambda: ProjectorDriver.model_validate({}),
+        description="The projector of a rig of devices.",
     )
     rays: tuple[Extent, Extent] | None = Field(
         None,
@@ -203,8 +99,14 @@ class RigConfig(Settings):
         "is a square of as many whole projector pixels as fit, in the middle. null: each "
         "projector pixel is a ray.",
     )
-    camera: PylonConfig = Field(
-        default_factory=PylonConfig, description="The camera of a rig of devices."
+    camera: CameraDriver = Field(
+        default_factory=lambda: CameraDriver.model_validate({}),
+        description="The camera of a rig of devices.",
+    )
+    rig: RigDriver | None = Field(
+        None,
+        description="A rig as a whole, in place of projector and camera; null for one of devices "
+        "or a simulated one.",
     )
     sensor: CameraConfig | None = Field(
         default_factory=CameraConfig,
@@ -237,7 +139,7 @@ class RigConfig(Settings):
 
     @model_validator(mode="after")
     def _has_a_scene_where_simulated(self) -> Self:
-        if (self.scene is None) == (self.kind == "simulated"):
+        if self.rig is None and (self.scene is None) == (self.kind == "simulated"):
             expected = "be set" if self.scene is None else "be null"
             raise ValueError(f"scene should {expected} with kind {self.kind}")
         if self.bench is not None and self.kind == "simulated":
@@ -245,21 +147,31 @@ class RigConfig(Settings):
         return self
 
     @model_validator(mode="after")
+    def _rig_as_a_whole_stands_alone(self) -> Self:
+        if self.rig is not None:
+            for name in ("bench", "scene", "calibration"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name} should be null with a rig as a whole")
+        return self
+
+    @model_validator(mode="after")
     def _sensor_is_that_of_the_camera(self) -> Self:
-        if self.kind == "simulated":
+        if self.kind == "simulated" or self.rig is not None:
             return self
         if self.sensor is None:
             raise ValueError("sensor should be set with kind devices, not null")
         models = {"sensor": self.sensor}
         if self.bench is not None and self.bench.camera is not None:
             models["bench.camera"] = self.bench.camera
+        camera = self.camera.options
         for name, model in models.items():
             for setting in ("bits", "bayer"):
-                known, expected = getattr(model, setting), getattr(self.camera, setting)
-                if known != expected:
+                known, expected = getattr(model, setting), getattr(camera, setting, ...)
+                if expected not in (..., known):
                     raise ValueError(
                         f"{name}.{setting} should be {expected or 'null'} with "
-                        f"camera.pixel_format {self.camera.pixel_format}, not {known or 'null'}"
+                        f"camera.options.pixel_format {getattr(camera, 'pixel_format', '')}, not "
+                        f"{known or 'null'}"
                     )
         return self
 
@@ -267,20 +179,27 @@ class RigConfig(Settings):
     def _bench_fits_the_devices(self) -> Self:
         if self.bench is None:
             return self
-        channels = 1 if self.camera.bayer is None else 3
+        drivers = self.projector.driver, self.camera.driver
+        if drivers != ("window", "pylon"):
+            raise ValueError(
+                f"projector.driver and camera.driver should be window and pylon with a bench, "
+                f"which drives them in software, not {drivers[0]} and {drivers[1]}"
+            )
+        window, camera = self.projector.options.model_dump(), self.camera.options.model_dump()
+        channels = 3 if "Bayer" in camera["pixel_format"] else 1
         if self.bench.scene.channels != channels:
             raise ValueError(
-                f"bench.scene.channels should be {channels} with camera.pixel_format "
-                f"{self.camera.pixel_format}, not {self.bench.scene.channels}"
+                f"bench.scene.channels should be {channels} with camera.options.pixel_format "
+                f"{camera['pixel_format']}, not {self.bench.scene.channels}"
             )
-        if self.projector.display is not None:
+        if window["display"] is not None:
             raise ValueError(
-                f"projector.display should be null with a bench, which has its own display, not "
-                f"{self.projector.display}"
+                "projector.options.display should be null with a bench, which has its own display, "
+                f"not {window['display']}"
             )
-        if self.camera.shape is not None or self.camera.offset != (0, 0):
+        if camera["shape"] is not None or tuple(camera["offset"]) != (0, 0):
             raise ValueError(
-                "camera.shape should be null and camera.offset [0, 0] with a bench, whose "
-                "camera_shape says what the camera takes"
+                "camera.options.shape should be null and camera.options.offset [0, 0] with a "
+                "bench, whose camera_shape says what the camera takes"
             )
         return self

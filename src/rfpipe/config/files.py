@@ -11,7 +11,8 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from rfpipe.config.base import Described, Settings
-from rfpipe.config.devices import BenchConfig, RigConfig, WindowConfig
+from rfpipe.config.devices import BenchConfig, RigConfig
+from rfpipe.config.drivers import ProjectorDriver
 from rfpipe.config.model import Config
 from rfpipe.config.problems import explained, model_within, shown
 from rfpipe.config.schema import schema_of
@@ -118,7 +119,7 @@ def bench_yaml() -> str:
     )
     bench = BenchConfig()
     bench_rig = RigConfig(
-        projector=WindowConfig(settle_seconds=0),
+        projector=ProjectorDriver.model_validate({"options": {"settle_seconds": 0}}),
         bench=bench,
         rays=bench.scene.shape,
         calibration="calibration",

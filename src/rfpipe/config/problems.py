@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from rfpipe.config.base import Described, SectionsOf, Settings
+from rfpipe.config.drivers import DeviceDriver
 from rfpipe.errors import InputError
 
 __all__ = ["explained", "model_within", "shown"]
@@ -86,13 +87,13 @@ def _at(
     model: type[BaseModel] = kind
     field: FieldInfo | None = None
     for part in location:
-        data = data.get(part) if isinstance(data, Mapping) else None
+        section, data = data, data.get(part) if isinstance(data, Mapping) else None
         found = model.model_fields.get(str(part))
         if found is None:  # a section's name, a list's index or an unknown key
             model = _described(model, str(part), data)
             continue
         field = found
-        model = model_within(found) or model
+        model = _driven(model, str(part), section) or model_within(found) or model
     return model, field
 
 
@@ -104,6 +105,17 @@ def _described(model: type[BaseModel], name: str, section: object) -> type[BaseM
         return model.model_of(model.name_in(section) or name)
     except InputError:
         return model
+
+
+def _driven(model: type[BaseModel], name: str, section: object) -> type[BaseModel] | None:
+    """Return the model of a driver's options, where a location is about those."""
+    if not issubclass(model, DeviceDriver) or name != "options":
+        return None
+    given = section.get("driver") if isinstance(section, Mapping) else None
+    try:
+        return model.options_model(given or model.model_fields["driver"].default)
+    except InputError:
+        return None
 
 
 def model_within(field: FieldInfo) -> type[BaseModel] | None:

@@ -6,6 +6,7 @@ from typing import Any
 
 from rfpipe import plugins
 from rfpipe.config.base import SectionsOf, Settings
+from rfpipe.config.drivers import DeviceDriver
 
 __all__ = ["schema_of"]
 
@@ -22,6 +23,8 @@ def schema_of(kind: type[Settings]) -> dict[str, Any]:
     schema = kind.model_json_schema(ref_template=_REFERENCE)
     models = [(schema, kind), *_inner(schema)]
     for node, model in models:
+        if issubclass(model, DeviceDriver):
+            _describe_drivers(schema, node, model)
         for name, field in model.model_fields.items():
             for mark in field.metadata:
                 if isinstance(mark, SectionsOf):
@@ -39,6 +42,23 @@ def _inner(schema: dict[str, Any]) -> list[tuple[dict[str, Any], Any]]:
 def _descendants(model: type[Settings]) -> list[type[Settings]]:
     children = model.__subclasses__()
     return children + [found for child in children for found in _descendants(child)]
+
+
+def _describe_drivers(
+    schema: dict[str, Any], node: dict[str, Any], model: type[DeviceDriver]
+) -> None:
+    """Say what options a driver has, by the names that are installed."""
+    rules = []
+    for name in plugins.names(model.group):
+        options = model.options_model(name)
+        described = options.model_json_schema(ref_template=_REFERENCE)
+        schema["$defs"] |= described.pop("$defs", {})
+        schema["$defs"][options.__name__] = described
+        then = {"properties": {"options": {"$ref": _REFERENCE.format(model=options.__name__)}}}
+        rules.append({"if": {"properties": {"driver": {"const": name}}}, "then": then})
+    node["properties"]["options"] = {"type": "object", "description": "The driver's options."}
+    if rules:
+        node["allOf"] = rules
 
 
 def _describe(schema: dict[str, Any], node: dict[str, Any], mark: SectionsOf) -> None:

@@ -215,7 +215,7 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
         light = bench.projector_black + (1 - bench.projector_black) * codes
         scenery = Scenery(
             projector.display,
-            config.projector.offset,
+            config.projector.arguments()["offset"],
             optical_path(bench, projector.shape),
             light.astype(np.float32),
             true,

@@ -10,7 +10,7 @@ from rfpipe.rigs.base import Rig
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
-from rfpipe.rigs.settings import calibration_of, camera_settings, sensor_of, window_settings
+from rfpipe.rigs.settings import calibration_of, sensor_of
 
 if TYPE_CHECKING:
     from rfpipe.config import RigConfig
@@ -35,6 +35,9 @@ def rig_from_config(config: RigConfig) -> Rig:
     InputError
         When calibration and devices don't fit together.
     """
+    if config.rig is not None:
+        rig: Rig = config.rig.make(sensor=config.sensor and sensor_of(config))
+        return rig
     if config.kind == "simulated":
         return _simulated(config)
     calibration = calibration_of(config)
@@ -58,29 +61,20 @@ def devices_from_config(config: RigConfig) -> tuple[Projector, Camera]:
     Raises
     ------
     ConfigError
-        When the rig is a simulated one, which has no devices.
+        When the rig is a simulated one or a whole, which has no devices.
     CaptureError
         When a device doesn't answer.
     """
-    if config.kind == "simulated":
-        raise ConfigError("kind is simulated; expected devices, or devices with a bench")
+    if config.kind == "simulated" or config.rig is not None:
+        what = "simulated" if config.rig is None else f"a whole, {config.rig.driver}"
+        raise ConfigError(f"the rig is {what}; expected one of devices, or with a bench")
     if config.bench is not None:
         from rfpipe.rigs.bench import software_bench
 
         return software_bench(config)
-    from rfpipe.rigs.pylon import PylonCamera
-    from rfpipe.rigs.window import WindowProjector
-
-    projector = WindowProjector(config.projector.display, **window_settings(config))
+    projector: Projector = config.projector.make(response=calibration_of(config).projector_response)
     try:
-        camera = PylonCamera(
-            sensor_of(config),
-            serial=config.camera.serial,
-            shape=config.camera.shape,
-            offset=config.camera.offset,
-            nodes=config.camera.nodes,
-            **camera_settings(config),
-        )
+        camera: Camera = config.camera.make(sensor=sensor_of(config))
     except BaseException:
         projector.close()
         raise

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
+from rfpipe.rigs.pylon_options import PylonOptions
 from rfpipe.rigs.pylon_setup import CameraSetup, Value, load_pylon, said
 
 __all__ = ["PylonCamera"]
@@ -64,6 +65,8 @@ class PylonCamera:
     CaptureError
         When pypylon is missing, no camera answers, or it refuses a setting: says which.
     """
+
+    Options = PylonOptions
 
     def __init__(
         self,

@@ -33,25 +33,19 @@ def sensor_of(config: RigConfig) -> CameraModel:
 
 
 def window_settings(config: RigConfig) -> dict[str, Any]:
-    """Return how the projector's window is opened, wherever its display is."""
-    from rfpipe.rigs.window import read_response
-
-    settings = config.projector
-    path = settings.response
-    response = calibration_of(config).projector_response if path is None else read_response(path)
-    return {
-        "screen": settings.screen,
-        "offset": settings.offset,
-        "shape": settings.shape,
-        "settle_seconds": settings.settle_seconds,
-        "response": response,
-    }
+    """Return how a bench opens the projector's window, on a display of its own."""
+    settings = config.projector.arguments()
+    del settings["display"]
+    if settings["response"] is None:
+        settings["response"] = calibration_of(config).projector_response
+    return settings
 
 
 def camera_settings(config: RigConfig) -> dict[str, Any]:
-    """Return how frames are taken, of a real camera or of the bench's."""
+    """Return how frames are taken of a bench's camera."""
     names = "gain_db", "timeout_seconds", "retries", "reconnects", "reconnect_seconds"
-    return {name: getattr(config.camera, name) for name in names}
+    options = config.camera.arguments()
+    return {name: options[name] for name in names}
 
 
 def calibration_of(config: RigConfig) -> Calibration:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.devices import check_picture
+from rfpipe.rigs.window_options import WindowOptions
 
 __all__ = ["WindowProjector", "code_table", "read_response"]
 
@@ -117,8 +118,8 @@ class WindowProjector:
         Height and width in pixels; None for all of the monitor from `offset` on.
     settle_seconds : float
         Wait after a picture was drawn.
-    response : ndarray, shape (256,), optional
-        Light measured at each code; see `code_table`.
+    response : ndarray, shape (256,), or path, optional
+        Light measured at each code, see `code_table`, or a file of it, see `read_response`.
 
     Attributes
     ----------
@@ -133,6 +134,8 @@ class WindowProjector:
         When the response is none.
     """
 
+    Options = WindowOptions
+
     def __init__(
         self,
         display: str | None = None,
@@ -140,8 +143,10 @@ class WindowProjector:
         offset: tuple[int, int] = (0, 0),
         shape: tuple[int, int] | None = None,
         settle_seconds: float = 0.1,
-        response: NDArray[Any] | None = None,
+        response: NDArray[Any] | str | Path | None = None,
     ) -> None:
+        if isinstance(response, str | Path):
+            response = read_response(response)
         self._codes = code_table(response)
         self._display = display
         self._settings = {"screen": screen, "offset": list(offset), "shape": shape and list(shape)}

@@ -1,0 +1,145 @@
+"""Devices in settings: a driver by its name or path, and options of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from pydantic import ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from rfpipe import plugins
+from rfpipe.config.base import Settings
+from rfpipe.config.sections import parse_sections
+from rfpipe.errors import InputError
+
+__all__ = ["CameraDriver", "DeviceDriver", "FreeOptions", "ProjectorDriver", "RigDriver"]
+
+
+class FreeOptions(Settings):
+    """Options of a driver that has no model of them: they are passed on as they are."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+
+class DeviceDriver(Settings):
+    """A driver, and its options.
+
+    Attributes
+    ----------
+    group : str
+        The group of entry points among which a driver's name is looked up. What it stands for may
+        have an attribute ``Options``, a model derived from `Settings`.
+    """
+
+    group: ClassVar[str]
+
+    driver: str = Field(min_length=1, description="The driver.")
+    options: SerializeAsAny[Settings] = Field(
+        default_factory=FreeOptions, description="The driver's options."
+    )
+
+    @classmethod
+    def options_model(cls, driver: str) -> type[Settings]:
+        """Return the model of a driver's options; raise InputError if there is no such driver."""
+        model = getattr(plugins.find(cls.group, driver), "Options", FreeOptions)
+        if not (isinstance(model, type) and issubclass(model, Settings)):
+            raise InputError(f"{driver!r} has Options that are no rfpipe.config.base.Settings")
+        return model
+
+    @model_validator(mode="before")
+    @classmethod
+    def _options_have_their_own_model(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            return data
+        driver = data.get("driver", cls.model_fields["driver"].default)
+        if not isinstance(driver, str):
+            return data
+        try:
+            model = cls.options_model(driver)
+        except InputError as error:
+            problem = PydanticCustomError("unknown_name", "{message}", {"message": str(error)})
+            details = InitErrorDetails(type=problem, loc=("driver",), input=driver)
+            raise ValidationError.from_exception_data("driver", [details]) from None
+        astray = [name for name in data if name in model.model_fields]
+        if astray:
+            raise ValueError(
+                f"{', '.join(astray)} should stand among the driver's options, as in "
+                f"{{driver: {driver}, options: {{{astray[0]}: ...}}}}"
+            )
+        given = data.get("options")
+        if isinstance(given, Settings):
+            return data
+        parsed = parse_sections({"options": given or {}}, lambda _, it: model.model_validate(it))
+        return {**data, **parsed}
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the options by which a driver is made, those apart that say what is known."""
+        said: frozenset[str] = getattr(type(self.options), "SAID_ELSEWHERE", frozenset())
+        return {name: value for name, value in self.options if name not in said}
+
+    def make(self, **known: Any) -> Any:
+        """Return the device or rig.
+
+        It is made from its options by name. Of what else is known of it, it gets what its
+        constructor has a parameter for and its options don't say.
+
+        Raises
+        ------
+        InputError
+            When the driver doesn't take its options.
+        """
+        from inspect import signature
+
+        cls = plugins.find(self.group, self.driver)
+        options = self.arguments()
+        parameters = signature(cls).parameters
+        for name, value in known.items():
+            if name in parameters and options.get(name) is None:
+                options[name] = value
+        try:
+            signature(cls).bind(**options)
+        except TypeError as error:
+            raise InputError(
+                f"driver {self.driver}: {error}; it is made with "
+                f"{', '.join(parameters) or 'nothing'}"
+            ) from None
+        return cls(**options)
+
+
+class ProjectorDriver(DeviceDriver):
+    """A projector."""
+
+    group: ClassVar[str] = plugins.PROJECTORS
+
+    driver: str = Field(
+        "window",
+        min_length=1,
+        description="window: a full-screen window on a display; or a driver of your own, as "
+        "module:Class or file.py:Class.",
+    )
+
+
+class CameraDriver(DeviceDriver):
+    """A camera."""
+
+    group: ClassVar[str] = plugins.CAMERAS
+
+    driver: str = Field(
+        "pylon",
+        min_length=1,
+        description="pylon: a Basler camera; or a driver of your own, as module:Class or "
+        "file.py:Class.",
+    )
+
+
+class RigDriver(DeviceDriver):
+    """A rig as a whole."""
+
+    group: ClassVar[str] = plugins.RIGS
+
+    driver: str = Field(
+        min_length=1,
+        description="A rig of your own, as module:Class or file.py:Class: a class that follows "
+        "rfpipe.rigs.Rig.",
+    )

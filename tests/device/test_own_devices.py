@@ -1,0 +1,122 @@
+"""Devices of the user's own, in one file outside the package, used by settings alone."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from tests.server.harness import running
+from typer.testing import CliRunner
+
+from rfpipe import acquire
+from rfpipe.cli import app
+from rfpipe.config import RigConfig, load_rig_config, parse_rig_config
+from rfpipe.errors import ConfigError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.plugins import CAMERAS, PROJECTORS, find
+from rfpipe.rigs import DeviceRig
+from rfpipe.rigs.build import devices_from_config, rig_from_config
+from rfpipe.testing import CameraContract, ProjectorContract, RigContract
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "desk.py"
+PAIR = {
+    "projector": {"driver": f"{EXAMPLE}:DeskProjector", "options": {"brightness": 0.8}},
+    "camera": {"driver": f"{EXAMPLE}:DeskCamera", "options": {"seed": 3}},
+    "rays": [4, 5],
+}
+WHOLE = {"rig": {"driver": f"{EXAMPLE}:DeskRig", "options": {"brightness": 0.5}}}
+
+
+class TestDeskProjector(ProjectorContract):
+    def make_projector(self):
+        return find(PROJECTORS, f"{EXAMPLE}:DeskProjector")()
+
+
+class TestDeskCamera(CameraContract):
+    def make_camera(self):
+        return find(CAMERAS, f"{EXAMPLE}:DeskCamera")(CameraModel())
+
+
+class TestRigOfSettings(RigContract):
+    repeatable = False
+
+    def make_rig(self):
+        return rig_from_config(parse_rig_config(PAIR, "rig.yaml"))
+
+
+def settings_file(folder: Path, settings: dict[str, Any]) -> Path:
+    """Write settings that name the driver by its file beside them."""
+    shutil.copy(EXAMPLE, folder)
+    path = folder / "rig.yaml"
+    path.write_text(yaml.safe_dump(settings).replace(str(EXAMPLE), "desk.py"))
+    return path
+
+
+def test_the_pair_gets_its_options_and_the_sensor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    config = load_rig_config(settings_file(tmp_path, PAIR))
+    projector, camera = devices_from_config(config)
+    assert projector.describe() == {"kind": "desk projector", "brightness": 0.8}
+    assert camera.describe()["seed"] == 3
+    assert camera.sensor == CameraModel()
+    assert RigConfig.model_validate(config.model_dump(mode="json")) == config
+
+
+def test_it_acquires_and_a_server_has_it(tmp_path: Path) -> None:
+    config = parse_rig_config(PAIR, "rig.yaml")
+    with running(lambda: rig_from_config(config)) as server, server.client() as rig:
+        result = acquire(rig, "brute_force", progress=False, black_frames=2, floodlit_frames=2)
+    assert result.transport.projector_shape == (4, 5)
+    lit = result.transport.relight(np.ones((4, 5)))[4:-4, 5:-5]
+    assert lit.mean() == pytest.approx(0.8 * 0.4, rel=0.05)
+
+
+def test_a_rig_as_a_whole() -> None:
+    rig = rig_from_config(parse_rig_config(WHOLE, "rig.yaml"))
+    assert isinstance(rig, DeviceRig)
+    assert rig.projector.describe()["brightness"] == 0.5
+    with pytest.raises(ConfigError, match="expected one of devices"):
+        devices_from_config(parse_rig_config(WHOLE, "rig.yaml"))
+
+
+def test_calibrate_drives_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    quick = {"dark_frames": 4, "levels": 4, "coaxial": False}
+    path = settings_file(tmp_path, {**PAIR, "calibration": "found", "calibrate": quick})
+    done = CliRunner().invoke(app, ["calibrate", str(path), "--output", "found", "--step", "dark"])
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "found" / "steps" / "dark.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"projector": {"driver": f"{EXAMPLE}:DeskProjector", "options": {"brightness": 2}}},
+         "projector.options.brightness is 2; it should be less than or equal to 1"),
+        ({"projector": {"driver": f"{EXAMPLE}:DeskProjector", "options": {"brightnes": 1}}},
+         "projector.options.brightnes is unknown; did you mean brightness?"),
+        ({"projector": {"driver": "desk.py:DeskProjektor"}}, "projector.driver: there is no file"),
+        ({"projector": {"driver": "beamer"}}, "'beamer' is unknown; expected one of window"),
+        ({"camera": {"driver": f"{EXAMPLE}:DeskCam"}}, "has no 'DeskCam'"),
+        ({"projector": {"settle_seconds": 1}}, "should stand among the driver's options"),
+        ({"bench": {}, "camera": PAIR["camera"]}, "camera.driver should be window and pylon"),
+        ({**WHOLE, "calibration": "found"}, "calibration should be null with a rig as a whole"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_explained(settings: dict[str, Any], expected: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_rig_config(settings, "rig.yaml")
+    assert expected in str(caught.value)
+
+
+def test_an_option_that_a_driver_without_a_model_does_not_take() -> None:
+    camera = {"driver": f"{EXAMPLE}:DeskCamera", "options": {"gain": 2}}
+    config = parse_rig_config({**PAIR, "camera": camera}, "rig.yaml")
+    with pytest.raises(InputError, match=r"DeskCamera: .*'gain'; it is made with sensor, seed"):
+        devices_from_config(config)
