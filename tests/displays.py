@@ -5,11 +5,13 @@ import shutil
 
 import pytest
 
-DISPLAYS = ["x server", "memory"]
+X_SERVER = pytest.param("x server", marks=pytest.mark.xvfb)
+
+DISPLAYS = [X_SERVER, "memory"]
 
 
 def need_xvfb() -> None:
-    """Skip a test of a real X server where there is none, or fail where one is required."""
+    """Skip a test marked `xvfb` where there is none, or fail where one is required."""
     if shutil.which("Xvfb") is None:
         if os.environ.get("RFPIPE_REQUIRE_XVFB"):
             pytest.fail("RFPIPE_REQUIRE_XVFB is set, but there is no Xvfb: apt-get install xvfb")

@@ -15,10 +15,16 @@ from rfpipe.rigs.xvfb import xvfb
 os.environ["PYLON_CAMEMU"] = "1"  # before pypylon is loaded
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    # not in a fixture: the summary then has one line of all of them
+    if item.get_closest_marker("xvfb"):
+        need_xvfb()
+
+
 @pytest.fixture(scope="module")
 def x_display() -> Iterator[VirtualDisplay]:
-    """An X server's display of 120 x 160 pixels."""
-    need_xvfb()
+    """An X server's display of 120 x 160 pixels; for tests marked `xvfb`."""
     with xvfb((120, 160)) as server:
         yield server
 
@@ -37,7 +43,6 @@ def display(request: pytest.FixtureRequest) -> Iterator[VirtualDisplay]:
 def either_display(request: pytest.FixtureRequest) -> Iterator[str]:
     """The kind of display that benches of this machine have: that they find is arranged."""
     if request.param == "x server":
-        need_xvfb()
         yield request.param
     else:
         with pytest.MonkeyPatch.context() as patch:

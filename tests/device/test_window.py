@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.displays import DISPLAYS, need_xvfb
+from tests.displays import DISPLAYS
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs.display import VirtualDisplay, memory_display
@@ -82,6 +82,7 @@ def test_it_waits_until_the_picture_settled(display: VirtualDisplay) -> None:
         assert time.monotonic() - start >= 0.2
 
 
+@pytest.mark.xvfb
 def test_what_another_window_hid_is_drawn_again(x_display: VirtualDisplay) -> None:
     from Xlib.display import Display
 
@@ -123,6 +124,7 @@ def test_a_window_that_was_killed_is_opened_again(display: VirtualDisplay) -> No
         assert projector.statistics["reopened"] == 1
 
 
+@pytest.mark.xvfb
 def test_a_window_that_is_moved_is_put_back(x_display: VirtualDisplay) -> None:
     from Xlib.display import Display
 
@@ -139,8 +141,6 @@ def test_a_window_that_is_moved_is_put_back(x_display: VirtualDisplay) -> None:
 
 @pytest.mark.parametrize("kind", DISPLAYS)
 def test_a_lost_display_is_an_error_and_not_the_end(kind: str) -> None:
-    if kind == "x server":
-        need_xvfb()
     with {"x server": xvfb, "memory": memory_display}[kind]((40, 50)) as server:
         projector = WindowProjector(server.name, settle_seconds=0)
     with pytest.raises(CaptureError, match=rf"display {server.name}.*DISPLAY"):
