@@ -1,10 +1,14 @@
 """Shared by all tests: examples are the same in every run, and loggers as they were before each."""
 
 import logging
+import os
 from collections.abc import Iterator
 
 import pytest
 from hypothesis import settings
+
+# Two workers whose BLAS takes both cores each wait for one another. Read when numpy is loaded.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 settings.register_profile("rfpipe", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("rfpipe")

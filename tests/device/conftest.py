@@ -1,17 +1,51 @@
-"""Displays and cameras for the tests of devices: an X server in memory, an emulated camera."""
+"""Displays and cameras for the tests of devices: an X server or an array, an emulated camera."""
 
 import os
+import shutil
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from tests.displays import DISPLAYS, need_xvfb
 
-from rfpipe.rigs.xvfb import VirtualDisplay, xvfb
+from rfpipe.rigs.display import VirtualDisplay, memory_display
+from rfpipe.rigs.xvfb import xvfb
 
 os.environ["PYLON_CAMEMU"] = "1"  # before pypylon is loaded
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    # not in a fixture: the summary then has one line of all of them
+    if item.get_closest_marker("xvfb"):
+        need_xvfb()
+
+
 @pytest.fixture(scope="module")
-def display() -> Iterator[VirtualDisplay]:
-    """A display of 120 x 160 pixels."""
+def x_display() -> Iterator[VirtualDisplay]:
+    """An X server's display of 120 x 160 pixels; for tests marked `xvfb`."""
     with xvfb((120, 160)) as server:
         yield server
+
+
+@pytest.fixture(scope="module", params=DISPLAYS)
+def display(request: pytest.FixtureRequest) -> Iterator[VirtualDisplay]:
+    """A display of 120 x 160 pixels, of either kind."""
+    if request.param == "x server":
+        yield request.getfixturevalue("x_display")
+    else:
+        with memory_display((120, 160)) as made:
+            yield made
+
+
+@pytest.fixture(scope="module", params=DISPLAYS)
+def either_display(request: pytest.FixtureRequest) -> Iterator[str]:
+    """The kind of display that benches of this machine have: that they find is arranged."""
+    if request.param == "x server":
+        yield request.param
+    else:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("PATH", str(Path(sys.executable).parent))
+            assert shutil.which("Xvfb") is None
+            yield request.param

@@ -1,6 +1,6 @@
-"""The optical bench in software: what comes through X server and camera driver is the simulation.
+"""The optical bench in software: what comes through window and camera driver is the simulation.
 
-And the rig's contract on it, as on any rig of hardware.
+And the rig's contract on it, as on any rig of hardware; all on either kind of display.
 """
 
 import json
@@ -25,6 +25,8 @@ from rfpipe.rigs.bench import optical_path
 from rfpipe.rigs.build import devices_from_config, rig_from_config
 from rfpipe.rigs.settings import sensor_of
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
+
+pytestmark = pytest.mark.usefixtures("either_display")
 
 RAYS = (8, 10)
 
@@ -65,7 +67,7 @@ def bench(**changes: Any) -> DeviceRig:
 
 
 @pytest.fixture(scope="module")
-def rig() -> Iterator[DeviceRig]:
+def rig(either_display: str) -> Iterator[DeviceRig]:
     with bench() as rig:
         yield rig
 
@@ -194,6 +196,15 @@ def test_a_lost_display_names_the_pattern() -> None:
             rig.capture(np.ones((1, *RAYS), np.float32), [(3, 14)])
 
 
+def test_a_line_says_which_display_it_is(
+    either_display: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level("INFO", "rfpipe.rigs.bench"), bench():
+        [said] = [record.message for record in caplog.records if "projector" in record.message]
+    assert ("apt-get install xvfb" in said) is (either_display == "memory")
+    assert "X server" in said
+
+
 def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
@@ -203,7 +214,7 @@ def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_killed_bench_leaves_no_process_behind(tmp_path: Path) -> None:
+def test_a_killed_bench_leaves_no_process_behind(tmp_path: Path, either_display: str) -> None:
     code = (
         "import sys, json, time, os\n"
         "from rfpipe.config import parse_rig_config\n"
@@ -225,9 +236,12 @@ def test_a_killed_bench_leaves_no_process_behind(tmp_path: Path) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
     process.stdout.close()
-    socket = Path(f"/tmp/.X11-unix/X{name.removeprefix(':')}")
+    assert name.startswith("memory:") is (either_display == "memory")
+    ends = [Path(f"/proc/{window}")]
+    if either_display == "x server":
+        ends.append(Path(f"/tmp/.X11-unix/X{name.removeprefix(':')}"))
     end = time.monotonic() + 10
-    while socket.exists() or Path(f"/proc/{window}").exists():
+    while any(path.exists() for path in ends):
         assert time.monotonic() < end, "window or display still run"
         time.sleep(0.05)
 

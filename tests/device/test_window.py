@@ -1,4 +1,4 @@
-"""The projector's window, read back from the X server's memory, pixel for pixel."""
+"""The projector's window, read back from its display's memory, pixel for pixel."""
 
 import os
 import signal
@@ -8,17 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.displays import DISPLAYS
 
 from rfpipe.errors import CaptureError, InputError
+from rfpipe.rigs.display import VirtualDisplay, memory_display
 from rfpipe.rigs.window import WindowProjector, code_table, read_response
-from rfpipe.rigs.xvfb import VirtualDisplay, xvfb
+from rfpipe.rigs.xvfb import xvfb
 from rfpipe.testing import ProjectorContract
 
 GAMMA = np.linspace(0.01, 1, 256) ** 2.2
 
 
 class OnDisplay(ProjectorContract):
-    """The suite on an X server in memory."""
+    """The suite on an X server in memory, and on a mere array."""
 
     light_of_code = np.linspace(0, 1, 256)
     offset = (0, 0)
@@ -80,22 +82,23 @@ def test_it_waits_until_the_picture_settled(display: VirtualDisplay) -> None:
         assert time.monotonic() - start >= 0.2
 
 
-def test_what_another_window_hid_is_drawn_again(display: VirtualDisplay) -> None:
+@pytest.mark.xvfb
+def test_what_another_window_hid_is_drawn_again(x_display: VirtualDisplay) -> None:
     from Xlib.display import Display
 
-    with WindowProjector(display.name, settle_seconds=0) as projector:
+    with WindowProjector(x_display.name, settle_seconds=0) as projector:
         projector.show(np.ones(projector.shape, np.float32))
-        client = Display(display.name)
+        client = Display(x_display.name)
         screen = client.screen()
         cover = screen.root.create_window(
             0, 0, 90, 70, 0, screen.root_depth, background_pixel=0, override_redirect=True
         )
         cover.map()
         client.sync()
-        until(lambda: not display.pixels[:20, :20].any())
+        until(lambda: not x_display.pixels[:20, :20].any())
         cover.destroy()
         client.sync()
-        until(lambda: bool((display.pixels == 255).all()))
+        until(lambda: bool((x_display.pixels == 255).all()))
         client.close()
 
 
@@ -121,22 +124,24 @@ def test_a_window_that_was_killed_is_opened_again(display: VirtualDisplay) -> No
         assert projector.statistics["reopened"] == 1
 
 
-def test_a_window_that_is_moved_is_put_back(display: VirtualDisplay) -> None:
+@pytest.mark.xvfb
+def test_a_window_that_is_moved_is_put_back(x_display: VirtualDisplay) -> None:
     from Xlib.display import Display
 
-    with WindowProjector(display.name, settle_seconds=0) as projector:
-        client = Display(display.name)
+    with WindowProjector(x_display.name, settle_seconds=0) as projector:
+        client = Display(x_display.name)
         for window in client.screen().root.query_tree().children:
             window.configure(x=7, y=5)
         client.sync()
         client.close()
         time.sleep(0.2)
         projector.show(np.ones(projector.shape, np.float32))
-        assert (display.pixels == 255).all()
+        assert (x_display.pixels == 255).all()
 
 
-def test_a_lost_display_is_an_error_and_not_the_end() -> None:
-    with xvfb((40, 50)) as server:
+@pytest.mark.parametrize("kind", DISPLAYS)
+def test_a_lost_display_is_an_error_and_not_the_end(kind: str) -> None:
+    with {"x server": xvfb, "memory": memory_display}[kind]((40, 50)) as server:
         projector = WindowProjector(server.name, settle_seconds=0)
     with pytest.raises(CaptureError, match=rf"display {server.name}.*DISPLAY"):
         projector.show(np.ones((40, 50), np.float32))

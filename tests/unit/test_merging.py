@@ -203,3 +203,14 @@ def test_resources_use_fewer_threads_where_memory_is_short() -> None:
         with few.workers(size) as workers:
             assert workers.in_flight == in_flight
     assert list(Workers(None, 1).results(lambda a, b: (a, b), [(1, 2), (2, 3)])) == [(1, 2), (2, 3)]
+
+
+def test_the_floodlit_image_is_as_uncertain_as_its_variance_says() -> None:
+    image = generator(5).uniform(0.2, 1, IMAGE).astype(np.float32)
+    off = np.stack([CAMERA.expose(np.zeros_like(image), 1, (9, index)) for index in range(64)])
+    on = np.stack([CAMERA.expose(image, 1, (8, index)) for index in range(6)])
+    learnt = Merger.calibrate(CAMERA, [off], [on])
+    one = CAMERA.merge(on, learnt.black, MergeOptions(64)).variance
+    np.testing.assert_allclose(learnt.floodlit_variance, one.mean(axis=0) / 6, rtol=1e-5)
+    deviation = np.square(learnt.floodlit - image) / learnt.floodlit_variance
+    assert deviation.mean() == pytest.approx(1, abs=5 * np.sqrt(2 / image.size))

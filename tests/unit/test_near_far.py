@@ -87,12 +87,12 @@ def smooth_views() -> np.ndarray:
 def test_a_wedge_is_known_from_far_fewer_patterns_than_symmetric_photography_takes(
     noise: CameraConfig | None,
 ) -> None:
-    scene = reference_scene("IV", (48, 48), channels=1)
+    scene = reference_scene("IV", (32, 32), channels=1)
     few = run(scene, "near_far", noise)
     many = run(scene, "symmetric", noise, tolerance=6e-3)
     found, rival = errors(scene, few.transport), errors(scene, many.transport)
     assert len(found) == 6
-    # 0.30 and 0.51 % from 21 patterns, against 0.51 and 0.54 % from 83
+    # 0.37 and 0.71 % from 21 patterns, against 0.72 and 0.76 % from 65
     assert np.mean(found) < 0.01
     assert np.mean(found) < np.mean(rival)
     assert max(found) < max(rival)
@@ -127,7 +127,8 @@ def test_a_scene_of_direct_light_ends_after_the_first_round_with_no_error_beyond
 def test_where_nothing_is_smooth_symmetric_photography_takes_over(
     make: Callable[[int], np.ndarray], noise: CameraConfig | None
 ) -> None:
-    rig = OperatorRig(make(32), (32, 32), (32, 32), noise)
+    matrix, shape = make(24), (24, 24)
+    rig = OperatorRig(matrix, shape, shape, noise)
     found, rival = (acquire(rig, name, progress=False) for name in ("near_far", "symmetric"))
     assert rival.patterns < found.patterns <= 1.3 * rival.patterns
     [part] = found.transport.parts
@@ -135,7 +136,6 @@ def test_where_nothing_is_smooth_symmetric_photography_takes_over(
     rows = found.transport.level_rows
     assert [row["level"] for row in rows] == list(range(len(rows)))
     assert sum(row["patterns"] for row in rows) == found.patterns
-    matrix = make(32)
     apart = [
         np.linalg.norm(dense(result.transport)[0] - matrix) / np.linalg.norm(matrix)
         for result in (found, rival)
@@ -157,7 +157,7 @@ def test_a_few_caustics_in_a_small_picture_cost_little_more_than_symmetric_photo
 
 @pytest.mark.parametrize("case", ["wedge", "mirror", "colours"])
 def test_states_go_through_a_store_at_every_level(case: str, tmp_path: Path) -> None:
-    side = 16 if case == "mirror" else 12
+    side = 12
     if case == "mirror":
         matrix = mirror(side)[None]
     else:

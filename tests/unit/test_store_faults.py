@@ -12,6 +12,7 @@ import pytest
 
 from rfpipe.errors import LockedError, StoreError
 from rfpipe.store import FrameStore, StoreLock, open_arrays, write_arrays
+from rfpipe.store.codec import ChunkFiles
 from rfpipe.store.journal import JournalWriter, read_journal
 
 N_ITEMS = 240
@@ -174,6 +175,34 @@ def test_a_journal_on_a_full_disk_keeps_whole_lines(
     journal.append(2, ["dd"])
     journal.close()
     assert read_journal(tmp_path / "journal", 9) == {0: "aa", 1: "bb", 2: "dd"}
+
+
+@pytest.mark.parametrize("items_per_chunk", [1, 2])
+def test_an_item_is_in_the_journal_only_once_its_chunk_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, items_per_chunk: int
+) -> None:
+    frames = np.random.default_rng(0).integers(0, 65536, (6, 3, 4)).astype("u2")
+    journal, written = tmp_path / "s" / "journal.jsonl", ChunkFiles.write
+
+    def failing(files: ChunkFiles, index: int, block: np.ndarray) -> None:
+        assert read_journal(journal, 6).keys() == {0, 1}
+        if index == 4 // items_per_chunk:
+            raise OSError(5, os.strerror(5))
+        written(files, index, block)
+
+    with FrameStore.create(
+        tmp_path / "s", frames.shape, "u2", "abc", {}, items_per_chunk=items_per_chunk
+    ) as store:
+        store.write(0, frames[:2])
+        monkeypatch.setattr(ChunkFiles, "write", failing)
+        with pytest.raises(StoreError, match=r"writing items 2 to 5 failed.*Input/output error"):
+            store.write(2, frames[2:])
+        monkeypatch.undo()
+        # nor is one entered whose block was written in part
+        assert store.missing() == [(2, 6)]
+        assert read_journal(journal, 6).keys() == {0, 1}
+        store.write(2, frames[2:])
+        np.testing.assert_array_equal(store.read(0, 6), frames)
 
 
 def test_the_journal_is_synced_at_most_once_a_second(

@@ -17,8 +17,8 @@ __all__ = ["BenchConfig", "RigConfig"]
 class BenchConfig(Settings):
     """The optical bench in software: a scene between the projector's window and the camera.
 
-    It is one to the programs around it, too: window, X server and camera driver are the real ones,
-    the camera is the driver's emulated one.
+    It is one to the programs around it, too: window, X server (where Xvfb is installed) and camera
+    driver are the real ones, the camera is the driver's emulated one.
     """
 
     scene: SceneConfig = Field(

@@ -114,8 +114,9 @@ def rig_yaml() -> str:
 def bench_yaml() -> str:
     """Return the optical bench in software with its defaults as commented YAML."""
     head = (
-        "# The optical bench in software: a rig without hardware, of a real window, X server and",
-        "# camera driver. Made from the settings' model by `make config`, as rig.yaml.",
+        "# The optical bench in software: a rig without hardware, of a window (in memory, where",
+        "# Xvfb isn't installed) and a camera driver. Made from the settings' model by",
+        "# `make config`, as rig.yaml.",
     )
     bench = BenchConfig()
     bench_rig = RigConfig(

@@ -1,17 +1,19 @@
 """The optical bench in software: a scene between a real window and a real camera driver.
 
-The projector is a window on an X server in memory. At each trigger of the camera the server's
-pixels are read, sent through a scene to the camera's picture, exposed with the camera's noise, and
-handed to the driver's emulated camera as its next picture. All that stands around the scene is what
-a rig of hardware has: window, X server, camera driver.
+The projector is a window on an X server in memory (Xvfb), or on an array where there is none. At
+each trigger of the camera the display's pixels are read, sent through a scene to the camera's
+picture, exposed with the camera's noise, and handed to the driver's emulated camera as its next
+picture. All that stands around the scene is what a rig of hardware has: window, X server, camera
+driver.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import tempfile
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from math import prod
 from pathlib import Path
@@ -23,11 +25,12 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.provenance import fingerprint
+from rfpipe.rigs.display import VirtualDisplay, memory_display
 from rfpipe.rigs.optics import OpticalPath, centred_corners, tilted_corners
 from rfpipe.rigs.pylon import PylonCamera
 from rfpipe.rigs.settings import camera_settings, sensor_of, window_settings
 from rfpipe.rigs.window import WindowProjector
-from rfpipe.rigs.xvfb import VirtualDisplay, xvfb
+from rfpipe.rigs.xvfb import xvfb
 
 if TYPE_CHECKING:
     from rfpipe.config import BenchConfig, RigConfig, SceneConfig
@@ -41,6 +44,8 @@ EMULATED_SERIAL = "0815-0000"
 
 PICTURES = "a.png", "b.png"
 """Two names, as the driver reads a single file only once; both are always the same picture."""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +94,7 @@ class BenchProjector(WindowProjector):
 
     def __init__(self, display_shape: tuple[int, int], **settings: Any) -> None:
         with ExitStack() as stack:
-            self.display = stack.enter_context(xvfb(display_shape, until_unused=True))
+            self.display = stack.enter_context(_display(display_shape))
             super().__init__(self.display.name, **settings)
             self._server = stack.pop_all()
 
@@ -201,7 +206,7 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
     Raises
     ------
     CaptureError
-        When Xvfb or pypylon is missing.
+        When pypylon is missing.
     InputError
         When the scene doesn't fit the display.
     """
@@ -225,6 +230,18 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
     except BaseException:
         projector.close()
         raise
+
+
+def _display(shape: tuple[int, int]) -> AbstractContextManager[VirtualDisplay]:
+    """Return the display nearest to a rig's that this machine can have."""
+    if shutil.which("Xvfb"):
+        _log.info("the bench's projector is a window of a real X server (Xvfb)")
+        return xvfb(shape, until_unused=True)
+    _log.info(
+        "the bench's projector is a window in memory, without an X server: Xvfb isn't installed "
+        "(on Debian: apt-get install xvfb)"
+    )
+    return memory_display(shape)
 
 
 def optical_path(bench: BenchConfig, projector_shape: tuple[int, int]) -> OpticalPath:

@@ -109,7 +109,8 @@ class WindowProjector:
     Parameters
     ----------
     display : str, optional
-        X display such as ``":0"``; None takes that of the environment's DISPLAY.
+        X display such as ``":0"``, or that of `rfpipe.rigs.display.memory_display`; None takes
+        that of the environment's DISPLAY.
     screen : int
         Number of the monitor.
     offset : (int, int)

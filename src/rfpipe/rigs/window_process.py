@@ -12,6 +12,8 @@ import queue
 import signal
 import sys
 import threading
+from collections.abc import Sequence
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
@@ -22,6 +24,9 @@ EVENT_SECONDS = 0.05
 
 DRIVERS = ("x11", "wayland", "windows", "cocoa")
 """SDL's drivers that show something; without a display it takes one that doesn't."""
+
+MEMORY = "memory:"
+"""Before the file of a display that is an array (H, W, 3) of bytes, of `rfpipe.rigs.display`."""
 
 SDL_CENTRED_ON_DISPLAY = 0x2FFF0000
 """SDL_WINDOWPOS_CENTERED_DISPLAY(0)."""
@@ -45,18 +50,9 @@ class Window:
         if driver not in DRIVERS:
             raise WindowError(f"no display answers (SDL fell back to its driver {driver!r})")
         sizes = pygame.display.get_desktop_sizes()
-        if screen >= len(sizes):
-            raise WindowError(f"there is no monitor {screen}; this display has {len(sizes)}")
-        width, height = sizes[screen]
-        self.shape = shape or (height - offset[0], width - offset[1])
-        if min(self.shape) < 1 or any(
-            start + extent > limit
-            for start, extent, limit in zip(offset, self.shape, (height, width), strict=True)
-        ):
-            raise WindowError(
-                f"a picture of {self.shape} pixels at {offset} doesn't fit on monitor {screen}, "
-                f"{(height, width)}"
-            )
+        monitors = [size[::-1] for size in sizes]
+        self.shape = fitting_shape(monitors, screen, offset, shape)
+        height, width = monitors[screen]
         centred = (SDL_CENTRED_ON_DISPLAY | screen,) * 2
         whole = pygame.Window("rfpipe", (width, height), centred, borderless=True, hidden=True)
         left, top = whole.position  # a window as large as its monitor lies at its origin
@@ -107,7 +103,64 @@ class Window:
         pygame.event.pump()
 
 
-def serve(window: Window, pictures: IO[bytes], answer: Any) -> None:
+class MemoryWindow:
+    """A window on a display that is an array in a file: where there is no X server."""
+
+    def __init__(
+        self, path: Path, screen: int, offset: tuple[int, int], shape: tuple[int, int] | None
+    ) -> None:
+        try:
+            display = np.load(path, mmap_mode="r+")
+        except OSError as error:
+            raise WindowError(f"no display answers ({error})") from error
+        self.shape = fitting_shape([display.shape[:2]], screen, offset, shape)
+        (top, left), (height, width) = offset, self.shape
+        self._path = path
+        self._pixels = display[top : top + height, left : left + width]
+        self.draw(np.zeros(self.shape, np.uint8))
+
+    def draw(self, codes: NDArray[np.uint8]) -> None:
+        """Draw a picture, which all who map the file see at once."""
+        if not self._path.exists():
+            raise WindowError("the display is gone")
+        self._pixels[...] = codes[..., None]
+
+    def handle_events(self) -> None:
+        """Do nothing: there is no window manager, and no other window."""
+
+
+def fitting_shape(
+    monitors: Sequence[tuple[int, ...]],
+    screen: int,
+    offset: tuple[int, int],
+    shape: tuple[int, int] | None,
+) -> tuple[int, int]:
+    """Return the window's height and width: as asked for, or all of the monitor from `offset`."""
+    if screen >= len(monitors):
+        raise WindowError(f"there is no monitor {screen}; this display has {len(monitors)}")
+    height, width = monitors[screen]
+    shape = shape or (height - offset[0], width - offset[1])
+    if min(shape) < 1 or any(
+        start + extent > limit
+        for start, extent, limit in zip(offset, shape, (height, width), strict=True)
+    ):
+        raise WindowError(
+            f"a picture of {shape} pixels at {offset} doesn't fit on monitor {screen}, "
+            f"{(height, width)}"
+        )
+    return shape
+
+
+def open_window(
+    display: str, screen: int, offset: tuple[int, int], shape: tuple[int, int] | None
+) -> Window | MemoryWindow:
+    """Open a window on the display of that name."""
+    if display.startswith(MEMORY):
+        return MemoryWindow(Path(display.removeprefix(MEMORY)), screen, offset, shape)
+    return Window(screen, offset, shape)
+
+
+def serve(window: Window | MemoryWindow, pictures: IO[bytes], answer: Any) -> None:
     """Draw the pictures that come in until there are no more."""
     incoming: queue.Queue[bytes] = queue.Queue(maxsize=1)
     size = window.shape[0] * window.shape[1]
@@ -149,8 +202,11 @@ def main() -> None:
     settings = json.loads(sys.argv[1])
     shape = settings["shape"]
     try:
-        window = Window(
-            settings["screen"], tuple(settings["offset"]), None if shape is None else tuple(shape)
+        window = open_window(
+            os.environ.get("DISPLAY", ""),
+            settings["screen"],
+            tuple(settings["offset"]),
+            None if shape is None else tuple(shape),
         )
         serve(window, sys.stdin.buffer, answer)
     except WindowError as error:

@@ -1,4 +1,4 @@
-"""A display in memory: an X server without a screen, whose pixels can be read."""
+"""An X server without a screen, whose pixels can be read."""
 
 from __future__ import annotations
 
@@ -11,33 +11,17 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
+from rfpipe.rigs.display import VirtualDisplay
 
-__all__ = ["VirtualDisplay", "xvfb"]
+__all__ = ["xvfb"]
 
 START_SECONDS = 20.0
-
-
-@dataclass(frozen=True, eq=False)
-class VirtualDisplay:
-    """A running Xvfb.
-
-    Parameters
-    ----------
-    name : str
-        The display's name for clients, such as ``":7"``.
-    pixels : ndarray of uint8, shape (H, W, 3)
-        Blue, green and red of each pixel as they stand now: a view of the server's memory.
-    """
-
-    name: str
-    pixels: NDArray[np.uint8]
 
 
 @contextmanager

@@ -223,7 +223,8 @@ def _diagonal(seen: Observations) -> Float:
 
 
 def _dot(a: Float, b: Float) -> float:
-    return float(np.dot(a.astype(np.float64), b))
+    # not BLAS: its threads change the sum's last bits, and wait for each other on a busy machine
+    return float(np.einsum("i,i->", a, b, dtype=np.float64))
 
 
 def _patches(basis: MultiscaleBasis) -> csr_array[np.float32]:

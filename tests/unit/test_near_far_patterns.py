@@ -1,0 +1,112 @@
+"""The patterns of near/far acquisition: of every size of detail, along bands, and in strips."""
+
+import numpy as np
+import pytest
+
+from rfpipe.methods.near_far.patterns import (
+    held_out_strip_twice,
+    held_out_twice,
+    probe_patterns,
+)
+from rfpipe.methods.near_far.transport import LightRange
+
+SHAPE = (32, 40)
+CREASE = np.abs(np.arange(40) - 19.5)
+
+
+def crease(shape: tuple[int, int] = SHAPE) -> LightRange:
+    """Light between two planes that meet in the middle column, the nearer the stronger."""
+    distance = np.broadcast_to(CREASE, shape).astype(np.float32)
+    across = np.where(np.arange(40) < 20, 1, -1) * np.ones(shape)
+    return LightRange(
+        np.maximum(distance, 0.5),
+        1 / (1 + distance),
+        np.zeros(shape, np.float32),
+        across.astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize("shape", [(7, 9), (2, 6, 5), (1, 16)])
+def test_half_of_the_rays_are_lit(shape: tuple[int, ...]) -> None:
+    patterns = probe_patterns(shape, 1, 5)
+    assert patterns.dtype == np.bool_
+    assert patterns.shape == (5, *shape)
+    rays = int(np.prod(shape))
+    assert patterns.reshape(5, -1).sum(axis=1).tolist() == [rays // 2] * 5
+
+
+def test_a_pattern_follows_from_its_level_and_number_alone() -> None:
+    few, many = (probe_patterns(SHAPE, 3, count) for count in (2, 6))
+    np.testing.assert_array_equal(many[:2], few)
+    flat = [pattern.tobytes() for level in (3, 4) for pattern in probe_patterns(SHAPE, level, 6)]
+    assert len(set(flat)) == 12
+
+
+def test_views_have_patterns_of_their_own() -> None:
+    patterns = probe_patterns((2, 16, 16), 1, 20)
+    first, second = patterns.reshape(20, 2, -1).swapaxes(0, 1)
+    assert abs(np.mean(first == second) - 0.5) < 0.1
+
+
+def test_a_single_ray_is_dark_or_lit() -> None:
+    assert probe_patterns((1, 1), 1, 3).shape == (3, 1, 1)
+
+
+def test_every_octave_of_size_has_the_same_power() -> None:
+    patterns = probe_patterns((64, 64), 1, 60) - 0.5
+    power = np.mean(np.abs(np.fft.fft2(patterns)) ** 2, axis=0)
+    frequency = np.hypot(np.fft.fftfreq(64)[:, None], np.fft.fftfreq(64))
+    edges = [1 / 48, 1 / 24, 1 / 12, 1 / 6, 1 / 3]
+    octaves = [power[(frequency >= low) & (frequency < 2 * low)].sum() for low in edges[:-1]]
+    # white noise would have four times the power in each next octave
+    assert max(octaves) < 2 * min(octaves)
+
+
+def test_bands_of_equal_range_are_lit_together() -> None:
+    bands = probe_patterns(SHAPE, 2, 40, crease())
+    noise = probe_patterns(SHAPE, 2, 40)
+    probes = np.arange(40) % 4 > 0
+
+    def alike(patterns: np.ndarray) -> float:
+        """How much of the variance is between columns, which have one range each."""
+        return float(patterns[probes].mean(axis=1).var(axis=1).mean() / 0.25)
+
+    assert alike(bands) > 2 * alike(noise)
+    assert (bands[probes].mean(axis=(1, 2)) == 0.5).all()
+
+
+def test_every_fourth_probe_is_a_strip_on_one_side_of_the_crease() -> None:
+    patterns = probe_patterns(SHAPE, 2, 40, crease())
+    left, right = patterns[..., :20].any(axis=(1, 2)), patterns[..., 20:].any(axis=(1, 2))
+    strip = np.arange(40) % 4 == 0
+    assert (left ^ right)[strip].all()
+    assert (left & right)[~strip].all()
+    assert left[strip].any()
+    assert right[strip].any()
+    sizes = patterns[strip].mean(axis=(1, 2))
+    # one side of what is nearest, from a hundredth of the image to three tenths
+    assert 0 < sizes.min() < 0.03
+    assert 0.08 < sizes.max() <= 0.16
+    for lit in patterns[strip]:
+        columns = CREASE[lit.any(axis=0)]
+        assert columns.max() < len(columns), "not the columns that are nearest"
+
+
+def test_without_a_range_there_are_no_strips() -> None:
+    assert (probe_patterns(SHAPE, 2, 8).mean(axis=(1, 2)) == 0.5).all()
+
+
+def test_the_held_out_pattern_is_shown_twice() -> None:
+    first, second = held_out_twice(SHAPE)
+    np.testing.assert_array_equal(first, second)
+    assert first.mean() == pytest.approx(0.3, abs=1e-3)
+    assert not any((first == probe).all() for probe in probe_patterns(SHAPE, 1, 6))
+
+
+def test_the_held_out_strip_is_where_most_light_stays_near() -> None:
+    first, second = held_out_strip_twice(crease())
+    np.testing.assert_array_equal(first, second)
+    assert first.sum() == first.size // 32
+    # of equal pixels the first: both columns of the crease from the top
+    assert np.flatnonzero(first.any(axis=0)).tolist() == [19, 20]
+    assert first[:20, 19:21].all()
