@@ -40,8 +40,8 @@ def ray_shape(shape: tuple[int, ...], name: str = "the ray domain") -> tuple[int
         lengths = ()
     if len(lengths) < 2 or min(lengths) < 1:
         raise InputError(
-            f"{name} is {shape!r}; expected (H, W) or (V, H, W), or more axes of views first, each "
-            "a whole number of at least 1"
+            f"{name} is {shape!r}; expected height and width, (H, W), or axes of views before "
+            "these, as (V, H, W), each a whole number of at least 1"
         )
     return lengths
 

@@ -14,7 +14,7 @@ from rfpipe.errors import InputError
     "shape", [(), (4,), (0, 3), (3, -1), (2, 0, 3), (2, 2, 0, 2), 16, (2.5, 3), "ab"]
 )
 def test_a_domain_is_an_image_or_views(shape: Any) -> None:
-    message = f"the ray domain is {shape!r}; expected (H, W) or (V, H, W), or more axes of views"
+    message = f"the ray domain is {shape!r}; expected height and width, (H, W), or axes of views"
     with pytest.raises(InputError, match=re.escape(message)):
         RayDomain(shape)
 
