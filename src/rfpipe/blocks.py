@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from math import prod
+from operator import index
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,76 +15,155 @@ from rfpipe.errors import InputError
 
 Index = NDArray[np.int64]
 
+Split = Literal["views_first", "all_axes"]
+"""How a block tree splits the axes of a ray domain, see `BlockTree`."""
 
-@dataclass(frozen=True)
-class RayDomain:
-    """The index set of one side's rays.
+
+def ray_shape(shape: tuple[int, ...], name: str = "the ray domain") -> tuple[int, ...]:
+    """Return the shape of a ray domain, checked.
 
     Parameters
     ----------
     shape : tuple of int
-        ``(H, W)`` for one image, ``(V, H, W)`` for a stack of views (a light field).
-        Every length is at least 1; no power of two is needed.
+        ``(H, W)``, or the axes of the views before those of their images, see `RayDomain`.
+    name : str
+        What an error calls it.
 
     Raises
     ------
     InputError
-        If the shape has another number of axes or an empty one.
+        When it isn't two or more numbers of at least 1.
+    """
+    try:
+        lengths = tuple(index(length) for length in shape)
+    except TypeError:
+        lengths = ()
+    if len(lengths) < 2 or min(lengths) < 1:
+        raise InputError(
+            f"{name} is {shape!r}; expected height and width, (H, W), or axes of views before "
+            "these, as (V, H, W), each a whole number of at least 1"
+        )
+    return lengths
+
+
+@dataclass(frozen=True)
+class RayDomain:
+    """The index set of one side's rays: an image, or several views of one size (a light field).
+
+    Parameters
+    ----------
+    shape : tuple of int
+        ``(H, W)`` for one image; for views their own axes come first, as in ``(V, H, W)`` or
+        ``(rows, columns, H, W)``. Views, and rays, are numbered in C order. Every length is at
+        least 1; no power of two is needed.
+
+    Raises
+    ------
+    InputError
+        If the shape has fewer than two axes or an empty one.
     """
 
     shape: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        shape = tuple(int(length) for length in self.shape)
-        if len(shape) not in (2, 3) or min(shape) < 1:
-            raise InputError(
-                f"a ray domain is (H, W) or (V, H, W) with lengths of at least 1, got {self.shape}"
-            )
-        object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "shape", ray_shape(self.shape))
 
     @property
     def size(self) -> int:
         """Number of rays."""
-        return int(np.prod(self.shape))
+        return prod(self.shape)
 
     @property
     def is_stack(self) -> bool:
-        """Whether the domain is a stack of views."""
-        return len(self.shape) == 3
+        """Whether the domain has axes of views, be it of a single one."""
+        return len(self.shape) > 2
+
+    @property
+    def views_shape(self) -> tuple[int, ...]:
+        """Lengths of the views' axes; none for one image by itself."""
+        return self.shape[:-2]
+
+    @property
+    def views(self) -> int:
+        """Number of views."""
+        return prod(self.views_shape)
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """Height and width of a view's image."""
+        height, width = self.shape[-2:]
+        return height, width
+
+    @property
+    def rays_per_image(self) -> int:
+        """Number of rays of one view."""
+        return prod(self.image_shape)
+
+    @property
+    def stack_shape(self) -> tuple[int, int, int]:
+        """Number of views, height and width: values of all rays reshape to images of that shape."""
+        return self.views, *self.image_shape
+
+    @property
+    def picture_shape(self) -> tuple[int, int]:
+        """Height and width of the images of all views, one above the other."""
+        height, width = self.image_shape
+        return self.views * height, width
+
+    def view_of(self, rays: NDArray[Any]) -> NDArray[Any]:
+        """Return the view of each ray, both numbered from 0; -1 of a ray -1 that is none."""
+        return rays // self.rays_per_image
 
 
-def _halving_path(length: int, depth: int) -> Index:
-    """Give, for each position of an axis, its `depth` first-or-second-half choices as bits."""
-    position = np.arange(length)
-    low, high = np.zeros(length, np.int64), np.full(length, length, np.int64)
-    path = np.zeros(length, np.int64)
-    for _ in range(depth):
+def _halves(position: Index, length: int) -> list[Index]:
+    """Tell of each position of an axis whether it lies in the second half, halving by halving."""
+    low, high = np.zeros_like(position), np.full_like(position, length)
+    second_half = []
+    for _ in range((length - 1).bit_length()):
         middle = low + (high - low + 1) // 2
         second = position >= middle
-        path = 2 * path + second
+        second_half.append(second.astype(np.int64))
         low, high = np.where(second, middle, low), np.where(second, high, middle)
-    return path
+    return second_half
 
 
-def _interleave(rows: Index, columns: Index, depth: int) -> Index:
-    """Interleave row and column bits (a Morton code), the coarsest level in the highest bits."""
-    code = np.zeros(np.broadcast_shapes(rows.shape, columns.shape), np.int64)
-    for bit in range(depth):
-        code |= ((columns >> bit) & 1) << (2 * bit) | ((rows >> bit) & 1) << (2 * bit + 1)
-    return code
+def _choices(domain: RayDomain, split: Split) -> Iterator[tuple[Index, int]]:
+    """Give, split by split, which child each ray belongs to, and the bits that this number takes.
+
+    The numbers broadcast to the domain's shape. Of axes that split together the first has the
+    highest bit: a Morton code.
+    """
+    halved = list(zip(np.ogrid[tuple(map(slice, domain.shape))], domain.shape, strict=True))
+    if split == "views_first":
+        halved = halved[-2:]
+        if domain.is_stack:
+            view = np.arange(domain.views).reshape(*domain.views_shape, 1, 1)
+            yield view, (domain.views - 1).bit_length()
+    axes = [_halves(position, length) for position, length in halved]
+    for level in range(max(map(len, axes))):
+        bits = [second_half[level] for second_half in axes if level < len(second_half)]
+        child = np.zeros((1,) * len(domain.shape), np.int64)
+        for bit in bits:
+            child = child << 1 | bit
+        yield child, len(bits)
 
 
 class BlockTree:
-    """Quadtree over a ray domain; a stack of views first splits into its views.
+    """Tree of blocks over a ray domain: a quadtree of each image, unless all axes split at once.
 
-    A block of odd length splits into a longer first and a shorter second half, a length of one
-    does not split, so that a block has one to four children and the last level's blocks are
-    single rays. Rays are renumbered in *tree order*, in which every block of every level is one
-    contiguous run: block ``b`` of ``level`` is ``starts[level][b]:starts[level][b + 1]``.
+    A block's axis of odd length splits into a longer first and a shorter second half, a length of
+    one does not split. Thus a block has one to four children, one to ``2^d`` where all d axes split
+    at once, and the last level's blocks are single rays. Rays are renumbered in *tree order*, in
+    which every block of every level is one contiguous run: block ``b`` of ``level`` is
+    ``starts[level][b]:starts[level][b + 1]``.
 
     Parameters
     ----------
     domain : RayDomain
+    split : {"views_first", "all_axes"}
+        One after the other: several views first split into single ones, all at once, whose height
+        and width then split together. Or all axes together, those of the views too: 16 children a
+        block of ``(rows, columns, H, W)``.
 
     Attributes
     ----------
@@ -93,28 +176,31 @@ class BlockTree:
     child_starts : list of ndarray of int64
         For each level but the last: the children of block ``b`` are the next level's blocks
         ``child_starts[level][b]:child_starts[level][b + 1]``.
+
+    Raises
+    ------
+    InputError
+        If `split` is none of those.
     """
 
-    def __init__(self, domain: RayDomain) -> None:
+    def __init__(self, domain: RayDomain, split: Split = "views_first") -> None:
+        if split not in get_args(Split):
+            raise InputError(f"split is {split!r}; expected one of {', '.join(get_args(Split))}")
         self.domain = domain
-        height, width = domain.shape[-2:]
-        depth = int(max(height, width) - 1).bit_length()
-        code = _interleave(
-            _halving_path(height, depth)[:, None], _halving_path(width, depth)[None, :], depth
-        )
-        shifts = [2 * (depth - level) for level in range(depth + 1)]
-        if domain.is_stack:
-            view = np.arange(domain.shape[0])[:, None, None]
-            code = code[None] | view << (2 * depth)
-            shifts.insert(0, 62)
+        self.split: Split = split
+        code = np.zeros(domain.shape, np.int64)
+        ends = [0]  # bits of the code that tell a level's blocks apart
+        for child, bits in _choices(domain, split):
+            code = code << bits | child
+            ends.append(ends[-1] + bits)
         flat = code.ravel()
         self.order: Index = np.argsort(flat, kind="stable")
         self.inverse: Index = np.empty_like(self.order)
         self.inverse[self.order] = np.arange(domain.size)
         in_order = flat[self.order]
         self.starts: list[Index] = []
-        for shift in shifts:
-            block = in_order >> shift
+        for end in ends:
+            block = in_order >> (ends[-1] - end)
             first = np.flatnonzero(np.diff(block, prepend=-1))
             self.starts.append(np.append(first, domain.size))
         self.child_starts: list[Index] = [

@@ -43,7 +43,7 @@ def test_a_layout_can_be_stored() -> None:
         ((2, 3), np.array([[-2]]), "holds -2"),
         ((2, 3), np.array([0]), "expected int32"),
         ((2, 3), np.array([[0.0]]), "float64"),
-        ((6,), np.array([[0]]), r"expected \(H, W\) or \(V, H, W\)"),
+        ((6,), np.array([[0]]), r"expected height and width, \(H, W\)"),
     ],
 )
 def test_what_is_no_layout(shape: tuple[int, ...], rays: np.ndarray, expected: str) -> None:

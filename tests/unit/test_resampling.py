@@ -192,8 +192,10 @@ def test_wrong_matrices_and_images_are_refused() -> None:
         replace(good, camera_shape=(8, 9))
     with pytest.raises(InputError, match="sum to 2"):
         replace(good, matrix=good.matrix * np.float32(2))
-    with pytest.raises(InputError, match="not from"):
+    with pytest.raises(InputError, match=r"a resampling's ray domain is \(12,\); expected height"):
         replace(good, shape=(12,))
+    with pytest.raises(InputError, match=r"of a camera \(H, W\), not \(72,\)"):
+        replace(good, camera_shape=(72,))
     with pytest.raises(CaptureError, match="calibrated for"):
         good.apply(np.zeros((1, 8, 9, 1), np.float32))
     with pytest.raises(InputError, match="doesn't fit a camera"):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.calibration.blur import blurring
 from rfpipe.calibration.mapping import SmoothMap
 from rfpipe.errors import CaptureError
@@ -94,18 +95,19 @@ def coverage(
 
     height, width = camera_shape
     y, x = np.mgrid[: height + 1, : width + 1].astype(np.float64)
-    views = layout.shape[0] if len(layout.shape) == 3 else 1
-    if len(maps) != views:
-        raise CaptureError(f"{len(maps)} maps for a layout of {views} views; expected one each")
-    per_view = prod(layout.shape[-2:])
+    domain = RayDomain(layout.shape)
+    if len(maps) != domain.views:
+        raise CaptureError(
+            f"{len(maps)} maps for a layout of {domain.views} views; expected one each"
+        )
     rays = layout.ray_of_pixel.ravel()
     found: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
     for view, to_projector in enumerate(maps):
         corners = to_projector(np.stack([x, y], axis=-1))
-        chosen = _near(corners, layout.ray_of_pixel // per_view == view)
+        chosen = _near(corners, domain.view_of(layout.ray_of_pixel) == view)
         pixel, target, share = overlaps(corners, chosen, *layout.display_shape)
         ray = rays[target.astype(np.int64)]
-        own = (ray != DARK) & (ray // per_view == view)
+        own = (ray != DARK) & (domain.view_of(ray) == view)
         found.append((pixel[own].astype(np.int64), ray[own].astype(np.int64), share[own]))
     pixel, ray, share = (np.concatenate(part) for part in zip(*found, strict=True))
     return coo_array((share, (pixel, ray)), shape=(height * width, prod(layout.shape))).tocsr()
@@ -206,7 +208,7 @@ def _areas(
     y, x = np.mgrid[: height + 1, : width + 1].astype(np.float64)
     view_of_pixel = np.zeros(height * width, np.int64)
     rows, rays = shares.nonzero()
-    view_of_pixel[rows] = rays // prod(layout.shape[-2:])
+    view_of_pixel[rows] = RayDomain(layout.shape).view_of(rays)
     areas = np.zeros(height * width)
     for view, to_projector in enumerate(maps):
         corner = to_projector(np.stack([x, y], axis=-1))
@@ -246,8 +248,7 @@ def _with_past(shares: csr_array[Any]) -> tuple[csr_array[Any], NDArray[np.int64
 
 def _patches(shape: tuple[int, ...], seen: NDArray[np.bool_], radius: int) -> NDArray[np.int64]:
     """Return the rays around each seen one, itself first; -1 past the edge or where not seen."""
-    height, width = shape[-2:]
-    index = np.where(seen, np.arange(seen.size), -1).reshape(-1, height, width)
+    index = np.where(seen, np.arange(seen.size), -1).reshape(RayDomain(shape).stack_shape)
     padded = np.pad(index, ((0, 0), (radius, radius), (radius, radius)), constant_values=-1)
     side = 2 * radius + 1
     windows = np.lib.stride_tricks.sliding_window_view(padded, (side, side), axis=(1, 2))

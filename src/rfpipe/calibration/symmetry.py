@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.calibration.base import Findings, Verdict
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import MergeOptions
@@ -62,12 +63,12 @@ class Symmetry:
 
 def random_signs(shape: tuple[int, ...], side: int, count: int, seed: int) -> Double:
     """Return patterns of patches of random sign, (count, *shape), values -1 and 1."""
-    height, width = (-(-extent // side) for extent in shape[-2:])
-    views = shape[0] if len(shape) == 3 else 1
+    views, height, width = RayDomain(shape).stack_shape
     random = generator(seed, side)
-    coarse = random.integers(0, 2, (count, views, height, width)) * 2.0 - 1
+    patches = (count, views, -(-height // side), -(-width // side))
+    coarse = random.integers(0, 2, patches) * 2.0 - 1
     fine = coarse.repeat(side, axis=-2).repeat(side, axis=-1)
-    return np.asarray(fine[..., : shape[-2], : shape[-1]]).reshape(count, *shape)
+    return np.asarray(fine[..., :height, :width]).reshape(count, *shape)
 
 
 def take_symmetry(
@@ -104,7 +105,7 @@ def take_symmetry(
     on, spread = merged(np.ones((black_count, *shape), np.float32), FLOODLIT_KEY)
     patterns = {}
     for side in SCALES:
-        if side > 1 and side * 2 > max(shape[-2:]):
+        if side > 1 and side * 2 > max(RayDomain(shape).image_shape):
             continue
         signs = random_signs(shape, side, count, seed)
         patterns[side] = (signs.reshape(count, -1), *merged((signs > 0).astype(np.float32), side))

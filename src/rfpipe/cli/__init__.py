@@ -140,6 +140,7 @@ def relight(
 
     Several views stand one above the other in the pattern and in the output.
     """
+    from rfpipe.blocks import RayDomain
     from rfpipe.cli.images import write_image
     from rfpipe.transport import open_transport
 
@@ -149,7 +150,8 @@ def relight(
     lit = transport.T if dual else transport
     weights = _pattern(pattern, lit.projector_shape, lit.channels)
     image = lit.relight(weights)
-    write_image(output, image.reshape(-1, *image.shape[-2:]), white)
+    picture = image.reshape(*RayDomain(lit.camera_shape).picture_shape, lit.channels)
+    write_image(output, picture, white)
     typer.echo(f"{output}: {_times(lit.camera_shape)}, radiance up to {image.max():.4g}")
 
 
@@ -228,6 +230,7 @@ def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.flo
     """Make a named pattern, or read a picture: its views one above the other."""
     import numpy as np
 
+    from rfpipe.blocks import RayDomain
     from rfpipe.cli.images import read_image
     from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
 
@@ -241,7 +244,7 @@ def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.flo
             f"{', '.join(RELIGHTING_PATTERNS)}"
         )
     picture = read_image(Path(name))
-    expected = (math.prod(shape[:-1]), shape[-1])
+    expected = RayDomain(shape).picture_shape
     if picture.shape[:2] != expected:
         raise InputError(
             f"pattern {name}: is {_times(picture.shape[:2])} pixels (height x width); expected "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
@@ -70,7 +71,7 @@ class BenchConfig(Settings):
 
     @model_validator(mode="after")
     def _has_a_quadrilateral_for_each_view(self) -> Self:
-        views = 1 if len(self.scene.ray_shape) == 2 else self.scene.ray_shape[0]
+        views = math.prod(self.scene.views or (1, 1))
         for name in ("projector_corners", "camera_corners"):
             corners = getattr(self, name)
             if corners is not None and len(corners) != views:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain, ray_shape
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.demosaic import demosaic_matrices
@@ -45,7 +46,7 @@ class Resampling:
     Parameters
     ----------
     shape : tuple of int
-        The rays, (H, W) or (V, H, W).
+        The rays, see `RayDomain`.
     camera_shape : tuple of int
         The camera's pixels, (Hc, Wc).
     matrix : csr_array of float32, shape (rays, camera pixels)
@@ -63,12 +64,10 @@ class Resampling:
     matrix: csr_array[Any]
 
     def __post_init__(self) -> None:
+        ray_shape(self.shape, "a resampling's ray domain")
         expected = (prod(self.shape), prod(self.camera_shape))
-        if len(self.shape) not in (2, 3) or len(self.camera_shape) != 2:
-            raise InputError(
-                f"a resampling goes from a camera (H, W) to rays (H, W) or (V, H, W), not from "
-                f"{self.camera_shape} to {self.shape}"
-            )
+        if len(self.camera_shape) != 2:
+            raise InputError(f"a resampling is of a camera (H, W), not {self.camera_shape}")
         if self.matrix.shape != expected:
             raise InputError(
                 f"a resampling of {self.camera_shape} camera pixels to {self.shape} rays needs a "
@@ -387,9 +386,9 @@ def _neighbours_of(lost: NDArray[np.bool_]) -> csr_array[Any]:
     """Return rows with a 1 at the neighbours in the view of each lost ray, in its row."""
     from scipy.sparse import csr_array
 
-    height, width = lost.shape[-2:]
-    index = np.arange(lost.size).reshape(-1, height, width)
-    views, rows, columns = np.nonzero(lost.reshape(index.shape))
+    stack = _, height, width = RayDomain(lost.shape).stack_shape
+    index = np.arange(lost.size).reshape(stack)
+    views, rows, columns = np.nonzero(lost.reshape(stack))
     source, target = [], []
     for dy in (-1, 0, 1):
         for dx in (-1, 0, 1):

@@ -57,11 +57,11 @@ class Rig(Protocol):
 
     @property
     def camera_shape(self) -> tuple[int, ...]:
-        """The camera's ray domain, (H, W) or (V, H, W)."""
+        """Shape of the camera's ray domain, see `rfpipe.blocks.RayDomain`."""
 
     @property
     def projector_shape(self) -> tuple[int, ...]:
-        """The projector's ray domain, (H, W) or (V, H, W)."""
+        """Shape of the projector's ray domain."""
 
     @property
     def channels(self) -> int:

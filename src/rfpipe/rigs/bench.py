@@ -15,13 +15,13 @@ import shutil
 import tempfile
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
-from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.provenance import fingerprint
@@ -267,11 +267,11 @@ def _direct_light(config: SceneConfig) -> Float:
     from rfpipe.scenes import scene_from_config
 
     scene = scene_from_config(config.model_copy(update={"bounces": 1}))
-    views = 1 if len(scene.shape) == 2 else scene.shape[0]
-    light = np.repeat(np.eye(views, dtype=np.float32), prod(scene.shape) // views, axis=1)
+    domain = RayDomain(scene.shape)
+    light = np.repeat(np.eye(domain.views, dtype=np.float32), domain.rays_per_image, axis=1)
     images = np.asarray(scene.apply(light))
     own = light.astype(bool)
     direct = np.empty(images.shape[1:], np.float32)
-    for view in range(views):
+    for view in range(domain.views):
         direct[own[view]] = images[view, own[view]]
     return direct

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain, ray_shape
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 
@@ -28,7 +29,7 @@ class ProjectorLayout:
     Parameters
     ----------
     shape : tuple of int
-        The ray domain, (H, W) or (V, H, W), of N rays.
+        The ray domain, see `RayDomain`, of N rays.
     ray_of_pixel : ndarray of int32, shape (Hp, Wp)
         Index of the ray, in row-major order, that each pixel shows; `DARK` where it shows none.
 
@@ -42,11 +43,7 @@ class ProjectorLayout:
     ray_of_pixel: NDArray[np.int32]
 
     def __post_init__(self) -> None:
-        shape = tuple(int(extent) for extent in self.shape)
-        if len(shape) not in (2, 3) or min(shape) < 1:
-            raise InputError(
-                f"layout: the ray domain is {shape}; expected (H, W) or (V, H, W), each at least 1"
-            )
+        shape = ray_shape(self.shape, "a layout's ray domain")
         rays = np.ascontiguousarray(self.ray_of_pixel)
         if rays.ndim != 2 or rays.dtype.kind not in "iu" or not rays.size:
             raise InputError(
@@ -77,7 +74,7 @@ class ProjectorLayout:
             When the domain is larger than the picture, or has views, whose places only a
             calibration knows.
         """
-        if len(domain_shape) != 2:
+        if RayDomain(domain_shape).is_stack:
             raise InputError(
                 f"layout: the ray domain {domain_shape} has views; a grid lays out one image "
                 "(H, W). Where the views lie on the projector is found by calibration"

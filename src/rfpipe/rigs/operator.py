@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from math import prod
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import ray_shape
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_config
 from rfpipe.rigs.base import Key, check_patterns
@@ -32,7 +32,7 @@ class OperatorRig:
         for C channels; or an object with ``apply(patterns (B, N)) -> (B, M, C)`` and
         ``channels``. Entries are finite and not negative. Matrices are kept as float64.
     camera_shape, projector_shape : tuple of int
-        (H, W) or (V, H, W), of M and of N rays.
+        Of M and of N rays, see `RayDomain`.
     noise : None, Sensor or CameraConfig
         None captures exact radiance; else the camera of thesis appendix B.
     seed : int
@@ -59,8 +59,8 @@ class OperatorRig:
         seconds_per_pattern: float = 2.0,
         threads: int = 1,
     ) -> None:
-        self.camera_shape = _checked_shape(camera_shape, "camera_shape")
-        self.projector_shape = _checked_shape(projector_shape, "projector_shape")
+        self.camera_shape = ray_shape(camera_shape, "camera_shape")
+        self.projector_shape = ray_shape(projector_shape, "projector_shape")
         self._operator = as_pattern_operator(
             matrix, prod(self.camera_shape), prod(self.projector_shape)
         )
@@ -135,14 +135,3 @@ def _as_sensor(noise: Sensor | CameraConfig | None) -> Sensor:
             "a CameraConfig"
         )
     return noise
-
-
-def _checked_shape(given: tuple[int, ...], name: str) -> tuple[int, ...]:
-    expected = "expected height and width, (H, W), or (V, H, W) for V views, each at least 1"
-    try:
-        shape = tuple(operator.index(extent) for extent in given)
-    except TypeError:
-        raise InputError(f"{name} is {given!r}; {expected}") from None
-    if len(shape) not in (2, 3) or min(shape) < 1:
-        raise InputError(f"{name} is {shape}; {expected}")
-    return shape

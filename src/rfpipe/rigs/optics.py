@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import PatternOperator
@@ -42,7 +43,7 @@ class OpticalPath:
     scene : PatternOperator
         Light transport over the rays, from a ray domain to itself.
     shape : tuple of int
-        The ray domain, (H, W) or (V, H, W), of N rays.
+        The ray domain, see `RayDomain`, of N rays.
     projector_shape, camera_shape : (int, int)
         Height and width in pixels.
     projector_corners, camera_corners : sequence of Quadrilateral
@@ -150,14 +151,14 @@ class OpticalPath:
 
     def _is_inside(self, place: Double) -> NDArray[np.bool_]:
         """Whether points (..., 2) of a view's plane of rays lie on a ray."""
-        limits = np.array(self.shape[:-3:-1])  # width, height
+        limits = np.array(RayDomain(self.shape).image_shape[::-1])
         return np.asarray(((place >= 0) & (place < limits)).all(axis=-1))
 
     def _ray_of_pixel(self) -> NDArray[np.int32]:
         """Return the ray that each projector pixel's middle belongs to."""
         rays = np.full(self.projector_shape, DARK, np.int32)
         middles = _middles(self.projector_shape)
-        height, width = self.shape[-2:]
+        height, width = RayDomain(self.shape).image_shape
         for view, to_projector in enumerate(self._to_projector):
             # a grid's edges fall on whole numbers, which must not depend on rounding
             place = _mapped(np.linalg.inv(to_projector), middles).round(9)
@@ -199,7 +200,7 @@ def centred_corners(
     Parameters
     ----------
     shape : tuple of int
-        The ray domain, (H, W) or (V, H, W).
+        The ray domain.
     picture_shape : (int, int)
         Height and width in pixels.
     views : (int, int)
@@ -210,14 +211,15 @@ def centred_corners(
     InputError
         When a ray doesn't get a pixel.
     """
-    height, width = (extent * count for extent, count in zip(shape[-2:], views, strict=True))
+    image = RayDomain(shape).image_shape
+    height, width = (extent * count for extent, count in zip(image, views, strict=True))
     side = min(picture_shape[0] // height, picture_shape[1] // width)
     if side < 1:
         raise InputError(
             f"bench: {height} x {width} rays don't fit into a display of {picture_shape} pixels"
         )
     top, left = (picture_shape[0] - side * height) // 2, (picture_shape[1] - side * width) // 2
-    tall, wide = side * shape[-2], side * shape[-1]
+    tall, wide = side * image[0], side * image[1]
     return [
         _rectangle(left + column * wide, top + row * tall, wide, tall)
         for row in range(views[0])
@@ -235,8 +237,9 @@ def tilted_corners(
     cell_height, cell_width = (
         extent / count for extent, count in zip(picture_shape, views, strict=True)
     )
-    side = 0.9 * min(cell_height / shape[-2], cell_width / shape[-1])
-    tall, wide = side * shape[-2], side * shape[-1]
+    height, width = RayDomain(shape).image_shape
+    side = 0.9 * min(cell_height / height, cell_width / width)
+    tall, wide = side * height, side * width
     corners: list[Quadrilateral] = []
     for row in range(views[0]):
         for column in range(views[1]):
@@ -265,7 +268,7 @@ def _middles(shape: tuple[int, int]) -> Double:
 
 def _homography(shape: tuple[int, ...], corners: Quadrilateral) -> Double:
     """Return the matrix (3, 3) from a view's plane of rays to a picture."""
-    height, width = shape[-2:]
+    height, width = RayDomain(shape).image_shape
     equations, values = [], []
     for (x, y), (u, v) in zip(_rectangle(0, 0, width, height), corners, strict=True):
         equations.append([x, y, 1, 0, 0, 0, -u * x, -u * y])

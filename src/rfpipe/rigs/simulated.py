@@ -16,7 +16,7 @@ class CoaxialScene(PatternOperator, Protocol):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The ray domain, (H, W) or (V, H, W)."""
+        """Shape of the ray domain, see `rfpipe.blocks.RayDomain`."""
 
     def describe(self) -> dict[str, Any]:
         """Plain data: all that shapes the transport."""

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
+from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
 from rfpipe.scenes.base import Scene
 from rfpipe.scenes.geometry import SurfacePoints
@@ -34,8 +34,8 @@ def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDAr
     Parameters
     ----------
     shape
-        (H, W), or (V, H, W) for a stack of views, each of which then gets the same picture, with
-        `ONE_VIEW` as one more pattern.
+        See `RayDomain`. Several views each get the same picture, and there is one more pattern,
+        `ONE_VIEW`.
     seed
         Seed of the noise and of the random picture.
 
@@ -49,14 +49,10 @@ def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDAr
     Raises
     ------
     InputError
-        If the shape isn't two or three positive numbers.
+        If the shape isn't one of a ray domain.
     """
-    if len(shape) not in (2, 3) or min(shape) < 1:
-        raise InputError(
-            f"relighting patterns of shape {tuple(shape)}: expected (H, W) or (V, H, W), each at "
-            "least 1"
-        )
-    height, width = shape[-2:]
+    domain = RayDomain(shape)
+    height, width = domain.image_shape
     pictures = {name: np.zeros((height, width), dtype=np.float32) for name in RELIGHTING_PATTERNS}
     left = width // 4 - width // 16
     pictures["vertical_bar"][:, left : left + max(1, width // 8)] = 1
@@ -70,9 +66,9 @@ def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDAr
         name: np.ascontiguousarray(np.broadcast_to(picture, shape))
         for name, picture in pictures.items()
     }
-    if len(shape) == 3:
+    if domain.is_stack:
         patterns[ONE_VIEW] = np.zeros(shape, dtype=np.float32)
-        patterns[ONE_VIEW][0] = 1
+        patterns[ONE_VIEW].reshape(domain.stack_shape)[0] = 1
     return patterns
 
 

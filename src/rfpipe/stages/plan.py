@@ -32,7 +32,7 @@ class Plan:
     method : str
         A method's name or path, see `rfpipe.methods.get_method`.
     camera_shape, projector_shape : sequence of int
-        (H, W) or (V, H, W).
+        See `rfpipe.blocks.RayDomain`.
     channels : int
         Colour channels, 1 or 3.
     options : mapping

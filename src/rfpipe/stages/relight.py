@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.slices import leaf_levels, line_patterns
@@ -45,16 +46,17 @@ def images_of(scene: Scene, patterns: Float) -> Float:
 def right_half(shape: tuple[int, ...]) -> Float:
     """Return the pattern of [Fig. 5.9]: the right half lit, the middle column of odd ones dark."""
     pattern = np.zeros(shape, np.float32)
-    pattern[..., (shape[-1] + 1) // 2 :] = 1
+    _, width = RayDomain(shape).image_shape
+    pattern[..., (width + 1) // 2 :] = 1
     return pattern
 
 
 def one_view_at_a_time(shape: tuple[int, ...]) -> Float:
-    """Return the patterns ``(V, V, H, W)`` that each light one view of a stack, in turn."""
-    views = shape[0]
-    patterns = np.zeros((views, *shape), np.float32)
-    patterns[range(views), range(views)] = 1
-    return patterns
+    """Return the patterns ``(V, *shape)`` that each light one of V views, in turn."""
+    domain = RayDomain(shape)
+    patterns = np.zeros((domain.views, *domain.stack_shape), np.float32)
+    patterns[range(domain.views), range(domain.views)] = 1
+    return patterns.reshape(domain.views, *shape)
 
 
 def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
@@ -65,7 +67,7 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     transport : Transport
         Of a coaxial rig.
     scene : Scene
-        The scene that it was acquired from, over images (H, W) or a stack of views (V, H, W).
+        The scene that it was acquired from, over one image or several views.
 
     Returns
     -------
@@ -110,7 +112,7 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
         "floodlit_truth": truth[-1],
         "albedo": scene.albedo,
         "levels_relit": _at_each_level(transport, patterns[0]),
-        **(_between_views if len(shape) == 3 else _within_image)(transport, scene),
+        **(_between_views if RayDomain(shape).is_stack else _within_image)(transport, scene),
     }
 
 
@@ -154,7 +156,8 @@ def _between_views(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]
     """Return the arrays that `relit_arrays` has of a stack alone."""
     lights = one_view_at_a_time(scene.shape)
     relit, truth = transport.relight_batch(lights), images_of(scene, lights)
-    return {"views_relit": relit, "views_truth": truth}
+    shape = (len(lights), *RayDomain(scene.shape).stack_shape, scene.channels)
+    return {"views_relit": relit.reshape(shape), "views_truth": truth.reshape(shape)}
 
 
 def _within_image(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
@@ -182,7 +185,7 @@ def _entries(light: Callable[[Float], Float], shape: tuple[int, ...], row: int) 
 
     `light` turns patterns (P, H, W) into images (P, H, W, C).
     """
-    width = shape[-1]
+    _, width = RayDomain(shape).image_shape
     columns = [
         light(line_patterns(shape, row, range(first, min(first + _AT_A_TIME, width))))[:, row]
         for first in range(0, width, _AT_A_TIME)
@@ -224,7 +227,7 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
         "scene": acquired["scene"],
         "method": acquired["method"],
         "names": names,
-        "row": transport.projector_shape[-2] // 2,
+        "row": RayDomain(transport.projector_shape).image_shape[0] // 2,
         "patterns": acquired["patterns"],
         "bytes": transport.nbytes,
         "levels": transport.level_rows,

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import ray_shape
 from rfpipe.errors import InputError
 from rfpipe.photometry import MergeOptions
 from rfpipe.provenance import generator
@@ -55,10 +56,10 @@ class RigContract:
         return rig
 
     def test_shapes(self) -> None:
-        """Domains are (H, W) or (V, H, W), channels 1 or 3, exposures positive."""
+        """Shapes are those of ray domains, channels 1 or 3, exposures positive."""
         rig = self._opened()
         for name, shape in (("camera", rig.camera_shape), ("projector", rig.projector_shape)):
-            require(len(shape) in (2, 3) and min(shape) > 0, f"{name}_shape is {shape}")
+            ray_shape(shape, f"{name}_shape")
         require(rig.channels in (1, 3), f"channels is {rig.channels}, not 1 or 3")
         require(min(rig.sensor.exposures) > 0, f"exposures are {rig.sensor.exposures}")
         require(rig.seconds_per_pattern >= 0, "seconds_per_pattern is negative")

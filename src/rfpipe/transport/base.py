@@ -27,7 +27,7 @@ class Transport(ABC):
     Attributes
     ----------
     camera_shape, projector_shape : tuple of int
-        The ray domains, ``(H, W)`` or ``(V, H, W)``.
+        The ray domains, see `rfpipe.blocks.RayDomain`.
     channels : int
     """
 

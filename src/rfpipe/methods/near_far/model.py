@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
 from rfpipe.methods.near_far.pictures import SIGNIFICANT, Pictures
 from rfpipe.methods.near_far.solve import Observations, Prior, residual, solve
@@ -105,7 +106,7 @@ def _wanting(
     """
     dark = ~pictures.lit
     views, down, across = cells(shape, scale)
-    height, width = shape[-2:]
+    height, width = RayDomain(shape).image_shape
     row, column = np.arange(height) // scale, np.arange(width) // scale
     cell = (row[:, None] * across + column).ravel()
     cell = (np.arange(views)[:, None] * (down * across) + cell).ravel()

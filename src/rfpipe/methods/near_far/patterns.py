@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.near_far.transport import LightRange
 from rfpipe.provenance import generator
 
@@ -85,7 +86,7 @@ def _brightest(image: NDArray[np.floating[Any]], part: float) -> NDArray[np.bool
 
 def _noise(shape: tuple[int, ...], random: np.random.Generator) -> NDArray[np.float64]:
     """Return noise of equal power in every octave, with unit deviation, on the torus."""
-    height, width = shape[-2:]
+    height, width = RayDomain(shape).image_shape
     frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
     amplitude = 1 / np.maximum(frequency, 1 / max(height, width))
     amplitude[0, 0] = 0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.transport.multiscale.basis import MultiscaleBasis
@@ -234,11 +235,10 @@ def _patches(basis: MultiscaleBasis) -> csr_array[np.float32]:
     weights = basis.weights
     finest = np.minimum.reduceat(basis.scales[weights.indices], weights.indptr[:-1])
     side = np.clip(finest // _PART_OF_SCALE, 1, _LARGEST_PATCH)
-    height, width = basis.shape[-2:]
+    stack = views, height, width = RayDomain(basis.shape).stack_shape
     rays = np.arange(len(finest))
-    row, column = rays // width % height, rays % width
-    view = rays // (width * height)
-    key = ((side * basis.shape[0] + view) * height + row // side) * width + column // side
+    view, row, column = np.unravel_index(rays, stack)
+    key = ((side * views + view) * height + row // side) * width + column // side
     _, patch = np.unique(key, return_inverse=True)
     ones = np.ones(len(rays), np.float32)
     return csr_array((ones, (patch, rays)), shape=(int(patch.max()) + 1, len(rays)))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
 from rfpipe.methods.near_far.model import Model
 from rfpipe.transport.low_rank import LowRankTransport
@@ -53,7 +54,7 @@ class LightRange:
 
 def light_range(shape: tuple[int, ...], model: Model, floodlit: Float) -> LightRange:
     """Find where each pixel's indirect light comes from under floodlight."""
-    height, width = shape[-2:]
+    height, width = RayDomain(shape).image_shape
     row, column = (np.broadcast_to(axis, shape).ravel() for axis in np.ogrid[:height, :width])
     square = row**2 + column**2
     moments = np.stack([np.ones_like(row), row, column, square]).astype(np.float32)

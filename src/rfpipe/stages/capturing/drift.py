@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
 
 if TYPE_CHECKING:
@@ -158,10 +159,11 @@ def look(merger: Merger, bracket: NDArray[Any], index: int) -> tuple[Double, Dou
 
 def _cells(image: NDArray[np.float32]) -> Double:
     """Sum an image (*camera_shape, C) over the cells of its views, ``(cells, C)``."""
-    planes = image.reshape(-1, *image.shape[-3:]).astype(np.float64)
+    *shape, channels = image.shape
+    planes = image.reshape(*RayDomain(tuple(shape)).stack_shape, channels).astype(np.float64)
     rows, columns = (
         np.arange(min(extent, _CELLS)) * extent // min(extent, _CELLS)
         for extent in planes.shape[1:3]
     )
     sums = np.add.reduceat(np.add.reduceat(planes, rows, axis=1), columns, axis=2)
-    return sums.reshape(-1, sums.shape[-1])
+    return sums.reshape(-1, channels)

@@ -36,7 +36,7 @@ def error_rows(
     Parameters
     ----------
     relit, truth : ndarray of float, shape (P, *shape, C)
-        Radiance over images (H, W) or stacks of views (V, H, W).
+        Radiance over a ray domain.
     patterns : ndarray, shape (P, *shape)
     names : iterable of P str
     white : float

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import BlockTree
+from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.transport import Transport
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.multilevel.transport import MultilevelTransport
@@ -41,7 +41,7 @@ def leaf_levels(transport: Transport, row: int) -> NDArray[np.int16] | None:
         Camera rays down, projector rays across; `NO_LEAF` where the entry is empty. None for a
         transport without leaves.
     """
-    width = transport.projector_shape[-1]
+    _, width = RayDomain(transport.projector_shape).image_shape
     levels = np.full((width, width), NO_LEAF, np.int16)
     if isinstance(transport, HierarchicalTransport):
         for leaves in transport.leaf_sets:

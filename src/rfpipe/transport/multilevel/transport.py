@@ -297,7 +297,7 @@ def _interpolate(density: Double, labels: NDArray[np.int32]) -> Double:
     The blocks of a view form a grid, rows and columns of uneven widths. A level that hasn't split
     a stack into its views yet has one value for all.
     """
-    views = labels.reshape(-1, *labels.shape[-2:])
+    views = labels.reshape(RayDomain(labels.shape).stack_shape)
     if labels.max() == labels.min():
         return np.broadcast_to(density[:, :1], (len(density), labels.size)).reshape(
             -1, *labels.shape

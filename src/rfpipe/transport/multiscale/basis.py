@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
+
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
@@ -35,7 +37,7 @@ class MultiscaleBasis:
     Parameters
     ----------
     shape : tuple of int
-        (H, W), or (V, H, W) for a stack of views.
+        See `RayDomain`.
     functions : ndarray of int32, shape (n, 4)
         Scale (the spacing of its grid in pixels, a power of two), view, row and column of each
         function's grid position. At scale 1 a function is a single ray, at others position
@@ -82,7 +84,7 @@ class MultiscaleBasis:
         """The functions' values, sparse float32 (N, n)."""
         from scipy.sparse import csr_array
 
-        height, width = self.shape[-2:]
+        height, width = RayDomain(self.shape).image_shape
         rays, owners, values = [], [], []
         for scale in np.unique(self.scales):
             own = np.flatnonzero(self.scales == scale)
@@ -120,7 +122,7 @@ class MultiscaleBasis:
 def coarsest_scale(shape: tuple[int, ...]) -> int:
     """Return the largest scale of which an image has at least `_COARSEST_CELLS` cells."""
     scale = 1
-    while np.prod(cells(shape[-2:], 2 * scale)) >= _COARSEST_CELLS:
+    while np.prod(cells(shape, 2 * scale)[1:]) >= _COARSEST_CELLS:
         scale *= 2
     return scale
 
@@ -147,8 +149,8 @@ def functions_over(scale: int, wanted: NDArray[np.bool_]) -> Functions:
 
 def cells(shape: tuple[int, ...], scale: int) -> tuple[int, int, int]:
     """Return the number of views, and of cells of a scale down and across."""
-    height, width = shape[-2:]
-    return (shape[0] if len(shape) == 3 else 1), -(-height // scale), -(-width // scale)
+    views, height, width = RayDomain(shape).stack_shape
+    return views, -(-height // scale), -(-width // scale)
 
 
 def _along(length: int, scale: int) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:

@@ -1,0 +1,91 @@
+"""Views arranged in rows and columns, (rows, columns, H, W), from patterns to pictures."""
+
+from typing import get_args
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.helpers import acquire_matrix, dense
+
+from rfpipe import OperatorRig, acquire
+from rfpipe.blocks import BlockTree, Split
+from rfpipe.calibration.rays import coverage
+from rfpipe.calibration.symmetry import random_signs
+from rfpipe.errors import CaptureError
+from rfpipe.methods.symmetric.method import Symmetric
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs.layout import ProjectorLayout
+from rfpipe.scenes import ONE_VIEW, relighting_patterns, room_scene
+from rfpipe.scenes.hard import DenseScene
+from rfpipe.stages.relight import one_view_at_a_time, relit_arrays
+from rfpipe.transport import open_transport, save_transport
+
+STACKED, ARRANGED = (4, 3, 4), (2, 2, 3, 4)
+METHODS = ("brute_force", "compressive", "dual", "hadamard", "low_rank", "near_far", "symmetric")
+
+
+@pytest.fixture(scope="module")
+def matrix() -> NDArray[np.float64]:
+    scene = room_scene(("texture", "white", "white"), STACKED[1:], views=(2, 2), channels=1)
+    found: NDArray[np.float64] = scene.dense(0).astype(np.float64)
+    return (found + found.T) / 2
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_method_finds_the_same_however_views_are_arranged(method, matrix, tmp_path):
+    stacked, arranged = (
+        acquire(OperatorRig(matrix, shape, shape, CameraModel(), seed=3), method, progress=False)
+        for shape in (STACKED, ARRANGED)
+    )
+    assert arranged.transport.camera_shape == arranged.transport.projector_shape == ARRANGED
+    assert arranged.levels.equals(stacked.levels)
+    np.testing.assert_array_equal(dense(arranged.transport), dense(stacked.transport))
+    save_transport(arranged.transport, tmp_path / "transport.zarr")
+    opened = open_transport(tmp_path / "transport.zarr")
+    assert opened.camera_shape == ARRANGED
+    np.testing.assert_array_equal(dense(opened), dense(stacked.transport))
+    image = opened.T.relight(np.ones(ARRANGED, np.float32))
+    assert image.shape == (*ARRANGED, 1)
+
+
+@pytest.mark.parametrize("split", get_args(Split))
+def test_symmetric_photography_works_on_either_tree(split, matrix, monkeypatch):
+    monkeypatch.setattr(BlockTree.__init__, "__defaults__", (split,))
+    found = acquire_matrix(Symmetric(), matrix, ARRANGED, ARRANGED, tolerance=1e-4)
+    tree = found.states[0].tree
+    assert (tree.split, tree.n_blocks(1)) == (split, 16 if split == "all_axes" else 4)
+    assert np.linalg.norm(dense(found.transport)[0] - matrix) < 0.02 * np.linalg.norm(matrix)
+
+
+def test_pictures_of_arranged_views_are_those_of_a_stack(matrix):
+    transport = acquire(OperatorRig(matrix, ARRANGED, ARRANGED), progress=False).transport
+    arrays = relit_arrays(transport, DenseScene("arranged", matrix, ARRANGED))
+    assert arrays["relit"].shape == (6, *ARRANGED, 1)
+    assert arrays["views_relit"].shape == arrays["views_truth"].shape == (4, *STACKED, 1)
+    for light in range(4):
+        of_light = matrix.reshape(48, 4, 12)[:, light].sum(axis=1)
+        found = arrays["views_truth"][light].reshape(-1)
+        np.testing.assert_allclose(found, of_light, rtol=1e-5)
+
+
+def test_patterns_light_the_same_rays_however_views_are_arranged():
+    arranged, stacked = relighting_patterns(ARRANGED), relighting_patterns(STACKED)
+    assert list(arranged) == list(stacked)
+    for name, pattern in arranged.items():
+        assert pattern.shape == ARRANGED
+        np.testing.assert_array_equal(pattern.ravel(), stacked[name].ravel())
+    assert arranged[ONE_VIEW].sum() == arranged[ONE_VIEW][0, 0].sum() == 12
+    np.testing.assert_array_equal(
+        one_view_at_a_time(ARRANGED), one_view_at_a_time(STACKED).reshape(4, *ARRANGED)
+    )
+    for side in (1, 2):
+        signs = random_signs(ARRANGED, side, 2, seed=1)
+        np.testing.assert_array_equal(signs.reshape(2, *STACKED), random_signs(STACKED, side, 2, 1))
+
+
+def test_a_calibration_needs_a_map_for_each_of_arranged_views():
+    rays = np.arange(48, dtype=np.int32).reshape(6, 8)
+    layout = ProjectorLayout(ARRANGED, rays)
+    np.testing.assert_array_equal(layout.picture(np.ones(ARRANGED)), np.ones((6, 8)))
+    with pytest.raises(CaptureError, match="2 maps for a layout of 4 views"):
+        coverage([lambda points: points] * 2, layout, (4, 4))
