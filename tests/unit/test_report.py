@@ -533,7 +533,8 @@ def captured(method, folder, arrays, scene):
     level = {"level": 0, "patterns": 12, "nodes": 30, "empty": 0, "rank1": 9, "scalar": 21,
              "subdivided": 0}  # fmt: skip
     facts = {"scene": scene, "method": method, "names": list(RELIGHTING_PATTERNS), "row": 2,
-             "coaxial": False, "options": {}, "patterns": 12, "bytes": 4000, "levels": [level]}  # fmt: skip
+             "coaxial": False, "options": {}, "patterns": 12, "bytes": 4000,
+             "levels": [level]}  # fmt: skip
     write_manifest(folder / scene / method / "relight.json", facts)
     evaluate.run([folder / scene / method / "relight.json"], [], *tables_of(folder), 2.0)
 

@@ -288,7 +288,7 @@ def speed_table(inputs: Inputs) -> Table:
     return table_of(
         means.reset_index().to_dict("records"),
         [
-            ("scene", "scene", lambda scene: titles.get(scene, scene)),
+            ("scene", "scene", lambda scene: str(titles.get(scene, scene))),
             ("method", "method", methods.title),
             ("asked for", "asked", str),
             ("patterns", "patterns", number),
