@@ -12,6 +12,7 @@ from rfpipe.methods.rivals.compressive import Compressive
 from rfpipe.methods.rivals.hadamard import Hadamard
 from rfpipe.methods.rivals.low_rank import LowRank
 from rfpipe.methods.symmetric.method import Symmetric
+from rfpipe.report import methods as shown
 from rfpipe.testing import MethodContract
 
 NAMES = method_names()
@@ -81,6 +82,8 @@ def test_methods_are_told_apart() -> None:
     methods = [get_method(name) for name in NAMES]
     assert len({method.title for method in methods}) == len(NAMES) == 7
     assert len({method.colour for method in methods}) == len(NAMES)
+    assert len({method.marker for method in methods}) == len(NAMES)
+    assert [shown.title(name) for name in NAMES] == [method.title for method in methods]
 
 
 def test_a_method_is_what_derives_from_method() -> None:

@@ -96,7 +96,7 @@ def test_a_transport_of_another_shape_or_colour_is_refused(transports):
 @pytest.mark.parametrize("row", [0, 4, 8])
 def test_the_level_map_says_where_entries_are_held(transports, method, row):
     transport = transports[method]
-    levels = leaf_levels(transport, row)
+    levels = leaf_levels(transport, row, row)
     rays = slice(row * 12, (row + 1) * 12)
     impulses = np.eye(108, dtype=np.float32).reshape(108, 9, 12)[rays]
     entries = transport.relight_batch(impulses)[:, row].swapaxes(0, 1).max(axis=-1)
@@ -105,18 +105,18 @@ def test_the_level_map_says_where_entries_are_held(transports, method, row):
     held = {int(name.split("_")[1]) for name in transport.pack()[0]}
     assert set(np.unique(levels)) - {NO_LEAF} <= held
     # What is held at a level stays there when the acquisition stops later, or else moves up.
-    stopped = leaf_levels(transport.truncate(2), row)
+    stopped = leaf_levels(transport.truncate(2), row, row)
     assert (stopped[(levels >= 0) & (levels < 2)] == levels[(levels >= 0) & (levels < 2)]).all()
     assert (stopped[levels >= 2] == 2).all()
 
 
 def test_the_level_map_of_a_symmetric_transport_is_symmetric(transports):
-    levels = leaf_levels(transports["symmetric"], 4)
+    levels = leaf_levels(transports["symmetric"], 4, 4)
     assert np.array_equal(levels, levels.T)
 
 
 def test_a_transport_without_leaves_has_no_level_map(transports):
-    assert leaf_levels(transports["brute_force"], 4) is None
+    assert leaf_levels(transports["brute_force"], 4, 4) is None
 
 
 def acquired(folder: Path, transport: Transport) -> Path:

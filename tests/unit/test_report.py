@@ -1,18 +1,20 @@
 """The report of small results folders: everything that exists is shown, and nothing else."""
 
 import base64
+import dataclasses
 import re
 import shutil
 from collections.abc import Iterable
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from rfpipe.config import Config
-from rfpipe.errors import StoreError
+from rfpipe.errors import InputError, StoreError
 from rfpipe.photometry import sensor_from_config
 from rfpipe.report import build_report
 from rfpipe.report.blocks import Section
@@ -21,16 +23,18 @@ from rfpipe.report.inputs import load_inputs
 from rfpipe.report.light_fields import view_errors
 from rfpipe.report.page import make_sections
 from rfpipe.report.pictures import amplification
+from rfpipe.report.single_responses import error_sources
 from rfpipe.report.tables import costs, levels_table, table_5_1
 from rfpipe.report.text import number, percent, size
 from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1, numeral_of
 from rfpipe.rigs import SimulatedRig
-from rfpipe.scenes import scene_from_config
+from rfpipe.scenes import RELIGHTING_PATTERNS, scene_from_config
 from rfpipe.stages import relight
 from rfpipe.stages.acquire import acquire
 from rfpipe.stages.evaluating import evaluate, sweep
 from rfpipe.store import write_arrays, write_manifest
 from rfpipe.transport import save_transport
+from rfpipe.transport.dense import DenseTransport
 
 PLANE = {"geometry": "plane", "surfaces": ["texture"], "shape": [8, 10]}
 WEDGE = {"geometry": "wedge", "surfaces": ["texture", "texture"], "shape": [8, 10]}
@@ -220,6 +224,7 @@ def test_every_figure_is_embedded_and_lies_beside_the_page(results, page):
     figures = results / "report" / "figures"
     names = {path.stem for path in figures.glob("*.png")}
     assert names == {
+        "scene_flat", "scene_corner",
         "fig_2_1_symmetric", "fig_2_1_dual", "fig_5_9", "fig_5_7", "fig_5_10", "speed_error",
         "fig_3_8", "fig_b_1", "processing_time",
     }  # fmt: skip
@@ -231,8 +236,9 @@ def test_every_figure_is_embedded_and_lies_beside_the_page(results, page):
 def test_every_table_lies_beside_the_page(results):
     names = {path.name for path in (results / "report" / "tables").glob("*.csv")}
     assert names == {
-        "errors.csv", "speed_error.csv", "table_5_1.csv", "table_3_1.csv", "levels.csv",
-        "resolution.csv", "stability.csv", "mosaic.csv", "processing.csv",
+        "results.csv", "errors.csv", "speed_error.csv", "table_5_1.csv", "table_3_1.csv",
+        "error_sources.csv", "levels.csv", "resolution.csv", "stability.csv", "mosaic.csv",
+        "processing.csv",
     }  # fmt: skip
 
 
@@ -384,8 +390,8 @@ def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
     for missing in ("Fig. 5.9", "Fig. 5.7", "Fig. 5.10", "Fig. 3.8", "Fig. B.1", "Table 5.1"):
         assert missing not in page.words
     figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
-    assert figures == {"fig_2_1_brute_force"}  # it has no option that trades patterns
-    assert len(page.images) == 1
+    assert figures == {"scene_grey", "fig_2_1_brute_force"}  # no option that trades patterns
+    assert len(page.images) == 2
 
 
 @pytest.fixture(scope="module")
@@ -400,7 +406,7 @@ def with_field(tmp_path_factory):
 def test_a_light_field_has_its_own_pictures_and_leaves_the_others_alone(with_field):
     figures = {path.stem for path in (with_field / "report" / "figures").glob("*.png")}
     assert figures == {
-        "fig_5_8_a_field_symmetric", "fig_5_8_b_field_symmetric",
+        "scene_corner", "scene_field", "fig_5_8_a_field_symmetric", "fig_5_8_b_field_symmetric",
         "fig_2_1_symmetric", "fig_2_1_dual", "fig_5_9", "fig_5_7", "fig_5_10", "speed_error",
         "processing_time",
     }  # fmt: skip
@@ -451,8 +457,134 @@ def test_a_light_field_alone_makes_a_report(tmp_path):
     assert "the middle view, relit with the vertical bar" in page.words
     figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
     assert figures == {
-        "fig_5_8_a_field_symmetric", "fig_5_8_b_field_symmetric", "fig_5_7", "fig_5_10",
+        "scene_field", "fig_5_8_a_field_symmetric", "fig_5_8_b_field_symmetric", "fig_5_7",
+        "fig_5_10",
     }  # fmt: skip
+
+
+def test_it_begins_with_each_scene_beside_truth_and_one_table(results, page):
+    inputs = load_inputs(BOTH, results, *tables_of(results))
+    first, second = make_sections(inputs)[:2]
+    assert (first.anchor, second.anchor) == ("glance", "speed")
+    gallery, table = first.blocks
+    assert [picture.name for picture in gallery.pictures] == ["flat (I)", "corner (IV)"]
+    for picture in gallery.pictures:
+        assert list(picture.panels) == ["floodlit", "relit", "truth"]
+        assert {panel.shape for panel in picture.panels.values()} == {(8, 10, 3)}
+        np.testing.assert_allclose(picture.panels["relit"], picture.panels["truth"], atol=0.1)
+    assert not table.is_folded
+    errors = inputs.errors.set_index(["scene", "method"])["rms_total"]
+    written = pd.read_csv(results / "report" / "tables" / "results.csv")
+    for row, shown in zip(written.to_dict("records"), table.table.rows, strict=True):
+        of_run = errors.loc[row["scene"], row["method"]]
+        assert row["mean_error"] == pytest.approx(of_run.mean(), rel=1e-4)
+        assert row["worst_error"] == pytest.approx(of_run.max(), rel=1e-4)
+        assert row["minutes"] == pytest.approx((2 * row["patterns"] + 9) / 60, rel=1e-4)
+        assert shown[2] == number(row["patterns"])
+        assert shown[5] == percent(row["mean_error"])
+
+
+def test_long_tables_are_folded_and_every_table_names_rows_and_columns(page):
+    folded = re.findall(r"<summary>(.*?)</summary>", page.source)
+    for name in ("Errors by pattern", "Cost at each step", "Hard cases", "Patterns", "Levels"):
+        assert name in folded
+    for name in ("What it took", "Table 5.1, symmetric photography", "Blocks or noise"):
+        assert name not in folded
+    tables = re.findall(r"<table>.*?</table>", page.source, re.DOTALL)
+    assert all('scope="col"' in table and "<caption>" in table for table in tables)
+    assert all('scope="row' in table for table in tables)
+    assert all(re.findall(r'<img [^>]*alt="([^"]+)"', page.source))
+
+
+def test_averaging_tells_noise_from_what_blocks_do(results):
+    inputs = load_inputs(BOTH, results, *tables_of(results))
+    run = inputs.of_scene("corner")[0]
+    truth, random = run.read("truth"), np.random.default_rng(0)
+    wanted = {"noise": truth * random.choice([0.9, 1.1], truth.shape), "blocks": 1.1 * truth}
+    found = {}
+    for name, relit in wanted.items():
+        images = {**{key: run.read(key) for key in ("patterns", "truth")}, "relit": relit}
+        altered = dataclasses.replace(run, images=SimpleNamespace(read=images.get))
+        (found[name],) = error_sources([altered]).to_dict("records")
+    assert found["blocks"]["error"] == pytest.approx(0.1)
+    assert found["blocks"]["error_averaged"] == pytest.approx(0.1)
+    assert found["blocks"]["worst_light"] == pytest.approx(0.1)
+    assert found["noise"]["error"] == pytest.approx(0.1)
+    assert found["noise"]["error_averaged"] < 0.05
+    assert {run.scene for run in inputs.runs} - set(error_sources(inputs.runs)["scene"]) == {"flat"}
+
+
+class Aside:
+    """A scene whose camera of 5 x 6 rays looks aside at what 4 x 8 projector rays light."""
+
+    shape = (5, 6)
+    channels = 1
+    albedo = np.full((5, 6, 1), 0.5, np.float32)
+    matrix = np.random.default_rng(0).random((30, 32)).astype(np.float32)
+
+    def apply(self, patterns):
+        return (patterns.reshape(len(patterns), 32) @ self.matrix.T)[..., None]
+
+
+def captured(method, folder, arrays, scene):
+    """Leave what the relight stage does of a scene before a rig that is not coaxial."""
+    (folder / scene / method).mkdir(parents=True)
+    write_arrays(folder / scene / method / "relight.zarr", arrays, {})
+    level = {"level": 0, "patterns": 12, "nodes": 30, "empty": 0, "rank1": 9, "scalar": 21,
+             "subdivided": 0}  # fmt: skip
+    facts = {"scene": scene, "method": method, "names": list(RELIGHTING_PATTERNS), "row": 2,
+             "coaxial": False, "options": {}, "patterns": 12, "bytes": 4000,
+             "levels": [level]}  # fmt: skip
+    write_manifest(folder / scene / method / "relight.json", facts)
+    evaluate.run([folder / scene / method / "relight.json"], [], *tables_of(folder), 2.0)
+
+
+ASIDE = Config.model_validate(
+    {
+        "scenes": {"desk": {"geometry": "captured", "surfaces": [], "shape": [4, 8],
+                            "camera_shape": [5, 6], "channels": 1}},
+        "methods": {"dual": {}},
+        "capture": {"rig": "remote"},
+    }
+)  # fmt: skip
+
+
+def aside_transport():
+    return DenseTransport((5, 6), (4, 8), 1, [], {"matrix": Aside.matrix[None] * 1.01})
+
+
+def test_a_camera_that_looks_from_aside_has_pictures_and_no_unlit_pixels(tmp_path):
+    arrays = relight.relit_arrays(aside_transport(), Aside(), is_coaxial=False)
+    assert arrays["relit"].shape == (5, 5, 6, 1)
+    assert arrays["patterns"].shape == (5, 4, 8)
+    assert arrays["line_truth"].shape == (6, 8, 1)
+    np.testing.assert_allclose(arrays["line_truth"][..., 0], Aside.matrix[12:18, 16:24])
+    with pytest.raises(InputError, match="coaxial scene"):
+        relight.relit_arrays(aside_transport(), Aside())
+    captured("dual", tmp_path, arrays, "desk")
+    errors = pd.read_csv(tables_of(tmp_path)[0])
+    np.testing.assert_allclose(errors["rms_total"], 0.01, rtol=1e-3)
+    assert errors["rms_unlit"].isna().all()
+    build_report(ASIDE, tmp_path, tmp_path / "report" / "index.html", *tables_of(tmp_path))
+    page = Page(tmp_path / "report" / "index.html")
+    assert "times brighter" not in page.words.split("Fig. 2.1")[0]
+    assert "Fig. 5.9" not in page.anchors
+    assert "Nor is any pixel known to be unlit" in page.words
+    assert {"scene_desk", "fig_2_1_dual"} <= {
+        path.stem for path in (tmp_path / "report" / "figures").glob("*.png")
+    }
+
+
+def test_a_scene_without_truth_is_shown_without_error(tmp_path):
+    arrays = relight.relit_of_captured(aside_transport(), Aside.matrix.sum(1).reshape(5, 6, 1))
+    captured("dual", tmp_path, arrays, "desk")
+    build_report(ASIDE, tmp_path, tmp_path / "report" / "index.html", *tables_of(tmp_path))
+    page = Page(tmp_path / "report" / "index.html")
+    (gallery, table) = make_sections(load_inputs(ASIDE, tmp_path, *tables_of(tmp_path)))[0].blocks
+    assert list(gallery.pictures[0].panels) == ["floodlit", "relit"]
+    assert table.table.columns[-1] == "stored, MB"
+    assert "The truth of a real scene is not known" in page.words
+    assert "errs as it does" not in page.words
 
 
 def test_without_anything_relit_there_is_no_report(tmp_path):

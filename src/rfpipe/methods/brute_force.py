@@ -17,6 +17,7 @@ class BruteForce(Scan):
     name = "brute_force"
     title = "Brute force"
     colour = "#5c5c5c"
+    marker = ""
     line = "--"
 
     def schedule(self, state: ScanState) -> Schedule:

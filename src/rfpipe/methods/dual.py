@@ -100,6 +100,7 @@ class Dual(Method[DualState]):
     name = "dual"
     title = "Dual photography"
     colour = "#c4611a"
+    marker = "s"
     thesis_table = "3.1"
     Options = DualOptions
     trades = "tolerance"

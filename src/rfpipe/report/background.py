@@ -6,9 +6,8 @@ from typing import Any
 
 from rfpipe.provenance import versions
 from rfpipe.report import charts, pictures, study_tables, tables
-from rfpipe.report.blocks import Illustration, Section, Tabulation
+from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation
 from rfpipe.report.inputs import Inputs
-from rfpipe.report.tables import Table
 from rfpipe.report.text import ray_size, wishes
 
 __all__ = [
@@ -96,7 +95,7 @@ def stability_section(inputs: Inputs) -> Section | None:
 
 def times_section(inputs: Inputs) -> Section:
     """Where the time goes."""
-    blocks: list[Illustration | Tabulation] = []
+    blocks: list[Block] = []
     if len(inputs.times):
         caption = (
             "Wall-clock seconds of the workflow's jobs, added over the levels of a run. Each job "
@@ -118,7 +117,7 @@ def times_section(inputs: Inputs) -> Section:
 def setup_section(inputs: Inputs) -> Section:
     """Camera, scenes and versions."""
     config = inputs.config
-    blocks: list[Illustration | Tabulation] = []
+    blocks: list[Block] = []
     if config.capture.rig == "remote":
         text = [_REMOTE]
     elif config.camera is None:

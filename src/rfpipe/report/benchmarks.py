@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.report import charts
-from rfpipe.report.blocks import Illustration, Section, Tabulation
-from rfpipe.report.drawing import new_figure
+from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation, table_of
+from rfpipe.report.drawing import logarithmic, new_figure
 from rfpipe.report.inputs import Inputs
-from rfpipe.report.tables import Table
-from rfpipe.report.text import number, size
+from rfpipe.report.text import fixed, number, size, words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,7 +47,7 @@ def benchmarks_section(inputs: Inputs) -> Section | None:
     found = inputs.benchmarks
     if not found:
         return None
-    blocks: list[Illustration | Tabulation] = []
+    blocks: list[Block] = []
     if {"scaling", "relight"} & set(found):
         caption = "Both axes logarithmic. " + " ".join(
             text
@@ -57,7 +56,8 @@ def benchmarks_section(inputs: Inputs) -> Section | None:
         )
         blocks.append(Illustration("Time against rays", caption, "time_by_rays", _times(found)))
     if "scaling" in found:
-        blocks.append(Tabulation("Processing", _SCALES, *_scaling_table(found["scaling"])))
+        table = _scaling_table(found["scaling"])
+        blocks.append(Tabulation("Processing", _SCALES, table, found["scaling"]))
     for name, (title, caption) in _TABLES.items():
         if name in found:
             table = _plain_table(found[name], name)
@@ -66,7 +66,8 @@ def benchmarks_section(inputs: Inputs) -> Section | None:
         figure = charts.resolution_figure(found["patterns"].to_dict("records"))
         blocks.append(Illustration("Patterns against rays", _PATTERNS, "patterns_by_rays", figure))
     if "workflow" in found:
-        blocks.append(Tabulation("Overhead", _OVERHEAD, *_overhead_table(found["workflow"])))
+        table = _overhead_table(found["workflow"])
+        blocks.append(Tabulation("Overhead", _OVERHEAD, table, found["workflow"]))
     text = "Measured by `make bench`, apart from the run above, on the machine it ran on."
     return Section("scale", "Speed and scale", [text], blocks)
 
@@ -106,7 +107,9 @@ def _times(found: dict[str, pd.DataFrame]) -> Figure:
     figure, axes = new_figure(1, len(drawn), (4.5 * len(drawn), 3.6))
     for axis, draw in zip(axes[0], drawn, strict=True):
         draw(axis, found)
-        _logarithmic(axis)
+        logarithmic(axis)
+        axis.set_xlabel("rays", fontsize=8.5)
+        axis.legend(fontsize=8, frameon=False)
     return figure
 
 
@@ -116,7 +119,7 @@ def _draw_processing(axis: Axes, found: dict[str, pd.DataFrame]) -> None:
     for (scene, rows), colour in zip(scenes, _COLOURS, strict=False):
         rays = rows["rays"]
         axis.plot(rays, 1e3 * rows["processing_s_per_image"], "o-", color=colour, markersize=4,
-                  linewidth=1.4, label=str(scene).replace("_", " "))  # fmt: skip
+                  linewidth=1.4, label=words(scene))  # fmt: skip
     floor = table.sort_values("rays")
     axis.plot(floor["rays"], 1e3 * floor["floor_s_per_image"], **_FLOOR)
     axis.set_ylabel("processing, ms an HDR image", fontsize=8.5)
@@ -134,70 +137,53 @@ def _draw_relighting(axis: Axes, found: dict[str, pd.DataFrame]) -> None:
     axis.set_ylabel("relighting, ms a pattern", fontsize=8.5)
 
 
-def _logarithmic(axis: Axes) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    axis.xaxis.set_major_locator(LogLocator(10, (1, 3)))
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
-    axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    for direction in (axis.xaxis, axis.yaxis):
-        direction.set_minor_formatter(NullFormatter())
-    axis.set_xlabel("rays", fontsize=8.5)
-    axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
-    axis.legend(fontsize=8, frameon=False)
-
-
-def _scaling_table(found: pd.DataFrame) -> tuple[Table, pd.DataFrame]:
-    rows = []
-    for row in found.to_dict("records"):
-        views = [int(row["views"])] if row["views"] > 1 else []
-        rows.append(
-            [
-                str(row["scene"]).replace("_", " "),
-                size(*views, int(row["height"]), int(row["width"])),
-                number(row["rays"]),
-                f"{row['tolerance']:g}",
-                number(row["patterns"]),
-                number(row["processing_s_per_image"], ".1f", 1000),
-                number(row["floor_s_per_image"], ".3f", 1000),
-                number(row["processing_s_per_image"] / row["floor_s_per_image"]),
-                number(row["stored_mb"], ".1f"),
-                number(row["peak_mb"]),
-            ]
+def _scaling_table(found: pd.DataFrame) -> Table:
+    sizes = [
+        size(*([int(views)] if views > 1 else []), int(height), int(width))
+        for views, height, width in zip(
+            found["views"], found["height"], found["width"], strict=True
         )
-    table = Table(
+    ]
+    times = found["processing_s_per_image"] / found["floor_s_per_image"]
+    return table_of(
+        found.assign(size=sizes, times=times).to_dict("records"),
+        [
+            ("scene", "scene", words),
+            ("size", "size", str),
+            ("rays", "rays", number),
+            ("tolerance", "tolerance", "{:g}".format),
+            ("patterns", "patterns", number),
+            ("processing", "processing_s_per_image", fixed(1, 1000)),
+            ("floor", "floor_s_per_image", fixed(3, 1000)),
+            ("times the floor", "times", number),
+            ("stored", "stored_mb", fixed(1)),
+            ("peak memory", "peak_mb", number),
+        ],
         [("", 5), ("ms an HDR image", 2), ("", 1), ("MB", 2)],
-        ["scene", "size", "rays", "tolerance", "patterns", "processing", "floor",
-         "times the floor", "stored", "peak memory"],
-        rows,
         text_columns=2,
         csv="bench_scaling.csv",
-    )  # fmt: skip
-    return table, found
+    )
 
 
-def _overhead_table(found: pd.DataFrame) -> tuple[Table, pd.DataFrame]:
-    columns = ["job_s", "own_s", "overhead_s"]
-    rows = [
+def _overhead_table(found: pd.DataFrame) -> Table:
+    return table_of(
+        found.to_dict("records"),
         [
-            str(row["stage"]).replace("_", " "),
-            number(row["jobs"]),
-            *(number(row[name], ".2f") for name in columns),
-        ]
-        for row in found.to_dict("records")
-    ]
-    titles = ["stage", "jobs", "a job", "own work", "overhead"]
-    return Table([], titles, rows, csv="bench_workflow.csv"), found
+            ("stage", "stage", words),
+            ("jobs", "jobs", number),
+            ("a job", "job_s", fixed(2)),
+            ("own work", "own_s", fixed(2)),
+            ("overhead", "overhead_s", fixed(2)),
+        ],
+        csv="bench_workflow.csv",
+    )
 
 
 def _plain_table(found: pd.DataFrame, name: str) -> Table:
     """Show a table, or its most telling columns, with the names that they have."""
     shown = [column for column in _SHOWN[name] or found.columns if column in found]
-    rows = [[_cell(value) for value in row] for row in found[shown].itertuples(index=False)]
-    columns = [str(column).replace("_", " ") for column in shown]
-    return Table([], columns, rows, csv=f"bench_{name}.csv")
+    columns = [(words(column), column, _cell) for column in shown]
+    return table_of(found.to_dict("records"), columns, csv=f"bench_{name}.csv")
 
 
 def _cell(value: Any) -> str:

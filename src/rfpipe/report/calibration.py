@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rfpipe.calibration import STEPS, CalibrationFolder
 from rfpipe.calibration.base import Findings
 from rfpipe.errors import StoreError
-from rfpipe.report.blocks import Illustration, Section, Tabulation
+from rfpipe.report.blocks import Illustration, Section, Table, Tabulation
 from rfpipe.report.calibration_charts import (
     correspondence_figure,
     dark_figure,
@@ -20,7 +20,6 @@ from rfpipe.report.calibration_charts import (
     transfer_figure,
 )
 from rfpipe.report.page import write_page
-from rfpipe.report.tables import Table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -129,7 +128,9 @@ def _summary(found: dict[str, Findings]) -> Section:
     ]
     table = Table([], ["step", "verdict"], rows, text_columns=2)
     caption = "What each step found; its reasons stand in its section."
-    return Section("summary", "Verdicts", [], [Tabulation("Verdicts", caption, table)])
+    return Section(
+        "summary", "Verdicts", [], [Tabulation("Verdicts", caption, table, is_folded=False)]
+    )
 
 
 def _section(name: str, findings: Findings) -> Section:

@@ -7,8 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rfpipe.report.drawing import METHOD_COLOURS, label_left, new_figure, shared_legend
-from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run
+from rfpipe.report import methods
+from rfpipe.report.drawing import (
+    draw_method,
+    label_left,
+    logarithmic,
+    logarithmic_limits,
+    new_figure,
+    number_axis,
+    shared_legend,
+)
+from rfpipe.report.inputs import Inputs, Run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -62,7 +71,7 @@ def leaves_figure(rows: Sequence[Sequence[Run]]) -> Figure:
             axis.set_axis_off()
         for axis, run in zip(panels, runs, strict=False):
             _stack_levels(axis, run)
-            axis.set_title(f"{run.title}, {run.method}", fontsize=8.5, pad=4)
+            axis.set_title(f"{run.title}\n{run.method_title}", fontsize=8.5, pad=4)
         label_left(panels[0], "nodes, %")
     for axis in axes[-1]:
         axis.set_xlabel("level", fontsize=8)
@@ -95,28 +104,21 @@ def resolution_figure(study: Sequence[Mapping[Any, Any]]) -> Figure:
         Rows of `rfpipe.stages.evaluating.studies.resolution.resolution_study`.
     """
     figure, axes = new_figure(1, 2, (8.6, 3.3))
-    methods = list(dict.fromkeys(row["method"] for row in study))
-    for axis, logarithmic in zip(axes[0], (False, True), strict=True):
-        for method in methods:
-            if method == "brute_force" and not logarithmic:
+    names = list(dict.fromkeys(row["method"] for row in study))
+    for axis, is_logarithmic in zip(axes[0], (False, True), strict=True):
+        for method in names:
+            if method == methods.BRUTE_FORCE and not is_logarithmic:
                 continue
             rows = [row for row in study if row["method"] == method]
-            axis.plot(
-                [row["rays"] for row in rows],
-                [row["patterns"] for row in rows],
-                "--" if method == "brute_force" else "o-",
-                color=METHOD_COLOURS[method],
-                markersize=4,
-                linewidth=1.4,
-                label=METHOD_TITLES[method],
-            )
+            rays, patterns = ([row[name] for row in rows] for name in ("rays", "patterns"))
+            draw_method(axis, rays, patterns, method)
         sides = sorted({(row["rays"], row["side"]) for row in study})
         axis.set_xscale("log", base=2)
         axis.set_xticks([rays for rays, _ in sides], [f"{side}²" for _, side in sides])
         axis.set_xlabel("projector pixels", fontsize=8.5)
         axis.set_ylabel("patterns", fontsize=8.5)
         axis.grid(True, linewidth=0.4, color="#dddddd")
-        if logarithmic:
+        if is_logarithmic:
             axis.set_yscale("log")
         else:
             axis.set_ylim(bottom=0)
@@ -136,39 +138,34 @@ def speed_error_figure(inputs: Inputs, scenes: Sequence[str]) -> Figure:
     figure, axes = new_figure(
         2, len(scenes), (2.55 * len(scenes) + 0.5, 5.4), sharex="col", sharey="row"
     )
-    per_pattern = inputs.config.capture.seconds_per_pattern
     table = inputs.speed_error
     for column, scene in zip(axes.T, scenes, strict=True):
         own = table[table["scene"] == scene]
         run = inputs.of_scene(scene)[0]
-        for axis, name in zip(column, ("rms_unlit", "rms_total"), strict=True):
+        for axis, name in zip(column, ("rms_total", "rms_unlit"), strict=True):
+            logarithmic(axis)
             _draw_errors(axis, own, name)
             axis.axvline(run.rays, color="#5c5c5c", linewidth=0.9, linestyle=":",
                          label="patterns of brute force")  # fmt: skip
-            axis.set_xscale("log")
-            axis.set_yscale("log")
-            axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
-        _number_axes(column, run.title, per_pattern)
+        column[0].set_title(run.title, fontsize=9.5, pad=8)
+        column[-1].set_xlabel("patterns", fontsize=8)
+        _number_minutes(column[0], inputs.config.capture.seconds_per_pattern / 60)
         if own["rms_unlit"].isna().all():
-            column[0].text(0.5, 0.5, "no indirect light", ha="center", va="center", fontsize=8.5,
-                           transform=column[0].transAxes, color="#555555")  # fmt: skip
-    label_left(axes[0, 0], "error on the unlit pixels")
-    label_left(axes[1, 0], "total error")
+            why = "no indirect light" if run.is_coaxial else "no pixel is\nknown to be unlit"
+            column[1].text(0.5, 0.5, why, ha="center", va="center", fontsize=8.5,
+                           transform=column[1].transAxes, color="#555555")  # fmt: skip
+    for axis, name, label in zip(
+        axes[:, 0], ("rms_total", "rms_unlit"), ("error, %", "error on unlit pixels, %"),
+        strict=True,
+    ):  # fmt: skip
+        label_left(axis, label)
+        axis.set_ylim(*logarithmic_limits(100 * table[name]))
     shared_legend(figure)
     return figure
 
 
-def _number_axes(column: Sequence[Axes], title: str, seconds_per_pattern: float) -> None:
-    """Number patterns below and capture time above a column of panels."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    plain = FuncFormatter(lambda value, _: f"{value:g}")
-    for axis in column:
-        axis.xaxis.set_major_locator(LogLocator(10, (1, 3)))
-        axis.xaxis.set_major_formatter(plain)
-        axis.xaxis.set_minor_formatter(NullFormatter())
-    column[-1].set_xlabel("patterns", fontsize=8)
-    minutes = seconds_per_pattern / 60
+def _number_minutes(axis: Axes, minutes: float) -> None:
+    """Number the time above a panel, at so many minutes a pattern."""
 
     def to_minutes(patterns: Any) -> Any:
         return patterns * minutes
@@ -176,29 +173,21 @@ def _number_axes(column: Sequence[Axes], title: str, seconds_per_pattern: float)
     def to_patterns(time: Any) -> Any:
         return time / minutes
 
-    above = column[0].secondary_xaxis("top", (to_minutes, to_patterns))
-    above.xaxis.set_major_locator(LogLocator(10, (1, 3)))
-    above.xaxis.set_major_formatter(plain)
-    above.xaxis.set_minor_formatter(NullFormatter())
+    above = axis.secondary_xaxis("top", (to_minutes, to_patterns))
+    number_axis(above.xaxis)
     above.tick_params(labelsize=8, width=0.6, length=3)
     above.set_xlabel("capture, min", fontsize=8)
-    column[0].set_title(title, fontsize=9.5, pad=8)
 
 
 def _draw_errors(axis: Axes, table: pd.DataFrame, name: str) -> None:
     """Draw each method's mean over the relighting patterns, and their range as a band."""
-    for method, rows in table.dropna(subset=[name]).groupby("method"):
+    for method, rows in table.dropna(subset=[name]).groupby("method", sort=False):
         by_value = rows.groupby("value")
         shown = by_value["patterns"].first()
-        mean, low, high = (by_value[name].agg(f) for f in ("mean", "min", "max"))
-        colour = METHOD_COLOURS[str(method)]
-        axis.fill_between(shown, low, high, color=colour, alpha=0.14, linewidth=0)
-        is_main = method == "symmetric"
-        axis.plot(
-            shown, mean, "o-" if is_main else "s-", color=colour, linewidth=1.4,
-            markersize=3.5 if is_main else 6, markerfacecolor=colour if is_main else "none",
-            label=METHOD_TITLES[str(method)], zorder=3 if is_main else 2,
-        )  # fmt: skip
+        mean, low, high = (100 * by_value[name].agg(f) for f in ("mean", "min", "max"))
+        band = methods.colour(str(method))
+        axis.fill_between(shown, low, high, color=band, alpha=0.14, linewidth=0)
+        draw_method(axis, shown, mean, str(method))
 
 
 def times_figure(times: pd.DataFrame) -> Figure:
@@ -224,7 +213,7 @@ def times_figure(times: pd.DataFrame) -> Figure:
             axis.barh(y, seconds, 0.7, left=left, color=colour, label=name, hatch=hatch,
                       edgecolor="white", linewidth=0.4)  # fmt: skip
             left += seconds
-    axis.set_yticks(y, [f"{scene}, {method}" for scene, method in totals.index])
+    axis.set_yticks(y, [f"{scene}, {methods.title(method)}" for scene, method in totals.index])
     axis.invert_yaxis()
     axis.set_xlabel("seconds, all levels", fontsize=8.5)
     axis.spines[["top", "right"]].set_visible(False)

@@ -10,18 +10,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rfpipe.report import methods
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 __all__ = [
-    "METHOD_COLOURS",
+    "UNLIT_GAIN",
+    "brighten_unlit",
     "chunks",
+    "draw_method",
+    "image_png",
     "label_below",
     "label_left",
     "logarithmic",
     "logarithmic_limits",
     "new_figure",
+    "number_axis",
     "panel_ratio",
     "png",
     "scene_panels",
@@ -30,15 +37,8 @@ __all__ = [
     "srgb",
 ]
 
-METHOD_COLOURS = {
-    "symmetric": "#1f5a9e",
-    "dual": "#c4611a",
-    "brute_force": "#5c5c5c",
-    "near_far": "#b3263a",
-    "hadamard": "#7d5ba6",
-    "compressive": "#4c8c4a",
-    "low_rank": "#b08a1e",
-}
+UNLIT_GAIN = 4
+"""Factor on the radiance of the pixels that a pattern leaves dark, to show them."""
 
 _DPI = 110
 _SMALL = 8.0
@@ -95,15 +95,20 @@ def scene_panels(titles: Sequence[str], x_label: str, y_label: str) -> tuple[Fig
 
 def logarithmic(axis: Axes, steps: Sequence[int] = (1, 3)) -> None:
     """Make both axes of a plot logarithmic, with plain numbers at `steps` of each decade."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     axis.set_xscale("log")
     axis.set_yscale("log")
     for direction in (axis.xaxis, axis.yaxis):
-        direction.set_major_locator(LogLocator(10, steps))
-        direction.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,g}"))
-        direction.set_minor_formatter(NullFormatter())
+        number_axis(direction, steps)
     axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
+
+
+def number_axis(axis: Axis, steps: Sequence[int] = (1, 3)) -> None:
+    """Put plain numbers at `steps` of each decade of a logarithmic axis."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(10, steps))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.10g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def logarithmic_limits(values: ArrayLike) -> tuple[float, float]:
@@ -111,6 +116,15 @@ def logarithmic_limits(values: ArrayLike) -> tuple[float, float]:
     found = np.asarray(values, float)
     found = found[np.isfinite(found) & (found > 0)]
     return (found.min() / _MARGIN, found.max() * _MARGIN) if found.size else (_MARGIN, 10.0)
+
+
+def draw_method(axis: Axes, x: ArrayLike, y: ArrayLike, method: str) -> None:
+    """Draw a method's curve, with its own colour and marker and its name for the legend."""
+    axis.plot(
+        x, y, marker=methods.marker(method), linestyle=methods.line(method),
+        color=methods.colour(method), label=methods.title(method), linewidth=1.4,
+        markersize=4.5, markerfacecolor="white", markeredgewidth=1.2,
+    )  # fmt: skip
 
 
 def shared_legend(figure: Figure) -> None:
@@ -134,6 +148,15 @@ def png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
+def image_png(pixels: NDArray[Any]) -> bytes:
+    """Return an image (H, W, 3) in [0, 1] as a PNG file, pixel by pixel."""
+    from matplotlib.image import imsave
+
+    buffer = io.BytesIO()
+    imsave(buffer, np.ascontiguousarray(pixels), format="png", metadata={"Software": ""})
+    return buffer.getvalue()
+
+
 def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
     """Render radiance for a screen.
 
@@ -153,6 +176,13 @@ def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
     shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     rgb: NDArray[np.float64] = np.broadcast_to(shown, (*shown.shape[:-1], 3))
     return rgb
+
+
+def brighten_unlit(
+    radiance: NDArray[Any], pattern: NDArray[Any], gain: float = UNLIT_GAIN
+) -> NDArray[Any]:
+    """Return a radiance image (H, W, C) with the pixels brightened that a pattern leaves dark."""
+    return radiance * np.where(pattern == 0, gain, 1)[..., None]
 
 
 def show_radiance(axis: Axes, radiance: NDArray[Any], white: float) -> None:

@@ -6,17 +6,17 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.report.blocks import Illustration, Section, Tabulation
+from rfpipe.report import methods
+from rfpipe.report.blocks import Illustration, Section, Table, Tabulation, table_of
 from rfpipe.report.drawing import (
-    METHOD_COLOURS,
+    draw_method,
     logarithmic,
     logarithmic_limits,
     scene_panels,
     shared_legend,
 )
-from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run
-from rfpipe.report.tables import Table
-from rfpipe.report.text import number, percent
+from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.text import fixed, number, percent
 from rfpipe.transport.history import HISTORY_COLUMNS, estimates
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ def estimates_section(inputs: Inputs) -> Section | None:
         curve += " Dashed: the mean error over the relighting patterns at the end."
     else:
         beside += " The truth is not known here."
-    names = {"scene": _titles(inputs), "method": METHOD_TITLES}
+    titles = _titles(inputs)
     return Section(
         "estimates",
         "Estimated error while it ran",
@@ -55,10 +55,10 @@ def estimates_section(inputs: Inputs) -> Section | None:
         [
             Illustration(
                 "Estimated error against patterns", curve, "estimated_error",
-                estimates_figure(steps, compared, target, names["scene"]),
+                estimates_figure(steps, compared, target, titles),
             ),
-            Tabulation("Estimated and true error", beside, _compared(compared, names), compared),
-            Tabulation("Estimates level by level", _STEPS, _stepwise(steps, names), steps),
+            Tabulation("Estimated and true error", beside, _compared(compared, titles), compared),
+            Tabulation("Estimates level by level", _STEPS, _stepwise(steps, titles), steps),
         ],
     )  # fmt: skip
 
@@ -141,15 +141,11 @@ def estimates_figure(
         logarithmic(axis, (1, 2, 5))
         for method, own in steps[steps["scene"] == scene].groupby("method", sort=False):
             seen = own[own["estimated_error"] > 0]
-            axis.plot(
-                seen["patterns"], 100 * seen["estimated_error"], "o-", markersize=3.5,
-                linewidth=1.4, color=METHOD_COLOURS[str(method)],
-                label=METHOD_TITLES[str(method)],
-            )  # fmt: skip
+            draw_method(axis, seen["patterns"], 100 * seen["estimated_error"], str(method))
         for run in compared[compared["scene"] == scene].dropna(subset=["true_error"]).itertuples():
             axis.axhline(
                 100 * run.true_error, linestyle="--", linewidth=1.1,
-                color=METHOD_COLOURS[run.method],
+                color=methods.colour(run.method),
             )  # fmt: skip
         axis.axhline(100 * target, linestyle=":", linewidth=0.9, color="#5c5c5c")
         axis.set_xlim(*logarithmic_limits(steps["patterns"]))
@@ -162,43 +158,36 @@ def _titles(inputs: Inputs) -> dict[str, str]:
     return {run.scene: run.title for run in inputs.runs}
 
 
-def _compared(compared: pd.DataFrame, names: dict[str, dict[str, str]]) -> Table:
-    rows = [
+def _compared(compared: pd.DataFrame, titles: dict[str, str]) -> Table:
+    return table_of(
+        compared.to_dict("records"),
         [
-            names["scene"][row["scene"]],
-            names["method"][row["method"]],
-            number(row["patterns"]),
-            percent(row["target_error"]),
-            percent(row["estimated_error"]),
-            percent(row["true_error"]),
-            number(row["ratio"], ".2f"),
-        ]
-        for row in compared.to_dict("records")
-    ]
-    return Table(
+            ("scene", "scene", lambda scene: titles[scene]),
+            ("method", "method", methods.title),
+            ("patterns", "patterns", number),
+            ("asked for", "target_error", percent),
+            ("estimated", "estimated_error", percent),
+            ("true", "true_error", percent),
+            ("estimated over true", "ratio", fixed(2)),
+        ],
         [("", 3), ("error, %", 3), ("", 1)],
-        ["scene", "method", "patterns", "asked for", "estimated", "true", "estimated over true"],
-        rows,
         text_columns=2,
         csv="estimates.csv",
+        is_grouped=True,
     )
 
 
-def _stepwise(steps: pd.DataFrame, names: dict[str, dict[str, str]]) -> Table:
-    rows = [
+def _stepwise(steps: pd.DataFrame, titles: dict[str, str]) -> Table:
+    return table_of(
+        steps.to_dict("records"),
         [
-            names["scene"][row["scene"]],
-            names["method"][row["method"]],
-            number(row["level"]),
-            number(row["patterns"]),
-            percent(row["estimated_error"]),
-        ]
-        for row in steps.to_dict("records")
-    ]
-    return Table(
-        [],
-        ["scene", "method", "level", "patterns", "estimated error, %"],
-        rows,
+            ("scene", "scene", lambda scene: titles[scene]),
+            ("method", "method", methods.title),
+            ("level", "level", number),
+            ("patterns", "patterns", number),
+            ("estimated error, %", "estimated_error", percent),
+        ],
         text_columns=2,
         csv="estimate_history.csv",
+        is_grouped=True,
     )

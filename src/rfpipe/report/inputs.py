@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.config import Config, SceneConfig
+from rfpipe.report import methods
 from rfpipe.report.thesis import numeral_of
 from rfpipe.stages.relight import right_half
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
@@ -21,16 +22,6 @@ if TYPE_CHECKING:
 __all__ = ["BENCHMARKS", "Inputs", "Run", "Study", "load_inputs"]
 
 Image = NDArray[np.float32]
-
-METHOD_TITLES = {
-    "symmetric": "Symmetric photography",
-    "dual": "Dual photography",
-    "brute_force": "Brute force",
-    "near_far": "Near/far acquisition",
-    "hadamard": "Hadamard multiplexing",
-    "compressive": "Compressive sensing",
-    "low_rank": "Optical low rank",
-}
 
 BENCHMARKS = {
     "scaling": {
@@ -79,7 +70,7 @@ class Run:
     @property
     def method_title(self) -> str:
         """The method's name in words."""
-        return METHOD_TITLES.get(self.method, self.method)
+        return methods.title(self.method)
 
     @property
     def patterns(self) -> int:
@@ -88,8 +79,19 @@ class Run:
 
     @property
     def rays(self) -> int:
-        """Rays of the domain, and so the patterns of brute force."""
+        """Rays of the projector, and so the patterns of brute force."""
         return math.prod(self.settings.ray_shape)
+
+    @property
+    def image_shape(self) -> tuple[int, int]:
+        """Height and width of the camera's image, or of each view's."""
+        height, width = self.settings.camera_ray_shape[-2:]
+        return height, width
+
+    @property
+    def is_coaxial(self) -> bool:
+        """Whether camera and projector share their rays, so that it is known which are unlit."""
+        return bool(self.facts["coaxial"])
 
     @property
     def is_light_field(self) -> bool:
@@ -123,8 +125,9 @@ class Run:
         """Whether the left half of an image gets any light when the right one is lit.
 
         Of a light field that says nothing: light comes to a view's left half from other views.
+        Nor does it of a camera that sees the scene from aside.
         """
-        if self.is_light_field:
+        if self.is_light_field or not self.is_coaxial:
             return False
         dark = right_half(self.settings.shape) == 0
         return bool(dark.any() and self.read("half_truth")[dark].max() > 0)
@@ -192,6 +195,29 @@ class Inputs:
     def of_method(self, method: str) -> list[Run]:
         """Return the runs of a method."""
         return [run for run in self.runs if run.method == method]
+
+    @property
+    def without_references(self) -> str:
+        """What to add where a time is without the all-off and all-on brackets, as the costs are."""
+        capture = self.config.capture
+        if self.config.camera is None:
+            return ""
+        brackets = capture.black_frames + capture.floodlit_frames
+        minutes = brackets * capture.seconds_per_pattern / 60
+        return (
+            f", without the reference brackets ({capture.black_frames} all-off and "
+            f"{capture.floodlit_frames} all-on ones, {minutes:.1f} min)"
+        )
+
+    def times_of(self, run: Run) -> pd.DataFrame:
+        """Return the rows of `times` that are a run's."""
+        times = self.times
+        return times[(times["scene"] == run.scene) & (times["method"] == run.method)]
+
+    @property
+    def scenes(self) -> list[str]:
+        """The scenes of the runs."""
+        return list(dict.fromkeys(run.scene for run in self.runs))
 
     def of_scene(self, scene: str) -> list[Run]:
         """Return the runs of a scene."""

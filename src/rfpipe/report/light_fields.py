@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.report.blocks import Illustration, Section, Tabulation
+from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation
 from rfpipe.report.drawing import label_below, new_figure, show_radiance
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.report.tables import Table
 from rfpipe.report.text import percent, size
 from rfpipe.stages.evaluating.metrics import relative_rms
 
@@ -37,7 +36,7 @@ def light_fields_section(inputs: Inputs) -> Section | None:
         "The rows of one view and the columns of another render the scene from the one in the "
         "light of the other."
     )
-    blocks: list[Illustration | Tabulation] = []
+    blocks: list[Block] = []
     for run in runs:
         views = size(*(run.settings.views or ()))
         of = f"{run.title}, {run.method_title.lower()}"

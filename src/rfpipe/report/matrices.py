@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.report.drawing import label_below, label_left, new_figure, panel_ratio, show_radiance
+from rfpipe.report.drawing import (
+    brighten_unlit,
+    label_below,
+    label_left,
+    new_figure,
+    panel_ratio,
+    show_radiance,
+)
 from rfpipe.report.inputs import Run
 from rfpipe.report.text import TIMES
 from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
@@ -18,16 +25,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["DECADES", "DIFFERENCE", "UNLIT_GAIN", "matrices_figure"]
+__all__ = ["DECADES", "DIFFERENCE", "matrices_figure"]
 
 DECADES = 7
 """Decades of the matrix' entries that are shown, from the largest of a scene down."""
 
 DIFFERENCE = 0.01
 """Ends of the difference's colours, as a fraction of the radiance shown as white."""
-
-UNLIT_GAIN = 4
-"""Factor on the radiance of the pixels that the vertical bar leaves dark, to show them."""
 
 _PANEL = 2.25  # inches
 _EMPTY_COLOUR = "#d3e3f3"
@@ -43,7 +47,7 @@ def matrices_figure(runs: Sequence[Run]) -> Figure:
     """
     with_levels = all(run.has_leaf_levels for run in runs)
     n_rows = 8 if with_levels else 7
-    ratio = panel_ratio([run.settings.shape for run in runs])
+    ratio = panel_ratio([run.image_shape for run in runs])
     heights = [ratio] * 2 + [1.0] * (n_rows - 5) + [ratio] * 3
     size = (_PANEL * len(runs) + 0.9, _PANEL * sum(heights) + 0.32 * n_rows)
     figure, axes = new_figure(n_rows, len(runs), size, height_ratios=heights)
@@ -74,11 +78,10 @@ def _draw_column(column: NDArray[Any], run: Run, with_levels: bool) -> None:
     if with_levels:
         _show_levels(next(panels), run)
     pattern, relit, truth = (run.read(name)[0] for name in ("patterns", "relit", "truth"))
-    gain = np.where(pattern == 0, UNLIT_GAIN, 1)[..., None]
     axis = next(panels)
-    show_radiance(axis, relit * gain, run.white)
-    label_below(axis, _errors(relit, truth, pattern))
-    show_radiance(next(panels), truth * gain, run.white)
+    label_below(axis, _errors(run, relit, truth, pattern))
+    for panel, image in ((axis, relit), (next(panels), truth)):
+        show_radiance(panel, brighten_unlit(image, pattern) if run.is_coaxial else image, run.white)
     axis = next(panels)
     difference = (relit - truth).mean(axis=-1) / run.white
     axis.imshow(difference, cmap="RdBu_r", vmin=-DIFFERENCE, vmax=DIFFERENCE,
@@ -87,8 +90,8 @@ def _draw_column(column: NDArray[Any], run: Run, with_levels: bool) -> None:
     axis.set_yticks([])
 
 
-def _errors(relit: NDArray[Any], truth: NDArray[Any], pattern: NDArray[Any]) -> str:
-    unlit = unlit_rms(relit, truth, pattern)
+def _errors(run: Run, relit: NDArray[Any], truth: NDArray[Any], pattern: NDArray[Any]) -> str:
+    unlit = unlit_rms(relit, truth, pattern) if run.is_coaxial else np.nan
     total = f"error {relative_rms(relit, truth):.2%}"
     return total if np.isnan(unlit) else f"{total}, unlit {unlit:.1%}"
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from rfpipe.config import Config
 from rfpipe.errors import StoreError
@@ -15,17 +17,24 @@ from rfpipe.report import (
     benchmarks,
     captured,
     estimates,
+    glance,
     light_fields,
+    methods,
     sections,
+    single_responses,
     speed_error,
 )
-from rfpipe.report.blocks import Illustration, Section, Tabulation
-from rfpipe.report.drawing import png
-from rfpipe.report.inputs import METHOD_TITLES, Inputs, load_inputs
+from rfpipe.report.blocks import Block, Gallery, Picture, Section, Tabulation
+from rfpipe.report.drawing import image_png, png
+from rfpipe.report.inputs import Inputs, load_inputs
 from rfpipe.report.text import ray_size
 from rfpipe.store.files import write_atomically
 
 __all__ = ["build_report", "make_sections", "write_page"]
+
+_PANEL_PIXELS = 210  # that a picture's panel is wide at least, in its file
+_GAPS_A_PANEL = 25
+_PNG_SIZE = (16, 20)  # where a PNG file has its width and height
 
 
 def build_report(
@@ -55,10 +64,24 @@ def build_report(
             f"{results}: holds no relit acquisition of the scenes "
             f"{', '.join(config.scenes)}; run the relight stage first"
         )
-    write_page(page, config.report.title, _lead(inputs), make_sections(inputs))
+    write_page(
+        page,
+        config.report.title,
+        _lead(inputs),
+        make_sections(inputs),
+        methods.swatches(inputs.methods),
+        _SOURCE,
+    )
 
 
-def write_page(page: Path, title: str, lead: str, sections: Sequence[Section]) -> None:
+def write_page(
+    page: Path,
+    title: str,
+    lead: str,
+    sections: Sequence[Section],
+    swatches: Mapping[str, str] | None = None,
+    source: str = "",
+) -> None:
     """Write a page that opens from disk, its pictures embedded.
 
     Parameters
@@ -68,29 +91,36 @@ def write_page(page: Path, title: str, lead: str, sections: Sequence[Section]) -
     title, lead : str
         Its heading, and a sentence on what it is about.
     sections : sequence of Section
+    swatches : mapping of str to str, optional
+        Colours that stand before these texts in tables.
+    source : str
+        What stands at the page's end.
     """
     shown = [_placed(section, page.parent) for section in sections]
-    write_atomically(page, _render(title, lead, shown).encode())
+    text = _render(title=title, lead=lead, sections=shown, swatches=swatches or {}, source=source)
+    write_atomically(page, text.encode())
 
 
 def make_sections(inputs: Inputs) -> list[Section]:
     """Return the sections that there is something to show in."""
     if inputs.has_truth:
         pictures = [
-            sections.summary_section(inputs),
-            sections.matrices_section(inputs),
-            light_fields.light_fields_section(inputs),
-            sections.cost_section(inputs),
             sections.methods_section(inputs),
+            single_responses.single_responses_section(inputs),
+            sections.errors_section(inputs),
+            light_fields.light_fields_section(inputs),
+            sections.matrices_section(inputs),
             sections.levels_section(inputs),
         ]
     else:
-        pictures = [captured.captured_section(inputs), sections.cost_section(inputs)]
+        pictures = [captured.captured_section(inputs)]
     candidates = [
+        glance.glance_section(inputs),
+        sections.speed_section(inputs),
         *pictures,
+        sections.cost_section(inputs),
         estimates.estimates_section(inputs),
         sections.leaves_section(inputs),
-        sections.speed_section(inputs),
         background.resolution_section(inputs),
         background.mosaic_section(inputs),
         background.stability_section(inputs),
@@ -104,30 +134,45 @@ def make_sections(inputs: Inputs) -> list[Section]:
 
 def _placed(section: Section, folder: Path) -> dict[str, Any]:
     """Write a section's pictures and tables; return what the page's template needs of it."""
-    blocks = []
-    for block in section.blocks:
-        if isinstance(block, Illustration):
-            blocks.append(_placed_figure(block, folder))
-        else:
-            blocks.append(_placed_table(block, folder))
+    return {**vars(section), "blocks": [_placed_block(block, folder) for block in section.blocks]}
+
+
+def _placed_block(block: Block, folder: Path) -> dict[str, Any]:
+    if isinstance(block, Gallery):
+        return {"pictures": [_placed_picture(picture, folder) for picture in block.pictures]}
+    if isinstance(block, Tabulation):
+        return _placed_table(block, folder)
+    alt = block.alt or f"{block.name}: see the caption."
+    image = _placed_image(block.slug, png(block.figure), folder)
+    about = {"name": block.name, "caption": block.caption, "is_folded": block.is_folded}
+    return {**about, "alt": alt, **image}
+
+
+def _placed_picture(picture: Picture, folder: Path) -> dict[str, Any]:
+    """Put a picture's panels into one image, a white gap between any two."""
+    first = next(iter(picture.panels.values()))
+    height, width, _ = first.shape
+    scale = max(1, -(-_PANEL_PIXELS // width))
+    gap = np.ones((height * scale, max(1, width * scale // _GAPS_A_PANEL), 3))
+    parts = [gap] * (2 * len(picture.panels) - 1)
+    parts[::2] = [panel.repeat(scale, 0).repeat(scale, 1) for panel in picture.panels.values()]
+    names = list(picture.panels)
     return {
-        "anchor": section.anchor,
-        "title": section.title,
-        "text": section.text,
-        "blocks": blocks,
+        "name": picture.name,
+        "caption": picture.caption,
+        "alt": f"{picture.name}: {', '.join(names)}, from left to right.",
+        "panels": names,
+        "gap": gap.shape[1] / (width * scale),
+        **_placed_image(picture.slug, image_png(np.concatenate(parts, axis=1)), folder),
     }
 
 
-def _placed_figure(block: Illustration, folder: Path) -> dict[str, Any]:
-    image = png(block.figure)
-    file = f"figures/{block.slug}.png"
+def _placed_image(slug: str, image: bytes, folder: Path) -> dict[str, Any]:
+    file = f"figures/{slug}.png"
     write_atomically(folder / file, image)
-    return {
-        "name": block.name,
-        "caption": block.caption,
-        "image": b64encode(image).decode(),
-        "file": file,
-    }
+    width, height = (int.from_bytes(image[at : at + 4]) for at in _PNG_SIZE)
+    about = {"file": file, "width": width, "height": height}
+    return {**about, "image": b64encode(image).decode()}
 
 
 def _placed_table(block: Tabulation, folder: Path) -> dict[str, Any]:
@@ -135,14 +180,13 @@ def _placed_table(block: Tabulation, folder: Path) -> dict[str, Any]:
     if block.numbers is not None and file:
         text = block.numbers.to_csv(index=False, float_format="%.6g", lineterminator="\n")
         write_atomically(folder / file, text.encode())
-    return {"name": block.name, "caption": block.caption, "table": block.table, "file": file}
+    return {**vars(block), "file": file}
 
 
 def _lead(inputs: Inputs) -> str:
     """Say in a sentence what the report is about."""
-    scenes = list(inputs.config.scenes.values())
-    sizes = list(dict.fromkeys(ray_size(scene) for scene in scenes))
-    methods = [METHOD_TITLES[method].lower() for method in inputs.methods]
+    settings = [inputs.config.scenes[scene] for scene in inputs.scenes]
+    sizes = list(dict.fromkeys(ray_size(scene) for scene in settings))
     camera = inputs.config.camera
     if inputs.config.capture.rig == "remote":
         taken = "by a rig behind an acquisition server"
@@ -151,19 +195,24 @@ def _lead(inputs: Inputs) -> str:
     else:
         taken = f"through a simulated {camera.bits}-bit camera with noise"
     compared = ", and compared with ground truth" if inputs.has_truth else ""
-    count = "one scene" if len(scenes) == 1 else f"{len(scenes)} scenes"
+    count = "one scene" if len(settings) == 1 else f"{len(settings)} scenes"
     return (
-        f"The light transport between a projector and a coaxial camera, {count} of "
-        f"{' and '.join(sizes)} rays, acquired {taken} with {' and '.join(methods)}"
-        f"{compared}. Figures and tables are numbered as in the thesis that they follow: "
-        "G. Garg, Efficiently Acquiring Reflectance Fields Using Patterned Illumination, PhD "
-        "thesis, Stanford University, 2006."
+        f"The light transport between a projector and a camera, {count} of "
+        f"{' and '.join(sizes)} rays, acquired {taken} with {methods.listed(inputs.methods)}"
+        f"{compared}."
     )
 
 
-def _render(title: str, lead: str, shown: Sequence[dict[str, Any]]) -> str:
+_SOURCE = (
+    "Figures and tables are numbered as in the thesis that they follow: G. Garg, Efficiently "
+    "Acquiring Reflectance Fields Using Patterned Illumination, PhD thesis, Stanford University, "
+    "2006."
+)
+
+
+def _render(**parts: Any) -> str:
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
     source = files("rfpipe.report").joinpath("page.html.j2").read_text(encoding="utf-8")
-    return environment.from_string(source).render(title=title, lead=lead, sections=shown)
+    return environment.from_string(source).render(**parts)

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rfpipe.report.drawing import label_below, label_left, new_figure, panel_ratio, show_radiance
+from rfpipe.report import methods
+from rfpipe.report.drawing import (
+    brighten_unlit,
+    label_below,
+    label_left,
+    new_figure,
+    panel_ratio,
+    show_radiance,
+)
 from rfpipe.report.inputs import Run, Study
 from rfpipe.report.text import TIMES
 from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
@@ -37,28 +45,34 @@ def methods_figure(scenes: Sequence[Sequence[Run]]) -> Figure:
     Parameters
     ----------
     scenes : sequence of sequences of Run
-        For each scene with indirect light, its runs, the methods in the same order.
+        For each scene with indirect light its runs. A method that some scenes weren't acquired
+        with leaves its panel empty there.
     """
-    ratio = panel_ratio([runs[0].settings.shape for runs in scenes])
-    columns = len(scenes[0]) + 1
-    size = (_PANEL * 1.25 * columns + 0.5, (_PANEL * 1.25 * ratio + 0.42) * len(scenes))
+    shown = list(dict.fromkeys(run.method for runs in scenes for run in runs))
+    ratio = panel_ratio([runs[0].image_shape for runs in scenes])
+    columns = len(shown) + 1
+    panel = _PANEL * (1.25 if columns < 4 else 1.1)
+    size = (panel * columns + 0.5, (panel * ratio + 0.52) * len(scenes))
     figure, axes = new_figure(len(scenes), columns, size)
     for row, runs in zip(axes, scenes, strict=True):
         gain = amplification(runs[0])
         pattern = right_half(runs[0].settings.shape)
-        scale = np.where(pattern == 0, gain, 1)[..., None]
         truth = runs[0].read("half_truth")
-        for axis, run in zip(row, runs, strict=False):
+        for axis, method in zip(row, shown, strict=False):
+            run = next((run for run in runs if run.method == method), None)
+            if run is None:
+                axis.set_axis_off()
+                continue
             relit = run.read("half_relit")
-            show_radiance(axis, relit * scale, run.white)
+            show_radiance(axis, brighten_unlit(relit, pattern, gain), run.white)
             error = unlit_rms(relit, truth, pattern)
-            label_below(axis, f"patterns {run.patterns:,}, error on the left half {error:.1%}")
-        show_radiance(row[-1], truth * scale, runs[0].white)
+            label_below(axis, f"patterns {run.patterns:,}\nerror on the left half {error:.1%}")
+        show_radiance(row[-1], brighten_unlit(truth, pattern, gain), runs[0].white)
         label_below(row[-1], f"left half {TIMES} {gain:g}")
-        label_left(row[0], runs[0].title)
-    titles = [run.method_title for run in scenes[0]] + ["Ground truth"]
-    for axis, title in zip(axes[0], titles, strict=True):
-        axis.set_title(title, fontsize=9.5, pad=5)
+        row[0].text(-0.06, 0.5, runs[0].title, rotation=90, ha="right", va="center", fontsize=8.5,
+                    transform=row[0].transAxes)  # fmt: skip
+    for axis, name in zip(axes[0], [*map(methods.title, shown), "Ground truth"], strict=True):
+        axis.set_title(name, fontsize=9.5, pad=5)
     return figure
 
 
@@ -70,7 +84,7 @@ def levels_figure(runs: Sequence[Run]) -> Figure:
     runs : sequence of Run
         Of one scene, the methods that have levels. Those without patterns are left out.
     """
-    ratio = panel_ratio([runs[0].settings.shape])
+    ratio = panel_ratio([runs[0].image_shape])
     per_row = 5
     n_levels = max(sum(row["patterns"] > 0 for row in run.facts["levels"]) for run in runs)
     rows_each = -(-(n_levels + 1) // per_row)

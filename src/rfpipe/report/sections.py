@@ -2,49 +2,46 @@
 
 from __future__ import annotations
 
-from rfpipe.report import charts, matrices, pictures, tables
-from rfpipe.report.blocks import Illustration, Section, Tabulation
-from rfpipe.report.drawing import chunks
-from rfpipe.report.inputs import METHOD_TITLES, Inputs, Run
-from rfpipe.report.text import size, wishes
+from collections.abc import Iterator, Sequence
+from typing import TypeVar
+
+from rfpipe.report import charts, matrices, methods, pictures, tables
+from rfpipe.report.blocks import Block, Illustration, Section, Tabulation
+from rfpipe.report.drawing import UNLIT_GAIN, chunks
+from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.text import number, percent, size, wishes, words
 from rfpipe.report.thesis import DUAL_ON_SCENE_IV, PLANES_SHAPE, TABLE_5_1, numeral_of
 
 __all__ = [
     "cost_section",
+    "errors_section",
     "leaves_section",
     "levels_section",
     "matrices_section",
     "methods_section",
     "speed_section",
-    "summary_section",
 ]
+
+Item = TypeVar("Item")
 
 _ABREAST = 4
 """Scenes side by side in a figure."""
 
 
-def summary_section(inputs: Inputs) -> Section:
-    """Every run on one line."""
-    per_pattern = inputs.config.capture.seconds_per_pattern
-    config = inputs.config
-    caption = (
-        f"Patterns shown and the time to capture them at {per_pattern:g} s a pattern; bytes on "
-        "disk; and the largest errors over the relighting patterns. Errors are relative RMS "
-        "against the scene's exact light transport: in total, and on the pixels that the pattern "
-        "leaves dark, which show indirect light alone. PSNR has the true image's maximum as its "
-        "peak. CIEDE2000 is the mean over the pixels of linear RGB with sRGB primaries and D65, "
-        "the true floodlit image's maximum shown as white."
-    )
+def errors_section(inputs: Inputs) -> Section:
+    """The errors of each run under each relighting pattern."""
     about = (
-        f"Asked for were {wishes(config)}. Brute force, one pattern for each projector pixel, is "
-        "the yardstick."
+        f"Asked for were {wishes(inputs.config)}. Errors are relative RMS against the scene's "
+        "exact light transport: in total, and on the pixels that the pattern leaves dark, which "
+        "show indirect light alone."
     )
     detail = (
-        "The same errors for each relighting pattern: bars, noise, a binary picture, a small "
-        "spot, and the crease, a strip along which surfaces meet, where there is one. "
-        "Noise lights every pixel, so that none is unlit; a scene without indirect light "
-        "has nothing to compare there either."
+        "Relighting patterns: bars, noise, a binary picture, a small spot, and the crease, a strip "
+        "along which surfaces meet, where there is one. Noise lights every pixel, so that none is "
+        "unlit; a scene without indirect light has nothing to compare there either."
     )
+    if not all(run.is_coaxial for run in inputs.runs):
+        detail += " Nor is any pixel known to be unlit that a camera sees from aside."
     if inputs.light_fields:
         detail += (
             " In a light field each view's projector shows the pattern. Surfaces behind its unlit "
@@ -52,50 +49,57 @@ def summary_section(inputs: Inputs) -> Section:
             "that the unlit ones are those of all other views."
         )
     return Section(
-        "summary",
-        "At a glance",
+        "errors",
+        "Errors by pattern",
         [about],
-        [
-            Tabulation("Results", caption, tables.error_summary(inputs)),
-            Tabulation("Errors by pattern", detail, tables.errors_by_pattern(inputs)),
-        ],
+        [Tabulation("Errors by pattern", detail, tables.errors_by_pattern(inputs))],
     )
 
 
 def matrices_section(inputs: Inputs) -> Section:
     """Fig. 2.1 for each method."""
-    blocks: list[Illustration | Tabulation] = []
+    blocks: list[Block] = []
     for method in inputs.methods:
         images = [run for run in inputs.of_method(method) if not run.is_light_field]
-        parts = chunks(images, _ABREAST)
-        for index, runs in enumerate(parts):
-            suffix = f"_{index + 1}" if len(parts) > 1 else ""
+        for runs, suffix in _parts(images):
+            leaves = (
+                "(d) Level of the leaf that holds each entry: white the root, black single rays, "
+                "pale blue empty. "
+                if all(run.has_leaf_levels for run in runs)
+                else ""
+            )
+            unlit = (
+                f", unlit pixels {UNLIT_GAIN} times brighter"
+                if any(run.is_coaxial for run in runs)
+                else ""
+            )
             caption = (
                 "(a) Albedo of the scene. (b) The scene under floodlight, rendered from the "
                 "acquired T; the line marks the rays of (c) and (d). (c) Entries of T between "
                 "the rays of that line, camera rays down and projector rays across, acquired and "
-                f"true: mean of the channels, logarithmic over {matrices.DECADES} decades. The "
-                "diagonal is direct light, the off-diagonal quarters light from one plane to the "
-                "other, the diagonal quarters third bounces. (d) Level of the leaf that holds "
-                "each entry: white the root, black single rays, pale blue empty. (e) Relit with a "
-                f"vertical bar, unlit pixels {matrices.UNLIT_GAIN} times brighter; beside it the "
-                "truth, and the difference before brightening."
+                f"true: mean of the channels, logarithmic over {matrices.DECADES} decades. On a "
+                "coaxial rig the diagonal is direct light, the off-diagonal quarters light from "
+                f"one plane to the other, the diagonal quarters third bounces. {leaves}(e) Relit "
+                f"with a vertical bar{unlit}; beside it the truth, and the difference before "
+                "brightening."
             )
-            if not all(run.has_leaf_levels for run in runs):
-                caption = caption.replace(
-                    "(d) Level of the leaf that holds each entry: white the root, black single "
-                    "rays, pale blue empty. ",
-                    "",
-                )
             blocks.append(
                 Illustration(
-                    f"Fig. 2.1, {METHOD_TITLES[method].lower()}",
+                    f"Fig. 2.1, {methods.listed([method])}",
                     caption,
                     f"fig_2_1_{method}{suffix}",
                     matrices.matrices_figure(runs),
+                    is_folded=method != inputs.methods[0],
                 )
             )
     return Section("matrices", "The transport matrices (Fig. 2.1)", [], blocks)
+
+
+def _parts(items: Sequence[Item]) -> Iterator[tuple[list[Item], str]]:
+    """Cut what stands abreast into figures; yield the items of each and what tells its file."""
+    parts = chunks(items, _ABREAST)
+    for index, part in enumerate(parts):
+        yield list(part), f"_{index + 1}" if len(parts) > 1 else ""
 
 
 def cost_section(inputs: Inputs) -> Section:
@@ -103,20 +107,21 @@ def cost_section(inputs: Inputs) -> Section:
     per_pattern = inputs.config.capture.seconds_per_pattern
     height, width = PLANES_SHAPE
     common = (
-        f"Time is capture at {per_pattern:g} s a pattern plus the processing measured here, "
-        f"without the reference brackets{_references(inputs)}; size is bytes on disk, compressed, "
-        "1 MB = 10⁶ bytes. "
+        f"Time is capture at {per_pattern:g} s a pattern plus the processing measured here"
+        f"{inputs.without_references}; size is bytes on disk, compressed, 1 MB = 10⁶ bytes. "
     )
-    blocks: list[Illustration | Tabulation] = []
-    if inputs.of_method("symmetric"):
+    blocks: list[Block] = []
+    if methods.of_table("5.1", inputs.methods):
         table, numbers = tables.table_5_1(inputs)
         caption = common + (
             f"The thesis' scenes I to IV have {size(height, width)} = {height * width:,} rays, its "
             f"gummy bears {size(240, 340)}, its light field {size(3, 3)} views of "
             f"{size(130, 200)}; 2 s a HDR image, processing included, on a computer of 2006."
         )
-        blocks.append(Tabulation("Table 5.1, symmetric photography", caption, table, numbers))
-    if inputs.of_method("dual"):
+        blocks.append(
+            Tabulation("Table 5.1, symmetric photography", caption, table, numbers, is_folded=False)
+        )
+    if methods.of_table("3.1", inputs.methods):
         table, numbers = tables.table_3_1(inputs)
         caption = common + (
             "A brute-force scan is computed: one pattern a ray, T as float32. The thesis' scenes "
@@ -124,58 +129,33 @@ def cost_section(inputs: Inputs) -> Section:
             f"Fig. 2.1 at {size(height, width)} its dual photography took {DUAL_ON_SCENE_IV:,} "
             "patterns."
         )
-        blocks.append(Tabulation("Table 3.1, dual photography", caption, table, numbers))
+        blocks.append(
+            Tabulation("Table 3.1, dual photography", caption, table, numbers, is_folded=False)
+        )
     return Section("cost", "Size, time and patterns (Tables 5.1 and 3.1)", [], blocks)
 
 
-def _references(inputs: Inputs) -> str:
-    """Say how long the all-off and all-on brackets of an acquisition take."""
-    capture = inputs.config.capture
-    if inputs.config.camera is None:
-        return ""
-    minutes = (capture.black_frames + capture.floodlit_frames) * capture.seconds_per_pattern / 60
-    return (
-        f" ({capture.black_frames} all-off and {capture.floodlit_frames} all-on ones, "
-        f"{minutes:.1f} min)"
-    )
-
-
 def methods_section(inputs: Inputs) -> Section | None:
-    """Fig. 5.9, for scenes with indirect light acquired with both methods."""
-    scenes = []
-    for scene in inputs.config.scenes:
-        runs = {run.method: run for run in inputs.of_scene(scene)}
-        if {"symmetric", "dual"} <= set(runs) and runs["symmetric"].has_indirect_light:
-            scenes.append([runs["symmetric"], runs["dual"]])
+    """Fig. 5.9, for scenes with indirect light acquired with several methods."""
+    scenes = [inputs.of_scene(scene) for scene in inputs.scenes]
+    scenes = [runs for runs in scenes if len(runs) > 1 and runs[0].has_indirect_light]
     if not scenes:
         return None
     thesis = TABLE_5_1["Fig. 2.1 (IV)"].patterns
     caption = (
         "The right half of each scene is lit. The left half shows indirect light alone and is "
         "amplified by the factor given, the same in a row. Relative RMS error on the left half. "
-        f"The thesis compares scene IV at {size(*PLANES_SHAPE)}: {thesis} "
-        f"patterns against {DUAL_ON_SCENE_IV:,}; there, too, dual photography blurs what it can't "
-        "resolve."
+        f"The thesis compares symmetric and dual photography on scene IV at {size(*PLANES_SHAPE)}: "
+        f"{thesis} patterns against {DUAL_ON_SCENE_IV:,}; there, too, dual photography blurs what "
+        "it can't resolve."
     )
-    sections = [inputs.config.methods_of(dual.scene)["dual"] for _, dual in scenes]
-    if not all(section.options()["subtract_stored"] for section in sections):
-        caption += (
-            " As in the thesis, what it stored for a coarse block is not taken out of the finer "
-            "levels' images and can count twice, which shows as bright patches."
-        )
-    parts = chunks(scenes, _ABREAST)
     return Section(
         "methods",
-        "Symmetric against dual photography (Fig. 5.9)",
+        "The methods side by side (Fig. 5.9)",
         [],
         [
-            Illustration(
-                "Fig. 5.9",
-                caption,
-                f"fig_5_9{f'_{index + 1}' if len(parts) > 1 else ''}",
-                pictures.methods_figure(part),
-            )
-            for index, part in enumerate(parts)
+            Illustration("Fig. 5.9", caption, f"fig_5_9{suffix}", pictures.methods_figure(part))
+            for part, suffix in _parts(scenes)
         ],
     )
 
@@ -251,12 +231,10 @@ def speed_section(inputs: Inputs) -> Section | None:
         "Each scene acquired with other options, from coarse to fine, with the camera below. "
         "Relative RMS error against the patterns shown and, above, the minutes that they take at "
         f"{inputs.config.capture.seconds_per_pattern:g} s a pattern: the mean over the relighting "
-        "patterns, the band their range. Dotted: the patterns of brute force. The table beside "
-        "it has processing time, bytes, PSNR and CIEDE2000 as well."
+        "patterns, the band their range. Dotted: the patterns of brute force."
     )
     known = set(inputs.speed_error["scene"])
-    scenes = [scene for scene in inputs.config.scenes if scene in known and inputs.of_scene(scene)]
-    parts = chunks(scenes, _ABREAST)
+    scenes = [scene for scene in inputs.scenes if scene in known]
     return Section(
         "speed",
         "Speed against error",
@@ -266,16 +244,33 @@ def speed_section(inputs: Inputs) -> Section | None:
                 Illustration(
                     "Speed against error",
                     caption,
-                    f"speed_error{f'_{index + 1}' if len(parts) > 1 else ''}",
+                    f"speed_error{suffix}",
                     charts.speed_error_figure(inputs, part),
+                    _speed_in_words(inputs, part),
                 )
-                for index, part in enumerate(parts)
+                for part, suffix in _parts(scenes)
             ),
             Tabulation(
-                "Cost at each tolerance",
+                "Cost at each step",
                 "Mean error over the relighting patterns. Processing in one process, without the "
                 "simulation of the pictures.",
                 tables.speed_table(inputs),
             ),
         ],
     )
+
+
+def _speed_in_words(inputs: Inputs, scenes: Sequence[str]) -> str:
+    """Say where each method's curve begins and ends."""
+    table = inputs.speed_error
+    shown = table[table["scene"].isin(scenes)]
+    means = shown.groupby(["scene", "method", "value"], sort=False)[["patterns", "rms_total"]]
+    ends = [
+        f"{words(scene)}, {methods.listed([str(method)])}: "
+        + ", ".join(
+            f"{percent(row.rms_total)} % after {number(row.patterns)} patterns"
+            for row in (own.iloc[0], own.iloc[-1])
+        )
+        for (scene, method), own in means.mean().groupby(["scene", "method"], sort=False)
+    ]
+    return "Error against patterns. " + ". ".join(ends) + "."

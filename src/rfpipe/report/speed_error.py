@@ -4,22 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rfpipe.report.blocks import Illustration, Section, Tabulation
+from rfpipe.report import methods
+from rfpipe.report.blocks import Block, Column, Illustration, Section, Table, Tabulation, table_of
 from rfpipe.report.drawing import (
-    METHOD_COLOURS,
+    draw_method,
     logarithmic,
     logarithmic_limits,
     scene_panels,
     shared_legend,
 )
-from rfpipe.report.inputs import METHOD_TITLES, Inputs
-from rfpipe.report.tables import Table
-from rfpipe.report.text import number, percent, size
+from rfpipe.report.inputs import Inputs
+from rfpipe.report.text import fixed, number, percent, size, words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,7 +50,6 @@ where it has none. The columns up to `setting` tell runs apart."""
 ESTIMATE_FACTOR = 1.5
 """How far off an estimated error may be, either way."""
 
-_OTHER_COLOUR = "#888888"
 _NOISE = {"default": "the default camera", "low_light": "a sixteenth of its light"}
 
 
@@ -100,9 +99,9 @@ def against_symmetric(table: pd.DataFrame) -> pd.DataFrame:
     import pandas as pd
 
     kept = ["patterns", "estimated_error", "error_mean", "error_worst"]
-    symmetric = dict(list(table[table["method"] == "symmetric"].groupby(list(_PLACE))))
+    symmetric = dict(list(table[table["method"] == methods.SYMMETRIC].groupby(list(_PLACE))))
     rows = []
-    for run in table[table["method"] == "near_far"].to_dict("records"):
+    for run in table[table["method"] == methods.NEAR_FAR].to_dict("records"):
         place = {name: run[name] for name in _PLACE}
         row = {**place, "target_error": run["setting"], **{name: run[name] for name in kept}}
         row["estimate_ratio"] = run["estimated_error"] / (run["error_mean"] or math.nan)
@@ -148,7 +147,7 @@ def rivals_section(inputs: Inputs) -> Section | None:
     table = inputs.benchmarks.get("speed_error")
     if table is None:
         return None
-    blocks: list[Illustration | Tabulation] = []
+    blocks: list[Block] = []
     for _, rows in table.groupby(["noise", "height", "width"], sort=False):
         noise, height, width = rows[["noise", "height", "width"]].iloc[0]
         name = f"{size(height, width)}, {_NOISE.get(noise, noise)}"
@@ -194,7 +193,7 @@ def curves_figure(table: pd.DataFrame) -> Figure:
         With `COLUMNS`, of one size and one camera.
     """
     scenes = list(dict.fromkeys(table["scene"]))
-    titles = [str(scene).replace("_", " ") for scene in scenes]
+    titles = [words(scene) for scene in scenes]
     figure, axes = scene_panels(titles, "patterns", "error, %")
     for axis, scene in zip(axes, scenes, strict=True):
         _draw_scene(axis, table[table["scene"] == scene])
@@ -207,12 +206,9 @@ def curves_figure(table: pd.DataFrame) -> Figure:
 def _draw_scene(axis: Axes, table: pd.DataFrame) -> None:
     for method, rows in table.groupby("method", sort=False):
         means = _over_seeds(rows, ["setting"]).sort_values("patterns")
-        colour = METHOD_COLOURS.get(str(method), _OTHER_COLOUR)
-        title = METHOD_TITLES.get(str(method), str(method))
-        axis.plot(means["patterns"], 100 * means["error_mean"], "o-", color=colour, markersize=3.5,
-                  linewidth=1.4, label=title)  # fmt: skip
-        axis.plot(means["patterns"], 100 * means["error_worst"], ".:", color=colour, markersize=3,
-                  linewidth=1)  # fmt: skip
+        draw_method(axis, means["patterns"], 100 * means["error_mean"], str(method))
+        axis.plot(means["patterns"], 100 * means["error_worst"], ".:", markersize=3, linewidth=1,
+                  color=methods.colour(str(method)))  # fmt: skip
     logarithmic(axis)
 
 
@@ -226,31 +222,37 @@ def _over_seeds(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
     return means.assign(**{name: np.exp(means[name]) for name in errors}).reset_index()
 
 
+_WHERE: list[Column] = [
+    ("scene", "scene", words),
+    ("size", "size", str),
+    ("camera", "noise", words),
+]
+
+
+def _with_sizes(table: pd.DataFrame) -> list[dict[Any, Any]]:
+    """Return the rows of a table, each with its size as text."""
+    sizes = [size(*lengths) for lengths in table[["height", "width"]].to_numpy(int)]
+    return table.assign(size=sizes).to_dict("records")
+
+
 def _comparison_table(beside: pd.DataFrame) -> Table:
-    rows = [
+    return table_of(
+        _with_sizes(beside),
         [
-            str(row["scene"]).replace("_", " "),
-            size(int(row["height"]), int(row["width"])),
-            str(row["noise"]).replace("_", " "),
-            str(row["seed"]),
-            percent(row["target_error"]),
-            number(row["patterns"]),
-            percent(row["error_mean"]),
-            percent(row["error_worst"]),
-            number(row["estimate_ratio"], ".2f"),
-            number(row["symmetric_for_mean"]),
-            number(row["times_fewer_for_mean"], ".1f"),
-            number(row["symmetric_for_worst"]),
-            number(row["times_fewer_for_worst"], ".1f"),
-        ]
-        for row in beside.to_dict("records")
-    ]
-    return Table(
+            *_WHERE,
+            ("seed", "seed", str),
+            ("target, %", "target_error", percent),
+            ("patterns", "patterns", number),
+            ("mean", "error_mean", percent),
+            ("worst", "error_worst", percent),
+            ("over true", "estimate_ratio", fixed(2)),
+            ("patterns", "symmetric_for_mean", number),
+            ("times as many", "times_fewer_for_mean", fixed(1)),
+            ("patterns", "symmetric_for_worst", number),
+            ("times as many", "times_fewer_for_worst", fixed(1)),
+        ],
         [("", 6), ("near/far: error, %", 2), ("estimated", 1), ("symmetric, same mean", 2),
          ("symmetric, same worst", 2)],
-        ["scene", "size", "camera", "seed", "target, %", "patterns", "mean", "worst", "over true",
-         "patterns", "times as many", "patterns", "times as many"],
-        rows,
         text_columns=3,
         csv="bench_near_far.csv",
     )  # fmt: skip
@@ -258,29 +260,22 @@ def _comparison_table(beside: pd.DataFrame) -> Table:
 
 def _runs_table(table: pd.DataFrame) -> Table:
     places = ["scene", "height", "width", "noise", "method", "setting"]
-    rows = [
+    return table_of(
+        _with_sizes(_over_seeds(table, places)),
         [
-            str(row["scene"]).replace("_", " "),
-            size(int(row["height"]), int(row["width"])),
-            str(row["noise"]).replace("_", " "),
-            METHOD_TITLES.get(row["method"], row["method"]),
-            f"{row['setting']:g}",
-            number(row["patterns"]),
-            percent(row["estimated_error"]),
-            percent(row["error_mean"]),
-            percent(row["error_worst"]),
-            percent(row["unlit_mean"]),
-            percent(row["unlit_worst"]),
-            number(row["processing_seconds"], ".2f"),
-            number(row["transport_mb"], ".2f"),
-        ]
-        for row in _over_seeds(table, places).to_dict("records")
-    ]
-    return Table(
+            *_WHERE,
+            ("method", "method", methods.title),
+            ("setting", "setting", "{:g}".format),
+            ("patterns", "patterns", number),
+            ("estimated", "estimated_error", percent),
+            ("mean", "error_mean", percent),
+            ("worst", "error_worst", percent),
+            ("mean", "unlit_mean", percent),
+            ("worst", "unlit_worst", percent),
+            ("processing, s", "processing_seconds", fixed(2)),
+            ("MB", "transport_mb", fixed(2)),
+        ],
         [("", 6), ("error, %", 3), ("unlit pixels, %", 2), ("", 2)],
-        ["scene", "size", "camera", "method", "setting", "patterns", "estimated", "mean", "worst",
-         "mean", "worst", "processing, s", "MB"],
-        rows,
         text_columns=4,
         csv="bench_speed_error.csv",
-    )  # fmt: skip
+    )

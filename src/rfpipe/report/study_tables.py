@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rfpipe.report.inputs import METHOD_TITLES, Study
-from rfpipe.report.tables import Table
-from rfpipe.report.text import number, percent, size
+from rfpipe.report import methods
+from rfpipe.report.blocks import Table, table_of
+from rfpipe.report.inputs import Study
+from rfpipe.report.text import fixed, number, percent, size, words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -22,7 +23,7 @@ def resolution_table(study: Study) -> tuple[Table, pd.DataFrame]:
     sides = sorted(set(numbers["side"]))
     patterns = numbers.set_index(["method", "side"])["patterns"]
     rows = [
-        [METHOD_TITLES[method], *(number(patterns[method, side]) for side in sides)]
+        [methods.title(method), *(number(patterns[method, side]) for side in sides)]
         for method in dict.fromkeys(numbers["method"])
     ]
     columns = ["method", *(size(side, side) for side in sides)]
@@ -33,33 +34,32 @@ def stability_table(study: Study) -> tuple[Table, pd.DataFrame]:
     """Return the hard cases with patterns and errors by method."""
     import pandas as pd
 
-    rows = []
-    previous = ""
-    for row in study.rows:
-        refused = str(row["refused"]).split(":")[0]
-        rows.append(
-            [
-                "" if row["case"] == previous else row["case"].replace("_", " "),
-                METHOD_TITLES[row["method"]],
-                row["camera"],
-                number(row["patterns"]),
-                number(row["rays"]),
-                number(row["matrix_error"], ".1e"),
-                number(row["relight_error"], ".1e"),
-                number(row["accumulation"], ".0e"),
-                f"refused: {refused}" if refused else "",
-            ]
-        )
-        previous = row["case"]
-    table = Table(
+    def refusal(reason: str) -> str:
+        return f"refused: {reason.split(':', maxsplit=1)[0]}" if reason else ""
+
+    table = table_of(
+        study.rows,
+        [
+            ("case", "case", words),
+            ("method", "method", methods.title),
+            ("camera", "camera", str),
+            ("patterns", "patterns", number),
+            ("brute force", "rays", number),
+            ("of T", "matrix_error", _scientific),
+            ("of an image", "relight_error", _scientific),
+            ("of float32 sums", "accumulation", _scientific),
+            ("", "refused", refusal),
+        ],
         [("", 5), ("relative error", 3), ("", 1)],
-        ["case", "method", "camera", "patterns", "brute force", "of T", "of an image",
-         "of float32 sums", ""],
-        rows,
         text_columns=3,
         csv="stability.csv",
-    )  # fmt: skip
+        is_grouped=True,
+    )
     return table, pd.DataFrame(study.rows)
+
+
+def _scientific(value: float | None) -> str:
+    return number(value, ".1e")
 
 
 def mosaic_table(study: Study) -> tuple[Table, pd.DataFrame]:
@@ -67,23 +67,19 @@ def mosaic_table(study: Study) -> tuple[Table, pd.DataFrame]:
     import pandas as pd
 
     chains = {"linear": "whole bracket, linear", "median": "short exposure, median"}
-    rows = [
+    table = table_of(
+        study.rows,
         [
-            chains[row["chain"]],
-            row["normalization"].replace("_", " "),
-            number(row["energy"], ".1f", 100),
-            number(row["colour_contrast"], ".1f", 100),
-            percent(row["rms"]),
-            number(row["image_error"], ".0f", 100),
-        ]
-        for row in study.rows
-    ]
-    table = Table(
+            ("interpolation", "chain", lambda chain: chains[chain]),
+            ("normalization", "normalization", words),
+            ("light", "energy", fixed(1, 100)),
+            ("colour contrast", "colour_contrast", fixed(1, 100)),
+            ("of the sum", "rms", percent),
+            ("of single images", "image_error", fixed(0, 100)),
+        ],
         [("", 2), ("sum, % of floodlit", 2), ("relative error, %", 2)],
-        ["interpolation", "normalization", "light", "colour contrast", "of the sum",
-         "of single images"],
-        rows,
         text_columns=2,
         csv="mosaic.csv",
-    )  # fmt: skip
+        is_grouped=True,
+    )
     return table, pd.DataFrame(study.rows)

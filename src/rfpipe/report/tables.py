@@ -1,54 +1,32 @@
-"""The report's tables: numbers for CSV files, and the same as text for the page."""
+"""The report's tables of the acquired scenes: numbers for CSV files, and the same as text."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.report.inputs import METHOD_TITLES, Inputs
-from rfpipe.report.text import DASH, TIMES, number, percent, ray_size, size
+from rfpipe.report import methods
+from rfpipe.report.blocks import Column, Table, table_of
+from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.text import DASH, fixed, number, percent, ray_size, size, words
 from rfpipe.report.thesis import PLANES_SHAPE, TABLE_3_1, TABLE_5_1, row_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
-    "Table",
     "costs",
-    "error_summary",
     "errors_by_pattern",
     "levels_table",
     "processing_table",
+    "results",
+    "results_table",
     "speed_table",
     "table_3_1",
     "table_5_1",
 ]
 
 _FLOAT_BYTES = 4
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of the page.
-
-    Attributes
-    ----------
-    groups : list of (str, int)
-        Headings over so many columns each; may be empty.
-    columns : list of str
-    rows : list of list of str
-    text_columns : int
-        Columns from the left that hold text rather than numbers.
-    csv : str
-        Name of the CSV file beside it, or "".
-    """
-
-    groups: list[tuple[str, int]]
-    columns: list[str]
-    rows: list[list[str]]
-    text_columns: int = 1
-    csv: str = field(default="")
 
 
 def costs(inputs: Inputs) -> list[dict[str, Any]]:
@@ -62,13 +40,16 @@ def costs(inputs: Inputs) -> list[dict[str, Any]]:
         ``dense_terabytes`` of T as float32,
         ``capture_s`` at the rig's stated seconds a pattern, ``processing_s``: wall seconds of
         the run's processing jobs, or of the same acquisition within the sweep where there are
-        no benchmark files; NaN without either.
+        no benchmark files; NaN without either. ``minutes`` of both; of the capture alone where
+        that is all that is known.
     """
     rows: list[dict[str, Any]] = []
     per_pattern = inputs.config.capture.seconds_per_pattern
     for run in inputs.runs:
         height, width = run.settings.shape
-        channels = run.settings.channels
+        channels, camera_rays = run.settings.channels, math.prod(run.settings.camera_ray_shape)
+        capture = run.patterns * per_pattern
+        processing = _processing_seconds(inputs, run)
         rows.append(
             {
                 "scene": run.scene,
@@ -81,76 +62,120 @@ def costs(inputs: Inputs) -> list[dict[str, Any]]:
                 "rays": run.rays,
                 "patterns": run.patterns,
                 "megabytes": run.facts["bytes"] / 1e6,
-                "dense_terabytes": run.rays**2 * channels * _FLOAT_BYTES / 1e12,
-                "capture_s": run.patterns * per_pattern,
-                "processing_s": _processing_seconds(inputs, run.scene, run.method),
+                "dense_terabytes": run.rays * camera_rays * channels * _FLOAT_BYTES / 1e12,
+                "capture_s": capture,
+                "processing_s": processing,
+                "minutes": (capture + (0.0 if math.isnan(processing) else processing)) / 60,
             }
         )
     return rows
 
 
-def _processing_seconds(inputs: Inputs, scene: str, method: str) -> float:
-    times = inputs.times
-    own = times[(times["scene"] == scene) & (times["method"] == method)]
+def _processing_seconds(inputs: Inputs, run: Run) -> float:
+    own = inputs.times_of(run)
     own = own[own["stage"] != "capture"]
-    if len(own):
-        return float(own["seconds"].sum())
-    return in_process_seconds(inputs, scene, method)
+    return float(own["seconds"].sum()) if len(own) else in_process_seconds(inputs, run)
 
 
-def in_process_seconds(inputs: Inputs, scene: str, method: str) -> float:
+def in_process_seconds(inputs: Inputs, run: Run) -> float:
     """Return the processing seconds of a run's acquisition within the sweep; NaN without one."""
     table = inputs.speed_error
-    own = table[(table["scene"] == scene) & (table["method"] == method)]
-    section = inputs.config.methods_of(scene)[method]
-    at = own[own["value"] == section.options().get(section.subject(method).trades)]
-    return float(at["processing_s"].iloc[0]) if len(at) else float("nan")
+    own = table[(table["scene"] == run.scene) & (table["method"] == run.method)]
+    section = inputs.config.methods_of(run.scene)[run.method]
+    at = own[own["value"] == section.options().get(section.subject(run.method).trades)]
+    return float(at["processing_s"].iloc[0]) if len(at) else math.nan
+
+
+def results(inputs: Inputs) -> pd.DataFrame:
+    """Return what each run cost and how far off its relit pictures are.
+
+    Returns
+    -------
+    DataFrame
+        The columns of `costs`, and over the relighting patterns ``mean_error`` and
+        ``worst_error`` in total, ``unlit_error``: the mean on the unlit pixels, ``psnr_db``: the
+        least, ``ciede2000``: the largest; NaN where the truth isn't known.
+    """
+    import pandas as pd
+
+    errors = inputs.errors.groupby(["scene", "method"], sort=False)
+    found = errors.agg(
+        mean_error=("rms_total", "mean"),
+        worst_error=("rms_total", "max"),
+        unlit_error=("rms_unlit", "mean"),
+        psnr_db=("psnr_db", "min"),
+        ciede2000=("ciede2000", "max"),
+    )
+    return pd.DataFrame(costs(inputs)).merge(found, how="left", on=["scene", "method"])
+
+
+def results_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
+    """Return patterns, minutes, bytes and errors of each run on one line."""
+    numbers = results(inputs)
+    columns: list[Column] = [
+        ("scene", "title", str),
+        ("method", "method", methods.title),
+        ("patterns", "patterns", number),
+        ("time, min", "minutes", fixed(1)),
+        ("stored, MB", "megabytes", fixed(2)),
+        ("mean", "mean_error", percent),
+        ("largest", "worst_error", percent),
+        ("mean on unlit pixels", "unlit_error", percent),
+    ]
+    groups = [("", 2), ("cost", 3), ("error of relit pictures, %", 3)]
+    if not inputs.has_truth:
+        columns, groups = columns[:5], []
+    table = table_of(
+        numbers.to_dict("records"), columns, groups,
+        text_columns=2, csv="results.csv", is_grouped=True,
+    )  # fmt: skip
+    return table, numbers
 
 
 def table_5_1(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
     """Table 5.1: cost of symmetric photography here and in the thesis."""
     import pandas as pd
 
-    ours = [row for row in costs(inputs) if row["method"] == "symmetric"]
-    rows: list[list[str]] = []
-    csv: list[dict[str, Any]] = []
+    numbers: list[dict[str, Any]] = []
     used = set()
-    for row in ours:
+    for row in _costs_of(inputs, "5.1"):
         name = row_of(inputs.config.scenes[row["scene"]])
-        thesis = TABLE_5_1[name] if name else None
         used.add(name)
-        minutes = (row["capture_s"] + row["processing_s"]) / 60
-        rows.append(
-            [
-                row["title"],
-                ray_size(inputs.config.scenes[row["scene"]]),
-                number(row["megabytes"], ".2f"),
-                number(minutes, ".1f"),
-                number(row["patterns"]),
-                number(row["rays"]),
-                *_thesis_cells(thesis),
-            ]
-        )
-        csv.append({**row, "minutes": minutes, **_thesis_numbers(thesis)})
-    for name, thesis in TABLE_5_1.items():
-        if name not in used:
-            rows.append([name, *[DASH] * 5, *_thesis_cells(thesis)])
-            csv.append({"title": name, **_thesis_numbers(thesis)})
-    table = Table(
+        numbers.append({**row, **_thesis_numbers(TABLE_5_1[name] if name else None)})
+    numbers += [
+        {"title": name, **_thesis_numbers(thesis)}
+        for name, thesis in TABLE_5_1.items()
+        if name not in used
+    ]
+    table = table_of(
+        numbers,
+        [
+            ("scene", "title", str),
+            ("rays", "size", _or_dash),
+            ("size, MB", "megabytes", fixed(2)),
+            ("time, min", "minutes", fixed(1)),
+            ("patterns", "patterns", number),
+            ("brute force", "rays", number),
+            ("size, MB", "thesis_megabytes", number),
+            ("time, min", "thesis_minutes", number),
+            ("patterns", "thesis_patterns", number),
+            ("brute force", "thesis_brute_force_patterns", number),
+        ],
         [("", 1), ("here", 5), (f"thesis, planes at {size(*PLANES_SHAPE)}", 4)],
-        ["scene", "rays", "size, MB", "time, min", "patterns", "brute force",
-         "size, MB", "time, min", "patterns", "brute force"],
-        rows,
         csv="table_5_1.csv",
-    )  # fmt: skip
-    return table, pd.DataFrame(csv)
+    )
+    return table, pd.DataFrame(numbers).drop(columns="size", errors="ignore")
 
 
-def _thesis_cells(thesis: Any) -> list[str]:
-    if thesis is None:
-        return [DASH] * 4
-    values = (thesis.megabytes, thesis.minutes, thesis.patterns, thesis.brute_force_patterns)
-    return [number(value) for value in values]
+def _costs_of(inputs: Inputs, table: str) -> list[dict[str, Any]]:
+    """Return the costs of a thesis table's runs, each with the size of its rays as text."""
+    shown = methods.of_table(table, inputs.methods)
+    rows = [row for row in costs(inputs) if row["method"] in shown]
+    return [{**row, "size": ray_size(inputs.config.scenes[row["scene"]])} for row in rows]
+
+
+def _or_dash(text: str | None) -> str:
+    return text or DASH
 
 
 def _thesis_numbers(thesis: Any) -> dict[str, Any]:
@@ -163,78 +188,43 @@ def table_3_1(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
     """Table 3.1: cost of dual photography here and, for other scenes, in the thesis."""
     import pandas as pd
 
-    ours = [row for row in costs(inputs) if row["method"] == "dual"]
     per_pattern = inputs.config.capture.seconds_per_pattern
-    rows: list[list[str]] = []
-    csv: list[dict[str, Any]] = []
-    for row in ours:
-        minutes = (row["capture_s"] + row["processing_s"]) / 60
-        days = row["rays"] * per_pattern / 86_400
-        rows.append(
-            [
-                row["title"],
-                ray_size(inputs.config.scenes[row["scene"]]),
-                number(row["dense_terabytes"], ".2g"),
-                number(days, ".2f"),
-                number(row["megabytes"], ".1f"),
-                number(minutes, ".1f"),
-                number(row["patterns"]),
-            ]
-        )
-        csv.append({**row, "minutes": minutes, "brute_force_days": days})
-    for name, thesis in TABLE_3_1.items():
-        rows.append(
-            [
-                f"thesis: {name}",
-                DASH,
-                number(thesis.brute_force_terabytes, "g"),
-                number(thesis.brute_force_days, "g"),
-                number(thesis.megabytes),
-                number(thesis.minutes),
-                number(thesis.patterns),
-            ]
-        )
-        csv.append({"title": f"thesis: {name}", **vars(thesis)})
-    table = Table(
+    ours = [
+        {**row, "brute_force_days": row["rays"] * per_pattern / 86_400}
+        for row in _costs_of(inputs, "3.1")
+    ]
+    theirs = [
+        {
+            "title": f"thesis: {name}",
+            "dense_terabytes": thesis.brute_force_terabytes,
+            "brute_force_days": thesis.brute_force_days,
+            "megabytes": thesis.megabytes,
+            "minutes": thesis.minutes,
+            "patterns": thesis.patterns,
+        }
+        for name, thesis in TABLE_3_1.items()
+    ]
+    table = table_of(
+        [*ours, *theirs],
+        [
+            ("scene", "title", str),
+            ("rays", "size", _or_dash),
+            ("size, TB", "dense_terabytes", _significant),
+            ("time, days", "brute_force_days", _significant),
+            ("size, MB", "megabytes", _significant),
+            ("time, min", "minutes", _significant),
+            ("patterns", "patterns", number),
+        ],
         [("", 2), ("brute-force scan", 2), ("dual photography", 3)],
-        ["scene", "rays", "size, TB", "time, days", "size, MB", "time, min", "patterns"],
-        rows,
         csv="table_3_1.csv",
     )
-    return table, pd.DataFrame(csv)
+    return table, pd.DataFrame([*ours, *theirs]).drop(columns="size")
 
 
-def error_summary(inputs: Inputs) -> Table:
-    """Return patterns, cost and errors of each run on one line."""
-    worst = inputs.errors.groupby(["scene", "method"], sort=False)
-    high = worst[["rms_total", "rms_unlit", "ciede2000"]].max()
-    low = worst["psnr_db"].min()
-    rows = []
-    for row in costs(inputs):
-        key = (row["scene"], row["method"])
-        total, unlit, colour = high.loc[key] if key in high.index else [None] * 3
-        rows.append(
-            [
-                row["title"],
-                METHOD_TITLES[row["method"]],
-                number(row["patterns"]),
-                number(row["rays"] / row["patterns"], ".0f") + TIMES,
-                number(row["capture_s"] / 60, ".1f"),
-                number(row["megabytes"], ".2f"),
-                percent(total),
-                percent(unlit),
-                number(low.get(key), ".1f"),
-                number(colour, ".2f"),
-            ]
-        )
-    return Table(
-        [("", 2), ("cost", 4), ("worst of the relighting patterns", 4)],
-        ["scene", "method", "patterns", "fewer than brute force", "capture, min", "size, MB",
-         "total error, %", "unlit error, %", "PSNR, dB", "CIEDE2000"],
-        rows,
-        text_columns=2,
-        csv="errors.csv",
-    )  # fmt: skip
+def _significant(value: Any) -> str:
+    """Return a number with about two digits that say something, and all before the point."""
+    large = value is not None and abs(value) >= 10
+    return number(value, ",.0f" if large else ".2g")
 
 
 def errors_by_pattern(inputs: Inputs) -> Table:
@@ -248,7 +238,7 @@ def errors_by_pattern(inputs: Inputs) -> Table:
             for name in names:
                 key = (run.scene, run.method, name)
                 cells.append(percent(table.loc[key, column] if key in table.index else None))
-        rows.append([run.title, METHOD_TITLES[run.method], *cells])
+        rows.append([run.title, methods.title(run.method), *cells])
     short = [name.replace("_", " ") for name in names]
     return Table(
         [("", 2), ("relative RMS error in total, %", len(names)),
@@ -257,6 +247,7 @@ def errors_by_pattern(inputs: Inputs) -> Table:
         rows,
         text_columns=2,
         csv="errors.csv",
+        is_grouped=True,
     )  # fmt: skip
 
 
@@ -277,7 +268,7 @@ def levels_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
     sums = numbers.groupby([fields, "method", "level"], sort=False)[kinds].sum()
     rows = [
         [
-            METHOD_TITLES[str(method)] + (", light fields" if is_field else ""),
+            methods.title(str(method)) + (", light fields" if is_field else ""),
             str(level),
             *(number(value) for value in row),
         ]
@@ -291,84 +282,69 @@ def levels_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
 def speed_table(inputs: Inputs) -> Table:
     """Return cost and mean errors at each value of the sweep."""
     columns = ["scene", "method", "option", "value"]
-    grouped = inputs.speed_error.groupby(columns, sort=False)
-    means = grouped[
-        ["patterns", "capture_s", "processing_s", "bytes", "rms_total", "rms_unlit", "psnr_db",
-         "ciede2000"]
-    ].mean()  # fmt: skip
+    means = inputs.speed_error.drop(columns="pattern").groupby(columns, sort=False).mean()
     titles = {run.scene: run.title for run in inputs.runs}
-    rows = []
-    for (scene, method, option, value), row in zip(
-        means.index, means.to_dict("records"), strict=True
-    ):
-        rows.append(
-            [
-                titles.get(scene, scene),
-                METHOD_TITLES[method],
-                f"{option.replace('_', ' ')} {value:g}",
-                number(row["patterns"]),
-                number(row["capture_s"] / 60, ".1f"),
-                number(row["processing_s"], ".2f"),
-                number(row["bytes"] / 1e6, ".2f"),
-                percent(row["rms_total"]),
-                percent(row["rms_unlit"]),
-                number(row["psnr_db"], ".1f"),
-                number(row["ciede2000"], ".2f"),
-            ]
-        )
-    return Table(
+    means["asked"] = [f"{words(option)} {value:g}" for _, _, option, value in means.index]
+    return table_of(
+        means.reset_index().to_dict("records"),
+        [
+            ("scene", "scene", lambda scene: str(titles.get(scene, scene))),
+            ("method", "method", methods.title),
+            ("asked for", "asked", str),
+            ("patterns", "patterns", number),
+            ("capture, min", "capture_s", fixed(1, 1 / 60)),
+            ("processing, s", "processing_s", fixed(2)),
+            ("size, MB", "bytes", fixed(2, 1e-6)),
+            ("total, %", "rms_total", percent),
+            ("unlit, %", "rms_unlit", percent),
+            ("PSNR, dB", "psnr_db", fixed(1)),
+            ("CIEDE2000", "ciede2000", fixed(2)),
+        ],
         [("", 3), ("cost", 4), ("mean error", 4)],
-        ["scene", "method", "asked for", "patterns", "capture, min", "processing, s", "size, MB",
-         "total, %", "unlit, %", "PSNR, dB", "CIEDE2000"],
-        rows,
         text_columns=2,
         csv="speed_error.csv",
-    )  # fmt: skip
+        is_grouped=True,
+    )
 
 
 def processing_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
     """Return the processing seconds of each run, and a HDR image."""
     import pandas as pd
 
-    rows: list[list[str]] = []
-    csv: list[dict[str, Any]] = []
+    numbers = []
     for run in inputs.runs:
-        jobs = inputs.times[
-            (inputs.times["scene"] == run.scene) & (inputs.times["method"] == run.method)
-        ]
+        jobs = inputs.times_of(run)
         is_capture = jobs["stage"] == "capture"
         seconds, simulated = (
             float(jobs[chosen]["seconds"].sum()) if len(jobs) else math.nan
             for chosen in (~is_capture, is_capture)
         )
-        alone = in_process_seconds(inputs, run.scene, run.method)
-        per_image = [value / run.patterns for value in (seconds, alone)]
-        rows.append(
-            [
-                run.title,
-                METHOD_TITLES[run.method],
-                number(run.patterns),
-                number(simulated, ".1f"),
-                number(seconds, ".1f"),
-                number(per_image[0], ".1f", 1000),
-                number(alone, ".2f"),
-                number(per_image[1], ".1f", 1000),
-            ]
-        )
-        csv.append(
+        alone = in_process_seconds(inputs, run)
+        numbers.append(
             {
                 "scene": run.scene, "method": run.method, "patterns": run.patterns,
                 "capture_jobs_s": simulated, "processing_jobs_s": seconds,
-                "processing_jobs_s_per_image": per_image[0], "processing_in_process_s": alone,
-                "processing_in_process_s_per_image": per_image[1],
+                "processing_jobs_s_per_image": seconds / run.patterns,
+                "processing_in_process_s": alone,
+                "processing_in_process_s_per_image": alone / run.patterns,
             }
         )  # fmt: skip
-    table = Table(
+    titles = {run.scene: run.title for run in inputs.runs}
+    table = table_of(
+        numbers,
+        [
+            ("scene", "scene", lambda scene: titles[scene]),
+            ("method", "method", methods.title),
+            ("HDR images", "patterns", number),
+            ("simulated capture, s", "capture_jobs_s", fixed(1)),
+            ("processing, s", "processing_jobs_s", fixed(1)),
+            ("ms an image", "processing_jobs_s_per_image", fixed(1, 1000)),
+            ("processing, s", "processing_in_process_s", fixed(2)),
+            ("ms an image", "processing_in_process_s_per_image", fixed(1, 1000)),
+        ],
         [("", 3), ("jobs of the workflow", 3), ("in one process", 2)],
-        ["scene", "method", "HDR images", "simulated capture, s", "processing, s", "ms an image",
-         "processing, s", "ms an image"],
-        rows,
         text_columns=2,
         csv="processing.csv",
-    )  # fmt: skip
-    return table, pd.DataFrame(csv)
+        is_grouped=True,
+    )
+    return table, pd.DataFrame(numbers)

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from rfpipe.config import Config
-
 import math
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
-from rfpipe.config import SceneConfig
+from rfpipe.config import Config, SceneConfig
 
-__all__ = ["DASH", "TIMES", "number", "percent", "ray_size", "size"]
+__all__ = ["DASH", "TIMES", "fixed", "number", "percent", "ray_size", "size", "wishes", "words"]
 
 DASH = "\N{EN DASH}"
 TIMES = "\N{MULTIPLICATION SIGN}"
@@ -32,14 +29,14 @@ def percent(value: Any) -> str:
     return number(value, ".2f" if small else ".0f", 100)
 
 
-def size(*lengths: int) -> str:
-    """Return the size of an image: height, width."""
-    return f"{_JOINT}{TIMES}{_JOINT}".join(map(str, lengths))
+def fixed(digits: int, scale: float = 1.0) -> Callable[[Any], str]:
+    """Return `number` with so many digits behind the point, of numbers times `scale`."""
+    return partial(number, form=f",.{digits}f", scale=scale)
 
 
-def ray_size(scene: SceneConfig) -> str:
-    """Return the size of a scene's ray domain: rows and columns of views before the image's."""
-    return size(*(scene.views or ()), *scene.shape)
+def words(name: Any) -> str:
+    """Return a name of the settings or of a table as words."""
+    return str(name).replace("_", " ")
 
 
 def wishes(config: Config) -> str:
@@ -50,7 +47,21 @@ def wishes(config: Config) -> str:
             method = section.subject(name)
             if method.trades:
                 value = section.options()[method.trades]
-                words = f"{method.trades.replace('_', ' ')} {value:g}"
                 own = config.scenes[scene].methods is not None
-                asked[f"{name} {words}" + (f" ({scene.replace('_', ' ')})" if own else "")] = None
+                of_scene = f" ({words(scene)})" if own else ""
+                asked[f"{words(name)} {words(method.trades)} {value:g}{of_scene}"] = None
     return ", ".join(asked) or "no particular accuracy"
+
+
+def size(*lengths: int) -> str:
+    """Return the size of an image: height, width."""
+    return f"{_JOINT}{TIMES}{_JOINT}".join(map(str, lengths))
+
+
+def ray_size(scene: SceneConfig) -> str:
+    """Return the size of a projector's rays: rows and columns of views before the image's.
+
+    With that of the camera's rays, where it differs.
+    """
+    own = size(*(scene.views or ()), *scene.shape)
+    return f"{own} to {size(*scene.camera_shape)}" if scene.camera_shape else own

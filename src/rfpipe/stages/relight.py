@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +40,7 @@ _AT_A_TIME = 32
 
 
 def images_of(scene: Scene, patterns: Float) -> Float:
-    """Return a scene's exact images ``(P, *shape, C)`` under patterns ``(P, *shape)``."""
+    """Return a scene's exact images ``(P, *shape, C)`` under patterns ``(P, *projector_shape)``."""
     return scene.apply(patterns).reshape(len(patterns), *scene.shape, scene.channels)
 
 
@@ -59,27 +60,31 @@ def one_view_at_a_time(shape: tuple[int, ...]) -> Float:
     return patterns.reshape(domain.views, *shape)
 
 
-def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
+def relit_arrays(
+    transport: Transport, scene: Scene, *, is_coaxial: bool = True
+) -> dict[str, NDArray[Any]]:
     """Compute all that the report shows of one transport, beside the truth.
 
     Parameters
     ----------
     transport : Transport
-        Of a coaxial rig.
     scene : Scene
         The scene that it was acquired from, over one image or several views.
+    is_coaxial : bool
+        Whether camera and projector share their rays. Otherwise their shapes may differ, too.
 
     Returns
     -------
     dict of ndarray
-        ``patterns`` (P, *shape), ``relit`` and ``truth`` (P, *shape, C): the reference patterns.
-        ``floodlit_relit``, ``floodlit_truth``, ``albedo`` (*shape, C). ``levels_relit``
-        (L, *shape, C): the vertical bar relit by the transport truncated at each level.
+        ``patterns`` (P, *projector_shape), ``relit`` and ``truth`` (P, *camera_shape, C): the
+        reference patterns. ``floodlit_relit``, ``floodlit_truth``, ``albedo`` (*camera_shape, C).
+        ``levels_relit`` (L, *camera_shape, C): the vertical bar relit by the transport truncated
+        at each level.
 
         Of images: ``half_relit``, ``half_truth`` (H, W, C). ``line_relit``, ``line_truth``
-        (W, W, C): the entries of T between the rays of the middle row, camera rays down,
-        projector rays across. ``line_levels`` (W, W), see `leaf_levels`, where the transport has
-        leaves.
+        (W, W', C): the entries of T between the camera's rays of its middle row, down, and the
+        projector's of its own, across. ``line_levels`` (W, W'), see `leaf_levels`, where the
+        transport has leaves.
 
         Of a stack: ``views_relit``, ``views_truth`` (V, V, H, W, C): what each view (second axis)
         sees in the light of each view (first axis).
@@ -91,19 +96,24 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     InputError
         When transport and scene differ in shape or channels.
     """
-    from rfpipe.scenes import scene_patterns
+    from rfpipe.scenes import relighting_patterns, scene_patterns
 
-    shape, channels = scene.shape, scene.albedo.shape[-1]
-    if (transport.camera_shape, transport.projector_shape) != (shape, shape):
+    seen, lit = transport.camera_shape, transport.projector_shape
+    if seen != scene.shape or (is_coaxial and lit != scene.shape):
         raise InputError(
-            f"a transport from {transport.projector_shape} to {transport.camera_shape} rays isn't "
-            f"of a coaxial scene of {shape}"
+            f"a transport from {lit} to {seen} rays isn't of a "
+            f"{'coaxial ' if is_coaxial else ''}scene of {scene.shape}"
         )
-    if transport.channels != channels:
-        raise InputError(f"a transport of {transport.channels} channels, a scene of {channels}")
-    patterns = np.stack(list(scene_patterns(scene).values()))
-    every = np.concatenate([patterns, np.ones((1, *shape), np.float32)])
-    relit, truth = transport.relight_batch(every), images_of(scene, every)
+    if transport.channels != scene.channels:
+        raise InputError(
+            f"a transport of {transport.channels} channels, a scene of {scene.channels}"
+        )
+    truth_of = partial(images_of, scene)
+    chosen = scene_patterns(scene) if is_coaxial else relighting_patterns(lit)
+    patterns = np.stack(list(chosen.values()))
+    every = np.concatenate([patterns, np.ones((1, *lit), np.float32)])
+    relit, truth = transport.relight_batch(every), truth_of(every)
+    details = _between_views if RayDomain(lit).is_stack else _within_image
     return {
         "patterns": patterns,
         "relit": relit[:-1],
@@ -112,7 +122,7 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
         "floodlit_truth": truth[-1],
         "albedo": scene.albedo,
         "levels_relit": _at_each_level(transport, patterns[0]),
-        **(_between_views if RayDomain(shape).is_stack else _within_image)(transport, scene),
+        **details(transport, truth_of),
     }
 
 
@@ -152,42 +162,51 @@ def _at_each_level(transport: Transport, pattern: Float) -> Float:
     return np.stack([transport.truncate(level).relight(pattern) for level in range(n_levels)])
 
 
-def _between_views(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
+def _between_views(
+    transport: Transport, truth_of: Callable[[Float], Float]
+) -> dict[str, NDArray[Any]]:
     """Return the arrays that `relit_arrays` has of a stack alone."""
-    lights = one_view_at_a_time(scene.shape)
-    relit, truth = transport.relight_batch(lights), images_of(scene, lights)
-    shape = (len(lights), *RayDomain(scene.shape).stack_shape, scene.channels)
+    lights = one_view_at_a_time(transport.projector_shape)
+    stack = RayDomain(transport.camera_shape).stack_shape
+    shape = (len(lights), *stack, transport.channels)
+    relit, truth = transport.relight_batch(lights), truth_of(lights)
     return {"views_relit": relit.reshape(shape), "views_truth": truth.reshape(shape)}
 
 
-def _within_image(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
+def _within_image(
+    transport: Transport, truth_of: Callable[[Float], Float]
+) -> dict[str, NDArray[Any]]:
     """Return the arrays that `relit_arrays` has of images alone."""
-
-    def truth_of(patterns: Float) -> Float:
-        return images_of(scene, patterns)
-
-    shape = scene.shape
-    half, row = right_half(shape), shape[0] // 2
+    half = right_half(transport.projector_shape)
+    rows = _middle_row(transport.camera_shape), _middle_row(transport.projector_shape)
     arrays: dict[str, NDArray[Any]] = {
         "half_relit": transport.relight(half),
         "half_truth": truth_of(half[None])[0],
-        "line_relit": _entries(transport.relight_batch, shape, row),
-        "line_truth": _entries(truth_of, shape, row),
+        "line_relit": _entries(transport.relight_batch, transport.projector_shape, *rows),
+        "line_truth": _entries(truth_of, transport.projector_shape, *rows),
     }
-    levels = leaf_levels(transport, row)
+    levels = leaf_levels(transport, *rows)
     if levels is not None:
         arrays["line_levels"] = levels
     return arrays
 
 
-def _entries(light: Callable[[Float], Float], shape: tuple[int, ...], row: int) -> Float:
-    """Return the entries (W, W, C) of T between the rays of a row: camera down, projector across.
+def _middle_row(shape: tuple[int, ...]) -> int:
+    return RayDomain(shape).image_shape[0] // 2
 
-    `light` turns patterns (P, H, W) into images (P, H, W, C).
+
+def _entries(
+    light: Callable[[Float], Float], shape: tuple[int, ...], camera_row: int, projector_row: int
+) -> Float:
+    """Return the entries (W, W', C) of T between a camera's row and a projector's of a `shape`.
+
+    `light` turns patterns (P, *shape) into images (P, H, W, C).
     """
     _, width = RayDomain(shape).image_shape
     columns = [
-        light(line_patterns(shape, row, range(first, min(first + _AT_A_TIME, width))))[:, row]
+        light(line_patterns(shape, projector_row, range(first, min(first + _AT_A_TIME, width))))[
+            :, camera_row
+        ]
         for first in range(0, width, _AT_A_TIME)
     ]
     return np.concatenate(columns).swapaxes(0, 1)
@@ -214,20 +233,26 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
     if accept_bundle(store, manifest, made_from):
         return
     transport = open_transport(folder / "transport.zarr")
+    is_coaxial = scene.camera_shape is None
     if scene.is_captured:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
         names = list(relighting_patterns(transport.projector_shape))
     else:
         simulated = scene_from_config(scene)
-        arrays = relit_arrays(transport, simulated)
-        names = list(scene_patterns(simulated))
+        arrays = relit_arrays(transport, simulated, is_coaxial=is_coaxial)
+        names = list(
+            scene_patterns(simulated)
+            if is_coaxial
+            else relighting_patterns(transport.projector_shape)
+        )
     facts = {
         "stage": "relight",
         "scene": acquired["scene"],
         "method": acquired["method"],
         "names": names,
-        "row": RayDomain(transport.projector_shape).image_shape[0] // 2,
+        "coaxial": is_coaxial,
+        "row": _middle_row(transport.camera_shape),
         "patterns": acquired["patterns"],
         "bytes": transport.nbytes,
         "levels": transport.level_rows,

@@ -129,6 +129,7 @@ class NearFar(Method[NearFarState]):
     name = "near_far"
     title = "Near/far acquisition"
     colour = "#b3263a"
+    marker = "D"
     needs_coaxial_rig = True
     estimates_error = True
     Options = NearFarOptions

@@ -91,6 +91,7 @@ class Compressive(Method[CompressiveState]):
     name = "compressive"
     title = "Compressive sensing"
     colour = "#4c8c4a"
+    marker = "v"
     Options = CompressiveOptions
     trades = "patterns"
     trials = (50, 100, 200, 500)

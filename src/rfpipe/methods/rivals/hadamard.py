@@ -39,6 +39,7 @@ class Hadamard(Scan):
     name = "hadamard"
     title = "Hadamard multiplexing"
     colour = "#7d5ba6"
+    marker = "^"
 
     def expected_patterns(
         self,

@@ -114,6 +114,7 @@ class LowRank(Method[LowRankState]):
     name = "low_rank"
     title = "Optical low rank"
     colour = "#b08a1e"
+    marker = "P"
     needs_coaxial_rig = True
     estimates_error = True
     Options = LowRankOptions

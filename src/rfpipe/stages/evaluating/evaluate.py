@@ -30,23 +30,26 @@ def error_rows(
     patterns: NDArray[Any],
     names: Iterable[str],
     white: float,
+    is_coaxial: bool = True,
 ) -> Iterator[dict[str, Any]]:
     """Yield a row of `ERROR_COLUMNS` for each relighting pattern.
 
     Parameters
     ----------
-    relit, truth : ndarray of float, shape (P, *shape, C)
+    relit, truth : ndarray of float, shape (P, *camera_shape, C)
         Radiance over a ray domain.
-    patterns : ndarray, shape (P, *shape)
+    patterns : ndarray, shape (P, *projector_shape)
     names : iterable of P str
     white : float
         Maximum of the true floodlit image.
+    is_coaxial : bool
+        Whether camera and projector share their rays; otherwise no pixel is known to be unlit.
     """
     for name, image, true, pattern in zip(names, relit, truth, patterns, strict=True):
         yield {
             "pattern": name,
             "rms_total": relative_rms(image, true),
-            "rms_unlit": unlit_rms(image, true, pattern),
+            "rms_unlit": unlit_rms(image, true, pattern) if is_coaxial else float("nan"),
             "psnr_db": psnr(image, true),
             "ciede2000": colour_difference(image, true, white),
         }
@@ -139,7 +142,7 @@ def _opened(manifest: Path) -> tuple[dict[str, Any], ArrayBundle]:
 
 def _truth(
     run: dict[str, Any], images: ArrayBundle
-) -> tuple[NDArray[np.float32], NDArray[np.float32], list[str], float]:
-    """Return a scene's truth as `error_rows` wants it: images, patterns, their names, white."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32], list[str], float, bool]:
+    """Return what `error_rows` wants of a scene beside the relit images."""
     white = float(images.read("floodlit_truth").max(initial=0.0))
-    return images.read("truth"), images.read("patterns"), run["names"], white
+    return images.read("truth"), images.read("patterns"), run["names"], white, run["coaxial"]

@@ -25,39 +25,45 @@ def line_patterns(shape: tuple[int, ...], row: int, columns: Sequence[int]) -> N
     return patterns
 
 
-def leaf_levels(transport: Transport, row: int) -> NDArray[np.int16] | None:
-    """Tell the level of the leaf that holds each entry between the rays of an image row.
+def leaf_levels(
+    transport: Transport, camera_row: int, projector_row: int
+) -> NDArray[np.int16] | None:
+    """Tell the level of the leaf that holds each entry between the rays of two image rows.
 
     Parameters
     ----------
     transport : Transport
-        Over images, camera and projector of one shape (H, W).
-    row : int
-        Row of the image, from 0.
+        Over images (H, W).
+    camera_row, projector_row : int
+        Rows of the camera's and the projector's image, from 0; one row in a hierarchy of leaves,
+        whose rig is coaxial.
 
     Returns
     -------
-    ndarray of int16, shape (W, W), or None
+    ndarray of int16, shape (W, W'), or None
         Camera rays down, projector rays across; `NO_LEAF` where the entry is empty. None for a
         transport without leaves.
     """
-    _, width = RayDomain(transport.projector_shape).image_shape
-    levels = np.full((width, width), NO_LEAF, np.int16)
+    shape = tuple(
+        RayDomain(rays).image_shape[1]
+        for rays in (transport.camera_shape, transport.projector_shape)
+    )
+    levels = np.full(shape, NO_LEAF, np.int16)
     if isinstance(transport, HierarchicalTransport):
         for leaves in transport.leaf_sets:
-            number, of_ray = _blocks_of_line(transport.tree, leaves.level, row)
+            number, of_ray = _blocks_of_line(transport.tree, leaves.level, projector_row)
             first, second = number[leaves.block_a], number[leaves.block_b]
             inside = (first >= 0) & (second >= 0)
-            held = np.zeros((width, width), np.bool_)
+            held = np.zeros(shape, np.bool_)
             held[first[inside], second[inside]] = held[second[inside], first[inside]] = True
             levels[held[np.ix_(of_ray, of_ray)]] = leaves.level
         return levels
     if isinstance(transport, MultilevelTransport):
         for pairs in transport.pair_sets:
-            number, of_ray = _blocks_of_line(transport.tree, pairs.level, row)
-            block, pixel = number[pairs.block], pairs.pixel - row * width
-            inside = (block >= 0) & (pixel >= 0) & (pixel < width)
-            held = np.zeros((width, width), np.bool_)
+            number, of_ray = _blocks_of_line(transport.tree, pairs.level, projector_row)
+            block, pixel = number[pairs.block], pairs.pixel - camera_row * shape[0]
+            inside = (block >= 0) & (pixel >= 0) & (pixel < shape[0])
+            held = np.zeros(shape, np.bool_)
             held[pixel[inside], block[inside]] = True
             levels[held[:, of_ray]] = pairs.level
         return levels

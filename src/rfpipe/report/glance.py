@@ -1,0 +1,114 @@
+"""What the report begins with: each scene relit beside truth, and what each method took for it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.report import methods, tables
+from rfpipe.report.blocks import Gallery, Picture, Section, Tabulation
+from rfpipe.report.drawing import UNLIT_GAIN, brighten_unlit, srgb
+from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.text import number, percent, words
+from rfpipe.stages.evaluating.metrics import relative_rms
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["glance_section"]
+
+_SHOWN = "horizontal_bar"  # crosses the edge of two planes, where indirect light shows best
+
+
+def glance_section(inputs: Inputs) -> Section:
+    """A picture of each scene, and every run on one line."""
+    numbers = tables.results(inputs)
+    pictures = [scene_picture(inputs.of_scene(scene)[0]) for scene in inputs.scenes]
+    if inputs.has_truth:
+        about = (
+            "Error: relative RMS of the pictures relit with bars, noise, a binary picture, a small "
+            "spot and the crease where surfaces meet, against the scene's exact light transport; "
+            "their mean, the largest, and the mean on those pixels alone that the pattern leaves "
+            "dark, which show indirect light."
+        )
+    else:
+        about = "The truth of a real scene is not known, and so no error."
+    per_pattern = inputs.config.capture.seconds_per_pattern
+    caption = (
+        f"Patterns shown; minutes of capture, at {per_pattern:g} s a pattern, and processing"
+        f"{inputs.without_references}; bytes on disk, 1 MB = 10⁶ bytes. {about}"
+    )
+    table, _ = tables.results_table(inputs)
+    return Section(
+        "glance",
+        "At a glance",
+        [_scenes_text(inputs), *(_found(numbers))],
+        [
+            Gallery(pictures),
+            Tabulation("What it took", caption, table, numbers, is_folded=False),
+        ],
+    )
+
+
+def _scenes_text(inputs: Inputs) -> str:
+    """Say what the pictures show."""
+    text = (
+        "Each scene under floodlight, and relit from what was acquired with a bar of light, a "
+        "picture that nobody took"
+    )
+    if not inputs.has_truth:
+        return f"{text}."
+    text += ", beside the truth"
+    if any(run.is_coaxial for run in inputs.runs):
+        text += f". Pixels that the bar leaves dark are shown {UNLIT_GAIN:g} times brighter"
+    return text + "."
+
+
+def _found(numbers: pd.DataFrame) -> list[str]:
+    """Sum each method up in a sentence."""
+    sentences = []
+    for method, own in numbers.groupby("method", sort=False):
+        sentence = f"{methods.title(str(method))}: {_range(own['patterns'], number)} patterns"
+        if own["mean_error"].notna().any():
+            sentence += (
+                f" for a mean error of {_range(own['mean_error'], percent)}\N{NO-BREAK SPACE}%"
+            )
+        sentences.append(sentence)
+    rays = _range(numbers["rays"], number)
+    yardstick = f"Brute force, one pattern a projector pixel, would take {rays}."
+    return [". ".join(sentences) + f". {yardstick}"]
+
+
+def _range(values: Any, shown: Any) -> str:
+    """Return the least and the largest of some numbers; one of them where they look the same."""
+    low, high = shown(values.min()), shown(values.max())
+    return low if low == high else f"{low} to {high}"
+
+
+def scene_picture(run: Run) -> Picture:
+    """Show a scene under floodlight and relit, beside the truth where that is known."""
+    names = run.facts["names"]
+    index = names.index(_SHOWN) if _SHOWN in names else 0
+    pattern, relit = run.read("patterns")[index], run.read_shown("relit")[index]
+    floodlit = run.read_shown("floodlit_truth" if run.has_truth else "floodlit_captured")
+    shown = {"floodlit": floodlit, "relit": relit}
+    if run.has_truth:
+        shown["truth"] = run.read_shown("truth")[index]
+        error = relative_rms(run.read("relit")[index], run.read("truth")[index])
+        said = f"error {percent(error)} %"
+    else:
+        error = relative_rms(run.read("floodlit_relit"), run.read("floodlit_captured"))
+        said = f"floodlit image relit to {percent(error)} % of the captured one"
+    if run.has_truth and run.is_coaxial and not run.is_light_field:
+        for name in ("relit", "truth"):
+            shown[name] = brighten_unlit(shown[name], pattern)
+    panels: dict[str, NDArray[np.float64]] = {
+        name: srgb(image, run.white) for name, image in shown.items()
+    }
+    caption = (
+        f"{run.method_title}, {number(run.patterns)} patterns: {said} with the "
+        f"{words(names[index])}."
+    )
+    return Picture(run.title, caption, f"scene_{run.scene}", panels)

@@ -1,0 +1,87 @@
+"""What the report knows of methods: their names in words, and how they are drawn.
+
+Methods describe themselves; no other module of the report names one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from rfpipe import plugins
+from rfpipe.errors import InputError
+from rfpipe.report.text import words
+
+__all__ = [
+    "BRUTE_FORCE",
+    "NEAR_FAR",
+    "SYMMETRIC",
+    "colour",
+    "line",
+    "listed",
+    "marker",
+    "of_table",
+    "stores_single_responses",
+    "swatches",
+    "title",
+]
+
+BRUTE_FORCE = "brute_force"
+"""The yardstick: one pattern a projector pixel."""
+
+SYMMETRIC = "symmetric"
+"""The yardstick of a benchmark."""
+
+NEAR_FAR = "near_far"
+"""The method that a benchmark sets beside it."""
+
+_GREY = "#6b6b6b"
+
+
+def _told(method: str, name: str, default: str) -> str:
+    """Return what a method says of itself; a default where it isn't among those installed."""
+    try:
+        told: str | None = getattr(plugins.find(plugins.METHODS, method), name)
+    except InputError:
+        return default
+    return default if told is None else told
+
+
+def title(method: str) -> str:
+    """Return a method's name in words."""
+    return _told(method, "title", words(method))
+
+
+def colour(method: str) -> str:
+    """Return a method's colour in plots."""
+    return _told(method, "colour", _GREY)
+
+
+def marker(method: str) -> str:
+    """Return matplotlib's name of a method's marker; "" for none."""
+    return _told(method, "marker", "o")
+
+
+def line(method: str) -> str:
+    """Return matplotlib's name of a method's kind of line."""
+    return _told(method, "line", "-")
+
+
+def of_table(number: str, methods: Iterable[str]) -> list[str]:
+    """Return those of some methods whose costs a table of the thesis has, by its number."""
+    return [method for method in methods if _told(method, "thesis_table", "") == number]
+
+
+def stores_single_responses(method: str) -> bool:
+    """Tell whether each pixel's response to a block is stored as one number [3.2]."""
+    return bool(of_table("3.1", [method]))
+
+
+def swatches(methods: Iterable[str]) -> dict[str, str]:
+    """Return the colours of methods by their names in words."""
+    return {title(method): colour(method) for method in methods}
+
+
+def listed(methods: Iterable[str]) -> str:
+    """Return the names of methods as part of a sentence."""
+    *first, last = [title(method)[0].lower() + title(method)[1:] for method in methods]
+    return f"{', '.join(first)} and {last}" if first else last
