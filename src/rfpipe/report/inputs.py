@@ -257,6 +257,7 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         path.stem: Study(read_manifest(path)["rows"], open_arrays(path.with_suffix(".zarr")))
         for path in sorted((results / "studies").glob("*.json"))
     }
+    methods.know(config)
     return Inputs(
         config,
         runs,
