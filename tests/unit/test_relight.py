@@ -30,9 +30,7 @@ SCENE = SceneConfig(geometry="wedge", surfaces=("white", "texture"), shape=(9, 1
 def transports() -> dict[str, Transport]:
     rig = SimulatedRig(scene_from_config(SCENE))
     methods = ("symmetric", "dual", "brute_force", "hadamard", "low_rank")
-    return {
-        method: acquire(rig, method, tolerance=1e-3, progress=False).transport for method in methods
-    }
+    return {method: acquire(rig, method, progress=False).transport for method in methods}
 
 
 @pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force", "hadamard", "low_rank"])

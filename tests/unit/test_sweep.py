@@ -87,7 +87,7 @@ def test_errors_are_blank_where_they_are_undefined(swept, tmp_path):
     truth = np.ones((1, 2, 3, 3), np.float32)
     arrays = {"patterns": lit, "truth": truth, "relit": 1.5 * truth, "floodlit_truth": truth[0]}
     write_arrays(tmp_path / "relight.zarr", arrays, {})
-    facts = {"scene": "box", "method": "dual", "names": ["everything"]}
+    facts = {"scene": "box", "method": "dual", "names": ["everything"], "coaxial": True}
     write_manifest(tmp_path / "relight.json", facts)
     write_arrays(tmp_path / "sweep.zarr", {"relit": truth[None]}, {})
     rows = [{"option": "tolerance", "value": 0.01, "patterns": 3, "bytes": 99}]
