@@ -47,10 +47,10 @@ class Acquisition:
         options = {"resources": self.resources, **options}
         capture.run(self.rig, self.folder, level, references=(2, 2), **options)
 
-    def merge(self, level: int, repair_defects: bool = True, **options: Any) -> None:
+    def merge(self, level: int, mask_defects: bool = True, **options: Any) -> None:
         merge.run(
             self.rig.sensor, self.folder, level,
-            saturation_fraction=0.98, repair_defects=repair_defects, code=self.code,
+            saturation_fraction=0.98, mask_defects=mask_defects, code=self.code,
             keep_raw=self.keep_raw, resources=self.resources, **options,
         )  # fmt: skip
 
