@@ -142,7 +142,7 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
     if not has_channels:
         hot, dead = hot[..., None], dead[..., None]
     hot_pixels, dead_pixels = hot.any(axis=-1), dead.any(axis=-1)
-    mask = hot_pixels | dead_pixels
+    mask: Mask = np.asarray(hot_pixels | dead_pixels)
     if not has_channels:
         mask = _grown(mask)
     return DefectMap(mask, int(hot_pixels.sum()), int((dead_pixels & ~hot_pixels).sum()))
@@ -181,8 +181,9 @@ def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
     constant: Mask = (dark.least == dark.most) & (floodlit_frames == dark.least)
     # a black level at the converter's lower end cuts the noise off
     constant &= ~((dark.least == 0) & (np.median(dark.least) == 0))
+    stuck: Mask = np.asarray(constant.all(axis=0))
     if dark.count < 2 or dark.dtype.kind != "u":
-        return np.zeros(constant.shape[1:], bool)
+        return np.zeros_like(stuck)
     chance = log(constant[0].size)
     for variance in dark.variance:
         # of the noise before its rounding [Sheppard 1898]
@@ -190,7 +191,7 @@ def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
         # a good photosite holds one count most easily where its mean is just that count
         once = erf(1 / (np.sqrt(8) * deviation)) if deviation else 1.0
         chance += (dark.count + 1) * log(once)
-    return constant.all(axis=0) & (chance < -(SIGNIFICANCE**2) / 2)
+    return stuck if chance < -(SIGNIFICANCE**2) / 2 else np.zeros_like(stuck)
 
 
 def _rounding(dtype: np.dtype[Any], floodlit_frames: NDArray[Any]) -> float:

@@ -140,7 +140,7 @@ def collect(
     if len(positions):
         doubt = spread.copy()
         complete_pieces(
-            starts, block_a, block_b, offset_a, offset_b, positions, values, sums, doubt
+            starts, block_a, block_b, offset_a, offset_b, positions, values, sums, spread, doubt
         )
     return Pieces(
         block_a, block_b, offset_a, offset_b, values, variances, sums, spread, doubt, positions

@@ -25,7 +25,7 @@ def _guess(piece, unknown):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, parallel=True)
 def complete_pieces(  # type: ignore[no-untyped-def]
-    starts, block_a, block_b, offset_a, offset_b, unknown, values, sums, doubt
+    starts, block_a, block_b, offset_a, offset_b, unknown, values, sums, spread, doubt
 ):
     """Fill in pixels that no image shows, as far as the pair's other piece knows their light.
 
@@ -40,10 +40,10 @@ def complete_pieces(  # type: ignore[no-untyped-def]
         As in `kernels.collect_pieces`; zero in unknown pixels, and filled in there.
     unknown : int64 (k,)
         Their tree positions, ascending.
-    sums : float64 (C, 2, n)
-        Of the pieces; changed with them.
+    sums, spread : float64 (C, 2, n)
+        Of the pieces, and of their variances; changed with them.
     doubt : float64 (C, 2, n)
-        The sums' variances; what remains uncertain of unknown pixels is added.
+        The spread; what remains uncertain of unknown pixels is added.
     """
     for n in numba.prange(block_a.shape[0]):
         a, b = block_a[n], block_b[n]
@@ -65,9 +65,11 @@ def complete_pieces(  # type: ignore[no-untyped-def]
                 total = doubt[c, 0, n] + doubt[c, 1, n]
                 if size_a == count_a:
                     light_a = lacking / count_a
+                    spread[c, 0, n] = spread[c, 1, n]
                     doubt[c, 0, n] = _NO_WEIGHT * doubt[c, 1, n]
                 elif size_b == count_b:
                     light_b = -lacking / count_b
+                    spread[c, 1, n] = spread[c, 0, n]
                     doubt[c, 1, n] = _NO_WEIGHT * doubt[c, 0, n]
                 elif total > 0.0:
                     light_a += variance_a * lacking / total

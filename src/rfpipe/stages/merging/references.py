@@ -26,6 +26,7 @@ Float = NDArray[np.float32]
 CALIBRATION = "calibration"
 """Their store, and their key in the merge's manifest of level 0."""
 
+
 def calibrate(
     sensor: Sensor,
     folder: AcquisitionFolder,
