@@ -233,7 +233,8 @@ class NearFar(Method[NearFarState]):
         pictures = state.pictures
         if pictures is None:
             dark = np.zeros((state.channels, state.domain.size), np.float32)
-            pictures = Pictures(dark, dark, dark[:0] > 0, dark[None, :0], dark[None, :0])
+            nothing = dark[None][:0]
+            pictures = Pictures(dark, dark, nothing[:, 0] > 0, nothing, nothing)
         return as_transport(state.domain.shape, rows, state.model, pictures)
 
     def pack(self, state: NearFarState) -> Pack:
