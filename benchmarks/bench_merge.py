@@ -70,7 +70,7 @@ def run_merge(
         folder,
         level,
         saturation_fraction=0.98,
-        repair_defects=True,
+        mask_defects=True,
         code="",
         resources=resources,
     )

@@ -45,8 +45,9 @@ def measured(tree, blocks, sigma=0.0, seed=0):
         for v in (values, variances)
     )  # fmt: skip
     pieces = Pieces(
-        first, second, offset_a, offset_b, values, variances, sums.copy(), spread.copy()
-    )
+        first, second, offset_a, offset_b, values, variances, sums.copy(), spread.copy(),
+        spread.copy(), np.zeros(0, np.int64),
+    )  # fmt: skip
     return nodes, np.array([0, len(first)]), pieces
 
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from rfpipe.photometry import CameraModel, MergeOptions, Response
-from rfpipe.photometry.defects import DarkFrames, find_defects, repair
+from rfpipe.photometry.defects import DarkFrames, find_defects
 from rfpipe.photometry.normalize import MAXIMUM_GAIN, apply, level_gain
 
 shapes = st.tuples(st.integers(1, 4), st.integers(1, 5), st.sampled_from([1, 3]))
@@ -100,27 +100,12 @@ def test_normalization_is_finite_bounded_and_adds_up_where_it_covers(
     np.testing.assert_array_equal(corrected[:, ~covered], images[:, ~covered])
 
 
-@given(
-    hnp.arrays(np.float32, (2, 3, 4, 1), elements=st.floats(0, 100, width=32)),
-    hnp.arrays(bool, (3, 4)),
-)
-def test_repair_stays_within_the_range_of_valid_pixels(
-    images: np.ndarray, mask: np.ndarray
-) -> None:
-    mask[0, 0] = False
-    variance = np.ones_like(images)
-    fixed, spread = repair(images, variance, mask)
-    for image, one in zip(images, fixed, strict=True):
-        valid = image[~mask]
-        assert valid.min() <= one.min()
-        assert one.max() <= valid.max()
-    assert (spread >= variance).all()
-
-
 @given(st.integers(0, 2**31), st.sampled_from([None, "BGGR"]))
 def test_good_pixels_are_not_called_defective(seed: int, bayer: str | None) -> None:
     camera = CameraModel(bayer=bayer)
-    image = np.random.default_rng(seed).uniform(0.01, 2, (12, 14, 3)).astype(np.float32)
+    random = np.random.default_rng(seed)
+    image = random.uniform(0.01, 2, (12, 14, 3)).astype(np.float32)
+    image[random.random((12, 14)) < 0.1] = 0  # of which some stand alone
     off = np.stack([camera.expose(np.zeros_like(image), seed, (9, i)) for i in range(4)])
     lit = camera.expose(image, seed, (0, 0))
     assert not find_defects(DarkFrames.of(off), lit, camera).mask.any()

@@ -51,7 +51,7 @@ class Acquisition:
         self.capture(level)
         merge.run(
             read_sensor(self.folder), self.folder, level,
-            saturation_fraction=0.98, repair_defects=True, code=CODE,
+            saturation_fraction=0.98, mask_defects=True, code=CODE,
         )  # fmt: skip
         normalize.run(self.plan, self.folder, level, mode="per_channel", code=CODE)
         refine.run(self.plan, self.folder, level, CODE)

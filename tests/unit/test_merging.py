@@ -13,7 +13,7 @@ import pytest
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions, Response, brackets
-from rfpipe.photometry.defects import DefectMap, repair
+from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
 from rfpipe.stages.jobs.workers import Resources, Workers
 from rfpipe.stages.merging import merger as merging
@@ -138,23 +138,36 @@ def test_a_calibration_is_the_same_however_its_brackets_come(camera: Any) -> Non
         assert together.defects is not None
         assert apart.defects is not None
         assert np.argwhere(apart.defects.mask).tolist() == [[4, 5]]
-        assert together.floodlit[4, 5] == pytest.approx(image[4, 4], abs=1)
+        assert (together.floodlit[4, 5] == 0).all()
+        unknown = np.isinf(together.floodlit_variance)
+        assert np.argwhere(unknown.all(axis=-1)).tolist() == [[4, 5]]
+        assert unknown.sum() == 3
 
 
-def test_defects_are_filled_in_the_same_for_one_image_and_for_many() -> None:
+def test_defects_are_unknown_in_one_image_and_in_many() -> None:
     frames, off = captured(CAMERA, 4)
     mask = np.zeros(IMAGE[:2], bool)
     mask[0, 0] = mask[2, 3] = mask[5:8, 6:9] = True
     nothing = np.zeros(0, np.float32)
     merger = Merger(CAMERA, off, MergeOptions(4), DefectMap(mask, 1, 1), nothing, nothing)
     plain = CAMERA.merge(frames, off, MergeOptions(4))
-    radiance, variance = repair(plain.radiance, plain.variance, mask)
     together = merger.merge(frames, 0)
-    np.testing.assert_array_equal(together.radiance, radiance)
-    np.testing.assert_array_equal(together.variance, variance)
+    np.testing.assert_array_equal(together.radiance[:, ~mask], plain.radiance[:, ~mask])
+    np.testing.assert_array_equal(together.variance[:, ~mask], plain.variance[:, ~mask])
+    assert (together.radiance[:, mask] == 0).all()
+    assert np.isposinf(together.variance[:, mask]).all()
     for index in range(4):
         alone = merger.merge(frames[index : index + 1], index)
-        np.testing.assert_array_equal(alone.radiance[0], radiance[index])
+        np.testing.assert_array_equal(alone.radiance[0], together.radiance[index])
+
+
+def test_a_camera_with_no_good_pixel_is_refused() -> None:
+    camera = replace(CAMERA, bayer="RGGB")
+    off = np.stack([camera.expose(np.zeros((2, 2, 3)), 1, (9, index)) for index in range(8)])
+    on = np.stack([camera.expose(np.ones((2, 2, 3)), 1, (8, index)) for index in range(8)])
+    off[:, :, 0, 0], on[:, :, 0, 0] = 4000, 4000  # the mosaic spreads it over all four
+    with pytest.raises(CaptureError, match=r"all 4 camera pixels.*merge.mask_defects"):
+        Merger.calibrate(camera, [off], [on])
 
 
 def test_workers_keep_the_order_and_hold_few_results() -> None:

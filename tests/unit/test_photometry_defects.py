@@ -1,14 +1,14 @@
-"""Hot, dead and stuck pixels; a floodlit image without light."""
+"""Hot, dead and stuck pixels, and those that see nothing; a floodlit image without light."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from rfpipe.errors import CaptureError, InputError
+from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, ExactSensor, MergeOptions, Sensor
 from rfpipe.photometry.checks import check_floodlit
-from rfpipe.photometry.defects import DarkFrames, DefectMap, find_defects, repair
+from rfpipe.photometry.defects import DarkFrames, DefectMap, find_defects
 
 CAMERA = CameraModel()
 
@@ -50,6 +50,37 @@ def test_surfaces_without_reflection_are_not_defects(bayer: str | None) -> None:
     assert not defects_of(*capture(camera, image), camera).mask.any()
 
 
+@pytest.mark.parametrize("bayer", [None, "RGGB"])
+def test_a_pixel_that_sees_empty_space_is_not_dead(bayer: str | None) -> None:
+    camera = replace(CAMERA, bayer=bayer)
+    image = texture()
+    image[8, 9] = image[20, 30] = image[20, 31] = 0  # all neighbours are lit
+    image[30, 5, 2] = 0
+    found = defects_of(*capture(camera, image), camera)
+    assert not found.mask.any()
+    assert (found.hot, found.dead) == (0, 0)
+
+
+@pytest.mark.parametrize("black", [0, 64])
+def test_constant_counts_say_nothing_where_steps_hide_the_noise(black: int) -> None:
+    quiet = {"read_noise_electrons": 0.2, "dark_current_electrons": 0.0}
+    camera = replace(CAMERA, black_level_counts=black, **quiet)
+    image = texture()
+    image[8, 9] = 0
+    off, lit = capture(camera, image)
+    assert (lit[:, 8, 9] == off[:, :, 8, 9]).all()
+    assert not defects_of(off, lit, camera).mask.any()
+
+
+def test_a_black_level_of_zero_cuts_noise_off() -> None:
+    camera = replace(CAMERA, black_level_counts=0, read_noise_electrons=15.0)
+    image = texture((80, 90, 3))
+    image[8:20, 9:30] = 0
+    off, lit = capture(camera, image, 2)
+    assert (np.concatenate([off, lit[None]]) == 0).all(axis=(0, 1)).any()
+    assert not defects_of(off, lit, camera).mask.any()
+
+
 def test_hot_and_noisy_pixels() -> None:
     off, lit = capture(CAMERA, texture())
     off[:, 2, 5, 6, 1] += 30
@@ -81,7 +112,7 @@ def test_stuck_pixels(value: int, pixel: tuple[int, int]) -> None:
 
 def test_a_dead_channel_of_a_pixel() -> None:
     off, lit = capture(CAMERA, texture())
-    lit[:, 8, 9, 2] = off[0, :, 8, 9, 2]
+    lit[:, 8, 9, 2] = off[:, :, 8, 9, 2] = 65
     found = defects_of(off, lit, CAMERA)
     assert np.argwhere(found.mask).tolist() == [[8, 9]]
     assert (found.hot, found.dead) == (0, 1)
@@ -90,7 +121,7 @@ def test_a_dead_channel_of_a_pixel() -> None:
 def test_a_dead_photosite_takes_its_neighbours_with_it() -> None:
     camera = replace(CAMERA, bayer="RGGB")
     off, lit = capture(camera, texture())
-    lit[:, 8, 9] = off[0, :, 8, 9]
+    lit[:, 8, 9] = off[:, :, 8, 9] = 65
     found = defects_of(off, lit, camera)
     assert found.dead == 1
     rows, columns = np.nonzero(found.mask)
@@ -134,45 +165,6 @@ def test_frames_that_do_not_belong_together() -> None:
     off, lit = capture(CAMERA, texture())
     with pytest.raises(CaptureError, match="don't belong together"):
         defects_of(off, lit[:2], CAMERA)
-
-
-def test_repair_takes_the_median_neighbour_and_says_that_it_is_uncertain() -> None:
-    image = np.random.default_rng(0).uniform(1, 2, (2, 6, 7, 3)).astype(np.float32)
-    variance = np.full_like(image, 1e-4)
-    broken = image.copy()
-    mask = np.zeros((6, 7), bool)
-    mask[2:4, 3] = mask[0, 0] = True
-    broken[:, mask] = 1e6
-    fixed, spread = repair(broken, variance, mask)
-    np.testing.assert_array_equal(fixed[:, ~mask], image[:, ~mask])
-    np.testing.assert_array_equal(spread[:, ~mask], variance[:, ~mask])
-    assert (fixed >= 1).all()
-    assert (fixed <= 2).all()
-    assert (spread[:, mask] > 10 * 1e-4).all()
-    expected = np.median(image[0][[0, 1, 1], [1, 0, 1]], axis=0)
-    np.testing.assert_allclose(fixed[0, 0, 0], expected)
-    assert (broken[:, mask] == 1e6).all()  # the input is left alone
-
-
-def test_repair_reaches_out_of_a_cluster_and_stays_in_its_view() -> None:
-    image = np.stack([np.full((7, 7, 1), value, np.float32) for value in (1, 5)])
-    mask = np.zeros((2, 7, 7), bool)
-    mask[0, 1:6, 1:6] = True
-    broken = image.copy()
-    broken[mask] = np.float32(1e30)
-    fixed, spread = repair(broken, np.zeros_like(image), mask)
-    np.testing.assert_array_equal(fixed, image)
-    assert np.isfinite(spread).all()
-
-
-def test_repair_with_nothing_to_do_or_nothing_to_go_by() -> None:
-    image = np.ones((3, 4, 1), np.float32)
-    nothing = np.zeros((3, 4), bool)
-    assert repair(image, image, nothing)[0] is image
-    with pytest.raises(CaptureError, match="every pixel of a view is defective"):
-        repair(image, image, ~nothing)
-    with pytest.raises(InputError, match=r"mask \(3, 4\) doesn't fit images \(4, 3, 1\)"):
-        repair(image.reshape(4, 3, 1), image, nothing)
 
 
 def floodlit(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -132,15 +132,20 @@ def test_defective_pixels_have_no_share() -> None:
     assert clean.matrix.sum(axis=1) == pytest.approx(np.ones(12), rel=1e-5)
 
 
-def test_a_ray_without_a_good_pixel_takes_its_neighbours() -> None:
-    identity = csr_array(np.eye(12, dtype=np.float32))
-    resampling = Resampling(SHAPE, SHAPE, identity)
-    mask = np.zeros(SHAPE, bool)
-    mask[0, 0] = True
-    image = np.arange(12, dtype=np.float32).reshape(1, *SHAPE, 1)
-    rays = resampling.without(mask).apply(image)
-    assert rays[0, 0, 0, 0] == pytest.approx((1 + 4 + 5) / 3)
-    assert np.array_equal(rays.ravel()[1:], image.ravel()[1:])
+def test_a_ray_without_a_good_pixel_is_unknown() -> None:
+    rows = np.eye(12, dtype=np.float32)
+    rows[7] = 0  # a ray that the camera doesn't see is dark, and known to be
+    sensor = ResampledSensor(CAMERA, Resampling(SHAPE, SHAPE, csr_array(rows)))
+    light = np.full((*SHAPE, 1), 0.5, np.float32)
+    dark, frames = frames_of(CAMERA, np.zeros_like(light), 8), frames_of(CAMERA, light, 2)
+    dark[:, :, 0, 1], frames[:, :, 0, 1] = 3000, 3000
+    merger = Merger.calibrate(sensor, [dark], [frames])
+    for image, spread in (
+        (merger.floodlit, merger.floodlit_variance),
+        (merger.merge(frames, 0).radiance[1], merger.merge(frames, 0).variance[1]),
+    ):
+        assert np.flatnonzero(np.isinf(spread)).tolist() == [1]
+        assert np.flatnonzero(image == 0).tolist() == [1, 7]
 
 
 def test_hot_pixels_are_kept_from_rays() -> None:

@@ -30,12 +30,15 @@ def symmetric_matrix() -> np.ndarray:
 
 
 class Acquisition:
-    """One acquisition by symmetric photography of a matrix, stage by stage."""
+    """One acquisition of a matrix, stage by stage."""
 
-    def __init__(self, path: Path, rig: Any, tolerance: float = 1e-3) -> None:
+    def __init__(
+        self, path: Path, rig: Any, tolerance: float | None = 1e-3, method: str = "symmetric"
+    ) -> None:
         self.rig = rig
         self.folder = AcquisitionFolder(path)
-        self.plan = Plan("symmetric", "symmetric", SHAPE, SHAPE, 1, {"tolerance": tolerance})
+        options = {} if tolerance is None else {"tolerance": tolerance}
+        self.plan = Plan(method, method, SHAPE, SHAPE, 1, options)
         self.resources = Resources()
         self.keep_raw = True
         self.code = CODE
@@ -47,10 +50,10 @@ class Acquisition:
         options = {"resources": self.resources, **options}
         capture.run(self.rig, self.folder, level, references=(2, 2), **options)
 
-    def merge(self, level: int, repair_defects: bool = True, **options: Any) -> None:
+    def merge(self, level: int, mask_defects: bool = True, **options: Any) -> None:
         merge.run(
             self.rig.sensor, self.folder, level,
-            saturation_fraction=0.98, repair_defects=repair_defects, code=self.code,
+            saturation_fraction=0.98, mask_defects=mask_defects, code=self.code,
             keep_raw=self.keep_raw, resources=self.resources, **options,
         )  # fmt: skip
 

@@ -92,8 +92,8 @@ def test_merged_images_outlive_a_change_of_the_code(
 def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -> None:
     before = everything(acquisition.folder.path)
     for level in (0, 1):
-        with pytest.raises(StaleStoreError, match="repair_defects True -> False") as error:
-            acquisition.merge(level, repair_defects=False)
+        with pytest.raises(StaleStoreError, match="mask_defects True -> False") as error:
+            acquisition.merge(level, mask_defects=False)
         assert "capture.keep_raw is false" in str(error.value)
         assert f"capture.zarr and reference.zarr of {acquisition.folder.path}/L*" in str(
             error.value
@@ -107,7 +107,7 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -
     FrameStore.discard(acquisition.folder.store(0, "reference"))
     for level in (0, 1):
         acquisition.capture(level)
-        acquisition.merge(level, repair_defects=False)
+        acquisition.merge(level, mask_defects=False)
     assert len(acquisition.rig.shown) == 2 + 2 + 1 + 4
     assert chunks(acquisition.folder.path) == []
 

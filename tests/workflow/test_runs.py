@@ -137,7 +137,7 @@ def test_changed_patterns_can_be_refused(copy: Workflow) -> None:
 
 
 def test_merge_options_show_no_pattern_again(copy: Workflow) -> None:
-    copy.configure(merge={"repair_defects": False})
+    copy.configure(merge={"mask_defects": False})
     before = copy.path("tiny/symmetric/L03/merge.json").read_bytes()
     output = copy.run(TINY)
     assert "patterns are captured" in output

@@ -24,6 +24,7 @@ from tests.workflow.stagewise import (
     symmetric_matrix,
 )
 
+from rfpipe import acquire
 from rfpipe.errors import CaptureError, IntegrityError, StaleStoreError
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
@@ -342,3 +343,26 @@ def test_progress_says_how_long_it_will_take(
         "level 2: 105 of 1100 patterns, 1 h 06 min to go",
         "level 2: 5 patterns in 30.0 s",
     ]
+
+
+@pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force"])
+def test_files_hold_what_is_found_in_process_with_hot_pixels(tmp_path: Path, method: str) -> None:
+    def heated(_: tuple[int, ...], frames: Any) -> Any:
+        frames[:, 1, 2] = frames[:, 3, 4] = 3000
+        return frames
+
+    rig = FaultyRig(matrix_rig(noise=CAMERA), heated)
+    acquisition = Acquisition(tmp_path, rig, None, method)
+    for level in range(acquisition.plan.n_levels):
+        acquisition.level(level)
+    stored = acquisition.assemble()
+    result = acquire(rig, method, progress=False, black_frames=2, floodlit_frames=2)
+    assert np.argwhere(result.masked).tolist() == [[1, 2], [3, 4]]
+    assert read_manifest(tmp_path / "transport.json")["masked"] == 2
+    impulses = np.eye(RAYS, dtype=np.float32).reshape(RAYS, *SHAPE)
+    found = stored.relight_batch(impulses)
+    np.testing.assert_array_equal(found, result.transport.relight_batch(impulses))
+    matrix = found.reshape(RAYS, RAYS).T
+    hot = result.masked.ravel()
+    assert matrix[np.ix_(hot, ~hot)].all()
+    np.testing.assert_allclose(matrix[np.ix_(hot, ~hot)], matrix[np.ix_(~hot, hot)].T, rtol=1e-5)

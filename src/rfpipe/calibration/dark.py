@@ -20,7 +20,7 @@ Double = NDArray[np.float64]
 
 LEAST_FRAMES = 2
 MOST_HOT = 1e-3
-"""Share of hot photosites from which on a sensor is cooled, or replaced, rather than repaired."""
+"""Share of hot photosites from which on to cool a sensor, or replace it, not do without them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ def dark_findings(dark: Dark, exposures: Sequence[float], white_level: int) -> F
         )
     text = (
         f"Black level {dark.black_level:.2f} counts; {int(dark.hot.sum())} hot photosites "
-        f"({hot:.3%}), which are repaired."
+        f"({hot:.3%}), which are left out."
     )
     facts = {
         "frames": dark.count,

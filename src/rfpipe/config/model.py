@@ -134,8 +134,10 @@ class MergeConfig(Settings):
         description="Counts at or above this fraction of full scale are saturated and not used, "
         "above 0 and at most 1.",
     )
-    repair_defects: bool = Field(
-        True, description="Replace dead and hot pixels by their neighbours' median: true or false."
+    mask_defects: bool = Field(
+        True,
+        description="Leave dead and hot pixels out, with an infinite variance: true or false. On a "
+        "coaxial rig, what others see of them fills them in at the end.",
     )
     divide_out_drift: bool = Field(
         False,

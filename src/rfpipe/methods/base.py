@@ -61,7 +61,11 @@ class LevelImages(Protocol):
         """The patterns they were taken under."""
 
     def read(self, first: int, last: int) -> tuple[Float, Float]:
-        """Return radiance and variance, each float32 ``(last - first, *camera_shape, C)``."""
+        """Return radiance and variance, each float32 ``(last - first, *camera_shape, C)``.
+
+        What the camera doesn't know has a radiance of 0 and an infinite variance: it is no
+        evidence of anything. The same pixels are unknown in all images of an acquisition.
+        """
 
 
 @dataclass(frozen=True)
@@ -183,7 +187,11 @@ class Method(ABC, Generic[State]):
 
     @abstractmethod
     def transport(self, state: State) -> Transport:
-        """Return what is known of the transport so far; nodes still open at their estimate."""
+        """Return what is known of the transport so far; nodes still open at their estimate.
+
+        Rows of pixels that the images don't know may be left empty: where the rig is coaxial,
+        `rfpipe.transport.filling` takes them from their columns.
+        """
 
     @abstractmethod
     def pack(self, state: State) -> Pack:

@@ -33,6 +33,8 @@ Blocks = NDArray[np.int32]
 # Images read at a time.
 _BATCH_BYTES = 32 * 2**20
 
+_LARGEST = np.finfo(np.float32).max
+
 # What becomes of a response.
 _DROPPED, _STORED, _OPEN = 0, 1, 2
 
@@ -183,7 +185,8 @@ class Dual(Method[DualState]):
             seen = np.repeat(pattern[here] - first, count), pixel
             response = radiance[seen]
             rounding = np.finfo(np.float32).eps * response
-            noise = np.sqrt(variance[seen] + rounding * rounding)
+            # what is unknown has no response; its infinite noise must stay a number, times 0, too
+            noise = np.sqrt(np.minimum(variance[seen] + rounding * rounding, _LARGEST))
             if known is not None:
                 predicted = known.relight_batch(schedule.batch(first, last))
                 response -= predicted.reshape(planar)[seen]

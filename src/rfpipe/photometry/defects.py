@@ -1,28 +1,23 @@
-"""Hot, dead and stuck pixels: finding them in the first frames, and filling them in."""
+"""Hot, dead and stuck pixels: finding them in the first frames."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import prod
+from math import erf, log
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError, InputError
+from rfpipe.errors import CaptureError
 from rfpipe.photometry.sensor import Sensor
 
-__all__ = ["DarkFrames", "DefectMap", "Repair", "find_defects", "find_hot", "repair"]
+__all__ = ["DarkFrames", "DefectMap", "find_defects", "find_hot"]
 
-Float = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 SIGNIFICANCE = 5.0
 """Standard deviations, beyond what the largest of as many good pixels reaches."""
-
-NEIGHBOUR_RATIO = 10.0
-"""A pixel without response is dead where its neighbours respond by this many times what would
-have been seen in it."""
 
 MAD_TO_DEVIATION = 1.4826
 """Standard deviation of a Gaussian over its median absolute deviation."""
@@ -35,12 +30,12 @@ class DefectMap:
     Parameters
     ----------
     mask : ndarray of bool, shape (*camera_shape)
-        Pixels to repair: the defects and, under a colour mosaic, their neighbours, which the
-        interpolation fills from them.
+        The defects and, under a colour mosaic, their neighbours, which the interpolation fills
+        from them.
     hot : int
         Pixels with an outlying black level or noise.
     dead : int
-        Pixels that don't respond to light, stuck at any value.
+        Others that read the same whatever happens, without even noise.
     """
 
     mask: Mask
@@ -49,9 +44,9 @@ class DefectMap:
 
 
 class DarkFrames:
-    """Mean and variance of the all-off brackets, which pass by a few at a time.
+    """Mean, variance and range of the all-off brackets, which pass by a few at a time.
 
-    Both are sums in float64: of counts they are exact, whatever comes together.
+    The first two are sums in float64: of counts they are exact, whatever comes together.
 
     Attributes
     ----------
@@ -61,6 +56,8 @@ class DarkFrames:
         Theirs.
     shape : tuple of int
         (E, ...), theirs.
+    least, most : ndarray, shape (E, ...)
+        The smallest and the largest value of each sample.
     """
 
     def __init__(self) -> None:
@@ -68,6 +65,8 @@ class DarkFrames:
         self.dtype: np.dtype[Any] = np.dtype(np.float64)
         self.shape: tuple[int, ...] = ()
         self._first = self._total = self._squares = np.zeros(0)
+        self.least: NDArray[Any] = np.zeros(0)
+        self.most: NDArray[Any] = np.zeros(0)
 
     @classmethod
     def of(cls, frames: NDArray[Any]) -> DarkFrames:
@@ -83,9 +82,11 @@ class DarkFrames:
                 self.dtype, self.shape = bracket.dtype, bracket.shape
                 self._first = bracket.astype(np.float64)
                 self._total, self._squares = np.zeros(self.shape), np.zeros(self.shape)
+                self.least = self.most = bracket
             self._total += bracket
             # about the first one, so that a high black level doesn't drown its noise
             self._squares += np.square(bracket - self._first)
+            self.least, self.most = np.minimum(self.least, bracket), np.maximum(self.most, bracket)
             self.count += 1
 
     @property
@@ -125,30 +126,23 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
     Notes
     -----
     Hot: the mean of the black frames, or (with two or more) their variance, is an outlier of any
-    exposure, relative to the robust spread over pixels. Dead or stuck: in no exposure does the
-    floodlit frame differ from the black one by more than noise, while all neighbours but one
-    (of the same colour) do, by `NEIGHBOUR_RATIO` times that. So a black surface is not taken for
-    dead unless it is a pixel or two in size.
+    exposure, relative to the robust spread over pixels. Dead or stuck: all frames of an exposure,
+    the floodlit one among them, hold the same count. A pixel that merely sees no light has the
+    noise of any other and is none of these, whatever its neighbours see. Where the converter's
+    steps hide that noise a constant count says nothing, and no pixel is called dead.
     """
     if len(dark.shape) < 3 or dark.shape != floodlit_frames.shape:
         raise CaptureError(
             f"all-off frames {dark.shape} and floodlit frames {floodlit_frames.shape} don't belong "
             "together; expected both to be (exposures, ...)"
         )
-    count = dark.count
-    black = dark.mean
-    floor = _rounding(dark.dtype, floodlit_frames) / np.sqrt(count)
-    hot, noise = _hot(dark, floor)
-    signal = np.abs(floodlit_frames - black)
-    visible = _threshold(hot.size) * noise
-    response = (signal / np.maximum(visible, np.finfo(np.float64).tiny)).max(axis=0)
+    hot = _hot(dark, _rounding(dark.dtype, floodlit_frames) / np.sqrt(dark.count))
+    dead = _constant(dark, floodlit_frames)
     has_channels = len(sensor.frame_shape((2, 2), 3)) == 4
     if not has_channels:
-        hot, response = hot[..., None], response[..., None]
-    # under a mosaic, the next photosite of the same colour is two pixels away
-    dead = (response <= 1) & _alone(response > NEIGHBOUR_RATIO, 1 if has_channels else 2)
+        hot, dead = hot[..., None], dead[..., None]
     hot_pixels, dead_pixels = hot.any(axis=-1), dead.any(axis=-1)
-    mask = hot_pixels | dead_pixels
+    mask: Mask = np.asarray(hot_pixels | dead_pixels)
     if not has_channels:
         mask = _grown(mask)
     return DefectMap(mask, int(hot_pixels.sum()), int((dead_pixels & ~hot_pixels).sum()))
@@ -166,100 +160,38 @@ def find_hot(dark: DarkFrames) -> Mask:
     -------
     ndarray of bool, shape of a frame
     """
-    floor = _rounding(dark.dtype, np.zeros(1)) / np.sqrt(dark.count)
-    return _hot(dark, floor)[0]
+    return _hot(dark, _rounding(dark.dtype, np.zeros(1)) / np.sqrt(dark.count))
 
 
-def _hot(dark: DarkFrames, floor: float) -> tuple[Mask, NDArray[np.float64]]:
-    """Return the hot photosites, and each exposure's deviation of one frame, (E, ...)."""
+def _hot(dark: DarkFrames, floor: float) -> Mask:
+    """Return the hot photosites; the mean of dark frames is no more certain than `floor`."""
     count, black = dark.count, dark.mean
     variance = dark.variance if count > 1 else None
     hot = np.zeros(black.shape[1:], bool)
-    noise = np.zeros_like(black)
     for exposure, mean in enumerate(black):
         centre, deviation = _robust(mean)
-        deviation = max(deviation, floor)
-        hot |= np.abs(mean - centre) > _threshold(mean.size) * deviation
-        # one frame is noisier than the mean of all
-        noise[exposure] = deviation * np.sqrt(count)
+        hot |= np.abs(mean - centre) > _threshold(mean.size) * max(deviation, floor)
         if variance is not None:
             hot |= _noisy(variance[exposure], count - 1, floor * np.sqrt(count))
-    return hot, noise
+    return hot
 
 
-def repair(radiance: Float, variance: Float, mask: Mask) -> tuple[Float, Float]:
-    """Replace defective pixels by the median of their valid neighbours.
-
-    Parameters
-    ----------
-    radiance, variance : ndarray of float32, shape (..., *camera_shape, C)
-    mask : ndarray of bool, shape (*camera_shape)
-        True where defective.
-
-    Returns
-    -------
-    radiance, variance : ndarray of float32
-        Copies, or the inputs where nothing is masked. The variance is the neighbours' largest
-        plus the variance among them.
-
-    Raises
-    ------
-    InputError
-        When the mask doesn't fit the images.
-    CaptureError
-        When a view has no valid pixel.
-    """
-    return Repair(mask)(radiance, variance)
-
-
-class Repair:
-    """`repair` of one mask: where the neighbours are is found once; threads may share it."""
-
-    def __init__(self, mask: Mask) -> None:
-        self._mask_shape = mask.shape
-        # by the number of neighbours, so that all pixels with as many are filled in at once
-        pixels: dict[int, list[int]] = {}
-        neighbours: dict[int, list[NDArray[np.intp]]] = {}
-        for pixel in map(tuple, np.argwhere(mask)):
-            view, (y, x) = pixel[:-2], pixel[-2:]
-            rows, columns = _nearest_valid(mask[view], y, x)
-            at = (*(np.full(len(rows), part) for part in view), rows, columns)
-            pixels.setdefault(len(rows), []).append(int(np.ravel_multi_index(pixel, mask.shape)))
-            neighbours.setdefault(len(rows), []).append(np.ravel_multi_index(at, mask.shape))
-        self._windows = [
-            (np.array(pixels[count]), np.array(neighbours[count])) for count in sorted(pixels)
-        ]
-
-    def __call__(self, radiance: Float, variance: Float) -> tuple[Float, Float]:
-        """Fill in images (..., *camera_shape, C); see `repair`."""
-        shape = self._mask_shape
-        if radiance.ndim <= len(shape) or radiance.shape[-len(shape) - 1 : -1] != shape:
-            raise InputError(f"a defect mask {shape} doesn't fit images {radiance.shape}")
-        if not self._windows:
-            return radiance, variance
-        flat = (*radiance.shape[: -len(shape) - 1], prod(shape), radiance.shape[-1])
-        images, spread = radiance.copy(), variance.copy()
-        for pixels, neighbours in self._windows:
-            values = radiance.reshape(flat)[..., neighbours, :]
-            images.reshape(flat)[..., pixels, :] = np.median(values, axis=-2)
-            noise = variance.reshape(flat)[..., neighbours, :].max(axis=-2)
-            noise += values.var(axis=-2, dtype=np.float64)
-            spread.reshape(flat)[..., pixels, :] = noise
-        return images, spread
-
-
-def _nearest_valid(mask: Mask, y: int, x: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the valid pixels in the smallest square around (y, x) that holds three, or any."""
-    wanted = min(3, int(np.count_nonzero(~mask)))
-    if wanted == 0:
-        raise CaptureError("every pixel of a view is defective; check the camera and its exposures")
-    radius = 0
-    while True:
-        radius += 1
-        top, left = max(0, y - radius), max(0, x - radius)
-        rows, columns = np.nonzero(~mask[top : y + radius + 1, left : x + radius + 1])
-        if len(rows) >= wanted:
-            return rows + top, columns + left
+def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
+    """Find photosites that hold one count in all frames of each exposure, and can't by chance."""
+    constant: Mask = (dark.least == dark.most) & (floodlit_frames == dark.least)
+    # a black level at the converter's lower end cuts the noise off
+    constant &= ~((dark.least == 0) & (np.median(dark.least) == 0))
+    stuck: Mask = np.asarray(constant.all(axis=0))
+    if dark.count < 2 or dark.dtype.kind != "u":
+        return np.zeros_like(stuck)
+    chance = log(constant[0].size)
+    for variance in dark.variance:
+        # of the noise before its rounding [Sheppard 1898]
+        deviation = np.sqrt(max(float(np.median(variance)) - 1 / 12, 0.0))
+        # a good photosite holds one count most easily where its mean is just that count
+        once = erf(1 / (np.sqrt(8) * deviation)) if deviation else 1.0
+        chance += (dark.count + 1) * log(once)
+    return stuck if chance < -(SIGNIFICANCE**2) / 2 else np.zeros_like(stuck)
 
 
 def _rounding(dtype: np.dtype[Any], floodlit_frames: NDArray[Any]) -> float:
@@ -294,26 +226,6 @@ def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Mask:
     score = (np.cbrt(variance / typical) - (1 - spread)) / np.sqrt(spread)
     outlying: Mask = score > _threshold(variance.size)
     return outlying
-
-
-def _alone(responds: Mask, step: int) -> Mask:
-    """Find pixels (*camera_shape, C) all of whose neighbours respond, or all but one.
-
-    Neighbours are `step` pixels apart; at least two must exist.
-    """
-    pad = [(0, 0)] * (responds.ndim - 3) + [(step, step), (step, step), (0, 0)]
-    there = np.pad(np.ones(responds.shape, np.int8), pad)
-    padded = np.pad(responds.astype(np.int8), pad)
-    height, width = responds.shape[-3:-1]
-    responding = np.zeros(responds.shape, np.int8)
-    existing = np.zeros(responds.shape, np.int8)
-    for dy in (0, step, 2 * step):
-        for dx in (0, step, 2 * step):
-            if (dy, dx) != (step, step):
-                window = (..., slice(dy, dy + height), slice(dx, dx + width), slice(None))
-                responding += padded[window]
-                existing += there[window]
-    return np.asarray((existing >= 2) & (responding >= np.maximum(existing - 1, 2)))
 
 
 def _grown(mask: Mask) -> Mask:

@@ -65,13 +65,14 @@ def level_gain(
     significance : float
         Standard deviations by which a total must exceed its noise to be scaled, at least 0.
     floodlit_variance : ndarray of float, same shape, optional
-        Variance of `floodlit`; huge where it is saturated. None takes it for exact.
+        Variance of `floodlit`; huge where it is saturated, infinite where it is unknown. None
+        takes it for exact.
 
     Returns
     -------
     Normalization
-        Finite and bounded. Not covered: pixels where the total or the floodlit image is within
-        noise or not positive, or where the total holds less than ``1 / MAXIMUM_GAIN`` of the
+        Finite and bounded. Not covered: pixels where the total or the floodlit image is unknown,
+        within noise or not positive, or where the total holds less than ``1 / MAXIMUM_GAIN`` of the
         floodlit image.
 
     Raises
@@ -103,9 +104,14 @@ def level_gain(
             array.sum(axis=-1, keepdims=True)
             for array in (wanted, floodlit_variance, total, total_variance)
         )
+    known = np.isfinite(floodlit_variance) & np.isfinite(total_variance)
+    floodlit_noise, total_noise = (
+        np.sqrt(np.where(known, variance, 0)) for variance in (floodlit_variance, total_variance)
+    )
     covered = (
-        (total > significance * np.sqrt(total_variance))
-        & (floodlit > significance * np.sqrt(floodlit_variance))
+        known
+        & (total > significance * total_noise)
+        & (floodlit > significance * floodlit_noise)
         & (total > floodlit / MAXIMUM_GAIN)
     )
     gain = np.divide(wanted, total, out=np.ones_like(wanted), where=covered)

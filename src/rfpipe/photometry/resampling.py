@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain, ray_shape
+from rfpipe.blocks import ray_shape
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.demosaic import demosaic_matrices
@@ -121,8 +121,7 @@ class Resampling:
         Returns
         -------
         Resampling
-            Each ray's other pixels take over. A ray that has none left is the mean of its
-            neighbours that have.
+            Each ray's other pixels take over. A ray that has none left is not seen.
 
         Raises
         ------
@@ -137,10 +136,8 @@ class Resampling:
             )
         kept = csr_array(self.matrix @ diags_array((~pixels.ravel()).astype(np.float32)))
         kept.eliminate_zeros()
-        lost = self.seen.ravel() & (np.asarray(kept.sum(axis=1)) < LEAST_LEFT)
-        if lost.any():
-            kept = csr_array(diags_array((~lost).astype(np.float32)) @ kept)
-            kept = csr_array(kept + _neighbours_of(lost.reshape(self.shape)) @ kept)
+        enough = np.asarray(kept.sum(axis=1)) >= LEAST_LEFT
+        kept = csr_array(diags_array(enough.astype(np.float32)) @ kept)
         return replace(self, matrix=normalised(kept))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
@@ -380,21 +377,3 @@ def sensor_from_description(
             f"described (digest {description['resampling']}): they are of another calibration"
         )
     return ResampledSensor(camera, resampling)
-
-
-def _neighbours_of(lost: NDArray[np.bool_]) -> csr_array[Any]:
-    """Return rows with a 1 at the neighbours in the view of each lost ray, in its row."""
-    from scipy.sparse import csr_array
-
-    stack = _, height, width = RayDomain(lost.shape).stack_shape
-    index = np.arange(lost.size).reshape(stack)
-    views, rows, columns = np.nonzero(lost.reshape(stack))
-    source, target = [], []
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            y, x = rows + dy, columns + dx
-            inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-            target.append(index[views, rows, columns][inside])
-            source.append(index[views[inside], y[inside], x[inside]])
-    at = np.concatenate(target), np.concatenate(source)
-    return csr_array((np.ones(len(at[0]), RADIANCE), at), shape=(lost.size, lost.size))

@@ -22,10 +22,12 @@ from rfpipe.stages.merging.images import (
     ImagesInMemory,
     NormalizedImages,
     known_light,
+    masked_rays,
     normalize_level,
 )
 from rfpipe.stages.merging.merger import LevelSum, Merger, reference_patterns, runs
 from rfpipe.transport import Transport
+from rfpipe.transport.filling import fill_from_transpose
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -46,6 +48,8 @@ class AcquisitionResult:
         Wall time inside the rig, and of everything else.
     saturated : int
         Samples that were saturated in every exposure; 0 in a well exposed acquisition.
+    masked : ndarray of bool, shape (*camera_shape)
+        Camera rays that were left out, since they are dead or hot.
     """
 
     transport: Transport
@@ -53,6 +57,7 @@ class AcquisitionResult:
     capture_seconds: float
     processing_seconds: float
     saturated: int
+    masked: NDArray[np.bool_]
 
     @property
     def levels(self) -> pd.DataFrame:
@@ -78,7 +83,7 @@ def acquire(
     normalization: Mode = "per_channel",
     black_frames: int = 8,
     floodlit_frames: int = 64,
-    repair_defects: bool = True,
+    mask_defects: bool = True,
     saturation_fraction: float = 0.98,
     **options: Any,
 ) -> AcquisitionResult:
@@ -100,8 +105,9 @@ def acquire(
     floodlit_frames : int
         All-on brackets to whose mean each level's images are scaled; at least 1. Exact radiance
         takes one.
-    repair_defects : bool
-        Whether dead and hot pixels are filled in from their neighbours.
+    mask_defects : bool
+        Whether dead and hot pixels are left out. On a coaxial rig, what other pixels see of their
+        light fills them in at the end; otherwise their rows of T are zero.
     saturation_fraction : float
         Counts from this fraction of full scale on are not used.
     **options
@@ -136,7 +142,7 @@ def acquire(
         progress,
         (1, 1) if isinstance(rig.sensor, ExactSensor) else (black_frames, floodlit_frames),
         saturation_fraction=saturation_fraction,
-        repair_defects=repair_defects,
+        mask_defects=mask_defects,
     )
     shown = 0
     for _ in range(n_levels):
@@ -154,10 +160,11 @@ def acquire(
         state = chosen.refine(state, NormalizedImages(schedule, merged, gain))
         if progress:
             log_estimate(state.rows, getattr(asked, "target_error", None))
-    transport = chosen.transport(state)
+    masked = masked_rays(session.merger.floodlit_variance)
+    transport = fill_from_transpose(chosen.transport(state), masked)
     processing = perf_counter() - began - session.capture_seconds
     return AcquisitionResult(
-        transport, shown, session.capture_seconds, processing, session.saturated
+        transport, shown, session.capture_seconds, processing, session.saturated, masked
     )
 
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rfpipe.provenance import fingerprint, versions
+from rfpipe.stages.merging.images import masked_rays
+from rfpipe.stages.merging.references import CALIBRATION, read_floodlit
 from rfpipe.stages.plan import AcquisitionFolder, Plan, restore_state
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
+from rfpipe.transport.filling import fill_from_transpose
 from rfpipe.units import RADIANCE_UNIT, NumberFormat
 
 __all__ = ["run"]
@@ -43,11 +48,14 @@ def run(
         {
             "plan": plan.describe(),
             "refine": refined,
+            "calibration": folder.read_manifest(0, "merge")[CALIBRATION]["digest"],
             "number_format": number_format,
             "code": code,
         }
     )
-    transport = plan.method.transport(restore_state(plan, folder, n_levels))
+    masked = masked_rays(read_floodlit(folder)[1])
+    state = restore_state(plan, folder, n_levels)
+    transport = fill_from_transpose(plan.method.transport(state), masked)
     about: dict[str, Any] = {"scene": scene, "method": plan.name, "fingerprint": made_from}
     store = manifest.with_suffix(".zarr")
     digest = save_transport(transport, store, number_format, **about)
@@ -64,6 +72,7 @@ def run(
             "levels": transport.level_rows,
             "patterns": sum(int(row["patterns"]) for row in transport.level_rows),
             "options": plan.options.options(),
+            "masked": int(np.count_nonzero(masked)),
             "versions": versions(),
         },
     )

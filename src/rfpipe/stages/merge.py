@@ -53,7 +53,7 @@ def run(
     level: int,
     *,
     saturation_fraction: float,
-    repair_defects: bool,
+    mask_defects: bool,
     code: str,
     divide_out_drift: bool = False,
     keep_raw: bool = True,
@@ -70,8 +70,8 @@ def run(
         Level 0 also learns the black level, the defects and the floodlit image.
     saturation_fraction : float
         Counts from this fraction of full scale on are not used.
-    repair_defects : bool
-        Whether dead and hot pixels are filled in from their neighbours.
+    mask_defects : bool
+        Whether dead and hot pixels are left out: of infinite variance in every image.
     code : str
         Fingerprint of the code behind the stage.
     divide_out_drift : bool
@@ -97,7 +97,7 @@ def run(
     settings: dict[str, Any] = {
         "sensor": sensor.describe(),
         "saturation_fraction": saturation_fraction,
-        "repair_defects": repair_defects,
+        "mask_defects": mask_defects,
     }
     calibration: dict[str, Any]
     if level == 0:

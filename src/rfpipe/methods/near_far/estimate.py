@@ -30,6 +30,10 @@ class Held:
     lit: NDArray[np.bool_]
     radiance: Float
 
+    def at(self, pixels: NDArray[np.bool_]) -> Held:
+        """Return what some pixels (N,) show."""
+        return Held(self.lit[:, pixels], self.radiance[..., pixels])
+
 
 @dataclass(frozen=True)
 class Estimate:

@@ -27,7 +27,7 @@ from rfpipe.methods.near_far.patterns import (
     held_out_twice,
     probe_patterns,
 )
-from rfpipe.methods.near_far.pictures import Pictures
+from rfpipe.methods.near_far.pictures import Pictures, completed
 from rfpipe.methods.near_far.transport import as_transport, indirect, light_range
 from rfpipe.methods.rivals.signs import planar_batches
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
@@ -199,7 +199,8 @@ class NearFar(Method[NearFarState]):
         if level == 0:
             nothing = np.zeros((0, *radiance.shape[1:]), np.float32)
             dark = np.zeros((0, state.domain.size), np.bool_)
-            pictures = Pictures(radiance[0], variance[0], dark, nothing, nothing)
+            floodlit = completed(state.domain.shape, radiance[0], variance[0])
+            pictures = Pictures(floodlit, variance[0], dark, nothing, nothing)
             return replace(
                 state, level=1, pictures=pictures, rows=(_row(0, 1, scalar=state.domain.size),)
             )
@@ -229,10 +230,12 @@ class NearFar(Method[NearFarState]):
         if state.symmetric is not None and not _model_is_better(state):
             hierarchy = Symmetric().transport(state.symmetric)
             return SumTransport([hierarchy], rows, [len(ROUNDS)])
-        if state.pictures is None:
+        pictures = state.pictures
+        if pictures is None:
             dark = np.zeros((state.channels, state.domain.size), np.float32)
-            return as_transport(state.domain.shape, rows, None, dark)
-        return as_transport(state.domain.shape, rows, state.model, state.pictures.floodlit)
+            nothing = dark[None][:0]
+            pictures = Pictures(dark, dark, nothing[:, 0] > 0, nothing, nothing)
+        return as_transport(state.domain.shape, rows, state.model, pictures)
 
     def pack(self, state: NearFarState) -> Pack:
         """Return the last level's pictures, the model, and what symmetric photography found."""
@@ -365,7 +368,8 @@ def _estimate(pictures: Pictures, model: Model, held: Held) -> Estimate:
     light = np.concatenate([held.lit, np.ones_like(held.lit[:1])]).astype(np.float32)
     bounced = indirect(model, pictures.floodlit, light)
     predicted = light[:-1, None] * (pictures.floodlit - bounced[-1]) + bounced[:-1]
-    return estimate(predicted, held)
+    known = pictures.known
+    return estimate(predicted[..., known], held.at(known))
 
 
 def _taken_over(state: NearFarState) -> SymmetricState:
@@ -392,7 +396,9 @@ def _model_is_better(state: NearFarState) -> bool:
     if state.symmetric is None or state.symmetric.level < state.symmetric.tree.n_levels:
         return False
     assert state.held is not None
+    assert state.pictures is not None
+    known = state.pictures.known
     patterns = state.held.lit.reshape(-1, *state.domain.shape).astype(np.float32)
     relit = Symmetric().transport(state.symmetric).relight_batch(patterns)
     planar = np.moveaxis(relit.reshape(len(patterns), -1, state.channels), -1, 1)
-    return state.estimates[-1].error < estimate(planar, state.held).error
+    return state.estimates[-1].error < estimate(planar[..., known], state.held.at(known)).error

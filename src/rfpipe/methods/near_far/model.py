@@ -104,7 +104,7 @@ def _wanting(
     wrong : ndarray of float32, shape (M, N)
         Radiance less what the model predicts.
     """
-    dark = ~pictures.lit
+    dark = pictures.known & ~pictures.lit
     views, down, across = cells(shape, scale)
     height, width = RayDomain(shape).image_shape
     row, column = np.arange(height) // scale, np.arange(width) // scale

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float
 
-__all__ = ["SIGNIFICANT", "Pictures"]
+__all__ = ["SIGNIFICANT", "Pictures", "completed"]
 
 SIGNIFICANT = 3.0
 """What exceeds noise by so many standard deviations is light."""
@@ -22,6 +22,7 @@ class Pictures:
     Attributes
     ----------
     floodlit, floodlit_variance : ndarray of float32, shape (C, N)
+        The variance is infinite where a pixel is unknown: no fit, test or estimate looks at it.
     lit : ndarray of bool, shape (M, N)
         The patterns.
     radiance, variance : ndarray of float32, shape (M, C, N)
@@ -38,10 +39,16 @@ class Pictures:
         """Colour channels."""
         return len(self.floodlit)
 
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Pixels that the pictures show, (N,)."""
+        return np.asarray(np.isfinite(self.floodlit_variance).all(axis=0))
+
     def shine(self) -> bool:
         """Tell whether the floodlit image as a whole is brighter than its noise."""
-        light = float(self.floodlit.sum(dtype=np.float64))
-        noise = float(np.sqrt(self.floodlit_variance.sum(dtype=np.float64)))
+        known = self.known
+        light = float(self.floodlit[:, known].sum(dtype=np.float64))
+        noise = float(np.sqrt(self.floodlit_variance[:, known].sum(dtype=np.float64)))
         return light > SIGNIFICANT * noise
 
     def extended(self, lit: NDArray[np.bool_], radiance: Float, variance: Float) -> Pictures:
@@ -74,3 +81,21 @@ class Pictures:
             self.radiance.sum(axis=1, keepdims=True),
             self.variance.sum(axis=1, keepdims=True),
         )
+
+
+def completed(shape: tuple[int, ...], floodlit: Float, variance: Float) -> Float:
+    """Return a floodlit image (C, N) whose unknown pixels are as bright as the nearest known one.
+
+    The model takes from it how much light a ray sends; a pixel that nobody sees still lights
+    others.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    unknown = np.isinf(variance).any(axis=0)
+    if not unknown.any():
+        return floodlit
+    nearest = distance_transform_edt(
+        unknown.reshape(shape), return_distances=False, return_indices=True
+    )
+    image: Float = floodlit[:, np.ravel_multi_index(tuple(nearest), shape).ravel()]
+    return image

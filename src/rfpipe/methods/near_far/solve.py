@@ -75,7 +75,9 @@ class Observations:
         pattern = pictures.lit.T.astype(np.float32)
         patches = _patches(basis)
         pixels: Float = np.diff(patches.indptr).astype(np.float32)
-        spread = pictures.variance[:, 0].T + pattern * pictures.floodlit_variance[0][:, None]
+        known = pictures.known
+        direct = np.where(known, pictures.floodlit_variance[0], 0)  # else 0 times infinity
+        spread = pictures.variance[:, 0].T + pattern * direct[:, None]
         spread = spread + np.square(share * factor)[:, None]
         certainty = np.divide(1, spread, where=spread > 0, out=np.zeros_like(spread))
         weight = certainty * np.square(factor)[:, None]
@@ -86,7 +88,7 @@ class Observations:
         light = np.concatenate([pattern, np.ones_like(pattern[:, :1])], axis=1) * factor[:, None]
         seen = pictures.radiance[:, 0].T * dark
         mean = float(factor.mean(dtype=np.float64))
-        pixels_dark = max(float(dark.sum(dtype=np.float64)), 1.0)
+        pixels_dark = max(float(dark[known].sum(dtype=np.float64)), 1.0)
         level = 2 * float(seen.sum(dtype=np.float64)) / pixels_dark
         return cls(
             basis,

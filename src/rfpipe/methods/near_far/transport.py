@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
 from rfpipe.methods.near_far.model import Model
+from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multiscale.basis import coarsest_scale
 from rfpipe.transport.multiscale.transport import MultiscaleTransport, bounced
@@ -77,9 +78,11 @@ def light_range(shape: tuple[int, ...], model: Model, floodlit: Float) -> LightR
 
 
 def as_transport(
-    shape: tuple[int, ...], rows: list[dict[str, Any]], model: Model | None, floodlit: Float
+    shape: tuple[int, ...], rows: list[dict[str, Any]], model: Model | None, pictures: Pictures
 ) -> SumTransport:
     """Return direct light, and near-range and far-range light where there is any, as a sum.
+
+    The direct light of pixels that the pictures don't show stays dark.
 
     Parameters
     ----------
@@ -88,13 +91,13 @@ def as_transport(
         The table of levels; the model is known from the last one on that was fitted.
     model : Model or None
         None before there is one: all light counts as direct.
-    floodlit : ndarray of float32, shape (C, N)
+    pictures : Pictures
     """
-    channels = len(floodlit)
+    floodlit, channels, known = pictures.floodlit, pictures.channels, pictures.known
     if model is None:
-        return SumTransport([_direct(shape, floodlit)], rows)
+        return SumTransport([_direct(shape, floodlit * known)], rows)
     everything = np.ones((1, floodlit.shape[1]), np.float32)
-    direct = _direct(shape, floodlit - indirect(model, floodlit, everything)[0])
+    direct = _direct(shape, (floodlit - indirect(model, floodlit, everything)[0]) * known)
     basis = model.basis
     coarser = np.maximum(basis.scales[basis.first], basis.scales[basis.second])
     near = coarser * _NEAR < coarsest_scale(shape)

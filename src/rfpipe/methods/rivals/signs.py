@@ -63,7 +63,8 @@ def rounding(radiance: Float) -> Float:
 
 
 def trimmed_mean(variance: Float) -> NDArray[np.float64]:
-    """Average over the last axis, without the largest few values."""
+    """Average over the last axis, without pixels that are infinite and the largest few values."""
+    variance = variance[..., np.isfinite(variance).all(axis=tuple(range(variance.ndim - 1)))]
     kept = ceil(_TRIMMED * variance.shape[-1])
     smallest = np.partition(variance, kept - 1, axis=-1)[..., :kept]
     mean: NDArray[np.float64] = smallest.mean(axis=-1, dtype=np.float64)

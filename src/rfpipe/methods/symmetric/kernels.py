@@ -10,6 +10,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from rfpipe.methods.symmetric.unknown_kernels import unknown_difference
+
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
 # Median of the square of a normal deviate.
 _MEDIAN_SQUARE = 0.4549364
@@ -103,7 +105,8 @@ def _shares(piece, energy, first_child, last_child, child_starts, shares):  # ty
 @numba.njit(cache=True, parallel=True)
 def rank_test(  # type: ignore[no-untyped-def]
     children, child_starts, block_a, block_b, offset_a, offset_b, pieces, energy, piece_variance,
-    first_pair, pair_a, pair_b, pair_offset_a, pair_offset_b, values, spread, ssd, noise, squares,
+    first_pair, pair_a, pair_b, pair_offset_a, pair_offset_b, values, spread, unknown, ssd, noise,
+    squares,
 ):  # fmt: skip
     """Predict the pieces of each node's children from its factors, and compare.
 
@@ -126,6 +129,8 @@ def rank_test(  # type: ignore[no-untyped-def]
         The children and their pieces, as in `collect_pieces`.
     spread : float64 (C, 2, pairs)
         Summed variance of the children's pieces.
+    unknown : int64 (k,)
+        Tree positions of pixels that don't count, ascending.
     ssd, noise : float64 (C, n)
         Written: summed squared differences, and what noise alone would make of them.
     squares : float64 (C, 2, n)
@@ -153,19 +158,19 @@ def rank_test(  # type: ignore[no-untyped-def]
                 i, j = pair_a[pair], pair_b[pair]
                 begin, end = child_starts[i] - start_a, child_starts[i + 1] - start_a
                 at = pair_offset_a[pair]
-                total += _squared_difference(
-                    values[c, at : at + end - begin], factor_a[begin:end],
-                    np.float32(shares_b[j - children[b]]),
-                )  # fmt: skip
+                measured, factor = values[c, at : at + end - begin], factor_a[begin:end]
+                share = np.float32(shares_b[j - children[b]])
+                total += _squared_difference(measured, factor, share)
+                total -= unknown_difference(unknown, child_starts[i], measured, factor, share)
                 expected += spread[c, 0, pair]
                 if i == j:
                     continue
                 begin, end = child_starts[j] - start_b, child_starts[j + 1] - start_b
                 at = pair_offset_b[pair]
-                total += _squared_difference(
-                    values[c, at : at + end - begin], factor_b[begin:end],
-                    np.float32(shares_a[i - children[a]]),
-                )  # fmt: skip
+                measured, factor = values[c, at : at + end - begin], factor_b[begin:end]
+                share = np.float32(shares_a[i - children[a]])
+                total += _squared_difference(measured, factor, share)
+                total -= unknown_difference(unknown, child_starts[j], measured, factor, share)
                 expected += spread[c, 1, pair]
             ssd[c, n] = total
             noise[c, n] = expected

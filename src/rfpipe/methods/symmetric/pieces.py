@@ -44,6 +44,11 @@ class Pieces:
         Residual radiance; the variance includes the rounding of the images to float32.
     sums, spread : ndarray of float64, shape (C, 2, n)
         Sums of the two pieces, and their variances.
+    doubt : ndarray of float64, shape (C, 2, n)
+        The same variances, with what is not known of unknown pixels.
+    unknown : ndarray of int64, shape (k,)
+        Tree positions of pixels that the images don't know, ascending. Their values are what the
+        other piece of the pair and their neighbours say, with a variance of 0; no test counts them.
     """
 
     block_a: Blocks
@@ -54,6 +59,8 @@ class Pieces:
     variances: Float
     sums: Double
     spread: Double
+    doubt: Double
+    unknown: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.block_a)
@@ -102,21 +109,25 @@ def collect(
         Memory to work in; the pieces don't depend on it.
     """
     from rfpipe.methods.symmetric import kernels
+    from rfpipe.methods.symmetric.unknown_kernels import complete_pieces
 
     schedule = images.schedule
     starts = tree.starts[schedule.level]
     offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
     values = np.zeros((channels, n_values), np.float32)
     variances = np.zeros_like(values)
+    unknown = np.zeros(tree.domain.size, np.bool_)
     pattern_of_block = schedule.pattern_of_block(tree)
     image_bytes = channels * tree.domain.size * np.dtype(np.float32).itemsize * _IMAGE_COPIES
     batch = min(max(1, memory_bytes // (_BATCH_SHARE * image_bytes)), _MOST_AT_A_TIME)
     for first in range(0, schedule.count, batch):
         last = min(first + batch, schedule.count)
         radiance, variance = (_planar(part, tree, channels) for part in images.read(first, last))
+        unknown |= np.isinf(variance[0]).any(axis=0)
         rounding = np.finfo(np.float32).eps * radiance
         variance += rounding * rounding
         radiance -= predict(tree, known, schedule.level, pattern_of_block, first, last, channels)
+        radiance[..., unknown], variance[..., unknown] = 0, 0
         kernels.collect_pieces(
             starts, block_a, block_b, offset_a, offset_b, pattern_of_block, first, radiance,
             variance, values, variances,
@@ -125,7 +136,15 @@ def collect(
     spread = np.empty_like(sums)
     for part, total in ((values, sums), (variances, spread)):
         kernels.sum_pieces(starts, block_a, block_b, offset_a, offset_b, part, total)
-    return Pieces(block_a, block_b, offset_a, offset_b, values, variances, sums, spread)
+    positions, doubt = np.flatnonzero(unknown), spread
+    if len(positions):
+        doubt = spread.copy()
+        complete_pieces(
+            starts, block_a, block_b, offset_a, offset_b, positions, values, sums, spread, doubt
+        )
+    return Pieces(
+        block_a, block_b, offset_a, offset_b, values, variances, sums, spread, doubt, positions
+    )
 
 
 def _planar(image: Float, tree: BlockTree, channels: int) -> Float:

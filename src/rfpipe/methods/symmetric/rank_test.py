@@ -130,7 +130,7 @@ def rank_test(
         tree.child_starts[level], tree.starts[level + 1], nodes.block_a, nodes.block_b,
         offset_a, offset_b, nodes.pieces, nodes.energy, nodes.variance, first_pair,
         pieces.block_a, pieces.block_b, pieces.offset_a, pieces.offset_b, pieces.values,
-        pieces.spread, ssd, noise, squares,
+        pieces.spread, pieces.unknown, ssd, noise, squares,
     )  # fmt: skip
     samples = compared_pixels(tree, level, nodes)
     children = np.diff(tree.child_starts[level])
@@ -216,7 +216,7 @@ def classify(
 
     energy = np.empty((len(pieces.values), len(chosen)))
     kernels.weigh_pairs(
-        pieces.block_a, pieces.block_b, pieces.sums, pieces.spread, chosen, wrong, node,
+        pieces.block_a, pieces.block_b, pieces.sums, pieces.doubt, chosen, wrong, node,
         limits.significant, energy,
     )  # fmt: skip
     full: NDArray[np.bool_] = np.any(energy, axis=0)

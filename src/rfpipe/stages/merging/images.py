@@ -49,6 +49,11 @@ class NormalizedImages:
         return apply(*self.merged.read(first, last), self.normalization)
 
 
+def masked_rays(floodlit_variance: Float) -> NDArray[np.bool_]:
+    """Return the camera rays that no image knows, (*camera_shape), of a variance with channels."""
+    return np.asarray(np.isinf(floodlit_variance).any(axis=-1))
+
+
 def known_light(method: Method[Any], state: Any, schedule: Schedule) -> Float | None:
     """Predict the light of the rays that a level no longer lights.
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.checks import check_floodlit, warn_if_dim
-from rfpipe.photometry.defects import DarkFrames, DefectMap, Repair, find_defects
+from rfpipe.photometry.defects import DarkFrames, DefectMap, find_defects
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
 from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY
@@ -90,7 +90,7 @@ class Merger:
         Mean of the all-off brackets, subtracted before the merge (thesis B.2).
     options : MergeOptions
     defects : DefectMap or None
-        Pixels to fill in from their neighbours; None where that is not wanted.
+        The camera's pixels to leave out; None where that is not wanted.
     floodlit : ndarray of float32, shape (*camera_shape, C)
         Radiance under the all-on pattern, the mean of several brackets: the images of each level
         are made to add up to it, so that its noise is the noise of the direct light.
@@ -112,7 +112,7 @@ class Merger:
         black_frames: Iterable[Frames],
         floodlit_frames: Iterable[Frames],
         saturation_fraction: float = 0.98,
-        repair_defects: bool = True,
+        mask_defects: bool = True,
     ) -> Merger:
         """Learn black level and defects from the first brackets of an acquisition.
 
@@ -125,15 +125,15 @@ class Merger:
             Brackets of the all-on pattern, likewise.
         saturation_fraction : float
             Counts from this fraction of full scale on are not used.
-        repair_defects : bool
+        mask_defects : bool
             Whether to look for dead and hot pixels. Exact radiance has none.
 
         Raises
         ------
         CaptureError
             If a camera sees no light under the all-on pattern, or less than under the all-off
-            one, or if more than a hundredth of the floodlit image is saturated at every
-            exposure. Exact radiance may be zero.
+            one, if more than a hundredth of the floodlit image is saturated at every exposure, or
+            if every pixel is defective. Exact radiance may be zero.
         """
         dark = DarkFrames()
         for frames in black_frames:
@@ -143,8 +143,9 @@ class Merger:
         first = next(batches)
         is_camera = not isinstance(sensor, ExactSensor)
         defects = None
-        if repair_defects and is_camera:
+        if mask_defects and is_camera:
             defects = find_defects(dark, first[0], sensor)
+            _check_defects(defects)
         nothing = np.zeros(0, np.float32)
         merger = cls(sensor, dark.mean.astype(np.float32), options, defects, nothing, nothing)
         total: LevelSum | None = None
@@ -159,8 +160,10 @@ class Merger:
         assert total is not None
         _check_saturation(saturated / samples, sensor)
         if is_camera:
-            check_floodlit(total.radiance, total.variance)
-            warn_if_dim(total.radiance / count, total.variance / count)
+            known = np.isfinite(total.variance)
+            radiance, variance = total.radiance[known], total.variance[known]
+            check_floodlit(radiance, variance)
+            warn_if_dim(radiance / count, variance / count)
         return replace(
             merger,
             floodlit=(total.radiance / count).astype(np.float32),
@@ -168,35 +171,49 @@ class Merger:
         )
 
     def merge(self, frames: Frames, first_index: int) -> Merged:
-        """Merge brackets ``(B, E, ...)``, the first of them that of pattern `first_index`."""
+        """Merge brackets ``(B, E, ...)``, the first of them that of pattern `first_index`.
+
+        What the camera doesn't know has a radiance of 0 and an infinite variance.
+        """
         merged = self._merge_bracket(frames, first_index)
-        if self._repair is None:
-            return merged
-        radiance, variance = self._repair(merged.radiance, merged.variance)
-        return Merged(radiance, variance, merged.saturated)
+        if self._masked is not None:
+            merged.radiance[:, self._masked] = 0
+            merged.variance[:, self._masked] = np.inf
+        return merged
 
     @cached_property
     def _merge_bracket(self) -> BracketMerge:
-        sensor = self.sensor
-        if self._has_defects and isinstance(sensor, ResampledSensor):
-            assert self.defects is not None
-            sensor = sensor.without(self.defects.mask)
-        return sensor.merging(self.black, self.options)
-
-    @property
-    def _has_defects(self) -> bool:
-        return self.defects is not None and bool(self.defects.mask.any())
+        return self._trusted.merging(self.black, self.options)
 
     @cached_property
-    def _repair(self) -> Repair | None:
-        # rays take nothing from defective pixels of a camera behind a resampling
-        if (
-            self.defects is None
-            or not self._has_defects
-            or isinstance(self.sensor, ResampledSensor)
-        ):
+    def _trusted(self) -> Sensor:
+        """The sensor, whose rays take nothing from a camera's defective pixels."""
+        if self.defects is None or not isinstance(self.sensor, ResampledSensor):
+            return self.sensor
+        return self.sensor.without(self.defects.mask)
+
+    @cached_property
+    def _masked(self) -> NDArray[np.bool_] | None:
+        """Where images are unknown: at defective pixels, or at rays that see none but those."""
+        if self.defects is None or not self.defects.mask.any():
             return None
-        return Repair(self.defects.mask)
+        if not isinstance(self.sensor, ResampledSensor):
+            return self.defects.mask
+        assert isinstance(self._trusted, ResampledSensor)
+        return self.sensor.resampling.seen & ~self._trusted.resampling.seen
+
+
+def _check_defects(defects: DefectMap) -> None:
+    if defects.mask.all():
+        raise CaptureError(
+            f"all {defects.mask.size} camera pixels are dead or hot; check the camera and its "
+            "exposures, or set merge.mask_defects to false"
+        )
+    if defects.mask.any():
+        _log.warning(
+            "%d hot and %d dead pixels: %d camera pixels are left out of all images",
+            defects.hot, defects.dead, np.count_nonzero(defects.mask),
+        )  # fmt: skip
 
 
 def _check_saturation(share: float, sensor: Sensor) -> None:

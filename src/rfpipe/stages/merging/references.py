@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from math import prod
 from typing import Any
@@ -27,8 +26,6 @@ Float = NDArray[np.float32]
 CALIBRATION = "calibration"
 """Their store, and their key in the merge's manifest of level 0."""
 
-_log = logging.getLogger(__name__)
-
 
 def calibrate(
     sensor: Sensor,
@@ -44,7 +41,7 @@ def calibrate(
     sensor : Sensor
     folder : AcquisitionFolder
     settings : dict
-        Plain data: "saturation_fraction", "repair_defects" and the sensor's description.
+        Plain data: "saturation_fraction", "mask_defects" and the sensor's description.
     code : str
         Fingerprint of the code behind the stage.
     resources : Resources
@@ -112,7 +109,7 @@ def _learn(
                 read(0, off),
                 read(off, off + on),
                 settings["saturation_fraction"],
-                settings["repair_defects"],
+                settings["mask_defects"],
             )
 
 
@@ -127,11 +124,6 @@ def _write(
     if merger.defects is not None:
         arrays["defects"] = merger.defects.mask
         counted = counted | {"hot": merger.defects.hot, "dead": merger.defects.dead}
-        if merger.defects.hot or merger.defects.dead:
-            _log.warning(
-                "%d hot and %d dead pixels are filled in from their neighbours",
-                merger.defects.hot, merger.defects.dead,
-            )  # fmt: skip
     attributes = {"fingerprint": made_from, "made_of": made_of, "counted": counted}
     write_arrays(store, arrays, attributes)
 

@@ -1,0 +1,186 @@
+"""Dead and hot pixels in every method: left out, and filled in from the transpose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.helpers import dense
+
+from rfpipe import OperatorRig, acquire
+from rfpipe.config import CameraConfig
+from rfpipe.methods.rivals.signs import trimmed_mean
+from rfpipe.photometry.normalize import level_gain
+from rfpipe.rigs import Rig
+from rfpipe.scenes.reference import reference_scene
+from rfpipe.stages.acquire import AcquisitionResult
+from rfpipe.stages.evaluating.metrics import relative_rms
+
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
+SIDE = 12
+SHAPE = (SIDE, SIDE)
+HOT, DEAD = [(3, 4), (8, 11)], [(3, 8), (10, 7)]
+BAD = np.zeros(SHAPE, np.bool_)
+BAD[tuple(np.transpose(HOT + DEAD))] = True
+ROWS = ("brute_force", "hadamard", "dual", "compressive")
+SYMMETRIC = ("symmetric", "near_far", "low_rank")
+
+
+@dataclass
+class BadPixels:
+    """A rig whose camera has pixels that are stuck: hot ones high, dead ones at its black level."""
+
+    rig: Rig
+    hot: list[tuple[int, int]]
+    dead: list[tuple[int, int]]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rig, name)
+
+    def capture(self, patterns: Any, keys: Any) -> Any:
+        frames = self.rig.capture(patterns, keys)
+        for pixels, count in ((self.hot, 3000), (self.dead, 65)):
+            for row, column in pixels:
+                frames[..., row, column, :] = count
+        return frames
+
+
+def matrix_iv() -> np.ndarray:
+    return reference_scene("IV", SHAPE, channels=1).dense().astype(np.float64)
+
+
+def rig_of(matrix: np.ndarray) -> OperatorRig:
+    return OperatorRig(matrix, SHAPE, SHAPE, CameraConfig())
+
+
+def pictures(transport: Any) -> np.ndarray:
+    """Pictures under half of the rays at random, an edge of light, and full light."""
+    patterns = np.random.default_rng(2).integers(0, 2, (6, *SHAPE)).astype(np.float32)
+    patterns[4, :, : SIDE // 2], patterns[4, :, SIDE // 2 :] = 1, 0
+    patterns[5] = 1
+    return transport.relight_batch(patterns)[..., 0]
+
+
+def error(result: AcquisitionResult, matrix: np.ndarray) -> float:
+    """Mean error of pictures on the pixels that aren't bad."""
+    truth = OperatorTruth(matrix)
+    return float(
+        np.mean(
+            [
+                relative_rms(relit[~BAD], true[~BAD])
+                for relit, true in zip(pictures(result.transport), pictures(truth), strict=True)
+            ]
+        )
+    )
+
+
+@dataclass
+class OperatorTruth:
+    matrix: np.ndarray
+
+    def relight_batch(self, patterns: np.ndarray) -> np.ndarray:
+        return (patterns.reshape(len(patterns), -1) @ self.matrix.T).reshape(-1, *SHAPE, 1)
+
+
+@pytest.mark.parametrize("method", [*ROWS, *SYMMETRIC])
+def test_defects_stay_local_and_are_filled_in(method: str) -> None:
+    matrix = matrix_iv()
+    good = acquire(rig_of(matrix), method, progress=False)
+    bad = acquire(BadPixels(rig_of(matrix), HOT, DEAD), method, progress=False)
+    assert not good.masked.any()
+    np.testing.assert_array_equal(bad.masked, BAD)
+    assert bad.patterns <= 1.5 * good.patterns  # near_far shows one more round of its rounds
+    assert error(bad, matrix) < 1.25 * error(good, matrix)
+    found, mask = dense(bad.transport)[0], BAD.ravel()
+    assert np.isfinite(found).all()
+    rows, columns = found[np.ix_(mask, ~mask)], found[np.ix_(~mask, mask)].T
+    np.testing.assert_allclose(rows, columns, atol=1e-6 * np.abs(found).max())
+    if method != "low_rank":  # which has no column to take them from
+        assert 0.5 < rows.sum() / matrix[np.ix_(mask, ~mask)].sum() < 2
+    # what nobody has seen is not made up
+    assert np.diag(found)[mask].max() < 0.01 * np.median(np.diag(matrix))
+    assert np.isfinite(bad.history["estimated_error"]).all()
+
+
+@pytest.mark.parametrize(("method", "factor"), [("brute_force", 1.01), ("symmetric", 4)])
+def test_rows_are_as_good_as_the_columns_of_a_good_camera(method: str, factor: float) -> None:
+    matrix, mask = matrix_iv(), BAD.ravel()
+    part = np.ix_(~mask, mask)
+    good, bad = (
+        dense(acquire(rig, method, progress=False).transport)[0]
+        for rig in (rig_of(matrix), BadPixels(rig_of(matrix), HOT, DEAD))
+    )
+    limit = factor * relative_rms(good[part], matrix[part])
+    assert relative_rms(bad[part], matrix[part]) < limit
+    assert relative_rms(bad.T[part], matrix[part]) < limit
+
+
+@pytest.mark.parametrize("method", ["dual", "symmetric"])
+def test_pixels_that_see_empty_space_are_left_as_they_are(method: str) -> None:
+    matrix = matrix_iv()
+    empty = np.ravel_multi_index(np.transpose([(5, 5), (9, 2), (9, 3)]), SHAPE)
+    matrix[empty] = matrix[:, empty] = 0
+    found = acquire(rig_of(matrix), method, progress=False)
+    assert not found.masked.any()
+    plain = acquire(rig_of(matrix), method, progress=False, mask_defects=False)
+    np.testing.assert_array_equal(pictures(found.transport), pictures(plain.transport))
+
+
+def test_a_rig_that_is_not_coaxial_has_nothing_to_fill_in_from() -> None:
+    matrix = matrix_iv()[:, np.random.default_rng(0).permutation(SIDE**2)]
+    result = acquire(BadPixels(rig_of(matrix), HOT, DEAD), "brute_force", progress=False)
+    found = dense(result.transport)[0]
+    assert not found[BAD.ravel()].any()
+    assert relative_rms(found[~BAD.ravel()], matrix[~BAD.ravel()]) < 0.01
+
+
+def test_a_mosaic_hides_the_neighbours_of_a_hot_photosite() -> None:
+    scene = reference_scene("IV", (8, 8), channels=3)
+    matrix = np.stack([scene.dense(channel) for channel in range(3)])
+    rig = OperatorRig(matrix, (8, 8), (8, 8), CameraConfig(bayer="RGGB"))
+
+    class HotPhotosite(BadPixels):
+        def capture(self, patterns: Any, keys: Any) -> Any:
+            frames = self.rig.capture(patterns, keys)
+            frames[..., 5, 6] = 3000
+            return frames
+
+    result = acquire(HotPhotosite(rig, [], []), "symmetric", progress=False)
+    assert result.masked.sum() == 9
+    assert np.isfinite(dense(result.transport)).all()
+
+
+def test_no_significance_asked_of_unknown_pixels_gives_none() -> None:
+    matrix = matrix_iv()
+    rig = BadPixels(rig_of(matrix), HOT, DEAD)
+    for method in ("dual", "symmetric"):
+        result = acquire(rig, method, progress=False, noise_significance=0.0)
+        assert np.isfinite(dense(result.transport)).all()
+    one = np.ones((2, 2, 1))
+    unknown = one.copy()
+    unknown[0, 0] = np.inf
+    gain = level_gain(one, 2 * one, unknown, "per_channel", True, 0.0, unknown)
+    assert gain.gain.ravel().tolist() == [1, 0.5, 0.5, 0.5]
+    assert gain.covered.ravel().tolist() == [False, True, True, True]
+
+
+def test_the_noise_of_a_picture_is_that_of_its_known_pixels() -> None:
+    variance = np.ones((2, 3, 50), np.float32)
+    variance[..., :30] = np.inf
+    variance[..., 30] = 1e6  # saturated
+    np.testing.assert_array_equal(trimmed_mean(variance[..., 31:]), np.ones((2, 3)))
+    assert np.isfinite(trimmed_mean(variance)).all()
+
+
+def test_a_whole_corner_may_be_unknown() -> None:
+    matrix = matrix_iv()
+    corner = [(row, column) for row in range(4) for column in range(4)]
+    result = acquire(BadPixels(rig_of(matrix), corner, []), "symmetric", progress=False)
+    assert result.masked.sum() == 16
+    mask = result.masked.ravel()
+    found = dense(result.transport)[0]
+    assert np.isfinite(found).all()
+    assert relative_rms(found[~mask][:, ~mask], matrix[~mask][:, ~mask]) < 0.02
