@@ -5,8 +5,11 @@ decide on the patterns of a level (schedule), the rig shows them (capture), brac
 (merge) that adds up to the floodlit image (normalize), and the method learns from it (refine). The
 transport is assembled from all levels, relit, compared with the truth and reported.
 
-Every stage leaves a store and, written last, a small manifest beside it. The rules know the
-manifests only: a store is journaled, so that a stage that was stopped goes on where it stopped.
+An acquisition is one job, since a level is little work beside a job's start, and how many levels
+have patterns to show turns out on the way. Each of its stages leaves a store and, written last, a
+small manifest beside it, in results/{scene}/{method}/L{level}. Stores know what they were made
+from: a job that was stopped goes on where it stopped, and one that runs again does only what
+changed settings or code change.
 """
 
 from pathlib import Path
@@ -23,12 +26,7 @@ if not workflow.overwrite_configfiles:
 
 
 include: "workflow/rules/common.smk"
-include: "workflow/rules/schedule.smk"
-include: f"workflow/rules/capture_{SETTINGS.capture.rule}.smk"
-include: "workflow/rules/merge.smk"
-include: "workflow/rules/normalize.smk"
-include: "workflow/rules/refine.smk"
-include: "workflow/rules/assemble.smk"
+include: f"workflow/rules/acquire_{SETTINGS.capture.rule}.smk"
 include: "workflow/rules/relight.smk"
 include: "workflow/rules/report.smk"
 include: "workflow/rules/calibrate.smk"

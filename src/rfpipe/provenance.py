@@ -5,6 +5,9 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
+import re
+from collections.abc import Collection, Iterator
+from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,11 +17,29 @@ import numpy as np
 
 from rfpipe.errors import InputError
 
-__all__ = ["code_fingerprint", "fingerprint", "generator", "versions"]
+__all__ = [
+    "code_fingerprint",
+    "fingerprint",
+    "generator",
+    "import_fingerprint",
+    "imported_sources",
+    "versions",
+]
 
 _DIGEST_BYTES = 16  # blake2b-128: short enough for a manifest, no accidental collisions
 _WORD = 2**32  # numpy's SeedSequence mixes 32-bit words
 _RECORDED_PACKAGES = ("numba", "numpy", "rfpipe", "rustworkx", "scipy", "zarr")
+
+# Imports begin a line, as formatters leave them: parsing all sources would take seconds.
+_IMPORT = re.compile(
+    r"^[ \t]*(?:from[ \t]+([.\w]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n#]+)|import[ \t]+([^\n#]+))",
+    re.MULTILINE,
+)
+_FOR_TYPES_ALONE = re.compile(
+    r"^([ \t]*)if (?:\w+\.)?TYPE_CHECKING:[^\n]*\n(?:\1[ \t]+[^\n]*\n|[ \t]*\n)+", re.MULTILINE
+)
+_IMPORTS_BY_NAME = "import_module("
+_DOTTED_NAME = re.compile(r"""["'](\w+(?:\.\w+)+)["']""")
 
 
 def fingerprint(value: object) -> str:
@@ -81,6 +102,74 @@ def code_fingerprint(*module_names: str) -> str:
         digest.update(f"{file_name}:{len(content)}:".encode())
         digest.update(content)
     return digest.hexdigest()
+
+
+def import_fingerprint(
+    *roots: str, choosing: Collection[str] = (), without: Collection[str] = ()
+) -> str:
+    """Digest of the Python sources of modules and of all that they import.
+
+    Parameters and errors are those of `imported_sources`.
+
+    Returns
+    -------
+    str
+        32 hexadecimal digits (blake2b-128); the order of the roots doesn't matter.
+    """
+    sources = imported_sources(*roots, choosing=choosing, without=without)
+    return fingerprint({name: _scanned(path)[0] for name, path in sources.items()})
+
+
+def imported_sources(
+    *roots: str, choosing: Collection[str] = (), without: Collection[str] = ()
+) -> dict[str, Path]:
+    """Find the sources of modules and of all that they import, without importing any.
+
+    Imports inside functions count, those for type checkers alone don't. Followed are the modules
+    of rfpipe and of the roots' own packages. A module that calls ``import_module`` reaches each
+    module that one of its strings names.
+
+    Parameters
+    ----------
+    roots
+        Dotted names of modules, or paths of Python files (``*.py``).
+    choosing
+        Modules of which what they import by name isn't followed, since one of many is chosen: a
+        registry. Give the choice as a root.
+    without
+        Modules that neither count nor are followed.
+
+    Returns
+    -------
+    dict of str to Path
+        Python files by dotted name, sorted; those of files given by their path by file name.
+
+    Raises
+    ------
+    InputError
+        When a root is no module with Python sources.
+    """
+    found: dict[str, Path] = {}
+    to_follow: list[tuple[str, Path]] = []
+    for root in roots:
+        path = Path(root) if root.endswith(".py") else _module_file(root)
+        if path is None or not path.is_file():
+            raise InputError(f"{root!r} is no module with Python sources; expected rfpipe.<module>")
+        to_follow.append((path.name if root.endswith(".py") else root, path))
+    followed = {"rfpipe", *(root.partition(".")[0] for root in roots if not root.endswith(".py"))}
+    while to_follow:
+        name, path = to_follow.pop()
+        if name in found or name in without:
+            continue
+        found[name] = path
+        _, imports, by_name = _scanned(path)
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        names = [_absolute(imported, package) for imported in imports]
+        names += () if name in choosing else by_name
+        for part in [*_prefixes(name), *(part for full in names for part in _prefixes(full))]:
+            if part.partition(".")[0] in followed and (source := _module_file(part)):
+                to_follow.append((part, source))
+    return dict(sorted(found.items()))
 
 
 def versions() -> dict[str, str]:
@@ -183,3 +272,70 @@ def _sources(module_name: str) -> dict[str, Path]:
             if files:
                 return {f"{top}/{path.relative_to(root).as_posix()}": path for path in files}
     raise InputError(f"{module_name!r} is no package of Python sources; expected rfpipe.<module>")
+
+
+def _scanned(path: Path) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    """Digest of a source, the names it imports and those it may import by name."""
+    status = path.stat()
+    return _scan(path, status.st_mtime_ns, status.st_size)
+
+
+@cache
+def _scan(path: Path, *_status: int) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
+    content = path.read_bytes()
+    text = content.decode(errors="replace")
+    by_name = tuple(_DOTTED_NAME.findall(text)) if _IMPORTS_BY_NAME in text else ()
+    text = _FOR_TYPES_ALONE.sub("", text.replace("\\\n", " "))
+    return _digest(content), tuple(_imports(text)), by_name
+
+
+def _imports(text: str) -> Iterator[str]:
+    """Yield what a source imports, a name imported from a module as if it were a module itself."""
+    for home, names, modules in _IMPORT.findall(text):
+        for item in re.sub(r"#.*|[()]", "", names or modules).split(","):
+            name = item.split()[0] if item.strip() else ""
+            if name:
+                yield (home if home.endswith(".") else f"{home}.") + name if home else name
+
+
+def _absolute(name: str, package: str) -> str:
+    """Name of what a module of a package imports, maybe relative to it."""
+    stripped = name.lstrip(".")
+    up = len(name) - len(stripped)
+    return ".".join([*package.split(".")[: 1 - up or None], stripped]) if up else name
+
+
+def _prefixes(name: str) -> Iterator[str]:
+    """Yield a module's packages, outermost first, and the module."""
+    parts = name.split(".")
+    for end in range(1, len(parts) + 1):
+        yield ".".join(parts[:end])
+
+
+@cache
+def _top_level(name: str) -> tuple[tuple[Path, ...], Path | None]:
+    """Folders of a top-level package, or the file of a module, found without importing it."""
+    spec = find_spec(name)
+    if spec is None:
+        return (), None
+    if spec.submodule_search_locations is not None:
+        return tuple(map(Path, spec.submodule_search_locations)), None
+    return (), Path(spec.origin) if spec.has_location and spec.origin else None
+
+
+@cache
+def _module_file(name: str) -> Path | None:
+    """Python file of a module or package, None where there is none."""
+    top, *rest = name.split(".")
+    try:
+        folders, file = _top_level(top)
+    except ValueError:  # such as __main__
+        return None
+    if file is not None:
+        return file if not rest and file.suffix == ".py" else None
+    for folder in folders:
+        target = folder.joinpath(*rest)
+        for path in (target.with_suffix(".py") if rest else None, target / "__init__.py"):
+            if path is not None and path.is_file():
+                return path
+    return None

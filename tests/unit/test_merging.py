@@ -17,7 +17,8 @@ from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
 from rfpipe.stages.jobs.workers import Resources, Workers
 from rfpipe.stages.merging import merger as merging
-from rfpipe.stages.merging.merger import LevelSum, Merger, reference_patterns, runs
+from rfpipe.stages.capturing.shown import reference_patterns
+from rfpipe.stages.merging.merger import LevelSum, Merger, runs
 
 CAMERA = CameraModel()
 IMAGE = (11, 13, 3)

@@ -41,6 +41,6 @@ if SETTINGS.rig_file is not None:
             "../envs/rfpipe.yaml"
         params:
             settings=plain(RIG.calibrate),
-            code=code_fingerprint("rfpipe.report"),
+            code=stage_code("report.calibration"),
         script:
             "../scripts/calibrate.py"

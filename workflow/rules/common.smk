@@ -1,8 +1,9 @@
 # What the rules share: the checked settings, and functions that give each rule its part of them.
 
 from rfpipe.config import load_config, parse_config
-from rfpipe.provenance import code_fingerprint
+from rfpipe.methods import method_names
 from rfpipe.stages.evaluating.sweep import is_swept
+from rfpipe.stages.jobs.code import acquisition_code, method_module, stage_code
 from rfpipe.stages.jobs.notify import notify
 from rfpipe.stages.plan import Plan, plan_of
 
@@ -10,41 +11,10 @@ if len(workflow.configfiles) == 1:
     load_config(workflow.configfiles[0])  # finds keys that stand twice, too
 SETTINGS = parse_config(config, "the configuration")
 
-# The code that shapes a stage's result. Captures aren't among them: what a rig took is never
-# thrown away by an edit of the code.
-CODE = {
-    "schedule": ["blocks", "conflicts", "methods", "patterns", "transport"],
-    "merge": [
-        "photometry",
-        "stages.merging.references",
-        "stages.merging.merger",
-        "stages.capturing.sensors",
-    ],
-    "normalize": ["methods", "photometry", "stages.merging.images", "transport"],
-    "refine": ["blocks", "methods", "photometry", "stages.merging.images", "transport"],
-    "assemble": ["blocks", "methods", "transport"],
-}
-
-
-EVALUATING = ("sweep", "studies", "evaluate")
-
 
 wildcard_constraints:
     scene="|".join(SETTINGS.scenes),
     method="|".join(sorted({method for _, method in SETTINGS.acquisitions})),
-    level=r"\d\d",
-
-
-def stage_code(stage):
-    """Fingerprint of a stage's code: Snakemake sees no change inside the library."""
-    modules = [
-        *CODE[stage],
-        "stages.plan",
-        "stages.results",
-        f"stages.evaluating.{stage}" if stage in EVALUATING else f"stages.{stage}",
-        "store",
-    ]
-    return code_fingerprint(*(f"rfpipe.{module}" for module in modules))
 
 
 def plain(settings):
@@ -65,11 +35,19 @@ SHAPING = SETTINGS.model_dump(
 
 # How any rig captures a level.
 CAPTURE = {
+    "references": [SETTINGS.capture.black_frames, SETTINGS.capture.floodlit_frames],
     "batch_patterns": SETTINGS.capture.batch_patterns,
     "drift_patterns": SETTINGS.capture.drift_patterns,
     "keep_raw": SETTINGS.capture.keep_raw,
     "warm_up_minutes": SETTINGS.capture.warm_up_minutes,
     "when_patterns_change": SETTINGS.capture.when_patterns_change,
+}
+
+# What the other stages of an acquisition do.
+STAGES = {
+    "merge_options": {**plain(SETTINGS.merge), "keep_raw": SETTINGS.capture.keep_raw},
+    "normalization": SETTINGS.normalization,
+    "number_format": SETTINGS.storage.number_format,
 }
 
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
@@ -91,24 +69,9 @@ def plan(wildcards):
     return plan_of(SETTINGS, wildcards.scene, wildcards.method)
 
 
-def n_levels(wildcards):
-    return Plan(**plan(wildcards)).n_levels
-
-
-def refined_above(wildcards):
-    """What the levels above a level found."""
-    folder = f"results/{wildcards.scene}/{wildcards.method}"
-    return [
-        f"{folder}/L{above:02d}/refine.json" for above in range(int(wildcards.level))
-    ]
-
-
-def refined(wildcards):
-    """What all levels found."""
-    folder = f"results/{wildcards.scene}/{wildcards.method}"
-    return [
-        f"{folder}/L{level:02d}/refine.json" for level in range(n_levels(wildcards))
-    ]
+def stages_code(wildcards):
+    """Fingerprints of the code: Snakemake sees no change inside the library."""
+    return acquisition_code(method_module(plan(wildcards)["method"]))
 
 
 def every_acquisition(name):
@@ -127,24 +90,8 @@ def every_sweep(name):
     ]
 
 
-def calibration(wildcards):
-    """The merge of level 0, on which those of the other levels build."""
-    above = f"results/{wildcards.scene}/{wildcards.method}/L00/merge.json"
-    return [] if wildcards.level == "00" else [above]
-
-
-def references(wildcards):
-    """All-off and all-on brackets to take: with level 0, none with the others."""
-    capture = SETTINGS.capture
-    return (
-        [capture.black_frames, capture.floodlit_frames]
-        if wildcards.level == "00"
-        else [0, 0]
-    )
-
-
 def expected(wildcards):
-    """Patterns that all levels may take, for level 0 to estimate the disk space."""
+    """Patterns that an acquisition may take, to estimate the disk space."""
     about = Plan(**plan(wildcards))
     return about.method.expected_patterns(about.camera, about.projector, about.options)
 
@@ -158,6 +105,17 @@ def sweep_settings(wildcards):
         "methods": {wildcards.method: plain(section)},
         "report": {"trials": SHAPING["report"]["trials"]},
     }
+
+
+def sweep_code(wildcards):
+    """Fingerprint of the code of a method's sweep."""
+    method = method_module(plan(wildcards)["method"])
+    return stage_code("stages.evaluating.sweep", method)
+
+
+def study_code(wildcards):
+    """Fingerprint of the code of the studies, which compare methods."""
+    return stage_code("stages.evaluating.studies", *map(method_module, method_names()))
 
 
 def study_settings(wildcards):

@@ -1,22 +1,3 @@
-CODE |= {
-    "relight": ["scenes", "stages.evaluating.slices", "transport"],
-    "sweep": [
-        "blocks",
-        "conflicts",
-        "methods",
-        "patterns",
-        "photometry",
-        "rigs",
-        "scenes",
-        "stages.acquire",
-        "stages.merging.images",
-        "stages.merging.merger",
-        "stages.settings",
-        "transport",
-    ],
-}
-
-
 rule relight:
     """The transport under the reference patterns, beside what is true of the scene."""
     input:
@@ -29,9 +10,11 @@ rule relight:
         "results/{scene}/{method}/relight.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
+    resources:
+        mem_mib=MEMORY_MIB,
     params:
         scene=scene_settings,
-        code=stage_code("relight"),
+        code=stage_code("stages.relight"),
     script:
         "../scripts/relight.py"
 
@@ -46,8 +29,10 @@ rule sweep:
         "results/{scene}/{method}/sweep.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
+    resources:
+        mem_mib=MEMORY_MIB,
     params:
         settings=sweep_settings,
-        code=stage_code("sweep"),
+        code=sweep_code,
     script:
         "../scripts/sweep.py"

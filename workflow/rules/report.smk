@@ -2,11 +2,6 @@ import rfpipe
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.studies import STUDIES
 
-CODE |= {
-    "studies": [*CODE["sweep"], "stages.evaluating.metrics"],
-    "evaluate": ["stages.evaluating.metrics"],
-}
-
 # Simulated scenes on which the methods are compared: no part of what a rig's report is about.
 SHOWN_STUDIES = STUDIES if SETTINGS.capture.rig == "simulated" else []
 
@@ -25,9 +20,11 @@ rule studies:
         study="|".join(STUDIES),
     conda:
         "../envs/rfpipe.yaml"
+    resources:
+        mem_mib=MEMORY_MIB,
     params:
         settings=study_settings,
-        code=stage_code("studies"),
+        code=study_code,
     script:
         "../scripts/studies.py"
 
@@ -53,7 +50,7 @@ rule evaluate:
         "../envs/rfpipe.yaml"
     params:
         seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
-        code=stage_code("evaluate"),
+        code=stage_code("stages.evaluating.evaluate"),
     script:
         "../scripts/evaluate.py"
 
@@ -75,9 +72,11 @@ rule report:
         "results/report/report.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
+    resources:
+        mem_mib=MEMORY_MIB,
     params:
         settings=SHAPING,
-        code=code_fingerprint("rfpipe.report"),
+        code=stage_code("report"),
         template=fingerprint(PAGE_TEMPLATE.read_text(encoding="utf-8")),
     script:
         "../scripts/report.py"

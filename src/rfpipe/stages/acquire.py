@@ -17,6 +17,7 @@ from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
 from rfpipe.rigs import Rig
+from rfpipe.stages.capturing.shown import reference_patterns
 from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.stages.merging.images import (
     ImagesInMemory,
@@ -25,7 +26,7 @@ from rfpipe.stages.merging.images import (
     masked_rays,
     normalize_level,
 )
-from rfpipe.stages.merging.merger import LevelSum, Merger, reference_patterns, runs
+from rfpipe.stages.merging.merger import LevelSum, Merger, runs
 from rfpipe.transport import Transport
 from rfpipe.transport.filling import fill_from_transpose
 

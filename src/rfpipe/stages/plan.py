@@ -59,6 +59,7 @@ class Plan:
         self.projector = RayDomain(tuple(projector_shape))
         self.channels = channels
         self.options = options_of(self.method, **(options or {}))
+        self._carried: tuple[int, Any] | None = None
 
     @classmethod
     def of(cls, settings: Config, scene: str, name: str) -> Plan:
@@ -74,6 +75,14 @@ class Plan:
     def target_error(self) -> float | None:
         """The error at which the method is to stop, if it is one that stops at an error."""
         return getattr(self.options, "target_error", None)
+
+    def carry(self, level: int, state: Any) -> None:
+        """Keep the method's state before a level for `restore_state`; None for one to restore."""
+        self._carried = None if state is None else (level, state)
+
+    def carried(self, level: int) -> Any:
+        """Return the state before a level if it is kept, else None."""
+        return self._carried[1] if self._carried and self._carried[0] == level else None
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints."""
@@ -186,13 +195,15 @@ def _check_digest(path: Path, found: str, expected: dict[str, Any]) -> None:
 
 
 def restore_state(plan: Plan, folder: AcquisitionFolder, level: int) -> Any:
-    """Return the method's state before a level, from what the levels above it left.
+    """Return the method's state before a level: carried from the one above, or what all left.
 
     Raises
     ------
     StoreError, IntegrityError
         When a level's refinement is missing or damaged.
     """
+    if (carried := plan.carried(level)) is not None:
+        return carried
     packs = []
     for above in range(level):
         bundle = folder.bundle(above, "refine")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.stages.jobs.workers import Resources
@@ -22,7 +24,7 @@ def run(
     level: int,
     code: str,
     resources: Resources | None = None,
-) -> None:
+) -> Any:
     """Refine the method's state by a level's images; write what the level added.
 
     Parameters
@@ -34,6 +36,11 @@ def run(
         Fingerprint of the code behind the stage.
     resources : Resources, optional
         What the stage may use; by default one thread and 4 GiB.
+
+    Returns
+    -------
+    State or None
+        The method's state after the level; None where what the level added stands there already.
     """
     resources = resources or Resources()
     store, manifest = folder.store(level, "refine"), folder.manifest(level, "refine")
@@ -49,7 +56,7 @@ def run(
         }
     )
     if accept_bundle(store, manifest, made_from):
-        return
+        return None
     state = restore_state(plan, folder, level)
     with merged_frames(folder, level) as merged:
         images = NormalizedImages(
@@ -66,3 +73,4 @@ def run(
         "units": RADIANCE_UNIT,
     }
     write_bundle(store, manifest, made_from, pack.arrays, facts, state=dict(pack.attributes))
+    return state

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
+from rfpipe.stages.capturing.shown import Keys
 from rfpipe.stages.jobs.progress import Progress
-from rfpipe.stages.merging.merger import Keys
 from rfpipe.store import FrameStore
 
 __all__ = ["Brackets", "Watch"]

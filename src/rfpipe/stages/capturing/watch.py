@@ -15,7 +15,8 @@ from rfpipe.rigs import DRIFT_KEY
 from rfpipe.stages.aside import settle
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.drift import DRIFT, item_count, item_due, look
-from rfpipe.stages.merging.merger import Keys, Merger
+from rfpipe.stages.capturing.shown import Keys
+from rfpipe.stages.merging.merger import Merger
 from rfpipe.stages.merging.references import read_merger
 from rfpipe.stages.plan import AcquisitionFolder
 from rfpipe.store import FrameStore

@@ -6,12 +6,14 @@ import logging
 import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType, TracebackType
 
 from rfpipe.errors import RfpipeError
 
-__all__ = ["start"]
+__all__ = ["stage_log", "start"]
 
 _log = logging.getLogger("rfpipe")
 
@@ -31,10 +33,9 @@ def start(log_file: str) -> None:
     os.environ.setdefault("NUMBA_NUM_THREADS", os.environ.get("OMP_NUM_THREADS", "1"))
     path = Path(log_file)
     path.parent.mkdir(parents=True, exist_ok=True)
-    to_file = logging.FileHandler(path, mode="w")
-    to_file.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    to_file = _file(path, "w")
     to_terminal = logging.StreamHandler()
-    to_terminal.setFormatter(_Brief("/".join(path.with_suffix("").parts[-4:])))
+    to_terminal.setFormatter(_Brief(path))
     _log.setLevel(logging.INFO)
     _log.handlers = [to_file, to_terminal]
     _log.propagate = False
@@ -44,11 +45,37 @@ def start(log_file: str) -> None:
     signal.signal(signal.SIGTERM, _interrupt)
 
 
-class _Brief(logging.Formatter):
-    """The message alone, after the job's name; tracebacks are for the file."""
+@contextmanager
+def stage_log(path: Path) -> Iterator[None]:
+    """Also log to a stage's own file, after what is there, and under its name on stderr.
 
-    def __init__(self, job: str) -> None:
-        super().__init__(f"{job}: %(message)s")
+    Where the stage fails it stays so: the job ends, and what it says belongs there.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    to_file = _file(path, "a")
+    named = {handler: handler.formatter for handler in _log.handlers}
+    for handler, formatter in named.items():
+        if isinstance(formatter, _Brief):
+            handler.setFormatter(_Brief(path))
+    _log.addHandler(to_file)
+    yield
+    _log.removeHandler(to_file)
+    to_file.close()
+    for handler, formatter in named.items():
+        handler.setFormatter(formatter)
+
+
+def _file(path: Path, mode: str) -> logging.FileHandler:
+    handler = logging.FileHandler(path, mode=mode)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    return handler
+
+
+class _Brief(logging.Formatter):
+    """The message alone, after the name of the job or stage; tracebacks are for the file."""
+
+    def __init__(self, log_file: Path) -> None:
+        super().__init__(f"{'/'.join(log_file.with_suffix('').parts[-4:])}: %(message)s")
 
     def format(self, record: logging.LogRecord) -> str:
         brief = logging.makeLogRecord({**record.__dict__, "exc_info": None, "exc_text": None})

@@ -18,12 +18,10 @@ from rfpipe.photometry.checks import check_floodlit, warn_if_dim
 from rfpipe.photometry.defects import DarkFrames, DefectMap, find_defects
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
-from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY
 from rfpipe.units import RADIANCE
 
 Frames = NDArray[Any]
 Double = NDArray[np.float64]
-Keys = list[tuple[int, ...]]
 
 # A file of merged images; two images of 62 x 70 RGB rays make 100 kB.
 _CHUNK_BYTES = 2 * 2**20
@@ -229,20 +227,3 @@ def _check_saturation(share: float, sensor: Sensor) -> None:
             "pixels are clipped",
             100 * share,
         )
-
-
-def reference_patterns(
-    projector_shape: tuple[int, ...], black_frames: int, first: int, last: int
-) -> tuple[NDArray[np.float32], Keys]:
-    """Return some of the patterns that an acquisition begins with, and their keys for the rig.
-
-    They are `black_frames` times all off, then all on: what `Merger.calibrate` learns from.
-    """
-    indices = range(first, last)
-    patterns = np.zeros((len(indices), *projector_shape), np.float32)
-    patterns[max(0, black_frames - first) :] = 1
-    keys: Keys = [
-        (BLACK_LEVEL_KEY, index) if index < black_frames else (FLOODLIT_KEY, index - black_frames)
-        for index in indices
-    ]
-    return patterns, keys

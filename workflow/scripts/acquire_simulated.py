@@ -1,11 +1,14 @@
+from functools import partial
+from pathlib import Path
+
 from rfpipe.config import CameraConfig, SceneConfig
 from rfpipe.photometry import sensor_from_config
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes.reference import scene_from_config
-from rfpipe.stages import capture
+from rfpipe.stages import capture, levels
 from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder
+from rfpipe.stages.plan import AcquisitionFolder, Plan
 
 params = snakemake.params
 start(snakemake.log[0])
@@ -17,12 +20,18 @@ rig = SimulatedRig(
     params.seconds_per_pattern,
     resources.threads,
 )
-capture.run(
-    rig,
-    AcquisitionFolder.of_manifest(snakemake.output[0]),
-    int(snakemake.wildcards.level),
-    references=tuple(params.references),
-    expected_patterns=params.expected_patterns,
-    **params.capture,
+levels.run(
+    Plan(**params.plan),
+    AcquisitionFolder(Path(snakemake.output[0]).parent),
+    snakemake.wildcards.scene,
+    partial(
+        capture.run,
+        rig,
+        **params.capture,
+        expected_patterns=params.expected_patterns,
+        resources=resources.here,
+    ),
+    **params.stages,
+    code=params.code,
     resources=resources,
 )

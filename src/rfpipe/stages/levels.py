@@ -1,0 +1,114 @@
+"""A whole acquisition on files: stage after stage, level after level, in one job.
+
+Each stage leaves its store and manifest, log and time in the level's folder, as if it ran alone. A
+stage whose store was made from the same things checks it and keeps it, so that a job that was
+stopped goes on where it stopped, and one that runs again for changed settings or code does only
+what they change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from rfpipe.photometry.normalize import Mode
+from rfpipe.stages import assemble, merge, normalize, refine, schedule
+from rfpipe.stages.capturing.sensors import read_sensor
+from rfpipe.stages.jobs.job import stage_log
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.store import StoreLock
+from rfpipe.units import NumberFormat
+
+__all__ = ["run"]
+
+
+def run(
+    plan: Plan,
+    folder: AcquisitionFolder,
+    scene: str,
+    capture: Callable[[AcquisitionFolder, int], None],
+    *,
+    code: Mapping[str, str],
+    merge_options: Mapping[str, Any],
+    normalization: Mode,
+    number_format: NumberFormat,
+    resources: Resources,
+) -> None:
+    """Acquire a scene by a method, or what is missing of it; ``transport.json`` comes last.
+
+    Parameters
+    ----------
+    plan : Plan
+    folder : AcquisitionFolder
+    scene : str
+        Name, kept with the transport.
+    capture : callable
+        ``capture(folder, level)`` is the stage `rfpipe.stages.capture.run` or
+        `rfpipe.stages.hardware.run` with its rig and options.
+    code : mapping of str to str
+        As `rfpipe.stages.jobs.code.acquisition_code`.
+    merge_options : mapping
+        Keyword arguments of `rfpipe.stages.merge.run`.
+    normalization : {"none", "per_channel", "total_energy"}
+    number_format : {"float32", "uint16", "uint8"}
+        Of the stored transport.
+    resources : Resources
+
+    Raises
+    ------
+    LockedError
+        When another process works on the same acquisition, such as a job that outlived a
+        workflow that was killed.
+    RfpipeError
+        As the stages; what is done is kept.
+    """
+
+    def refined(level: int) -> None:
+        plan.carry(level + 1, refine.run(plan, folder, level, code["refine"], resources))
+
+    stages: dict[str, Callable[[int], None]] = {
+        "schedule": lambda level: schedule.run(plan, folder, level, code["schedule"]),
+        "capture": lambda level: capture(folder, level),
+        "merge": lambda level: merge.run(
+            read_sensor(folder), folder, level,
+            **merge_options, code=code["merge"], resources=resources,
+        ),
+        "normalize": lambda level: normalize.run(
+            plan, folder, level, mode=normalization, code=code["normalize"]
+        ),
+        "refine": refined,
+    }  # fmt: skip
+    with StoreLock(folder.path):
+        for level in range(plan.n_levels):
+            for name, stage in stages.items():
+                with _stage(folder.manifest(level, name)):
+                    stage(level)
+        manifest = folder.path / "transport.json"
+        with _stage(manifest):
+            assemble.run(plan, folder, manifest, scene, number_format, code["assemble"])
+
+
+@contextmanager
+def _stage(manifest: Path) -> Iterator[None]:
+    """Keep a stage's log beside its manifest, and its seconds where it did any work."""
+    store = manifest.with_suffix(".zarr")
+    before, began = _stamp(store), perf_counter()
+    manifest.unlink(missing_ok=True)
+    with stage_log(manifest.with_suffix(".log")):
+        yield
+    if _stamp(store) != before:
+        times = manifest.with_suffix(".benchmark.tsv")
+        times.write_text(f"s\n{perf_counter() - began:.4f}\n", encoding="ascii")
+
+
+def _stamp(store: Path) -> tuple[int, int] | None:
+    """Return what changes when files of a store are written or the store is replaced."""
+    try:
+        status = store.stat()
+    except FileNotFoundError:
+        return None
+    return status.st_ino, status.st_mtime_ns

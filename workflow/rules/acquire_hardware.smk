@@ -1,0 +1,31 @@
+rule acquire_hardware:
+    """A scene's transport, from patterns shown by the rig behind an acquisition server.
+
+    One acquisition at a time has the rig. What it does between two levels' captures takes a
+    twentieth of their time (docs/performance.md).
+    """
+    output:
+        "results/{scene}/{method}/transport.json",
+    log:
+        "results/{scene}/{method}/acquire.log",
+    benchmark:
+        "results/{scene}/{method}/acquire.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        rig=1,
+        mem_mib=MEMORY_MIB,
+        cluster=SETTINGS.resources.cluster or "",
+        # where the rig is, and how long to wait for it, shapes no result
+        rig_url=SETTINGS.capture.url,
+        rig_token_file=SETTINGS.capture.token_file or "",
+        rig_patience=str(SETTINGS.capture.patience_seconds),
+    params:
+        plan=plan,
+        stages=STAGES,
+        capture=CAPTURE,
+        expected_patterns=expected,
+        code=stages_code,
+    script:
+        "../scripts/acquire_hardware.py"

@@ -1,0 +1,26 @@
+rule acquire_simulated:
+    """A scene's transport, from patterns shown to a simulated rig, level by level."""
+    output:
+        "results/{scene}/{method}/transport.json",
+    log:
+        "results/{scene}/{method}/acquire.log",
+    benchmark:
+        "results/{scene}/{method}/acquire.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        mem_mib=MEMORY_MIB,
+        cluster=SETTINGS.resources.cluster or "",
+    params:
+        plan=plan,
+        stages=STAGES,
+        capture=CAPTURE,
+        expected_patterns=expected,
+        code=stages_code,
+        scene=scene_settings,
+        camera=SETTINGS.camera and plain(SETTINGS.camera),
+        seed=SETTINGS.seed,
+        seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
+    script:
+        "../scripts/acquire_simulated.py"
