@@ -12,7 +12,7 @@ resources = Resources.of_job(snakemake)
 plan = Plan(**params.plan)
 levels.run(
     plan,
-    AcquisitionFolder(Path(snakemake.output[0]).parent),
+    AcquisitionFolder(Path(snakemake.output[0]).parent, believing=True),
     snakemake.wildcards.scene,
     partial(
         hardware.run,

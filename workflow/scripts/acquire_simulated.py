@@ -22,7 +22,7 @@ rig = SimulatedRig(
 )
 levels.run(
     Plan(**params.plan),
-    AcquisitionFolder(Path(snakemake.output[0]).parent),
+    AcquisitionFolder(Path(snakemake.output[0]).parent, believing=True),
     snakemake.wildcards.scene,
     partial(
         capture.run,

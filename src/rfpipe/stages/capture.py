@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from math import prod
 from typing import Any, Literal
 
@@ -20,6 +21,7 @@ from rfpipe.stages.capturing.warm_up import seconds_since_capture, warm_up
 from rfpipe.stages.capturing.watch import watch_of
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import REFERENCE, AcquisitionFolder
+from rfpipe.stages.results import standing_manifest
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import bytes_on_disk, write_manifest
 from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
@@ -27,6 +29,8 @@ from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
 __all__ = ["frame_settings", "run"]
 
 _TIME = "seconds_per_pattern"
+
+_log = logging.getLogger(__name__)
 
 
 def run(
@@ -100,6 +104,9 @@ def run(
         parts.insert(
             0, Brackets(rig, path, "reference brackets", sum(counts), of_rig, of_references)
         )
+    if folder.believing and _stands(folder, level, parts):
+        _log.info("%s: all %d patterns are captured", of_level.name, schedule.count)
+        return
     for part in parts:
         settle(part.path, part.made_for, part.shown, when_patterns_change)
     to_capture = sum(part.count_missing() for part in parts)
@@ -136,6 +143,13 @@ def run(
             **beside,
         },
     )
+
+
+def _stands(folder: AcquisitionFolder, level: int, parts: list[Brackets]) -> bool:
+    """Whether the level's manifest stands there and is about these brackets."""
+    stated = standing_manifest(folder.manifest(level, "capture"), parts[-1].made_for)
+    of_rig = (stated or {}).get(REFERENCE, {}).get("fingerprint")
+    return stated is not None and all(part.made_for == of_rig for part in parts[:-1])
 
 
 def frame_settings(rig: Rig) -> dict[str, Any]:

@@ -1,9 +1,9 @@
 """A whole acquisition on files: stage after stage, level after level, in one job.
 
 Each stage leaves its store and manifest, log and time in the level's folder, as if it ran alone. A
-stage whose store was made from the same things checks it and keeps it, so that a job that was
-stopped goes on where it stopped, and one that runs again for changed settings or code does only
-what they change.
+stage that finds its manifest, made from the same things, has nothing to do: a job that was stopped
+goes on where it stopped, and one that runs again for changed settings or code does only what they
+change.
 """
 
 from __future__ import annotations
@@ -97,7 +97,6 @@ def _stage(manifest: Path) -> Iterator[None]:
     """Keep a stage's log beside its manifest, and its seconds where it did any work."""
     store = manifest.with_suffix(".zarr")
     before, began = _stamp(store), perf_counter()
-    manifest.unlink(missing_ok=True)
     with stage_log(manifest.with_suffix(".log")):
         yield
     if _stamp(store) != before:

@@ -21,7 +21,7 @@ from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.merging.raw import RawFrames
 from rfpipe.stages.merging.references import CALIBRATION, calibrate, read_merger
 from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, advice_on_damage
-from rfpipe.stages.results import bundle_entry, intact_bundle
+from rfpipe.stages.results import bundle_entry, intact_bundle, standing_manifest
 from rfpipe.store import (
     FrameStore,
     ItemWriter,
@@ -115,7 +115,9 @@ def run(
         made_of[DRIFT] = [captured[DRIFT]["digest"], divide_out_drift]
     made_from = fingerprint([made_of, code])
     store = folder.store(level, "merge")
-    facts = _kept(folder, level, made_of, made_from)
+    manifest = folder.manifest(level, "merge")
+    facts = standing_manifest(manifest, made_from) if folder.believing else None
+    facts = facts or _kept(folder, level, made_of, made_from)
     if facts is None:
         # A merge is quick beside its capture, so that one that was interrupted starts anew.
         FrameStore.discard(store)
@@ -132,7 +134,7 @@ def run(
             "versions": versions(),
         }
         write_manifest(store / _COPY, facts)
-    write_manifest(folder.manifest(level, "merge"), facts)
+    write_manifest(manifest, facts)
     if not keep_raw:
         _drop_raw(folder, level)
 

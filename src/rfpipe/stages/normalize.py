@@ -48,7 +48,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
             "refine": folder.refined_above(level),
         }
     made_from = fingerprint(made_of)
-    if accept_bundle(store, manifest, made_from):
+    if accept_bundle(store, manifest, made_from, believing=folder.believing):
         return
     schedule = read_schedule(folder, level)
     known = None

@@ -117,14 +117,13 @@ class AcquisitionFolder:
     ----------
     path : Path
         ``results/{scene}/{method}``.
+    believing : bool
+        Whether a stage believes its own manifest where one stands there, rather than check every
+        byte of its store.
     """
 
     path: Path
-
-    @classmethod
-    def of_manifest(cls, manifest: str | Path) -> AcquisitionFolder:
-        """Return the folder in which a level's manifest ``L{level:02d}/{stage}.json`` lies."""
-        return cls(Path(manifest).parents[1])
+    believing: bool = False
 
     def manifest(self, level: int, stage: str) -> Path:
         """Manifest of a stage of a level; its existence says that the stage is complete."""

@@ -1,8 +1,8 @@
 """Results of a stage: a store and, written last, the manifest that says that it is complete.
 
-Snakemake removes a manifest before its stage runs again, often only because a file upstream is
-newer. The store stays. It knows the fingerprint of all that it was made from, so that a stage can
-tell that nothing has changed, and write its manifest again instead of doing its work again.
+Both know the fingerprint of all that they were made from. A job that runs again, often only because
+something upstream is newer, believes a manifest that stands there and says that nothing has
+changed. Where there is none, the store is checked, and what is wrong with it is made anew.
 """
 
 from __future__ import annotations
@@ -16,14 +16,34 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.provenance import versions
-from rfpipe.store import ArrayBundle, open_arrays, write_arrays, write_manifest
+from rfpipe.store import ArrayBundle, open_arrays, read_manifest, write_arrays, write_manifest
 
-__all__ = ["accept_bundle", "bundle_entry", "intact_bundle", "write_bundle"]
+__all__ = ["accept_bundle", "bundle_entry", "intact_bundle", "standing_manifest", "write_bundle"]
 
 _log = logging.getLogger(__name__)
 
 
-def accept_bundle(store: Path, manifest: Path, fingerprint: str) -> bool:
+def standing_manifest(manifest: Path, fingerprint: str) -> dict[str, Any] | None:
+    """Return a manifest that says that its store was made from the same things, else None.
+
+    One that says anything else, or is damaged, is removed: its store is about to change.
+    """
+    try:
+        stated = read_manifest(manifest)
+    except IntegrityError as error:
+        _log.warning("made anew, since it is damaged: %s", error)
+    except StoreError:
+        return None
+    else:
+        if stated["fingerprint"] == fingerprint and manifest.with_suffix(".zarr").exists():
+            return stated
+    manifest.unlink()
+    return None
+
+
+def accept_bundle(
+    store: Path, manifest: Path, fingerprint: str, *, believing: bool = False
+) -> bool:
     """Write the manifest of a bundle that was made from the same things, if there is one.
 
     Parameters
@@ -32,12 +52,16 @@ def accept_bundle(store: Path, manifest: Path, fingerprint: str) -> bool:
         As for `write_bundle`.
     fingerprint : str
         Of all that the stage would make it from.
+    believing : bool
+        Whether a `standing_manifest` is enough; whoever reads the bundle checks it.
 
     Returns
     -------
     bool
         Whether there was one, undamaged; else the stage has to make it.
     """
+    if believing and standing_manifest(manifest, fingerprint):
+        return True
     bundle = intact_bundle(store, fingerprint)
     if bundle is None:
         return False

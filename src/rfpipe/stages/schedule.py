@@ -37,7 +37,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
             "code": code,
         }
     )
-    if accept_bundle(store, manifest, made_from):
+    if accept_bundle(store, manifest, made_from, believing=folder.believing):
         return
     schedule = plan.method.schedule(restore_state(plan, folder, level))
     arrays: dict[str, NDArray[Any]] = {}
