@@ -6,6 +6,7 @@ import hashlib
 import json
 import platform
 import re
+import sys
 from collections.abc import Collection, Iterator
 from functools import cache
 from importlib import metadata
@@ -312,8 +313,14 @@ def _prefixes(name: str) -> Iterator[str]:
         yield ".".join(parts[:end])
 
 
+def _module_file(name: str) -> Path | None:
+    """Python file of a module or package, None where there is none."""
+    top, _, rest = name.partition(".")
+    return _file_in(*_top_level(top, tuple(sys.path)), rest)
+
+
 @cache
-def _top_level(name: str) -> tuple[tuple[Path, ...], Path | None]:
+def _top_level(name: str, _path: tuple[str, ...]) -> tuple[tuple[Path, ...], Path | None]:
     """Folders of a top-level package, or the file of a module, found without importing it."""
     spec = find_spec(name)
     if spec is None:
@@ -324,18 +331,12 @@ def _top_level(name: str) -> tuple[tuple[Path, ...], Path | None]:
 
 
 @cache
-def _module_file(name: str) -> Path | None:
-    """Python file of a module or package, None where there is none."""
-    top, *rest = name.split(".")
-    try:
-        folders, file = _top_level(top)
-    except ValueError:  # such as __main__
-        return None
-    if file is not None:
-        return file if not rest and file.suffix == ".py" else None
+def _file_in(folders: tuple[Path, ...], module: Path | None, name: str) -> Path | None:
+    if module is not None:
+        return module if not name and module.suffix == ".py" else None
     for folder in folders:
-        target = folder.joinpath(*rest)
-        for path in (target.with_suffix(".py") if rest else None, target / "__init__.py"):
+        target = folder.joinpath(*name.split("."))
+        for path in (target.with_suffix(".py") if name else None, target / "__init__.py"):
             if path is not None and path.is_file():
                 return path
     return None
