@@ -147,14 +147,14 @@ def measure(folder: Path, config: dict[str, object]) -> pd.DataFrame:
 def snakemake_seconds(results: Path) -> pd.DataFrame:
     """Read what Snakemake measured of each job."""
     # the rules' names where the files that they write have others
-    names = {
-        "capture": "capture_simulated", "transport": "assemble", **dict.fromkeys(
-            (path.stem for path in results.glob("studies/*.json")), "studies"
-        ),
-    }  # fmt: skip
+    names = {"acquire": "acquire_simulated", **dict.fromkeys(
+        (path.stem for path in results.glob("studies/*.json")), "studies"
+    )}  # fmt: skip
     rows = []
     for path in results.rglob("*.benchmark.tsv"):
         name = path.name.removesuffix(".benchmark.tsv")
+        if name == "transport" or path.parent.name.startswith("L"):
+            continue  # a stage of an acquisition's job, timed by itself
         seconds = float(pd.read_csv(path, sep="\t")["s"].iloc[0])
         rows.append({"stage": names.get(name, name), "job_s": seconds})
     return pd.DataFrame(rows)

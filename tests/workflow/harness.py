@@ -42,6 +42,7 @@ class Workflow:
     def __init__(self, folder: Path, config: dict[str, Any] | None = None) -> None:
         self.folder = folder
         self.config = folder / "config.yaml"
+        self.source: Path | None = None  # of another rfpipe than the installed one
         folder.mkdir(parents=True, exist_ok=True)
         self.configure(**({} if config is None else config))
 
@@ -66,6 +67,7 @@ class Workflow:
             stderr=subprocess.STDOUT,
             text=True,
             cwd=self.folder,
+            env={**os.environ, **({"PYTHONPATH": str(self.source)} if self.source else {})},
             start_new_session=True,
         )
 

@@ -285,7 +285,7 @@ def _benchmarks(folder: Path) -> dict[str, pd.DataFrame]:
 
 
 def _job_times(folder: Path) -> list[dict[str, Any]]:
-    """Read Snakemake's benchmark files of an acquisition, as many as there are."""
+    """Read the times that the stages of an acquisition left, as many as there are."""
     import pandas as pd
 
     found = []
