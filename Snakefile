@@ -12,11 +12,15 @@ from: a job that was stopped goes on where it stopped, and one that runs again d
 changed settings or code change.
 """
 
+import os
 from pathlib import Path
 
 from snakemake.utils import min_version
 
 min_version("9.27")
+
+# Where workflow/envs/rfpipe.post-deploy.sh finds what it installs.
+os.environ.update(RFPIPE_HOME=str(workflow.basedir))
 
 
 # Settings given with --configfile take the place of the default run's, rather than joining them.

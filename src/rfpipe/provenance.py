@@ -10,6 +10,7 @@ import sys
 from collections.abc import Collection, Iterator
 from functools import cache
 from importlib import metadata
+from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -138,7 +139,7 @@ def imported_sources(
         Modules of which what they import by name isn't followed, since one of many is chosen: a
         registry. Give the choice as a root.
     without
-        Modules that neither count nor are followed.
+        Modules, or packages with all they contain, that neither count nor are followed.
 
     Returns
     -------
@@ -151,6 +152,7 @@ def imported_sources(
         When a root is no module with Python sources.
     """
     found: dict[str, Path] = {}
+    without = frozenset(without)
     to_follow: list[tuple[str, Path]] = []
     for root in roots:
         path = Path(root) if root.endswith(".py") else _module_file(root)
@@ -160,7 +162,7 @@ def imported_sources(
     followed = {"rfpipe", *(root.partition(".")[0] for root in roots if not root.endswith(".py"))}
     while to_follow:
         name, path = to_follow.pop()
-        if name in found or name in without:
+        if name in found or not without.isdisjoint(_prefixes(name)):
             continue
         found[name] = path
         _, imports, by_name = _scanned(path)
@@ -322,7 +324,8 @@ def _module_file(name: str) -> Path | None:
 @cache
 def _top_level(name: str, _path: tuple[str, ...]) -> tuple[tuple[Path, ...], Path | None]:
     """Folders of a top-level package, or the file of a module, found without importing it."""
-    spec = find_spec(name)
+    # also where rfpipe runs, in which a user's own modules may lie
+    spec = find_spec(name) or PathFinder.find_spec(name, [str(Path.cwd())])
     if spec is None:
         return (), None
     if spec.submodule_search_locations is not None:

@@ -165,6 +165,12 @@ def test_imported_sources_are_all_that_a_module_reaches(shapes: Path) -> None:
     assert "shapes" not in sys.modules
 
 
+def test_a_package_left_out_is_left_out_with_all_it_contains(shapes: Path) -> None:
+    assert shapes.is_dir()
+    without = imported_sources("shapes.stage", without=["shapes.inner", "shapes.registry"])
+    assert not {"shapes.inner", "shapes.inner.near", "shapes.far"} & set(without)
+
+
 def test_import_fingerprint_follows_what_is_reached_alone(shapes: Path) -> None:
     before = import_fingerprint("shapes.stage")
     for name in ("unused.py", "typed.py", "typed_too.py"):

@@ -98,16 +98,16 @@ def times_section(inputs: Inputs) -> Section:
     blocks: list[Block] = []
     if len(inputs.times):
         caption = (
-            "Wall-clock seconds of the workflow's jobs, added over the levels of a run. Each job "
-            "starts a Python process and imports what it needs, some tenths of a second that "
-            "dominate at this size; jobs may run side by side."
+            "Wall-clock seconds of each stage, added over the levels of an acquisition. A stage's "
+            "first level includes loading its code, some tenths of a second that dominate at this "
+            "size; acquisitions may run side by side."
         )
         figure = charts.times_figure(inputs.times)
         blocks.append(Illustration("Time by stage", caption, "processing_time", figure))
     table, numbers = tables.processing_table(inputs)
     about = (
         "Processing (everything but the simulated capture) of each run, and for each HDR image: "
-        "of the workflow's jobs, and of the same acquisition in one process, as measured in the "
+        "of the stages on files, and of the same acquisition in memory, as measured in the "
         "sweep of tolerances."
     )
     blocks.append(Tabulation("Processing time", about, table, numbers))

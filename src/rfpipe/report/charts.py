@@ -191,7 +191,7 @@ def _draw_errors(axis: Axes, table: pd.DataFrame, name: str) -> None:
 
 
 def times_figure(times: pd.DataFrame) -> Figure:
-    """Draw the seconds of each run's jobs, stacked by stage.
+    """Draw the seconds of each acquisition, stacked by stage.
 
     Parameters
     ----------

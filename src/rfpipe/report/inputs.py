@@ -164,7 +164,7 @@ class Inputs:
         See `rfpipe.stages.evaluating.evaluate`.
     times : DataFrame
         ``scene``, ``method``, ``level`` (-1 for the transport's assembly), ``stage``,
-        ``seconds`` of each job that left a benchmark file; may be empty.
+        ``seconds`` of each stage of each level; may be empty.
     benchmarks : dict of str to DataFrame
         Tables that ``make bench`` left, by their names in `BENCHMARKS`; empty without any.
     """

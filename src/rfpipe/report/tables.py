@@ -342,7 +342,7 @@ def processing_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
             ("processing, s", "processing_in_process_s", fixed(2)),
             ("ms an image", "processing_in_process_s_per_image", fixed(1, 1000)),
         ],
-        [("", 3), ("jobs of the workflow", 3), ("in one process", 2)],
+        [("", 3), ("stages on files", 3), ("in memory", 2)],
         text_columns=2,
         csv="processing.csv",
         is_grouped=True,

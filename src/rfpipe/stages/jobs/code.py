@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from rfpipe.plugins import METHODS, path_of
 from rfpipe.provenance import import_fingerprint, imported_sources
 
@@ -27,8 +29,11 @@ SHAPELESS = (
 given and made from."""
 
 
+@cache
 def stage_code(stage: str, *chosen: str) -> str:
     """Fingerprint of the code that shapes a stage's result, without importing it.
+
+    Found once in a process.
 
     Parameters
     ----------
