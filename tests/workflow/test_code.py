@@ -12,7 +12,7 @@ import pytest
 from tests.workflow.harness import DUAL, TINY, Workflow
 
 import rfpipe
-from rfpipe.stages.jobs.code import SHAPELESS, method_module, stage_modules
+from rfpipe.stages.jobs.code import MERGED_WITH, SHAPELESS, method_module, stage_modules
 from rfpipe.store import read_manifest
 
 # Runs each stage in a process of its own, forked before any of rfpipe is loaded, and tells what it
@@ -127,7 +127,7 @@ def test_the_code_of_a_stage_is_all_that_a_run_of_it_loads(copy: Workflow, tmp_p
     assert len(loaded) == 10
     symmetric = method_module("symmetric")
     for name, modules in loaded.items():
-        chosen = [] if name in ("stages.merge", "stages.evaluating.evaluate") else [symmetric]
+        chosen = [MERGED_WITH if name == "stages.merge" else symmetric]
         shaping = {module for module in modules if not is_shapeless(module)}
         assert shaping <= set(stage_modules(name, *chosen)), name
     assert "rfpipe.stages.capturing.drift" in loaded["stages.merge"]
@@ -169,7 +169,7 @@ def edit(workflow: Workflow, *modules: str) -> None:
 
 def planned(workflow: Workflow) -> set[str]:
     """Acquisitions of `tiny` that would run again."""
-    output = workflow.run("--dry-run", TINY, DUAL)
+    output = workflow.run("--dry-run", "--quiet", "progress", "--", TINY, DUAL)
     return {name for name in (TINY, DUAL) if f"output: {name}" in output}
 
 
@@ -186,14 +186,18 @@ def test_an_edit_runs_the_acquisitions_again_that_it_may_shape(edited: Workflow)
 
 def test_an_edit_of_the_merge_shows_no_pattern_again(edited: Workflow) -> None:
     edit(edited, "stages/capturing/drift.py")
-    made_from = fingerprints(edited)
+    made_from = [fingerprints(edited, level) for level in (0, 3)]
     before = edited.contents("tiny/symmetric")
     output = edited.run(TINY)
     assert "all 32 patterns are captured" in output
     assert "patterns in" not in output  # what a capture says that shows any
-    after = fingerprints(edited)
-    redone = {stage for stage in made_from if made_from[stage] != after[stage]}
-    assert redone == {"merge", "normalize", "refine"}
+    after = [fingerprints(edited, level) for level in (0, 3)]
+    redone = [
+        {stage for stage in old if old[stage] != new[stage]}
+        for old, new in zip(made_from, after, strict=True)
+    ]
+    assert redone[0] == {"merge", "normalize", "refine"}
+    assert redone[1] == {"schedule", "merge", "normalize", "refine"}  # of what level 0 refined
     pictures = {name for name in before if "/capture" in name or "reference" in name}
     assert {name: edited.contents("tiny/symmetric")[name] for name in pictures} == {
         name: before[name] for name in pictures
@@ -201,7 +205,7 @@ def test_an_edit_of_the_merge_shows_no_pattern_again(edited: Workflow) -> None:
     assert planned(edited) == {DUAL}
 
 
-def fingerprints(workflow: Workflow) -> dict[str, str]:
+def fingerprints(workflow: Workflow, level: int) -> dict[str, str]:
     """What each stage of a level was made from."""
-    level = workflow.path("tiny/symmetric/L03")
-    return {path.stem: read_manifest(path)["fingerprint"] for path in level.glob("*.json")}
+    folder = workflow.path(f"tiny/symmetric/L{level:02d}")
+    return {path.stem: read_manifest(path)["fingerprint"] for path in folder.glob("*.json")}

@@ -247,6 +247,6 @@ def test_a_run_without_raw_exposures(copy: Workflow, undisturbed: Workflow) -> N
     raw = re.compile(r"L\d\d/(capture|reference)\.zarr/c\.")
     assert {name for name in expected if name not in left} == set(filter(raw.match, expected))
     assert all(content == expected.get(name, content) for name, content in left.items())
-    output = copy.run(TINY, "--forcerun", "capture_simulated")
+    output = copy.run(TINY, "--forcerun", "acquire_simulated")
     assert "patterns in" not in output
     assert "Nothing to be done" in copy.run(TINY)

@@ -116,8 +116,8 @@ def run(
     made_from = fingerprint([made_of, code])
     store = folder.store(level, "merge")
     manifest = folder.manifest(level, "merge")
-    facts = standing_manifest(manifest, made_from) if folder.believing else None
-    facts = facts or _kept(folder, level, made_of, made_from)
+    standing = standing_manifest(manifest, made_from) if folder.believing else None
+    facts = standing or _kept(folder, level, made_of, made_from)
     if facts is None:
         # A merge is quick beside its capture, so that one that was interrupted starts anew.
         FrameStore.discard(store)
@@ -134,7 +134,8 @@ def run(
             "versions": versions(),
         }
         write_manifest(store / _COPY, facts)
-    write_manifest(manifest, facts)
+    if standing is None:
+        write_manifest(manifest, facts)
     if not keep_raw:
         _drop_raw(folder, level)
 

@@ -9,6 +9,7 @@ from rfpipe.provenance import import_fingerprint, imported_sources
 
 __all__ = [
     "CHOOSING",
+    "MERGED_WITH",
     "SHAPELESS",
     "acquisition_code",
     "method_module",
@@ -27,6 +28,9 @@ SHAPELESS = (
 )
 """Modules that shape no result: they say what happens, or check settings whose values a stage is
 given and made from."""
+
+MERGED_WITH = "rfpipe.stages.capturing.sensors"
+"""What finds the sensor, with which `rfpipe.stages.merge.run` is called."""
 
 
 @cache
@@ -62,7 +66,7 @@ def acquisition_code(method: str) -> dict[str, str]:
     """
     of_method = ("schedule", "normalize", "refine", "assemble")
     return {
-        "merge": stage_code("stages.merge"),
+        "merge": stage_code("stages.merge", MERGED_WITH),
         **{stage: stage_code(f"stages.{stage}", method) for stage in of_method},
     }
 

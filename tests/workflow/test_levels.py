@@ -1,0 +1,82 @@
+"""An acquisition in one job: the stages' own bytes, and nothing done twice."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import pytest
+from tests.workflow.stagewise import CAMERA, CODE, SHAPE, Acquisition, contents, matrix_rig
+
+from rfpipe.errors import LockedError
+from rfpipe.stages import capture, levels
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.store import StoreLock
+
+STAGES = ("schedule", "merge", "normalize", "refine", "assemble")
+
+
+def acquire(path: Path, method: str = "symmetric") -> AcquisitionFolder:
+    """Do what the workflow's job does."""
+    folder = AcquisitionFolder(path, believing=True)
+    levels.run(
+        Plan(method, method, SHAPE, SHAPE, 1),
+        folder,
+        "matrix",
+        partial(capture.run, matrix_rig(noise=CAMERA), references=(2, 2)),
+        code=dict.fromkeys(STAGES, CODE),
+        merge_options={"saturation_fraction": 0.98, "repair_defects": True},
+        normalization="per_channel",
+        number_format="float32",
+        resources=Resources(),
+    )
+    return folder
+
+
+def left(path: Path) -> dict[str, bytes]:
+    """Bytes of manifests and stores."""
+    files = contents(path)
+    return {name: files[name] for name in files if not name.endswith((".log", ".tsv"))}
+
+
+@pytest.mark.parametrize("method", ["symmetric", "dual", "near_far", "low_rank"])
+def test_a_job_leaves_what_its_stages_leave_one_by_one(tmp_path: Path, method: str) -> None:
+    acquire(tmp_path / "job", method)
+    one_by_one = Acquisition(tmp_path / "stages", matrix_rig(noise=CAMERA))
+    one_by_one.plan = Plan(method, method, SHAPE, SHAPE, 1)
+    for level in range(one_by_one.plan.n_levels):
+        one_by_one.level(level)
+    one_by_one.assemble()
+    assert left(tmp_path / "job") == left(tmp_path / "stages")
+
+
+def test_a_job_that_runs_again_does_nothing_again(tmp_path: Path) -> None:
+    folder = acquire(tmp_path)
+    before = left(tmp_path)
+    stores = [path for path in tmp_path.glob("L*/*") if path.is_dir()]
+    times = [*tmp_path.glob("L*/*.json"), *tmp_path.glob("L*/*.tsv")]
+    assert len(times) == 2 * 5 * 4
+    written = {path: path.stat().st_mtime_ns for path in [*stores, *times]}
+    folder.manifest(3, "refine").unlink()
+    acquire(tmp_path)
+    assert left(tmp_path) == before
+    del written[folder.manifest(3, "refine")]
+    assert {path: path.stat().st_mtime_ns for path in written} == written
+
+
+def test_what_is_missing_is_made_from_what_is_there(tmp_path: Path) -> None:
+    folder = acquire(tmp_path)
+    before = left(tmp_path)
+    for stage in ("normalize", "refine"):
+        folder.manifest(2, stage).unlink()
+        folder.store(2, stage).rename(tmp_path / stage)
+    acquire(tmp_path)
+    found = left(tmp_path)
+    assert {name: found[name] for name in before} == before
+
+
+def test_one_job_at_a_time_works_on_an_acquisition(tmp_path: Path) -> None:
+    with StoreLock(tmp_path / "mine"), pytest.raises(LockedError, match="mine: process"):
+        acquire(tmp_path / "mine")
+    assert not (tmp_path / "mine").exists()
