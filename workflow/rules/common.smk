@@ -118,6 +118,15 @@ def study_code(wildcards):
     return stage_code("stages.evaluating.studies", *map(method_module, method_names()))
 
 
+def report_code(wildcards):
+    """Fingerprint of the code of the report, which shows the methods as they describe themselves."""
+    methods = {
+        method_module(plan_of(SETTINGS, scene, name)["method"])
+        for scene, name in SETTINGS.acquisitions
+    }
+    return stage_code("report", *sorted(methods))
+
+
 def study_settings(wildcards):
     """The settings of the studies, which have scenes of their own."""
     settings = {

@@ -76,7 +76,7 @@ rule report:
         mem_mib=MEMORY_MIB,
     params:
         settings=SHAPING,
-        code=stage_code("report"),
+        code=report_code,
         template=fingerprint(PAGE_TEMPLATE.read_text(encoding="utf-8")),
     script:
         "../scripts/report.py"
