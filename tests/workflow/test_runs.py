@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from tests.workflow.harness import CONFIG, DUAL, LONG, STAGES, TINY, Workflow, journal, undo
 
 from rfpipe import acquire, open_transport
-from rfpipe.config import load_config
+from rfpipe.config import Config, load_config
 from rfpipe.photometry import sensor_from_config
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
@@ -120,6 +121,16 @@ def test_a_looser_tolerance_captures_only_changed_patterns_anew(copy: Workflow) 
 def patterns_shown(folder: Path, level: int) -> tuple[int, str]:
     manifest = read_manifest(folder / f"L{level:02d}/schedule.json")
     return manifest["patterns"], manifest["shown"]
+
+
+def test_the_default_run_with_every_thesis_method_has_few_jobs(tmp_path: Path) -> None:
+    workflow = Workflow(tmp_path)
+    methods = {"symmetric": {}, "dual": {}, "near_far": {}}
+    workflow.config.write_text(yaml.safe_dump({"methods": methods}))
+    output = workflow.run("--dry-run")
+    jobs = dict(re.findall(r"^(\w+) +(\d+)$", output, re.MULTILINE))
+    assert int(jobs["acquire_simulated"]) == 3 * len(Config().scenes)
+    assert int(jobs["total"]) <= 60
 
 
 def test_other_resources_run_nothing_again(copy: Workflow) -> None:
