@@ -116,7 +116,8 @@ print(json.dumps({name: sorted(names) for name, names in loaded.items()}))
 
 
 def test_the_code_of_a_stage_is_all_that_a_run_of_it_loads(copy: Workflow, tmp_path: Path) -> None:
-    copy.configure(report={"trials": {"symmetric": [1e-2]}, "resolutions": [4, 8]})
+    report = {"trials": {"symmetric": [1e-2]}, "resolutions": [4, 8]}
+    copy.configure(methods={"symmetric": {}}, report=report)  # the settings load no other method
     ended = subprocess.run(
         [sys.executable, "-c", PROGRAM, tmp_path / "matrix", copy.config, copy.path("")],
         capture_output=True, text=True, check=False,
