@@ -120,11 +120,12 @@ def study_code(wildcards):
 
 def report_code(wildcards):
     """Fingerprint of the code of the report, which shows the methods as they describe themselves."""
-    methods = {
-        method_module(plan_of(SETTINGS, scene, name)["method"])
+    acquired = {
+        plan_of(SETTINGS, scene, name)["method"]
         for scene, name in SETTINGS.acquisitions
     }
-    return stage_code("report", *sorted(methods))
+    methods = map(method_module, acquired.union(method_names()))
+    return stage_code("report", *sorted(set(methods)))
 
 
 def study_settings(wildcards):
