@@ -64,7 +64,7 @@ def level(number):
         from rfpipe.stages.capturing.sensors import read_sensor
 
         module.run(
-            read_sensor(files()), files(), number, saturation_fraction=0.98, repair_defects=True,
+            read_sensor(files()), files(), number, saturation_fraction=0.98, mask_defects=True,
             code="", divide_out_drift=True,
         )
 

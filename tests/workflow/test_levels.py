@@ -26,7 +26,7 @@ def acquire(path: Path, method: str = "symmetric") -> AcquisitionFolder:
         "matrix",
         partial(capture.run, matrix_rig(noise=CAMERA), references=(2, 2)),
         code=dict.fromkeys(STAGES, CODE),
-        merge_options={"saturation_fraction": 0.98, "repair_defects": True},
+        merge_options={"saturation_fraction": 0.98, "mask_defects": True},
         normalization="per_channel",
         number_format="float32",
         resources=Resources(),
