@@ -9,7 +9,8 @@ import numpy as np
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import Float, LevelImages, Method, Options, Pack
+from rfpipe.methods.base import Float, LevelImages, Options, Pack
+from rfpipe.methods.states import Packing, PackingMethod
 from rfpipe.transport.dense import DenseTransport
 
 __all__ = ["Scan", "ScanState", "read_columns"]
@@ -43,8 +44,10 @@ class ScanState:
     rows: tuple[dict[str, int], ...] = ()
 
 
-class Scan(Method[ScanState]):
+class Scan(PackingMethod[ScanState]):
     """The part of a `Method` that all scans share."""
+
+    packing = Packing(("rows",), ("matrix",))
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
         """Return 1: all patterns are known beforehand."""
@@ -84,16 +87,8 @@ class Scan(Method[ScanState]):
             {"matrix": state.matrix},
         )
 
-    def pack(self, state: ScanState) -> Pack:
-        """Return the matrix."""
-        return Pack({"matrix": state.matrix}, {"rows": list(state.rows)})
-
-    def restore(self, start: ScanState, packs: Sequence[Pack]) -> ScanState:
-        """Return the state after the scan, or before it if there are no packs."""
-        if not packs:
-            return start
-        rows = tuple(packs[-1].attributes["rows"])
-        return replace(start, matrix=packs[-1].arrays["matrix"], level=1, rows=rows)
+    def _restored(self, start: ScanState, packs: Sequence[Pack]) -> ScanState:
+        return replace(super()._restored(start, packs), level=len(packs))
 
 
 def read_columns(images: LevelImages, channels: int, pixels: int) -> Float:
