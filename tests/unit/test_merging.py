@@ -52,6 +52,11 @@ CURVE = Response(np.linspace(0, 1, 5), np.linspace(0, 1, 5) ** 1.8)
 def test_the_compiled_merge_gives_the_bits_of_the_plain_one(
     monkeypatch: pytest.MonkeyPatch, camera: CameraModel, response: Response | None, fraction: float
 ) -> None:
+    """So that the merge may stand twice, and when which one runs changes no result.
+
+    NumPy's is the reference, and soon done where there is little to merge; the compiled one passes
+    over each sample once, but takes a second or so to load, see `brackets.COMPILED_AFTER`.
+    """
     frames, off = captured(camera)
     options = MergeOptions(4, fraction, response)
     plain = camera.merge(frames, off, options)
