@@ -155,7 +155,7 @@ class LowRank(PackingMethod[LowRankState]):
         if state.level == 0:
             return Schedule.floodlit(shape)
         limit = min(state.options.patterns or OWN_MOST, _MOST)
-        count = 0 if state.done else min(_round(state.level), max(limit - state.shown, 0))
+        count = 0 if state.done else min(_probes(state.level), max(limit - state.shown, 0))
         weights = as_light(_signs(state.domain, state.level, count), shape)
         return Schedule(state.level, shape, count, weights=weights)
 
@@ -202,8 +202,8 @@ class LowRank(PackingMethod[LowRankState]):
         return LowRankTransport(shape, shape, state.channels, list(state.rows), arrays)
 
 
-def _round(level: int) -> int:
-    """Return the patterns of a level, 1 or more, of random signs."""
+def _probes(level: int) -> int:
+    """Return how many random signs a round shows; rounds are levels, from 1 on."""
     return _FIRST_ROUND << max(level - 2, 0)
 
 

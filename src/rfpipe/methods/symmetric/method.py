@@ -289,7 +289,7 @@ def _refine_nodes(
     verdict = rank_test(tree, level - 1, nodes, first_pair, pieces, limits)
     unsettled = (verdict == DIFFERS) | (verdict == AGREES)
     smooth = predictable(tree, level - 1, nodes, first_pair, pieces, unsettled, limits)
-    rank_1 = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
+    rank1 = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
     subdivided = (verdict < CLOSE) & ~smooth
     divided = np.flatnonzero(subdivided[node])
     above = node[divided]
@@ -299,7 +299,7 @@ def _refine_nodes(
     rank_k = rank_k_leaves(tree, level - 1, nodes, first_pair, pieces, smooth)
     found = classify(tree, level, pieces, divided, settled, nodes, above, wrong, limits)
     return _Refined(
-        (rank_1, rank_k),
+        (rank1, rank_k),
         found,
         len(divided),
         int(np.count_nonzero(smooth)),

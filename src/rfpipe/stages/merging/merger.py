@@ -106,7 +106,7 @@ class Merger:
     floodlit_variance: NDArray[np.float32]
 
     @classmethod
-    def calibrate(
+    def from_references(
         cls,
         sensor: Sensor,
         black_frames: Iterable[Frames],
@@ -219,7 +219,7 @@ def reference_patterns(
 ) -> tuple[NDArray[np.float32], Keys]:
     """Return some of the patterns that an acquisition begins with, and their keys for the rig.
 
-    They are `black_frames` times all off, then all on: what `Merger.calibrate` learns from.
+    They are `black_frames` times all off, then all on: what `Merger.from_references` learns from.
     """
     indices = range(first, last)
     patterns = np.zeros((len(indices), *projector_shape), np.float32)
