@@ -39,7 +39,7 @@ from rfpipe.transport.sum import SumTransport
 
 # Held-out pictures that come with a round's probes, by level.
 HELD_OUT = {1: 2, 2: 2}
-# Probes of each round, a level each: a round should cut the error, and end soon where the target is met.
+# Probes of each round, a level: a round should cut the error, and end soon where the target is met.
 ROUNDS = (6, 10, 8, 12, 16, 24, 32)
 MOST = 1 + sum(HELD_OUT.values()) + sum(ROUNDS)
 """Patterns of all rounds."""
