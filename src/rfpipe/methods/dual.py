@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,6 +22,7 @@ from rfpipe.methods.base import (
     Pack,
     all_blocks,
 )
+from rfpipe.methods.images import batches
 from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
@@ -29,9 +30,6 @@ from rfpipe.transport.multilevel.transport import MultilevelTransport, PairSet, 
 
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]
-
-# Images read at a time.
-_BATCH_BYTES = 32 * 2**20
 
 # What becomes of a response.
 _DROPPED, _STORED, _OPEN = 0, 1, 2
@@ -174,7 +172,7 @@ class Dual(PackingMethod[DualState]):
         maximum = state.floodlit_maximum
         known = self._known(state) if state.options.subtract_stored else None
         planar = (-1, state.camera.size, state.channels)
-        for first, last in _batches(schedule.count, state.camera.size * state.channels):
+        for first, last in batches(schedule.count, state.camera.size * state.channels):
             radiance, variance = (part.reshape(planar) for part in images.read(first, last))
             if level == 0:
                 maximum = float(radiance.max())
@@ -291,13 +289,6 @@ def _divisible_into(tree: BlockTree, level: int) -> Index:
     if level == tree.n_levels - 1:
         return np.zeros_like(sizes)
     return np.where(sizes > 1, np.diff(tree.child_starts[level]), 0)
-
-
-def _batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
-    """Cut patterns into runs whose images fit a batch."""
-    step = max(1, _BATCH_BYTES // (np.dtype(np.float32).itemsize * image_size))
-    for first in range(0, count, step):
-        yield first, min(first + step, count)
 
 
 def _judge(

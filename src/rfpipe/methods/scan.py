@@ -10,6 +10,7 @@ import numpy as np
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods.base import Float, LevelImages, Options, Pack
+from rfpipe.methods.images import batches
 from rfpipe.methods.states import Packing, PackingMethod
 from rfpipe.transport.dense import DenseTransport
 
@@ -17,9 +18,6 @@ __all__ = ["Scan", "ScanState", "read_columns"]
 
 # A scan is for small scenes: what it would cost for large ones is computed, never run.
 LARGEST_MATRIX_BYTES = 8 * 2**30
-
-# Images read at a time.
-_BATCH_BYTES = 32 * 2**20
 
 
 @dataclass(frozen=True)
@@ -95,9 +93,7 @@ def read_columns(images: LevelImages, channels: int, pixels: int) -> Float:
     """Read a level's images as columns, float32 (channels, pixels, patterns)."""
     count = images.schedule.count
     columns = np.empty((channels, pixels, count), np.float32)
-    step = max(1, _BATCH_BYTES // (channels * pixels * columns.itemsize))
-    for first in range(0, count, step):
-        last = min(first + step, count)
+    for first, last in batches(count, channels * pixels):
         radiance, _ = images.read(first, last)
         seen = radiance.reshape(last - first, pixels, channels)
         columns[..., first:last] = np.moveaxis(seen, (0, 1), (2, 1))

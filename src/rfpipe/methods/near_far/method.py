@@ -19,6 +19,7 @@ from pydantic import Field
 from rfpipe.blocks import RayDomain
 from rfpipe.config.base import Fraction
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, all_blocks
+from rfpipe.methods.images import planar_batches
 from rfpipe.methods.near_far import handover
 from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far.model import Model, fit
@@ -29,7 +30,6 @@ from rfpipe.methods.near_far.patterns import (
 )
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.near_far.transport import as_transport, indirect, light_range
-from rfpipe.methods.rivals.signs import planar_batches
 from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
 from rfpipe.patterns import Schedule

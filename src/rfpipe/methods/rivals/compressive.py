@@ -15,14 +15,9 @@ from pydantic import Field
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
+from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.rivals.pursuit import pursue, rays_and_wavelets
-from rfpipe.methods.rivals.signs import (
-    as_light,
-    planar_batches,
-    random_signs,
-    rounding,
-    trimmed_mean,
-)
+from rfpipe.methods.rivals.signs import as_light, random_signs, trimmed_mean
 from rfpipe.methods.states import Packing, PackingMethod, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.dense import DenseTransport

@@ -19,14 +19,9 @@ from pydantic import Field
 from rfpipe.blocks import RayDomain
 from rfpipe.config.base import Fraction
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
+from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.rivals.low_rank_fit import Fit, fit, relit, start_fit
-from rfpipe.methods.rivals.signs import (
-    as_light,
-    planar_batches,
-    random_signs,
-    rounding,
-    trimmed_mean,
-)
+from rfpipe.methods.rivals.signs import as_light, random_signs, trimmed_mean
 from rfpipe.methods.states import Packing, PackingMethod, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.low_rank import LowRankTransport
