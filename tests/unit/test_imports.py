@@ -36,6 +36,15 @@ def test_import_of_rfpipe_alone_loads_not_even_numpy() -> None:
     assert "numpy" not in loaded_after("import rfpipe")
 
 
+def test_a_small_merge_loads_no_compiler_and_no_colour_science() -> None:
+    """Which is why it stands in NumPy beside the compiled kernel."""
+    taken = "frame = np.full((1, len(camera.exposures), 4, 4), 900, np.uint16)"
+    made = "import numpy as np; from rfpipe.photometry import CameraModel as Camera"
+    merge = "camera = Camera(bayer='RGGB'); {}; camera.merge(frame, frame[0])"
+    loaded = loaded_after(f"{made}; {merge.format(taken)}")
+    assert loaded.isdisjoint({"numba", "colour", "colour_demosaicing"})
+
+
 def test_every_public_name_is_found() -> None:
     assert rfpipe.__version__
     for name in rfpipe.__all__:

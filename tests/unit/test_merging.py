@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import CaptureError
-from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions, Response, brackets
+from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions, Response, counts
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
 from rfpipe.stages.capturing.shown import reference_patterns
@@ -53,10 +53,15 @@ CURVE = Response(np.linspace(0, 1, 5), np.linspace(0, 1, 5) ** 1.8)
 def test_the_compiled_merge_gives_the_bits_of_the_plain_one(
     monkeypatch: pytest.MonkeyPatch, camera: CameraModel, response: Response | None, fraction: float
 ) -> None:
+    """So that the merge may stand twice, and when which one runs changes no result.
+
+    NumPy's is the reference, and soon done where there is little to merge; the compiled one passes
+    over each sample once, but takes a second or so to load, see `counts.COMPILED_AFTER`.
+    """
     frames, off = captured(camera)
     options = MergeOptions(4, fraction, response)
     plain = camera.merge(frames, off, options)
-    monkeypatch.setattr(brackets, "COMPILED_AFTER", 0)
+    monkeypatch.setattr(counts, "COMPILED_AFTER", 0)
     compiled = camera.merge(frames, off, options)
     assert compiled.saturated == plain.saturated > 0
     np.testing.assert_array_equal(compiled.radiance, plain.radiance)
@@ -65,7 +70,7 @@ def test_the_compiled_merge_gives_the_bits_of_the_plain_one(
 
 def test_the_merge_is_compiled_once_it_has_enough_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     frames, off = captured(CAMERA)
-    monkeypatch.setattr(brackets, "COMPILED_AFTER", frames.size)
+    monkeypatch.setattr(counts, "COMPILED_AFTER", frames.size)
     assert ways(CAMERA.merging(off), frames, monkeypatch) == [PLAIN, COMPILED, COMPILED]
     known = CAMERA.merging(off, MergeOptions(brackets=3))
     assert ways(known, frames, monkeypatch) == [COMPILED] * 3
@@ -122,14 +127,14 @@ def test_reference_patterns_are_all_off_then_all_on() -> None:
 
 
 @pytest.mark.parametrize("camera", [CAMERA, replace(CAMERA, bayer="GRBG"), ExactSensor()])
-def test_a_calibration_is_the_same_however_its_brackets_come(camera: Any) -> None:
+def test_references_tell_the_same_however_their_brackets_come(camera: Any) -> None:
     image = generator(2).uniform(0.2, 1, IMAGE).astype(np.float32)
     off = np.stack([camera.expose(np.zeros_like(image), 1, (9, index)) for index in range(5)])
     on = np.stack([camera.expose(image, 1, (8, index)) for index in range(6)])
     if camera is CAMERA:
         off[:, :, 4, 5] = 3000  # hot
-    together = Merger.calibrate(camera, [off], [on])
-    apart = Merger.calibrate(
+    together = Merger.from_references(camera, [off], [on])
+    apart = Merger.from_references(
         camera, (off[i : i + 2] for i in range(0, 5, 2)), (on[i : i + 1] for i in range(6))
     )
     for name in ("black", "floodlit", "floodlit_variance"):

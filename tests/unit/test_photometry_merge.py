@@ -232,6 +232,18 @@ def test_demosaic_keeps_flat_fields_up_to_the_border(pattern: str) -> None:
     np.testing.assert_allclose(colour, image, rtol=1e-6)
 
 
+@pytest.mark.parametrize("pattern", ["RGGB", "BGGR", "GRBG", "GBRG"])
+@pytest.mark.filterwarnings("ignore")  # the library warns of its own deprecated imports
+def test_demosaic_agrees_with_a_library_on_an_image_mirrored_beforehand(pattern: str) -> None:
+    from colour_demosaicing import demosaicing_CFA_Bayer_bilinear
+
+    samples = np.random.default_rng(0).random((7, 8)).astype(np.float32)
+    padded = np.pad(samples, 2, mode="reflect")
+    expected = demosaicing_CFA_Bayer_bilinear(padded, pattern)[2:-2, 2:-2]
+    colour, _ = demosaic(samples, np.ones_like(samples), pattern)
+    np.testing.assert_allclose(colour, expected, rtol=0, atol=1e-6)
+
+
 def test_demosaic_is_linear_and_keeps_samples() -> None:
     one, two = np.random.default_rng(0).random((2, 6, 8)).astype(np.float32)
     ones = np.ones_like(one)

@@ -119,7 +119,7 @@ def test_an_unseen_ray_is_no_light_and_stops_nothing() -> None:
     check_floodlit(merged.radiance, merged.variance)
     assert not sensor.resampling.seen[1, 1]
     assert sensor.resampling.seen.sum() == 11
-    merger = Merger.calibrate(sensor, [np.stack([black, black]).astype(np.uint16)], [frames])
+    merger = Merger.from_references(sensor, [np.stack([black, black]).astype(np.uint16)], [frames])
     assert merger.floodlit.shape == (*SHAPE, 1)
 
 
@@ -155,7 +155,7 @@ def test_hot_pixels_are_kept_from_rays() -> None:
     dark = frames_of(CAMERA, np.zeros_like(light), 4)
     frames = frames_of(CAMERA, light, 4)
     dark[:, :, 4, 4], frames[:, :, 4, 4] = 3000, 3001
-    merger = Merger.calibrate(sensor, [dark], [frames])
+    merger = Merger.from_references(sensor, [dark], [frames])
     assert merger.defects is not None
     assert merger.defects.mask.sum() == 1
     assert merger.floodlit == pytest.approx(np.full((*SHAPE, 1), 0.5), rel=0.05)

@@ -8,6 +8,7 @@ import numpy as np
 
 from rfpipe.methods.base import MEMORY_BYTES, LevelImages
 from rfpipe.methods.scan import Scan, ScanState, read_columns
+from rfpipe.methods.states import level_row
 from rfpipe.patterns import Schedule
 
 
@@ -35,13 +36,6 @@ class BruteForce(Scan):
         channels, pixels, rays = state.matrix.shape
         matrix = read_columns(images, channels, pixels)
         lit = int(np.count_nonzero(matrix.any(axis=0)))
-        row = {
-            "level": 0,
-            "patterns": rays,
-            "nodes": pixels * rays,
-            "empty": pixels * rays - lit,
-            "rank1": 0,
-            "scalar": lit,
-            "subdivided": 0,
-        }
+        nodes = pixels * rays
+        row = level_row(0, rays, nodes=nodes, empty=nodes - lit, scalar=lit)
         return replace(state, matrix=matrix, level=1, rows=(row,))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,20 +18,18 @@ from rfpipe.methods.base import (
     TOLERANCES,
     Float,
     LevelImages,
-    Method,
     Options,
     Pack,
     all_blocks,
 )
+from rfpipe.methods.images import batches
+from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
 from rfpipe.transport.multilevel.transport import MultilevelTransport, PairSet, fold, no_pairs
 
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]
-
-# Images read at a time.
-_BATCH_BYTES = 32 * 2**20
 
 _LARGEST = np.finfo(np.float32).max
 
@@ -91,7 +89,7 @@ class DualState:
     rows: tuple[dict[str, int], ...] = ()
 
 
-class Dual(Method[DualState]):
+class Dual(PackingMethod[DualState]):
     """Dual photography as a `Method`.
 
     The thesis subtracts nothing from an image: the light that reaches a pixel from a block stored
@@ -107,6 +105,7 @@ class Dual(Method[DualState]):
     Options = DualOptions
     trades = "tolerance"
     trials = TOLERANCES
+    packing = Packing(("level", "floodlit_maximum", "complete"), groups={"frontier": "frontier_"})
 
     def expected_patterns(
         self,
@@ -175,7 +174,7 @@ class Dual(Method[DualState]):
         maximum = state.floodlit_maximum
         known = self._known(state) if state.options.subtract_stored else None
         planar = (-1, state.camera.size, state.channels)
-        for first, last in _batches(schedule.count, state.camera.size * state.channels):
+        for first, last in batches(schedule.count, state.camera.size * state.channels):
             radiance, variance = (part.reshape(planar) for part in images.read(first, last))
             if level == 0:
                 maximum = float(radiance.max())
@@ -233,40 +232,21 @@ class Dual(Method[DualState]):
 
     def pack(self, state: DualState) -> Pack:
         """Return the responses that the last refinement stored, and the frontier."""
-        arrays: dict[str, NDArray[Any]] = {}
-        for name, pairs in (("stored", state.stored[-1]), ("frontier", state.frontier)):
-            arrays |= {f"{name}_{part}": getattr(pairs, part) for part in _PARTS}
-        attributes = {
-            "level": state.level,
-            "floodlit_maximum": state.floodlit_maximum,
-            "complete": state.complete,
-            "row": state.rows[-1],
-        }
-        return Pack(arrays, attributes)
+        own = super().pack(state)
+        stored = arrays_of(state.stored[-1], "stored_")
+        return Pack({**own.arrays, **stored}, {**own.attributes, "row": state.rows[-1]})
 
-    def restore(self, start: DualState, packs: Sequence[Pack]) -> DualState:
-        """Return the state after the last of `packs`, one a level from level 0 on."""
-        if not packs:
-            return start
-        last = packs[-1].attributes
+    def _restored(self, start: DualState, packs: Sequence[Pack]) -> DualState:
+        state = super()._restored(start, packs)
         return replace(
-            start,
-            level=last["level"],
+            state,
             stored=tuple(
-                _unpacked("stored", level, pack.arrays) for level, pack in enumerate(packs)
+                PairSet(level, **unprefixed("stored_", pack.arrays))
+                for level, pack in enumerate(packs)
             ),
-            frontier=_unpacked("frontier", last["level"] - 1, packs[-1].arrays),
-            floodlit_maximum=last["floodlit_maximum"],
-            complete=last["complete"],
+            frontier=replace(state.frontier, level=state.level - 1),
             rows=tuple(pack.attributes["row"] for pack in packs),
         )
-
-
-_PARTS = ("block", "pixel", "values")
-
-
-def _unpacked(name: str, level: int, arrays: Mapping[str, NDArray[Any]]) -> PairSet:
-    return PairSet(level, *(arrays[f"{name}_{part}"] for part in _PARTS))
 
 
 @dataclass(frozen=True)
@@ -314,13 +294,6 @@ def _divisible_into(tree: BlockTree, level: int) -> Index:
     return np.where(sizes > 1, np.diff(tree.child_starts[level]), 0)
 
 
-def _batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
-    """Cut patterns into runs whose images fit a batch."""
-    step = max(1, _BATCH_BYTES // (np.dtype(np.float32).itemsize * image_size))
-    for first in range(0, count, step):
-        yield first, min(first + step, count)
-
-
 def _judge(
     response: Float, noise: NDArray[np.floating[Any]], threshold: float, children: Index
 ) -> NDArray[np.uint8]:
@@ -348,16 +321,9 @@ def _judge(
 def _row(
     tree: BlockTree, schedule: Schedule, nodes: int, stored: int, subdivided: int
 ) -> dict[str, int]:
-    last = schedule.level == tree.n_levels - 1
-    return {
-        "level": schedule.level,
-        "patterns": schedule.count,
-        "nodes": nodes,
-        "empty": nodes - stored - subdivided,
-        "rank1": 0 if last else stored,
-        "scalar": stored if last else 0,
-        "subdivided": subdivided,
-    }
+    kind = "scalar" if schedule.level == tree.n_levels - 1 else "rank1"
+    counts = {"nodes": nodes, "empty": nodes - stored - subdivided, kind: stored}
+    return level_row(schedule.level, schedule.count, **counts, subdivided=subdivided)
 
 
 def coloured_blocks(frontier: PairSet, pixels: int) -> tuple[Index, NDArray[np.int32]]:

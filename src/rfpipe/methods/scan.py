@@ -9,16 +9,15 @@ import numpy as np
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import Float, LevelImages, Method, Options, Pack
+from rfpipe.methods.base import Float, LevelImages, Options, Pack
+from rfpipe.methods.images import batches
+from rfpipe.methods.states import Packing, PackingMethod
 from rfpipe.transport.dense import DenseTransport
 
 __all__ = ["Scan", "ScanState", "read_columns"]
 
 # A scan is for small scenes: what it would cost for large ones is computed, never run.
 LARGEST_MATRIX_BYTES = 8 * 2**30
-
-# Images read at a time.
-_BATCH_BYTES = 32 * 2**20
 
 
 @dataclass(frozen=True)
@@ -43,8 +42,10 @@ class ScanState:
     rows: tuple[dict[str, int], ...] = ()
 
 
-class Scan(Method[ScanState]):
+class Scan(PackingMethod[ScanState]):
     """The part of a `Method` that all scans share."""
+
+    packing = Packing(("rows",), ("matrix",))
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
         """Return 1: all patterns are known beforehand."""
@@ -84,25 +85,15 @@ class Scan(Method[ScanState]):
             {"matrix": state.matrix},
         )
 
-    def pack(self, state: ScanState) -> Pack:
-        """Return the matrix."""
-        return Pack({"matrix": state.matrix}, {"rows": list(state.rows)})
-
-    def restore(self, start: ScanState, packs: Sequence[Pack]) -> ScanState:
-        """Return the state after the scan, or before it if there are no packs."""
-        if not packs:
-            return start
-        rows = tuple(packs[-1].attributes["rows"])
-        return replace(start, matrix=packs[-1].arrays["matrix"], level=1, rows=rows)
+    def _restored(self, start: ScanState, packs: Sequence[Pack]) -> ScanState:
+        return replace(super()._restored(start, packs), level=len(packs))
 
 
 def read_columns(images: LevelImages, channels: int, pixels: int) -> Float:
     """Read a level's images as columns, float32 (channels, pixels, patterns)."""
     count = images.schedule.count
     columns = np.empty((channels, pixels, count), np.float32)
-    step = max(1, _BATCH_BYTES // (channels * pixels * columns.itemsize))
-    for first in range(0, count, step):
-        last = min(first + step, count)
+    for first, last in batches(count, channels * pixels):
         radiance, _ = images.read(first, last)
         seen = radiance.reshape(last - first, pixels, channels)
         columns[..., first:last] = np.moveaxis(seen, (0, 1), (2, 1))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.photometry.brackets import CountsMerge
+from rfpipe.photometry.counts import CountsMerge
 from rfpipe.photometry.demosaic import BAYER_PATTERNS, check_mosaic, mosaic
 from rfpipe.photometry.optics import apply_optics
 from rfpipe.photometry.sensor import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import warnings
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,9 +23,6 @@ BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 _GREEN = (1.0, 0.25, 0.0)
 _RED_AND_BLUE = (1.0, 0.5, 0.25)
 """Bilinear weights of a pixel's own photosite, of its direct neighbours and its diagonal ones."""
-
-MARGIN = 2
-"""Pixels of border mirrored before the interpolation: even, so that the pattern continues."""
 
 
 def check_mosaic(camera_shape: tuple[int, ...], channels: int) -> None:
@@ -51,58 +48,73 @@ def mosaic(image: Float, pattern: str) -> Float:
 def demosaic(radiance: Float, variance: Float, pattern: str) -> tuple[Float, Float]:
     """Interpolate the missing colours of a radiance image, with the variance of the result.
 
-    Bilinear, by colour-demosaicing: linear, so that light that adds up in the scene adds up in
-    the images, as the transport matrix wants, and without overshoot. It still spreads light that
-    falls on few photosites and loses its colour [B.2]; see `normalize`.
+    Bilinear: linear, so that light that adds up in the scene adds up in the images, as the
+    transport matrix wants, and without overshoot. It still spreads light that falls on few
+    photosites and loses its colour [B.2]; see `normalize`.
 
     Parameters
     ----------
-    radiance, variance : ndarray of float32, shape (*camera_shape)
+    radiance, variance : ndarray of float32, shape (..., H, W)
     pattern : str
         One of `BAYER_PATTERNS`.
 
     Returns
     -------
-    radiance, variance : ndarray of float32, shape (*camera_shape, 3)
+    radiance, variance : ndarray of float32, shape (..., H, W, 3)
         Samples next to each other now share noise; the variance is each one's own.
+
+    Notes
+    -----
+    Beyond the border the image goes on mirrored about its last pixels, as the pattern does.
+    colour-demosaicing, which it agrees with elsewhere, doubles them instead: red comes out 2.25
+    times too bright in a corner.
     """
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it warns of its own deprecated imports
-        from colour_demosaicing import demosaicing_CFA_Bayer_bilinear
-
-    views = radiance.reshape(-1, *radiance.shape[-2:])
-    colour = np.empty((*views.shape, 3), np.float32)
-    for view, filled in zip(views, colour, strict=True):
-        # The library mirrors with the border pixel doubled, which shifts the pattern there: red
-        # came out 2.25 times too bright in a corner. Mirrored here about the border pixel.
-        padded = np.pad(view, MARGIN, mode="reflect")
-        inner = demosaicing_CFA_Bayer_bilinear(padded, pattern)
-        filled[:] = inner[MARGIN:-MARGIN, MARGIN:-MARGIN]
-    spread = _spread_variance(variance.reshape(views.shape), pattern)
-    shape = (*radiance.shape, 3)
-    return colour.reshape(shape), spread.reshape(shape)
+    shape = radiance.shape[-2:]
+    planes = demosaic_matrices(shape, pattern), _squares(shape, pattern)
+    colour, spread = (
+        _filled(image, matrices)
+        for image, matrices in zip((radiance, variance), planes, strict=True)
+    )
+    return colour, spread
 
 
-def demosaic_matrices(shape: tuple[int, int], pattern: str) -> list[csr_array[Any]]:
+@lru_cache(maxsize=2)
+def demosaic_matrices(shape: tuple[int, ...], pattern: str) -> tuple[csr_array[Any], ...]:
     """Return `demosaic` of one view as matrices, one for each colour.
 
     Parameters
     ----------
-    shape : (int, int)
+    shape : tuple of int
         Height and width, at least 2 each.
     pattern : str
         One of `BAYER_PATTERNS`.
 
     Returns
     -------
-    list of 3 csr_array of float32, shape (H W, H W)
+    tuple of 3 csr_array of float32, shape (H W, H W)
         From photosites to pixels; rows sum to 1.
     """
     colours = np.empty(shape, "<U1")
     for position, colour in enumerate(pattern):
         y, x = divmod(position, 2)
         colours[y::2, x::2] = colour
-    return [_filling(colours, colour) for colour in "RGB"]
+    return tuple(_filling(colours, colour) for colour in "RGB")
+
+
+@lru_cache(maxsize=2)
+def _squares(shape: tuple[int, ...], pattern: str) -> tuple[csr_array[Any], ...]:
+    """Return `demosaic_matrices` with squared weights, for the variance."""
+    return tuple(matrix.power(2) for matrix in demosaic_matrices(shape, pattern))
+
+
+def _filled(image: Float, matrices: tuple[csr_array[Any], ...]) -> Float:
+    """Apply a matrix for each colour to images (..., H, W)."""
+    views = np.asarray(image, np.float32).reshape(-1, matrices[0].shape[1])
+    colour = np.empty((*views.shape, 3), np.float32)
+    for view, filled in zip(views, colour, strict=True):
+        for channel, matrix in enumerate(matrices):
+            filled[:, channel] = matrix @ view
+    return colour.reshape(*image.shape, 3)
 
 
 def _filling(colours: NDArray[np.str_], colour: str) -> csr_array[Any]:
@@ -126,32 +138,3 @@ def _filling(colours: NDArray[np.str_], colour: str) -> csr_array[Any]:
     matrix = coo_array((np.concatenate(weights), at), shape=(colours.size, colours.size)).tocsr()
     matrix.eliminate_zeros()
     return matrix
-
-
-def _spread_variance(variance: Float, pattern: str) -> Float:
-    """Return the variance of the bilinear interpolation (views, H, W, 3): its weights squared."""
-    spread = np.empty((*variance.shape, 3), np.float32)
-    for channel, colour in enumerate("RGB"):
-        sampled = np.zeros_like(variance)
-        for position, name in enumerate(pattern):
-            if name == colour:
-                y, x = divmod(position, 2)
-                sampled[:, y::2, x::2] = variance[:, y::2, x::2]
-        if colour == "G":  # a quarter of each of four neighbours
-            spread[..., channel] = sampled
-            spread[..., channel] += np.float32(1 / 16) * _neighbours(sampled, 1)
-            spread[..., channel] += np.float32(1 / 16) * _neighbours(sampled, 2)
-        else:  # halfway between two neighbours, along one axis after the other
-            along_y = sampled + np.float32(1 / 4) * _neighbours(sampled, 1)
-            spread[..., channel] = along_y + np.float32(1 / 4) * _neighbours(along_y, 2)
-    return spread
-
-
-def _neighbours(variance: Float, axis: int) -> Float:
-    """Sum of both neighbours' variance; at a border both are the same one: four times its own."""
-    values = np.moveaxis(variance, axis, 0)
-    total = np.empty_like(values)
-    total[1:-1] = values[:-2] + values[2:]
-    total[0] = 4 * values[1]
-    total[-1] = 4 * values[-2]
-    return np.moveaxis(total, 0, axis)

@@ -180,7 +180,7 @@ class _Session:
         self.capture_seconds = 0.0
         self.saturated = 0
         off, on = references
-        self.merger = Merger.calibrate(
+        self.merger = Merger.from_references(
             rig.sensor, self._reference(off, 0, off), self._reference(off, off, off + on), **merging
         )
 

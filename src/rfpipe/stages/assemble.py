@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.merging.images import masked_rays
-from rfpipe.stages.merging.references import CALIBRATION, read_floodlit
+from rfpipe.stages.merging.references import REFERENCES, read_floodlit
 from rfpipe.stages.plan import AcquisitionFolder, Plan, restore_state
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
@@ -48,7 +48,7 @@ def run(
         {
             "plan": plan.describe(),
             "refine": refined,
-            "calibration": folder.read_manifest(0, "merge")[CALIBRATION]["digest"],
+            "references": folder.read_manifest(0, "merge")[REFERENCES]["digest"],
             "number_format": number_format,
             "code": code,
         }

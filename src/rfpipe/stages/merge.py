@@ -19,7 +19,7 @@ from rfpipe.stages.capturing.drift import DRIFT, measure
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.merging.raw import RawFrames
-from rfpipe.stages.merging.references import CALIBRATION, calibrate, read_merger
+from rfpipe.stages.merging.references import REFERENCES, learn_references, read_merger
 from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, advice_on_damage
 from rfpipe.stages.results import bundle_entry, intact_bundle, standing_manifest
 from rfpipe.store import (
@@ -99,17 +99,17 @@ def run(
         "saturation_fraction": saturation_fraction,
         "mask_defects": mask_defects,
     }
-    calibration: dict[str, Any]
+    references: dict[str, Any]
     if level == 0:
-        merger, calibration = calibrate(sensor, folder, settings, code, resources)
+        merger, references = learn_references(sensor, folder, settings, code, resources)
     else:
-        calibration = folder.read_manifest(0, "merge")[CALIBRATION]
+        references = folder.read_manifest(0, "merge")[REFERENCES]
         merger = read_merger(sensor, folder, saturation_fraction)
     captured = folder.read_manifest(level, "capture")
     made_of = {
         "settings": settings,
         "captured": captured["digest"],
-        "calibration": calibration["digest"],
+        "references": references["digest"],
     }
     if DRIFT in captured:
         made_of[DRIFT] = [captured[DRIFT]["digest"], divide_out_drift]
@@ -126,7 +126,7 @@ def run(
             "stage": "merge",
             "level": level,
             "units": RADIANCE_UNIT,
-            **({CALIBRATION: calibration} if level == 0 else {}),
+            **({REFERENCES: references} if level == 0 else {}),
             **_merge(merger, gains, folder, level, made_from, resources),
             **drift,
             "made_of": made_of,
@@ -323,7 +323,7 @@ def _is_intact(folder: AcquisitionFolder, level: int, facts: dict[str, Any]) -> 
 
 def _drop_raw(folder: AcquisitionFolder, level: int) -> None:
     """Remove the frames that were merged: last of all, so that it may be cut off anywhere."""
-    kept = ["merge", SUMS, *([CALIBRATION] if level == 0 else [])]
+    kept = ["merge", SUMS, *([REFERENCES] if level == 0 else [])]
     raw = ["capture", *([REFERENCE] if level == 0 else [])]
     for part in kept:
         to_disk(folder.store(level, part))

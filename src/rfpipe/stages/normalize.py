@@ -8,7 +8,7 @@ from rfpipe.photometry.normalize import Mode, Normalization
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.merge import SUMS, read_level_sum
 from rfpipe.stages.merging.images import known_light, normalize_level
-from rfpipe.stages.merging.references import CALIBRATION, read_floodlit
+from rfpipe.stages.merging.references import REFERENCES, read_floodlit
 from rfpipe.stages.plan import AcquisitionFolder, Plan, advice_on_damage, restore_state
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.schedule import read_schedule
@@ -35,7 +35,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     planned = folder.read_manifest(level, "schedule")
     made_of = {
         "merge": folder.read_manifest(level, "merge")[SUMS]["digest"],
-        "calibration": folder.read_manifest(0, "merge")[CALIBRATION]["digest"],
+        "references": folder.read_manifest(0, "merge")[REFERENCES]["digest"],
         "schedule": [planned["shown"], planned["complete"]],
         "mode": mode,
         "noise_significance": plan.options.noise_significance,

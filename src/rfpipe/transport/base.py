@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Self
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +24,33 @@ Float = NDArray[np.float32]
 class Transport(ABC):
     """Light transport ``T``, one matrix a colour channel: rows camera rays, columns projector rays.
 
-    Attributes
+    Parameters
     ----------
     camera_shape, projector_shape : tuple of int
         The ray domains, see `rfpipe.blocks.RayDomain`.
     channels : int
+    level_rows : list of dict
+        The rows of `levels`.
+    nbytes : int, optional
+        Bytes on disk; by default those of the arrays in memory.
     """
 
-    camera_shape: tuple[int, ...]
-    projector_shape: tuple[int, ...]
-    channels: int
+    kind: ClassVar[str]
+    """By which stores name the class."""
+
+    def __init__(
+        self,
+        camera_shape: tuple[int, ...],
+        projector_shape: tuple[int, ...],
+        channels: int,
+        level_rows: list[dict[str, Any]],
+        nbytes: int | None = None,
+    ) -> None:
+        self.camera_shape = tuple(camera_shape)
+        self.projector_shape = tuple(projector_shape)
+        self.channels = channels
+        self.level_rows = level_rows
+        self._nbytes = nbytes
 
     def __repr__(self) -> str:
         return _shown(self)
@@ -46,19 +63,30 @@ class Transport(ABC):
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, camera rays)``, K = ``len(channels)``."""
 
-    @abstractmethod
     def truncate(self, level: int) -> Transport:
-        """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7)."""
+        """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7).
+
+        Raises
+        ------
+        InputError
+            If there is no such level.
+        """
+        if level < 0:
+            raise InputError(f"level {level} of a transport; levels count from 0")
+        return self._truncated(level, [row for row in self.level_rows if row["level"] <= level])
+
+    @abstractmethod
+    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
+        """Return the transport after a level that there is, `level_rows` its table of levels."""
 
     @property
-    @abstractmethod
     def nbytes(self) -> int:
         """Bytes stored: on disk if opened from a store, of the arrays if in memory."""
+        return self._bytes_in_memory() if self._nbytes is None else self._nbytes
 
-    @property
     @abstractmethod
-    def level_rows(self) -> list[dict[str, Any]]:
-        """The rows of `levels` as plain data."""
+    def _bytes_in_memory(self) -> int:
+        """Bytes of the arrays."""
 
     @abstractmethod
     def pack(
@@ -227,25 +255,3 @@ def _channel_operator(transport: Transport, index: int) -> LinearOperator:
         rmatmat=rmatmat,
         dtype=np.dtype(np.float32),
     )
-
-
-class LazyArrays(Mapping[str, NDArray[Any]]):
-    """Named arrays that are read when first used; a plain mapping serves as well."""
-
-    def __init__(self, names: Sequence[str], read: Any) -> None:
-        self._names = tuple(names)
-        self._read = read
-        self._held: dict[str, NDArray[Any]] = {}
-
-    def __getitem__(self, name: str) -> NDArray[Any]:
-        if name not in self._held:
-            if name not in self._names:
-                raise KeyError(name)
-            self._held[name] = self._read(name)
-        return self._held[name]
-
-    def __iter__(self) -> Any:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)

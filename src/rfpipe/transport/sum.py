@@ -50,16 +50,11 @@ class SumTransport(Transport):
         self.parts = tuple(parts)
         self.first_levels = tuple([0] * len(self.parts) if first_levels is None else first_levels)
         _check(self.parts, self.first_levels)
-        self.camera_shape = self.parts[0].camera_shape
-        self.projector_shape = self.parts[0].projector_shape
-        self.channels = self.parts[0].channels
-        self._rows = level_rows
-        self._nbytes = nbytes
+        part = self.parts[0]
+        super().__init__(part.camera_shape, part.projector_shape, part.channels, level_rows, nbytes)
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes on disk if opened from a store, else of the parts."""
-        return sum(part.nbytes for part in self.parts) if self._nbytes is None else self._nbytes
+    def _bytes_in_memory(self) -> int:
+        return sum(part.nbytes for part in self.parts)
 
     @property
     def last_level(self) -> int:
@@ -68,11 +63,6 @@ class SumTransport(Transport):
             first + part.last_level
             for part, first in zip(self.parts, self.first_levels, strict=True)
         )
-
-    @property
-    def level_rows(self) -> list[dict[str, Any]]:
-        """The rows of `levels` as plain data."""
-        return self._rows
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``."""
@@ -88,15 +78,11 @@ class SumTransport(Transport):
             total += part.adjoint(images, channels)
         return total
 
-    def truncate(self, level: int) -> Transport:
-        """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7).
+    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
+        """Leave out parts that began later, and truncate the others at their own levels.
 
-        Parts that began later are left out, the others are truncated at their own levels. Before
-        the first part began, nothing was known: all is dark.
+        Before the first part began, nothing was known: all is dark.
         """
-        if level < 0:
-            raise InputError(f"level {level} of a transport; levels count from 0")
-        rows = [row for row in self._rows if row["level"] <= level]
         begun = [
             (part if level - first >= part.last_level else part.truncate(level - first), first)
             for part, first in zip(self.parts, self.first_levels, strict=True)
@@ -104,10 +90,10 @@ class SumTransport(Transport):
         ]
         if not begun:
             return MultilevelTransport(
-                self.camera_shape, self.projector_shape, self.channels, rows, []
+                self.camera_shape, self.projector_shape, self.channels, level_rows, []
             )
         parts, first_levels = zip(*begun, strict=True)
-        return SumTransport(parts, rows, first_levels)
+        return SumTransport(parts, level_rows, first_levels)
 
     def pack(
         self, number_format: NumberFormat = "float32"
@@ -122,7 +108,7 @@ class SumTransport(Transport):
         return arrays, {
             "kind": self.kind,
             "number_format": number_format,
-            "levels": self._rows,
+            "levels": self.level_rows,
             "first_levels": list(self.first_levels),
             "parts": about,
         }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float, LevelImages, Pack
+from rfpipe.methods.states import unprefixed
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
 from rfpipe.patterns import Schedule
 
@@ -81,7 +82,7 @@ def restored(
 ) -> SymmetricState | None:
     """Return the state after the last of packs, None where none of them has any."""
     own = [
-        Pack(_unprefixed(pack.arrays), pack.attributes["symmetric"])
+        Pack(unprefixed(_PREFIX, pack.arrays), pack.attributes["symmetric"])
         for pack in packs
         if "symmetric" in pack.attributes
     ]
@@ -89,11 +90,3 @@ def restored(
         return None
     method = Symmetric()
     return method.restore(method.start(domain, domain, channels, options), own)
-
-
-def _unprefixed(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    return {
-        name.removeprefix(_PREFIX): array
-        for name, array in arrays.items()
-        if name.startswith(_PREFIX)
-    }

@@ -8,7 +8,7 @@ patterns. Where that model does not hold, symmetric photography takes over.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, replace
 from typing import Any
 
@@ -18,7 +18,8 @@ from pydantic import Field
 
 from rfpipe.blocks import RayDomain
 from rfpipe.config.base import Fraction
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Method, Pack, all_blocks
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, all_blocks
+from rfpipe.methods.images import planar_batches
 from rfpipe.methods.near_far import handover
 from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far.model import Model, fit
@@ -29,7 +30,7 @@ from rfpipe.methods.near_far.patterns import (
 )
 from rfpipe.methods.near_far.pictures import Pictures, completed
 from rfpipe.methods.near_far.transport import as_transport, indirect, light_range
-from rfpipe.methods.rivals.signs import planar_batches
+from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
@@ -38,7 +39,7 @@ from rfpipe.transport.sum import SumTransport
 
 # Held-out pictures that come with a round's probes, by level.
 HELD_OUT = {1: 2, 2: 2}
-# Probes of each round: a round should cut the error, and end soon where the target is met.
+# Probes of each round, a level: a round should cut the error, and end soon where the target is met.
 ROUNDS = (6, 10, 8, 12, 16, 24, 32)
 MOST = 1 + sum(HELD_OUT.values()) + sum(ROUNDS)
 """Patterns of all rounds."""
@@ -118,7 +119,7 @@ class NearFarState:
         return sum(row["patterns"] for row in self.rows)
 
 
-class NearFar(Method[NearFarState]):
+class NearFar(PackingMethod[NearFarState]):
     """Near/far acquisition as a `Method`.
 
     Rounds of random patterns are fitted until the estimate of the error, from pictures that no fit
@@ -135,6 +136,7 @@ class NearFar(Method[NearFarState]):
     Options = NearFarOptions
     trades = "target_error"
     trials = (0.03, 0.01, 0.003)
+    packing = Packing(("level", "new", "done", "rows"))
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return the floodlit level, the rounds, and the levels of symmetric photography."""
@@ -194,16 +196,15 @@ class NearFar(Method[NearFarState]):
         if level > len(ROUNDS):
             return _refine_symmetric(state, images, memory_bytes)
         if level and not count:
-            return replace(state, level=level + 1, new=0, rows=(*state.rows, _row(level, 0)))
+            return _skipped(state)
         radiance, variance = _read(state, images)
         if level == 0:
             nothing = np.zeros((0, *radiance.shape[1:]), np.float32)
             dark = np.zeros((0, state.domain.size), np.bool_)
             floodlit = completed(state.domain.shape, radiance[0], variance[0])
             pictures = Pictures(floodlit, variance[0], dark, nothing, nothing)
-            return replace(
-                state, level=1, pictures=pictures, rows=(_row(0, 1, scalar=state.domain.size),)
-            )
+            row = level_row(0, 1, rank_k=0, scalar=state.domain.size)
+            return replace(state, level=1, pictures=pictures, rows=(row,))
         assert state.pictures is not None
         lit = images.schedule.batch(0, count).reshape(count, -1) > 0
         first = HELD_OUT.get(level, 0)
@@ -211,7 +212,9 @@ class NearFar(Method[NearFarState]):
         pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
         model = fit(state.domain.shape, pictures)
         found = _estimate(pictures, model, held)
-        row = _row(level, count, nodes=len(model.basis.first), estimated_error=found.error)
+        row = level_row(
+            level, count, nodes=len(model.basis.first), rank_k=0, estimated_error=found.error
+        )
         state = replace(
             state,
             level=level + 1,
@@ -240,68 +243,40 @@ class NearFar(Method[NearFarState]):
     def pack(self, state: NearFarState) -> Pack:
         """Return the last level's pictures, the model, and what symmetric photography found."""
         assert state.pictures is not None
-        arrays: dict[str, NDArray[Any]] = {}
-        if state.level == 1:
-            arrays["floodlit"] = state.pictures.floodlit
-            arrays["floodlit_variance"] = state.pictures.floodlit_variance
-        first = len(state.pictures.lit) - state.new
-        arrays["lit"] = state.pictures.lit[first:].astype(np.uint8)
-        arrays["radiance"] = state.pictures.radiance[first:]
-        arrays["variance"] = state.pictures.variance[first:]
-        new_held = HELD_OUT.get(state.level - 1, 0) if state.held is not None and state.new else 0
-        if new_held:
-            assert state.held is not None
-            last = slice(len(state.held.lit) - new_held, None)
-            arrays["held_lit"] = state.held.lit[last].astype(np.uint8)
-            arrays["held_radiance"] = state.held.radiance[last]
+        own = super().pack(state)
+        arrays = arrays_of(state.pictures.since(len(state.pictures.lit) - state.new))
+        if state.level > 1:
+            del arrays["floodlit"], arrays["floodlit_variance"]
+        if state.held is not None and state.new and (count := HELD_OUT.get(state.level - 1)):
+            held = Held(state.held.lit[-count:], state.held.radiance[-count:])
+            arrays |= arrays_of(held, "held_")
         if state.model is not None and state.new:
-            arrays["functions"] = state.model.basis.functions
-            arrays["cores"] = state.model.cores
-        attributes: dict[str, Any] = {
-            "level": state.level,
-            "new": state.new,
-            "estimates": [list(astuple(found)) for found in state.estimates],
-            "done": state.done,
-            "rows": list(state.rows),
-        }
+            arrays |= {"functions": state.model.basis.functions, "cores": state.model.cores}
+        estimates = [list(astuple(found)) for found in state.estimates]
+        attributes = {**own.attributes, "estimates": estimates}
         if state.symmetric is not None:
             inner, attributes["symmetric"] = handover.packed(state.symmetric)
             arrays |= inner
         return Pack(arrays, attributes)
 
-    def restore(self, start: NearFarState, packs: Sequence[Pack]) -> NearFarState:
-        """Return the state after the last of `packs`, one a level from level 0 on."""
-        if not packs:
-            return start
-        about = packs[-1].attributes
+    def _restored(self, start: NearFarState, packs: Sequence[Pack]) -> NearFarState:
         own = [pack.arrays for pack in packs]
-        pictures = Pictures(
-            own[0]["floodlit"],
-            own[0]["floodlit_variance"],
-            np.concatenate([arrays["lit"] for arrays in own]).astype(np.bool_),
-            np.concatenate([arrays["radiance"] for arrays in own]),
-            np.concatenate([arrays["variance"] for arrays in own]),
-        )
-        held = None
-        for arrays in own:
-            if "held_lit" in arrays:
-                lit = arrays["held_lit"].astype(np.bool_)
-                held = _with(held, Held(lit, arrays["held_radiance"]))
         model = None
         if fitted := [arrays for arrays in own if "cores" in arrays]:
             basis = MultiscaleBasis(start.domain.shape, fitted[-1]["functions"])
             model = Model(basis, fitted[-1]["cores"])
+        held = [unprefixed("held_", arrays) for arrays in own if "held_lit" in arrays]
         return replace(
-            start,
-            level=about["level"],
-            pictures=pictures,
-            new=about["new"],
-            held=held,
+            super()._restored(start, packs),
+            pictures=Pictures(
+                own[0]["floodlit"],
+                own[0]["floodlit_variance"],
+                *_joined(own, "radiance", "variance"),
+            ),
+            held=Held(*_joined(held, "radiance")) if held else None,
             model=model,
-            estimates=tuple(Estimate(*found) for found in about["estimates"]),
-            done=about["done"],
+            estimates=tuple(Estimate(*found) for found in packs[-1].attributes["estimates"]),
             symmetric=handover.restored(start.domain, start.channels, start.options, packs),
-            rows=tuple(about["rows"]),
         )
 
     def _probes(self, state: NearFarState) -> int:
@@ -335,13 +310,10 @@ class NearFar(Method[NearFarState]):
         return replace(state, done=True, symmetric=_taken_over(state))
 
 
-def _row(level: int, patterns: int, **counts: Any) -> dict[str, Any]:
-    """Return a row of the table of levels."""
-    row: dict[str, Any] = {"level": level, "patterns": patterns}
-    return row | dict.fromkeys(_COUNTS, 0) | counts
-
-
-_COUNTS = ("nodes", "empty", "rank1", "rank_k", "scalar", "subdivided")
+def _joined(packs: Sequence[Mapping[str, NDArray[Any]]], *names: str) -> tuple[Any, ...]:
+    """Return the patterns of all packs, and what else they hold of the pictures, by name."""
+    lit, *others = (np.concatenate([arrays[name] for arrays in packs]) for name in ("lit", *names))
+    return lit.astype(np.bool_), *others
 
 
 def _read(state: NearFarState, images: LevelImages) -> tuple[Float, Float]:
@@ -380,11 +352,17 @@ def _taken_over(state: NearFarState) -> SymmetricState:
     )
 
 
+def _skipped(state: NearFarState) -> NearFarState:
+    """Return the state after a level that shows nothing."""
+    row = level_row(state.level, 0, rank_k=0)
+    return replace(state, level=state.level + 1, new=0, rows=(*state.rows, row))
+
+
 def _refine_symmetric(state: NearFarState, images: LevelImages, memory_bytes: int) -> NearFarState:
     """Let symmetric photography refine a level of its own, if it has taken over."""
     level = state.level
     if state.symmetric is None:
-        return replace(state, level=level + 1, new=0, rows=(*state.rows, _row(level, 0)))
+        return _skipped(state)
     inner = handover.refine(state.symmetric, images, memory_bytes)
     own = state.rows[: len(ROUNDS) + 1]
     rows = [{**row, "level": row["level"] + len(ROUNDS)} for row in inner.rows[1:]]

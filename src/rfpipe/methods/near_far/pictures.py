@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,12 +53,20 @@ class Pictures:
 
     def extended(self, lit: NDArray[np.bool_], radiance: Float, variance: Float) -> Pictures:
         """Return these and more pictures."""
-        return Pictures(
-            self.floodlit,
-            self.floodlit_variance,
-            np.concatenate([self.lit, lit]),
-            np.concatenate([self.radiance, radiance]),
-            np.concatenate([self.variance, variance]),
+        return replace(
+            self,
+            lit=np.concatenate([self.lit, lit]),
+            radiance=np.concatenate([self.radiance, radiance]),
+            variance=np.concatenate([self.variance, variance]),
+        )
+
+    def since(self, first: int) -> Pictures:
+        """Return those from a number on."""
+        return replace(
+            self,
+            lit=self.lit[first:],
+            radiance=self.radiance[first:],
+            variance=self.variance[first:],
         )
 
     def channel(self, index: int) -> Pictures:

@@ -43,7 +43,7 @@ class Observations:
         Weights of a patch's dark and of its lit pixels.
     seen_dark, seen_lit : ndarray of float32, shape (patches, M)
         Weighted sums of what they show, divided by F.
-    level : float
+    indirect : float
         Indirect light on dark pixels as a fraction of the floodlit image, doubled, since patterns
         light half of the pixels.
     floodlit : float
@@ -57,7 +57,7 @@ class Observations:
     lit: Float
     seen_dark: Float
     seen_lit: Float
-    level: float
+    indirect: float
     floodlit: float
 
     @classmethod
@@ -89,7 +89,7 @@ class Observations:
         seen = pictures.radiance[:, 0].T * dark
         mean = float(factor.mean(dtype=np.float64))
         pixels_dark = max(float(dark[known].sum(dtype=np.float64)), 1.0)
-        level = 2 * float(seen.sum(dtype=np.float64)) / pixels_dark
+        indirect = 2 * float(seen.sum(dtype=np.float64)) / pixels_dark
         return cls(
             basis,
             _rows_scaled(patches @ basis.weights, np.float32(1) / pixels),
@@ -98,7 +98,7 @@ class Observations:
             patches @ (weight * pattern),
             patches @ (shown * dark),
             patches @ (shown * pattern),
-            max(level, 0.0) / mean if mean else 0.0,
+            max(indirect, 0.0) / mean if mean else 0.0,
             mean,
         )
 
@@ -124,7 +124,7 @@ class Prior:
         first, second = basis.scales[basis.first], basis.scales[basis.second]
         coarser = np.maximum(first, second)
         area = np.square(np.maximum(distance, coarser)) * _OCTAVES
-        expected = seen.level / (max(seen.floodlit, float(np.finfo(np.float32).tiny)) * area)
+        expected = seen.indirect / (max(seen.floodlit, float(np.finfo(np.float32).tiny)) * area)
         distance_bin = (_BINS_PER_SCALE * distance / coarser).astype(np.int64)
         key = distance_bin << 2 * _SCALE_BITS | first.astype(np.int64) << _SCALE_BITS | second
         _, group = np.unique(key, return_inverse=True)

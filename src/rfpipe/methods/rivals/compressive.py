@@ -6,7 +6,6 @@ S. Darabi, *Compressive dual photography*, Computer Graphics Forum 28 (2009).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,15 +14,11 @@ from pydantic import Field
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Method, Options, Pack
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
+from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.rivals.pursuit import pursue, rays_and_wavelets
-from rfpipe.methods.rivals.signs import (
-    as_light,
-    planar_batches,
-    random_signs,
-    rounding,
-    trimmed_mean,
-)
+from rfpipe.methods.rivals.signs import as_light, random_signs, trimmed_mean
+from rfpipe.methods.states import Packing, PackingMethod, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.dense import DenseTransport
 
@@ -78,7 +73,7 @@ class CompressiveState:
     rows: tuple[dict[str, int], ...] = ()
 
 
-class Compressive(Method[CompressiveState]):
+class Compressive(PackingMethod[CompressiveState]):
     """Compressive sensing of the rows of ``T``, as a `Method`.
 
     The patterns are the published ones of compressive dual photography, on and off at random; the
@@ -95,6 +90,7 @@ class Compressive(Method[CompressiveState]):
     Options = CompressiveOptions
     trades = "patterns"
     trials = (50, 100, 200, 500)
+    packing = Packing(("level", "rows"), ("matrix", "floodlit", "variance"))
 
     def expected_patterns(
         self,
@@ -166,8 +162,7 @@ class Compressive(Method[CompressiveState]):
             )
             matrix, atoms = recover(signs, measured, variance, state.projector)
             state = replace(state, matrix=matrix)
-        row = {"level": state.level, "patterns": count, "nodes": pixels * channels, "empty": 0}
-        row |= {"rank1": 0, "scalar": atoms, "subdivided": 0}
+        row = level_row(state.level, count, nodes=pixels * channels, scalar=atoms)
         return replace(state, level=state.level + 1, rows=(*state.rows, row))
 
     def transport(self, state: CompressiveState) -> DenseTransport:
@@ -178,26 +173,6 @@ class Compressive(Method[CompressiveState]):
             len(state.matrix),
             list(state.rows),
             {"matrix": state.matrix},
-        )
-
-    def pack(self, state: CompressiveState) -> Pack:
-        """Return the matrix and the floodlit image."""
-        names = ("matrix", "floodlit", "variance")
-        arrays = {name: getattr(state, name) for name in names}
-        return Pack(arrays, {"level": state.level, "rows": list(state.rows)})
-
-    def restore(self, start: CompressiveState, packs: Sequence[Pack]) -> CompressiveState:
-        """Return the state after the last of `packs`."""
-        if not packs:
-            return start
-        arrays, about = packs[-1].arrays, packs[-1].attributes
-        return replace(
-            start,
-            matrix=arrays["matrix"],
-            floodlit=arrays["floodlit"],
-            variance=arrays["variance"],
-            level=about["level"],
-            rows=tuple(about["rows"]),
         )
 
 

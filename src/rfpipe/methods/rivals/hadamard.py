@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
 from rfpipe.methods.scan import Scan, ScanState, read_columns
+from rfpipe.methods.states import level_row
 from rfpipe.patterns import Schedule
 
 # Pixels decoded at a time.
@@ -69,15 +70,7 @@ class Hadamard(Scan):
         order = images.schedule.count
         coded = read_columns(images, channels, pixels)
         matrix = decode(coded.reshape(-1, order), rays).reshape(state.matrix.shape)
-        row = {
-            "level": 0,
-            "patterns": order,
-            "nodes": pixels * rays,
-            "empty": 0,
-            "rank1": 0,
-            "scalar": pixels * rays,
-            "subdivided": 0,
-        }
+        row = level_row(0, order, nodes=pixels * rays, scalar=pixels * rays)
         return replace(state, matrix=matrix, level=1, rows=(row,))
 
 

@@ -8,7 +8,6 @@ of a matrix*, Applied Numerical Mathematics 57 (2007).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil, log2, sqrt
 from typing import Any
@@ -19,15 +18,11 @@ from pydantic import Field
 
 from rfpipe.blocks import RayDomain
 from rfpipe.config.base import Fraction
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Method, Options, Pack
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
+from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.rivals.low_rank_fit import Fit, fit, relit, start_fit
-from rfpipe.methods.rivals.signs import (
-    as_light,
-    planar_batches,
-    random_signs,
-    rounding,
-    trimmed_mean,
-)
+from rfpipe.methods.rivals.signs import as_light, random_signs, trimmed_mean
+from rfpipe.methods.states import Packing, PackingMethod, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.low_rank import LowRankTransport
 
@@ -99,7 +94,7 @@ class LowRankState:
         return sum(images.shape[1] for images in self.images)
 
 
-class LowRank(Method[LowRankState]):
+class LowRank(PackingMethod[LowRankState]):
     """A randomised range finder that computes in light, as a `Method`.
 
     The images of each round of random signs first test the fit to those before it, which has not
@@ -120,6 +115,9 @@ class LowRank(Method[LowRankState]):
     Options = LowRankOptions
     trades = "patterns"
     trials = (50, 100, 200, 500)
+    packing = Packing(
+        ("level", "ranks", "done", "rows"), groups={"fit": ""}, latest=("images", "noise")
+    )
 
     def expected_patterns(
         self,
@@ -152,7 +150,7 @@ class LowRank(Method[LowRankState]):
         if state.level == 0:
             return Schedule.floodlit(shape)
         limit = min(state.options.patterns or OWN_MOST, _MOST)
-        count = 0 if state.done else min(_round(state.level), max(limit - state.shown, 0))
+        count = 0 if state.done else min(_probes(state.level), max(limit - state.shown, 0))
         weights = as_light(_signs(state.domain, state.level, count), shape)
         return Schedule(state.level, shape, count, weights=weights)
 
@@ -182,8 +180,7 @@ class LowRank(Method[LowRankState]):
         if count:
             state = replace(state, fit=_fit_all(state))
         rank = state.fit.strengths.shape[1]
-        row = {"level": level, "patterns": count, "nodes": 1, "empty": 0, "rank1": rank}
-        row |= {"scalar": state.domain.size, "subdivided": 0, **found}
+        row = level_row(level, count, nodes=1, rank1=rank, scalar=state.domain.size, **found)
         return replace(state, ranks=(*state.ranks, rank), rows=(*state.rows, row))
 
     def transport(self, state: LowRankState) -> LowRankTransport:
@@ -199,40 +196,9 @@ class LowRank(Method[LowRankState]):
         shape = state.domain.shape
         return LowRankTransport(shape, shape, state.channels, list(state.rows), arrays)
 
-    def pack(self, state: LowRankState) -> Pack:
-        """Return the last level's images and the fit."""
-        arrays: dict[str, NDArray[Any]] = {"images": state.images[-1], "noise": state.noise[-1]}
-        arrays |= {name: getattr(state.fit, name) for name in _FIT}
-        attributes = {
-            "level": state.level,
-            "ranks": list(state.ranks),
-            "done": state.done,
-            "rows": list(state.rows),
-        }
-        return Pack(arrays, attributes)
 
-    def restore(self, start: LowRankState, packs: Sequence[Pack]) -> LowRankState:
-        """Return the state after the last of `packs`, one a level from level 0 on."""
-        if not packs:
-            return start
-        about = packs[-1].attributes
-        return replace(
-            start,
-            level=about["level"],
-            images=tuple(pack.arrays["images"] for pack in packs),
-            noise=tuple(pack.arrays["noise"] for pack in packs),
-            fit=Fit(*(packs[-1].arrays[name] for name in _FIT)),
-            ranks=tuple(about["ranks"]),
-            done=about["done"],
-            rows=tuple(about["rows"]),
-        )
-
-
-_FIT = ("diagonal", "left", "strengths")
-
-
-def _round(level: int) -> int:
-    """Return the patterns of a level, 1 or more, of random signs."""
+def _probes(level: int) -> int:
+    """Return how many random signs a round shows; rounds are levels, from 1 on."""
     return _FIRST_ROUND << max(level - 2, 0)
 
 

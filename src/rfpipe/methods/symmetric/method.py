@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +16,11 @@ from rfpipe.methods.base import (
     MEMORY_BYTES,
     TOLERANCES,
     LevelImages,
-    Method,
     Options,
     Pack,
     all_blocks,
 )
+from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
     as_leaves,
@@ -46,7 +45,7 @@ from rfpipe.methods.symmetric.rank_test import (
     reconcile,
 )
 from rfpipe.patterns import Schedule
-from rfpipe.transport.hierarchical.leaves import LEAF_PARTS, LeafSet
+from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
 
@@ -94,10 +93,10 @@ class SymmetricState:
     frontier: Frontier
     floodlit_maximum: float
     dark: NDArray[np.bool_]
-    rows: tuple[dict[str, int], ...] = field(default=())
+    rows: tuple[dict[str, int], ...] = ()
 
 
-class Symmetric(Method[SymmetricState]):
+class Symmetric(PackingMethod[SymmetricState]):
     """Symmetric photography as a `Method`."""
 
     name = "symmetric"
@@ -108,6 +107,9 @@ class Symmetric(Method[SymmetricState]):
     Options = SymmetricOptions
     trades = "tolerance"
     trials = TOLERANCES
+    packing = Packing(
+        ("level", "floodlit_maximum", "rows"), ("dark",), groups={"frontier": "frontier_"}
+    )
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return the depth of the block tree."""
@@ -164,7 +166,7 @@ class Symmetric(Method[SymmetricState]):
             return self._begin(state, images)
         tree, level, nodes = state.tree, state.level, state.frontier
         if not images.schedule.count:
-            row = _row(level, patterns=0)
+            row = level_row(level, 0, rank_k=0)
             return replace(state, level=level + 1, added=(), rows=(*state.rows, row))
         limits = _limits(state, tests=len(child_pairs(tree, level - 1, nodes)[0]))
         refined = [
@@ -186,7 +188,7 @@ class Symmetric(Method[SymmetricState]):
             for name in refined[0].found.counts
         }
         children = sum(part.children for part in refined)
-        row = _row(level, patterns=images.schedule.count, nodes=children, **counts)
+        row = level_row(level, images.schedule.count, nodes=children, rank_k=0, **counts)
         return replace(
             state,
             level=level + 1,
@@ -216,7 +218,7 @@ class Symmetric(Method[SymmetricState]):
             known=(found.leaves,),
             added=(found.leaves,),
             frontier=found.frontier,
-            rows=(_row(0, patterns=1, nodes=1, **found.counts),),
+            rows=(level_row(0, 1, nodes=1, rank_k=0, **found.counts),),
         )
 
     def transport(self, state: SymmetricState) -> HierarchicalTransport:
@@ -228,62 +230,28 @@ class Symmetric(Method[SymmetricState]):
 
     def pack(self, state: SymmetricState) -> Pack:
         """Return the leaves that the last refinement added, and the frontier."""
-        arrays: dict[str, NDArray[Any]] = {"dark": state.dark.astype(np.uint8)}
+        own = super().pack(state)
+        arrays = dict(own.arrays)
         for leaves in state.added:
-            prefix = f"leaves_{leaves.level:02d}"
-            arrays |= {f"{prefix}_{part}": getattr(leaves, part) for part in LEAF_PARTS}
-        for name in _FRONTIER:
-            arrays[f"frontier_{name}"] = getattr(state.frontier, name)
-        attributes = {
-            "level": state.level,
-            "leaf_levels": [leaves.level for leaves in state.added],
-            "floodlit_maximum": state.floodlit_maximum,
-            "rows": list(state.rows),
-        }
-        return Pack(arrays, attributes)
+            arrays |= arrays_of(leaves, _prefix(leaves.level))
+        levels = [leaves.level for leaves in state.added]
+        return Pack(arrays, {**own.attributes, "leaf_levels": levels})
 
-    def restore(self, start: SymmetricState, packs: Sequence[Pack]) -> SymmetricState:
-        """Return the state after the last of `packs`, one a level from level 0 on."""
-        if not packs:
-            return start
-        known: list[LeafSet] = []
-        added: list[LeafSet] = []
-        for pack in packs:
-            added = [
-                LeafSet(level, *(pack.arrays[f"leaves_{level:02d}_{part}"] for part in LEAF_PARTS))
+    def _restored(self, start: SymmetricState, packs: Sequence[Pack]) -> SymmetricState:
+        added = [
+            tuple(
+                LeafSet(level, **unprefixed(_prefix(level), pack.arrays))
                 for level in pack.attributes["leaf_levels"]
-            ]
-            known += added
-        last = packs[-1]
-        return replace(
-            start,
-            level=last.attributes["level"],
-            known=tuple(known),
-            added=tuple(added),
-            frontier=Frontier(*(last.arrays[f"frontier_{name}"] for name in _FRONTIER)),
-            floodlit_maximum=last.attributes["floodlit_maximum"],
-            dark=last.arrays["dark"].astype(np.bool_),
-            rows=tuple(last.attributes["rows"]),
-        )
+            )
+            for pack in packs
+        ]
+        known = tuple(leaves for found in added for leaves in found)
+        return replace(super()._restored(start, packs), known=known, added=added[-1])
 
 
-_FRONTIER = ("block_a", "block_b", "pieces", "energy", "variance")
-
-
-def _row(
-    level: int, *, patterns: int, nodes: int = 0, empty: int = 0, rank1: int = 0, scalar: int = 0
-) -> dict[str, int]:
-    """Return a row of the table of levels; what the rank test decides is known a level later."""
-    return {
-        "level": level,
-        "patterns": patterns,
-        "nodes": nodes,
-        "empty": empty,
-        "rank1": rank1,
-        "rank_k": 0,
-        "scalar": scalar,
-        "subdivided": 0,
-    }
+def _prefix(level: int) -> str:
+    """What the names of a level's leaves begin with."""
+    return f"leaves_{level:02d}_"
 
 
 def _limits(state: SymmetricState, tests: int) -> Limits:
@@ -321,7 +289,7 @@ def _refine_nodes(
     verdict = rank_test(tree, level - 1, nodes, first_pair, pieces, limits)
     unsettled = (verdict == DIFFERS) | (verdict == AGREES)
     smooth = predictable(tree, level - 1, nodes, first_pair, pieces, unsettled, limits)
-    rank_1 = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
+    rank1 = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
     subdivided = (verdict < CLOSE) & ~smooth
     divided = np.flatnonzero(subdivided[node])
     above = node[divided]
@@ -331,7 +299,7 @@ def _refine_nodes(
     rank_k = rank_k_leaves(tree, level - 1, nodes, first_pair, pieces, smooth)
     found = classify(tree, level, pieces, divided, settled, nodes, above, wrong, limits)
     return _Refined(
-        (rank_1, rank_k),
+        (rank1, rank_k),
         found,
         len(divided),
         int(np.count_nonzero(smooth)),

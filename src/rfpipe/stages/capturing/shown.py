@@ -18,8 +18,8 @@ def reference_patterns(
 ) -> tuple[NDArray[np.float32], Keys]:
     """Return some of the patterns that an acquisition begins with, and their keys for the rig.
 
-    They are `black_frames` times all off, then all on: what the merge's `Merger.calibrate` learns
-    from.
+    They are `black_frames` times all off, then all on: what the merge's
+    `Merger.from_references` learns from.
     """
     indices = range(first, last)
     patterns = np.zeros((len(indices), *projector_shape), np.float32)

@@ -1,1 +1,1 @@
-"""Brackets into radiance: calibrating references, the merge itself, and its images."""
+"""Brackets into radiance: what the references tell, the merge itself, and its images."""

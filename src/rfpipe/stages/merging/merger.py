@@ -104,7 +104,7 @@ class Merger:
     floodlit_variance: NDArray[np.float32]
 
     @classmethod
-    def calibrate(
+    def from_references(
         cls,
         sensor: Sensor,
         black_frames: Iterable[Frames],

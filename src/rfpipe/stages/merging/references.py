@@ -19,15 +19,15 @@ from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, advice_on_damage
 from rfpipe.stages.results import bundle_entry, intact_bundle
 from rfpipe.store import ArrayBundle, open_arrays, write_arrays
 
-__all__ = ["CALIBRATION", "calibrate", "read_floodlit", "read_merger"]
+__all__ = ["REFERENCES", "learn_references", "read_floodlit", "read_merger"]
 
 Float = NDArray[np.float32]
 
-CALIBRATION = "calibration"
+REFERENCES = "references"
 """Their store, and their key in the merge's manifest of level 0."""
 
 
-def calibrate(
+def learn_references(
     sensor: Sensor,
     folder: AcquisitionFolder,
     settings: dict[str, Any],
@@ -55,14 +55,14 @@ def calibrate(
     Raises
     ------
     CaptureError
-        As `Merger.calibrate`.
+        As `Merger.from_references`.
     StaleStoreError
         When settings changed and the reference brackets were dropped.
     """
     captured = folder.read_manifest(0, "capture")[REFERENCE]
     made_of = {"settings": settings, "captured": captured["digest"]}
     made_from = fingerprint([made_of, code])
-    store = folder.store(0, CALIBRATION)
+    store = folder.store(0, REFERENCES)
     raw = RawFrames(folder, 0, REFERENCE)
     bundle = intact_bundle(store, None if raw.dropped else made_from)
     if bundle is None:
@@ -80,14 +80,14 @@ def calibrate(
 
 def read_merger(sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float) -> Merger:
     """Read what level 0 learnt."""
-    bundle = folder.bundle(0, "merge", CALIBRATION)
+    bundle = folder.bundle(0, "merge", REFERENCES)
     with advice_on_damage(folder.manifest(0, "merge")):
         return _merger_of(bundle, sensor, saturation_fraction)
 
 
 def read_floodlit(folder: AcquisitionFolder) -> tuple[Float, Float]:
     """Read the floodlit image that level 0 measured, and its variance: (*camera_shape, C)."""
-    bundle = folder.bundle(0, "merge", CALIBRATION)
+    bundle = folder.bundle(0, "merge", REFERENCES)
     with advice_on_damage(folder.manifest(0, "merge")):
         return bundle.read("floodlit"), bundle.read("floodlit_variance")
 
@@ -104,7 +104,7 @@ def _learn(
             def read(first: int, last: int) -> Iterator[NDArray[Any]]:
                 return workers.results(frames.read, [(i, i + 1) for i in range(first, last)])
 
-            return Merger.calibrate(
+            return Merger.from_references(
                 sensor,
                 read(0, off),
                 read(off, off + on),

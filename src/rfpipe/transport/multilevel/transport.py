@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.errors import InputError
+from rfpipe.transport.arrays import Arrays, LevelTransport
 from rfpipe.transport.base import Float, Transport, planar_patterns
 from rfpipe.transport.rounding import rounded
-from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
 
 Double = NDArray[np.float64]
@@ -78,38 +76,19 @@ def fold(
     return PairSet(level, block.astype(np.int32), pixel.astype(np.int32), sums.astype(np.float32))
 
 
-class MultilevelTransport(Transport):
+class MultilevelTransport(LevelTransport[PairSet]):
     """Transport as a sum over levels of sparse matrices (block, pixel) -> value.
 
     Parameters
     ----------
-    camera_shape, projector_shape : tuple of int
-    channels : int
-    level_rows : list of dict
-        The rows of `levels`.
-    pair_sets : sequence of PairSet
+    camera_shape, projector_shape, channels, level_rows, nbytes
+        See `rfpipe.transport.arrays.HoldingTransport`.
+    held : sequence of PairSet
         By level, the coarsest first; may be read when used.
-    nbytes : int, optional
-        Bytes on disk; by default the bytes of the pairs.
     """
 
     kind = "multilevel"
-
-    def __init__(
-        self,
-        camera_shape: tuple[int, ...],
-        projector_shape: tuple[int, ...],
-        channels: int,
-        level_rows: list[dict[str, Any]],
-        pair_sets: Sequence[PairSet],
-        nbytes: int | None = None,
-    ) -> None:
-        self.camera_shape = tuple(camera_shape)
-        self.projector_shape = tuple(projector_shape)
-        self.channels = channels
-        self.pair_sets = pair_sets
-        self._rows = level_rows
-        self._nbytes = nbytes
+    parts = PAIR_PARTS
 
     @classmethod
     def from_pair_sets(
@@ -124,27 +103,10 @@ class MultilevelTransport(Transport):
         filled = sorted(filter(len, pair_sets), key=lambda pairs: pairs.level)
         return cls(camera.shape, projector.shape, channels, level_rows, filled)
 
-    @cached_property
-    def tree(self) -> BlockTree:
-        """The block tree of the projector's rays."""
-        return BlockTree(RayDomain(self.projector_shape))
-
     @property
-    def nbytes(self) -> int:
-        """Bytes on disk if opened from a store, else of the pairs in memory."""
-        if self._nbytes is not None:
-            return self._nbytes
-        return sum(pairs.nbytes for pairs in self.pair_sets)
-
-    @property
-    def last_level(self) -> int:
-        """Finest level that `truncate` tells apart: single rays."""
-        return self.tree.n_levels - 1
-
-    @property
-    def level_rows(self) -> list[dict[str, Any]]:
-        """Per level: patterns, nodes, empty, rank1, scalar, subdivided."""
-        return self._rows
+    def pair_sets(self) -> Sequence[PairSet]:
+        """The pairs by level, the coarsest first."""
+        return self._held
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``, by eq. (3.2).
@@ -233,62 +195,26 @@ class MultilevelTransport(Transport):
             gather_to_blocks(pairs.block, pairs.pixel, values, light, totals)
             yield totals / sizes, starts
 
-    def truncate(self, level: int) -> MultilevelTransport:
-        """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7).
-
-        What was subdivided at `level` gets the sum of what was stored below it.
-        """
-        if not 0 <= level < self.tree.n_levels:
-            raise InputError(
-                f"level {level} of a transport with levels 0..{self.tree.n_levels - 1}"
-            )
+    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
+        """Give what was subdivided at `level` the sum of what was stored below it."""
         kept = [pairs for pairs in self.pair_sets if pairs.level < level]
         folded = [pairs for pairs in self.pair_sets if pairs.level >= level]
         camera = RayDomain(self.camera_shape)
         kept.append(fold(self.tree, level, folded, self.channels, camera.size))
-        rows = [row for row in self._rows if row["level"] <= level]
-        return self.from_pair_sets(camera, self.tree.domain, self.channels, rows, kept)
+        return self.from_pair_sets(camera, self.tree.domain, self.channels, level_rows, kept)
 
-    def pack(
-        self, number_format: NumberFormat = "float32"
-    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return the arrays and attributes that a store keeps."""
-        attributes = {
-            "kind": self.kind,
-            "number_format": number_format,
-            "camera_shape": list(self.camera_shape),
-            "projector_shape": list(self.projector_shape),
-            "channels": self.channels,
-            "levels": self._rows,
-        }
+    def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
         arrays: dict[str, NDArray[Any]] = {}
         for pairs in self.pair_sets:
             prefix = f"level_{pairs.level:02d}"
             arrays[f"{prefix}_block"] = pairs.block
             arrays[f"{prefix}_pixel"] = pairs.pixel
             arrays[f"{prefix}_values"] = rounded(pairs.values, number_format)
-        return arrays, attributes
+        return arrays
 
     @classmethod
-    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
-        """Build a transport from a store; its pairs are read when first used."""
-        prefixes = by_prefix(bundle, PAIR_PARTS)
-
-        def read(prefix: str) -> PairSet:
-            names = prefixes[prefix]
-            return PairSet(
-                int(prefix.split("_")[1]), *(bundle.read(names[part]) for part in PAIR_PARTS)
-            )
-
-        about = bundle.attributes
-        return cls(
-            tuple(about["camera_shape"]),
-            tuple(about["projector_shape"]),
-            about["channels"],
-            about["levels"],
-            SetsOnDemand(list(prefixes), read, keep=fits(bundle, memory_budget)),
-            bundle.nbytes_stored,
-        )
+    def _unpacked(cls, level: int, arrays: Arrays) -> PairSet:
+        return PairSet(level, *(arrays[part] for part in cls.parts))
 
 
 def _interpolate(density: Double, labels: NDArray[np.int32]) -> Double:

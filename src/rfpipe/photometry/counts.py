@@ -106,12 +106,7 @@ class CountsMerge:
         )
         if self._camera.bayer is None:
             return Merged(radiance, variance, saturated)
-        colour, spread = (np.empty((*radiance.shape, 3), RADIANCE) for _ in range(2))
-        for index in range(len(radiance)):
-            colour[index], spread[index] = demosaic(
-                radiance[index], variance[index], self._camera.bayer
-            )
-        return Merged(colour, spread, saturated)
+        return Merged(*demosaic(radiance, variance, self._camera.bayer), saturated)
 
     def _by_numpy(self, frames: NDArray[Any]) -> tuple[Float, Float, int]:
         shape = (len(frames), *self._shape[1:])

@@ -1,0 +1,225 @@
+"""What transports share that hold arrays of their own: how they are made, kept and opened."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.errors import InputError
+from rfpipe.transport.base import Float, Transport
+from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
+from rfpipe.units import NumberFormat
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+class LevelSet(Protocol):
+    """Arrays about the blocks of one level."""
+
+    @property
+    def level(self) -> int:
+        """The level."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays."""
+
+    def __len__(self) -> int: ...
+
+
+Held = TypeVar("Held")
+S = TypeVar("S", bound=LevelSet)
+
+
+class HoldingTransport(Transport, Generic[Held]):
+    """A transport that is made of what it holds, in memory or read when used.
+
+    Parameters
+    ----------
+    camera_shape, projector_shape : tuple of int
+    channels : int
+    level_rows : list of dict
+        The rows of `levels`.
+    held
+        What it is made of.
+    nbytes : int, optional
+        Bytes on disk; by default the bytes in memory.
+    """
+
+    shape_names: ClassVar[tuple[str, ...]] = ("camera_shape", "projector_shape")
+    """By which stores name the ray domains that the constructor takes."""
+
+    def __init__(
+        self,
+        camera_shape: tuple[int, ...],
+        projector_shape: tuple[int, ...],
+        channels: int,
+        level_rows: list[dict[str, Any]],
+        held: Held,
+        nbytes: int | None = None,
+    ) -> None:
+        super().__init__(camera_shape, projector_shape, channels, level_rows, nbytes)
+        self._held = held
+
+    def _holding(self, level_rows: list[dict[str, Any]], held: Held) -> Self:
+        """Return a transport between the same rays that is made of something else."""
+        shapes: dict[str, Any] = {name: getattr(self, name) for name in self.shape_names}
+        return type(self)(channels=self.channels, level_rows=level_rows, held=held, **shapes)
+
+    @abstractmethod
+    def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
+        """Return what is held as named arrays."""
+
+    @classmethod
+    @abstractmethod
+    def _opened(cls, bundle: Bundle, memory_budget: int) -> Held:
+        """Return what a store keeps, to be read when used."""
+
+    def pack(
+        self, number_format: NumberFormat = "float32"
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the arrays and attributes that a store keeps."""
+        return self._packed(number_format), {
+            "kind": self.kind,
+            "number_format": number_format,
+            **{name: list(getattr(self, name)) for name in self.shape_names},
+            "channels": self.channels,
+            "levels": self.level_rows,
+        }
+
+    @classmethod
+    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
+        """Build a transport from a store; its arrays are read when first used."""
+        about = bundle.attributes
+        shapes: dict[str, Any] = {name: about[name] for name in cls.shape_names}
+        return cls(
+            channels=about["channels"],
+            level_rows=about["levels"],
+            held=cls._opened(bundle, memory_budget),
+            nbytes=bundle.nbytes_stored,
+            **shapes,
+        )
+
+
+class CoaxialTransport(HoldingTransport[Held]):
+    """A symmetric transport over the ray domain that camera and projector share.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The ray domain.
+    channels, level_rows, held, nbytes
+        See `HoldingTransport`.
+    """
+
+    shape_names = ("shape",)
+
+    def __init__(
+        self,
+        shape: tuple[int, ...],
+        channels: int,
+        level_rows: list[dict[str, Any]],
+        held: Held,
+        nbytes: int | None = None,
+    ) -> None:
+        super().__init__(shape, shape, channels, level_rows, held, nbytes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The ray domain."""
+        return self.camera_shape
+
+    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
+        """Return ``T^T c``; the transport is symmetric."""
+        return self.forward(images, channels)
+
+
+class ArrayTransport(HoldingTransport[Arrays]):
+    """A transport made of a few named arrays, none of which is rounded in a store.
+
+    They are read when first used, and kept. Unless a class says otherwise, it has no levels.
+    """
+
+    def _bytes_in_memory(self) -> int:
+        return sum(array.nbytes for array in self._held.values())
+
+    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:  # noqa: ARG002
+        return self
+
+    def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:  # noqa: ARG002
+        return dict(self._held)
+
+    @classmethod
+    def _opened(cls, bundle: Bundle, memory_budget: int) -> Arrays:  # noqa: ARG003
+        return LazyArrays(bundle.names, bundle.read)
+
+
+class LevelTransport(HoldingTransport[Sequence[S]]):
+    """A transport made of sets of arrays, each about the blocks of one level.
+
+    The sets stay in memory where all of them fit; else they are read each time.
+    """
+
+    parts: ClassVar[tuple[str, ...]]
+    """The arrays of a set, by which stores name them."""
+
+    @cached_property
+    def tree(self) -> BlockTree:
+        """The block tree of the projector's rays."""
+        return BlockTree(RayDomain(self.projector_shape))
+
+    @property
+    def last_level(self) -> int:
+        """Finest level that `truncate` tells apart: single rays."""
+        return self.tree.n_levels - 1
+
+    def truncate(self, level: int) -> Transport:
+        """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7)."""
+        if not 0 <= level <= self.last_level:
+            raise InputError(f"level {level} of a transport with levels 0..{self.last_level}")
+        return super().truncate(level)
+
+    def _bytes_in_memory(self) -> int:
+        return sum(found.nbytes for found in self._held)
+
+    @classmethod
+    @abstractmethod
+    def _unpacked(cls, level: int, arrays: Arrays) -> S:
+        """Return a set by its arrays."""
+
+    @classmethod
+    def _opened(cls, bundle: Bundle, memory_budget: int) -> Sequence[S]:
+        prefixes = by_prefix(bundle, cls.parts)
+
+        def read(prefix: str) -> S:
+            arrays = {part: bundle.read(name) for part, name in prefixes[prefix].items()}
+            return cls._unpacked(int(prefix.split("_")[1]), arrays)
+
+        return SetsOnDemand(list(prefixes), read, keep=fits(bundle, memory_budget))
+
+
+class LazyArrays(Mapping[str, NDArray[Any]]):
+    """Named arrays that are read when first used; a plain mapping serves as well."""
+
+    def __init__(self, names: Sequence[str], read: Callable[[str], NDArray[Any]]) -> None:
+        self._names = tuple(names)
+        self._read = read
+        self._held: dict[str, NDArray[Any]] = {}
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self._held:
+            if name not in self._names:
+                raise KeyError(name)
+            self._held[name] = self._read(name)
+        return self._held[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
