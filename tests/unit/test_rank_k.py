@@ -1,4 +1,4 @@
-"""Symmetric photography's rank-k leaves on physically based light that is smooth but for a little."""
+"""Rank-k leaves on physically based light that is smooth but for a little."""
 
 import importlib.util
 import sys

@@ -48,9 +48,9 @@ class DualOptions(Options):
         "the floodlit image's maximum, between 0 and 1.",
     )
     subtract_stored: bool = Field(
-        False,
-        description="Take the light stored at coarser levels off finer images, true or false. The "
-        "thesis [C.1] doesn't, and counts some of it twice.",
+        True,
+        description="Take the light stored at coarser levels off finer images [3.2], true or "
+        "false. The pseudocode [C.1] doesn't, and counts some of it twice.",
     )
 
 
@@ -94,9 +94,10 @@ class DualState:
 class Dual(Method[DualState]):
     """Dual photography as a `Method`.
 
-    The thesis subtracts nothing from an image: the light that reaches a pixel from a block stored
-    for it is still in the images of finer levels, and where the pixel reads such an image for
-    another of its blocks it counts again. ``subtract_stored`` takes it off first.
+    The light that reaches a pixel from a block stored for it is still in the images of finer
+    levels. It is taken off them, since energy is to be stored once [§3.2]. Without
+    ``subtract_stored``, as in the pseudocode [C.1], it counts again where the pixel reads such an
+    image for another of its blocks.
     """
 
     name = "dual"
