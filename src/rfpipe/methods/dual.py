@@ -25,6 +25,7 @@ from rfpipe.methods.base import (
 )
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
+from rfpipe.transport.multilevel.spread import looks_symmetric
 from rfpipe.transport.multilevel.transport import MultilevelTransport, PairSet, fold, no_pairs
 
 Index = NDArray[np.int64]
@@ -218,10 +219,16 @@ class Dual(Method[DualState]):
 
     def _known(self, state: DualState) -> MultilevelTransport:
         """Return what is stored, without the responses still to be subdivided."""
-        return self.transport(replace(state, frontier=no_pairs(state.level, state.channels)))
+        return MultilevelTransport.from_pair_sets(
+            state.camera, state.tree.domain, state.channels, list(state.rows), list(state.stored)
+        )
 
     def transport(self, state: DualState) -> MultilevelTransport:
-        """Return the multilevel transport; responses still to be subdivided as they are."""
+        """Return the multilevel transport; responses still to be subdivided as they are.
+
+        Where the single rays measured show that it is symmetric, responses are spread over their
+        blocks as the transpose is.
+        """
         pair_sets = list(state.stored)
         if len(state.frontier):
             together = [state.stored[-1], state.frontier]
@@ -229,8 +236,9 @@ class Dual(Method[DualState]):
                 state.tree, state.level - 1, together, state.channels, state.camera.size
             )
         return MultilevelTransport.from_pair_sets(
-            state.camera, state.tree.domain, state.channels, list(state.rows), pair_sets
-        )
+            state.camera, state.tree.domain, state.channels, list(state.rows), pair_sets,
+            state.settings.subtract_stored and looks_symmetric(state.tree, state.camera, pair_sets),
+        )  # fmt: skip
 
     def pack(self, state: DualState) -> Pack:
         """Return the responses that the last refinement stored, and the frontier."""

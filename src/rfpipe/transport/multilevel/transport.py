@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.transport.base import Float, Transport, planar_patterns
+from rfpipe.transport.multilevel.spread import Spread, spread_by_transpose, spread_evenly
 from rfpipe.transport.rounding import rounded
 from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
@@ -91,6 +92,9 @@ class MultilevelTransport(Transport):
         By level, the coarsest first; may be read when used.
     nbytes : int, optional
         Bytes on disk; by default the bytes of the pairs.
+    symmetric : bool
+        Whether the transport is its own transpose, as a coaxial rig's is: a response is then spread
+        over its block in proportion to the transpose's estimate, else evenly.
     """
 
     kind = "multilevel"
@@ -103,6 +107,7 @@ class MultilevelTransport(Transport):
         level_rows: list[dict[str, Any]],
         pair_sets: Sequence[PairSet],
         nbytes: int | None = None,
+        symmetric: bool = False,
     ) -> None:
         self.camera_shape = tuple(camera_shape)
         self.projector_shape = tuple(projector_shape)
@@ -110,6 +115,8 @@ class MultilevelTransport(Transport):
         self.pair_sets = pair_sets
         self._rows = level_rows
         self._nbytes = nbytes
+        self.symmetric = symmetric
+        self._spreads: dict[int, Spread] = {}
 
     @classmethod
     def from_pair_sets(
@@ -119,10 +126,11 @@ class MultilevelTransport(Transport):
         channels: int,
         level_rows: list[dict[str, Any]],
         pair_sets: Sequence[PairSet],
+        symmetric: bool = False,
     ) -> MultilevelTransport:
         """Build a transport from pair sets, at most one a level."""
         filled = sorted(filter(len, pair_sets), key=lambda pairs: pairs.level)
-        return cls(camera.shape, projector.shape, channels, level_rows, filled)
+        return cls(camera.shape, projector.shape, channels, level_rows, filled, symmetric=symmetric)
 
     @cached_property
     def tree(self) -> BlockTree:
@@ -149,7 +157,8 @@ class MultilevelTransport(Transport):
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``, by eq. (3.2).
 
-        Each level's matrix acts on the pattern's means over the level's blocks.
+        Each level's matrix acts on the pattern's means over the level's blocks, weighted ones
+        where the transport is symmetric.
         """
         from rfpipe.transport.multilevel.kernels import scatter_to_pixels
 
@@ -158,26 +167,48 @@ class MultilevelTransport(Transport):
         for first in range(0, len(patterns), _BATCH):
             part = patterns[first : first + _BATCH][..., self.tree.order]
             images = np.zeros((*part.shape[:2], pixels))
-            for pairs, starts, values in self._chosen(channels):
-                sums = np.add.reduceat(part, starts[:-1], axis=-1, dtype=np.float64)
-                scatter_to_pixels(pairs.block, pairs.pixel, values, sums / np.diff(starts), images)
+            for index, (pairs, _, values) in enumerate(self._chosen(channels)):
+                spread = self._spread(index, pairs)
+                means = np.stack(
+                    [shares @ part[:, k].T for k, shares in enumerate(spread.of(channels))]
+                )
+                weights = np.ascontiguousarray(np.moveaxis(means, 2, 0))
+                scatter_to_pixels(spread.node, pairs.pixel, values, weights, images)
             result[first : first + _BATCH] = images
         return result
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, M)``: `forward` transposed.
 
-        Each level's block values are spread evenly over the block.
+        Each level's values are spread over their blocks.
         """
+        from rfpipe.transport.multilevel.kernels import gather_to_blocks
+
         rays = self.tree.domain.size
         result = np.empty((*images.shape[:2], rays), np.float32)
         for first in range(0, len(images), _BATCH):
             part = images[first : first + _BATCH]
             spread = np.zeros((*part.shape[:2], rays))
-            for density, starts in self._densities(part, channels):
-                spread += np.repeat(density, np.diff(starts), axis=-1)
+            light = np.ascontiguousarray(part)
+            for index, (pairs, _, values) in enumerate(self._chosen(channels)):
+                over = self._spread(index, pairs)
+                chosen = over.of(channels)
+                totals = np.zeros((*part.shape[:2], chosen[0].shape[0]))
+                gather_to_blocks(over.node, pairs.pixel, values, light, totals)
+                for k, shares in enumerate(chosen):
+                    spread[:, k] += (shares.T @ totals[:, k].T).T
             result[first : first + _BATCH] = spread[..., self.tree.inverse]
         return result
+
+    def _spread(self, index: int, pairs: PairSet) -> Spread:
+        """Return how a level's responses are spread over their blocks, made when first used."""
+        if pairs.level not in self._spreads:
+            self._spreads[pairs.level] = (
+                spread_by_transpose(self.tree, self.pair_sets, index)
+                if self.symmetric and pairs.level < self.last_level
+                else spread_evenly(self.tree, pairs)
+            )
+        return self._spreads[pairs.level]
 
     def dual_image(self, camera_pattern: ArrayLike) -> Float:
         """Return the image from the projector's view under light from the camera, by eq. (3.3).
@@ -247,7 +278,9 @@ class MultilevelTransport(Transport):
         camera = RayDomain(self.camera_shape)
         kept.append(fold(self.tree, level, folded, self.channels, camera.size))
         rows = [row for row in self._rows if row["level"] <= level]
-        return self.from_pair_sets(camera, self.tree.domain, self.channels, rows, kept)
+        return self.from_pair_sets(
+            camera, self.tree.domain, self.channels, rows, kept, self.symmetric
+        )
 
     def pack(
         self, number_format: NumberFormat = "float32"
@@ -259,6 +292,7 @@ class MultilevelTransport(Transport):
             "camera_shape": list(self.camera_shape),
             "projector_shape": list(self.projector_shape),
             "channels": self.channels,
+            "symmetric": self.symmetric,
             "levels": self._rows,
         }
         arrays: dict[str, NDArray[Any]] = {}
@@ -288,6 +322,7 @@ class MultilevelTransport(Transport):
             about["levels"],
             SetsOnDemand(list(prefixes), read, keep=fits(bundle, memory_budget)),
             bundle.nbytes_stored,
+            about.get("symmetric", False),
         )
 
 
