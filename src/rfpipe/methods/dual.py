@@ -25,8 +25,9 @@ from rfpipe.methods.base import (
 )
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
+from rfpipe.transport.multilevel.pairs import PairSet, fold, no_pairs
 from rfpipe.transport.multilevel.spread import looks_symmetric
-from rfpipe.transport.multilevel.transport import MultilevelTransport, PairSet, fold, no_pairs
+from rfpipe.transport.multilevel.transport import MultilevelTransport
 
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
+from rfpipe.transport.multilevel.pairs import PairSet
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-    from rfpipe.transport.multilevel.transport import PairSet
 
 __all__ = ["Spread", "looks_symmetric", "spread_by_transpose", "spread_evenly"]
 
