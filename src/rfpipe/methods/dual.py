@@ -238,7 +238,7 @@ class Dual(Method[DualState]):
             )
         return MultilevelTransport.from_pair_sets(
             state.camera, state.tree.domain, state.channels, list(state.rows), pair_sets,
-            state.settings.subtract_stored and looks_symmetric(state.tree, state.camera, pair_sets),
+            state.options.subtract_stored and looks_symmetric(state.tree, state.camera, pair_sets),
         )  # fmt: skip
 
     def pack(self, state: DualState) -> Pack:
