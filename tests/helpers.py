@@ -62,7 +62,7 @@ def acquire_matrix(
     tolerance: float = 1e-3,
     sigma: float = 0.0,
     seed: int = 0,
-    subtract_stored: bool = False,
+    subtract_stored: bool = True,
 ) -> Acquisition:
     """Acquire a matrix (M, N) or (C, M, N) level by level."""
     matrix = np.asarray(matrix)

@@ -33,13 +33,37 @@ def rigs(draw: st.DrawFn) -> tuple[np.ndarray, tuple[int, ...], tuple[int, ...],
 @st.composite
 def transports(draw: st.DrawFn) -> MultilevelTransport:
     matrix, camera, projector, tolerance = draw(rigs())
+    if camera == projector and draw(st.booleans()):
+        matrix = matrix + matrix.transpose(0, 2, 1)
     run = acquire_matrix(Dual(), matrix, camera, projector, tolerance)
     assert isinstance(run.transport, MultilevelTransport)
     return run.transport
 
 
 def by_definition(transport: MultilevelTransport) -> np.ndarray:
-    """The matrices that eq. (3.2) describes: each value spread over its block's rays."""
+    """The matrices that eq. (3.2) describes: each value spread over its block's rays.
+
+    Where the transport is symmetric, in proportion to what the rays' pixels see, in this matrix, of
+    the block of the same level that the value's pixel lies in.
+    """
+    even = evenly(transport)
+    if not transport.symmetric:
+        return even
+    tree = transport.tree
+    matrix = np.zeros_like(even)
+    for pairs in transport.pair_sets:
+        starts, own = tree.starts[pairs.level], tree.labels(pairs.level).ravel()
+        for n, (block, pixel) in enumerate(zip(pairs.block, pairs.pixel, strict=True)):
+            rays = tree.order[starts[block] : starts[block + 1]]
+            around = tree.order[starts[own[pixel]] : starts[own[pixel] + 1]]
+            seen = even[:, rays][:, :, around].sum(axis=2)
+            total = seen.sum(axis=1, keepdims=True)
+            share = np.where(total > 0, seen / np.where(total > 0, total, 1), 1 / len(rays))
+            matrix[:, pixel, rays] += pairs.values[:, n, None].astype(np.float64) * share
+    return matrix
+
+
+def evenly(transport: MultilevelTransport) -> np.ndarray:
     tree = BlockTree(RayDomain(transport.projector_shape))
     pixels = RayDomain(transport.camera_shape).size
     matrix = np.zeros((transport.channels, pixels, tree.domain.size))

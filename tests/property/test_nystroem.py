@@ -166,3 +166,35 @@ def test_a_smooth_kernel_is_better_known_than_by_the_children_s_rank_1_leaves():
             block = blocks[0][node]
             by_children[0][node] = np.outer(block.sum(axis=1), block.sum(axis=0)) / block.sum()
     assert np.linalg.norm(found - blocks) < 0.5 * np.linalg.norm(by_children - blocks)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=SEEDS, part=st.sampled_from([1e-4, 1e-3, 1e-2]))
+def test_what_is_not_smooth_is_not_multiplied(seed, part):
+    """Sums of what is not smooth nearly cancel: W's last singular values are of it alone."""
+    tree, rows, columns = node_of((32, 32))
+    places = np.stack(np.divmod(tree.order, 32), axis=1)
+    a, b = places[:rows], places[rows : rows + columns] + np.array([0, 16])
+    smooth = 1 / (np.square(a[:, None] - b[None]).sum(axis=2) + 1000.0)
+    random = np.random.default_rng(seed)
+    # an edge of a shadow: a few pixels of a see nothing of a few of b
+    edge = random.random((rows, 1)) * random.random((1, columns)) < 0.02
+    blocks = (smooth * (1 - part * edge) * (1 + part * random.standard_normal(smooth.shape)))[None]
+    _, found, _ = outcome(tree, blocks)
+    rank_1 = np.outer(blocks[0].sum(axis=1), blocks[0].sum(axis=0)) / blocks[0].sum()
+    rest = np.linalg.norm(blocks[0] - smooth)
+    assert np.linalg.norm(found - blocks) < 0.2 * np.linalg.norm(rank_1 - blocks) + 2 * rest
+
+
+def test_a_node_whose_terms_are_all_within_noise_keeps_its_rank_1_leaf():
+    """It had light a level above: without a term it would vanish."""
+    tree, rows, columns = node_of((16, 16))
+    blocks = np.full((2, rows, columns), 1e-3)
+    _, first_pair, pieces = measured(tree, blocks, sigma=1.0)
+    energy = blocks.sum(axis=(1, 2))[:, None]
+    factors = np.concatenate([blocks.sum(axis=2), blocks.sum(axis=1)], axis=1).astype(np.float32)
+    pair = np.zeros(1, np.int32), np.ones(1, np.int32)
+    nodes = Frontier(*pair, factors, energy, np.zeros((2, 2, 1)))
+    leaves = rank_k_leaves(tree, 1, nodes, first_pair, pieces, np.ones(1, np.bool_))
+    assert len(leaves) == 1
+    np.testing.assert_allclose(leaves.values, factors / np.sqrt(energy), rtol=1e-6)

@@ -10,7 +10,8 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.dense import DenseTransport
-from rfpipe.transport.multilevel.transport import MultilevelTransport, PairSet
+from rfpipe.transport.multilevel.pairs import PairSet
+from rfpipe.transport.multilevel.transport import MultilevelTransport
 from rfpipe.transport.sum import SumTransport
 
 ROWS = [{"level": level, "patterns": 1} for level in range(9)]

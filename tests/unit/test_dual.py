@@ -1,6 +1,7 @@
 """Dual photography on known matrices."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ from rfpipe.errors import InputError
 from rfpipe.methods import Pack, get_method, method_names
 from rfpipe.methods.dual import Dual, DualState
 from rfpipe.scenes.reference import reference_scene
+from rfpipe.testing import dot_test
+from rfpipe.transport import open_transport, save_transport
+from rfpipe.transport.multilevel.transport import MultilevelTransport
 
 
 def sparse_random(camera: int, projector: int, share: float, seed: int = 0) -> np.ndarray:
@@ -159,11 +163,44 @@ def relative_error(run: Acquisition, matrix: np.ndarray, pattern: np.ndarray) ->
 
 def test_subtracting_what_is_stored_keeps_energy_from_counting_again(wedge: np.ndarray) -> None:
     floodlight = np.ones((32, 32))
-    as_in_thesis = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
-    subtracted = acquire_matrix(Dual(), wedge, (32, 32), (32, 32), subtract_stored=True)
+    as_in_thesis = acquire_matrix(Dual(), wedge, (32, 32), (32, 32), subtract_stored=False)
+    subtracted = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
     assert sum(subtracted.patterns) <= sum(as_in_thesis.patterns)
     assert relative_error(as_in_thesis, wedge, floodlight) < 0.1
     assert relative_error(subtracted, wedge, floodlight) < 1e-3
+
+
+def test_a_coaxial_rig_s_responses_are_spread_as_its_transpose(
+    wedge: np.ndarray, tmp_path: Path
+) -> None:
+    """Half the error of the matrix at no pattern; stored, truncated and transposed alike."""
+    run = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
+    assert run.transport.symmetric
+    even = MultilevelTransport((32, 32), (32, 32), 1, [], run.transport.pair_sets)
+    found, before = dense(run.transport)[0], dense(even)[0]
+    assert np.linalg.norm(found - wedge) < 0.6 * np.linalg.norm(before - wedge)
+    assert found.min() >= 0
+    dot_test(run.transport)
+    save_transport(run.transport, tmp_path / "transport.zarr", scene="wedge")
+    stored = open_transport(tmp_path / "transport.zarr")
+    np.testing.assert_array_equal(dense(stored)[0], found)
+    for level in range(6):
+        truncated = stored.truncate(level)
+        assert truncated.symmetric
+        np.testing.assert_allclose(
+            truncated.relight(np.ones((32, 32))), stored.relight(np.ones((32, 32))), rtol=1e-5
+        )
+        dot_test(truncated)
+
+
+def test_rigs_that_are_not_coaxial_spread_evenly(wedge: np.ndarray) -> None:
+    random = np.random.default_rng(0)
+    mirrored = wedge.reshape(32, 32, -1)[:, ::-1].reshape(1024, -1)
+    for matrix in (mirrored, random.random((1024, 1024)), wedge[random.permutation(1024)]):
+        run = acquire_matrix(Dual(), matrix, (32, 32), (32, 32), tolerance=1e-2)
+        assert not run.transport.symmetric
+    printed = acquire_matrix(Dual(), wedge, (32, 32), (32, 32), 1e-2, subtract_stored=False)
+    assert not printed.transport.symmetric
 
 
 def test_noise_is_not_subdivided(wedge: np.ndarray) -> None:

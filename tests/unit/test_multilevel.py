@@ -9,7 +9,8 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.store.files import bytes_on_disk
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.multilevel.transport import MultilevelTransport, PairSet, fold
+from rfpipe.transport.multilevel.pairs import PairSet, fold
+from rfpipe.transport.multilevel.transport import MultilevelTransport
 
 CAMERA = RayDomain((1, 2))
 

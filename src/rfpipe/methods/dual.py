@@ -26,7 +26,9 @@ from rfpipe.methods.images import batches
 from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
-from rfpipe.transport.multilevel.transport import MultilevelTransport, PairSet, fold, no_pairs
+from rfpipe.transport.multilevel.pairs import PairSet, fold, no_pairs
+from rfpipe.transport.multilevel.spread import looks_symmetric
+from rfpipe.transport.multilevel.transport import MultilevelTransport
 
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]
@@ -46,9 +48,9 @@ class DualOptions(Options):
         "the floodlit image's maximum, between 0 and 1.",
     )
     subtract_stored: bool = Field(
-        False,
-        description="Take the light stored at coarser levels off finer images, true or false. The "
-        "thesis [C.1] doesn't, and counts some of it twice.",
+        True,
+        description="Take the light stored at coarser levels off finer images [3.2], true or "
+        "false. The pseudocode [C.1] doesn't, and counts some of it twice.",
     )
 
 
@@ -92,9 +94,10 @@ class DualState:
 class Dual(PackingMethod[DualState]):
     """Dual photography as a `Method`.
 
-    The thesis subtracts nothing from an image: the light that reaches a pixel from a block stored
-    for it is still in the images of finer levels, and where the pixel reads such an image for
-    another of its blocks it counts again. ``subtract_stored`` takes it off first.
+    The light that reaches a pixel from a block stored for it is still in the images of finer
+    levels. It is taken off them, since energy is to be stored once [§3.2]. Without
+    ``subtract_stored``, as in the pseudocode [C.1], it counts again where the pixel reads such an
+    image for another of its blocks.
     """
 
     name = "dual"
@@ -216,10 +219,16 @@ class Dual(PackingMethod[DualState]):
 
     def _known(self, state: DualState) -> MultilevelTransport:
         """Return what is stored, without the responses still to be subdivided."""
-        return self.transport(replace(state, frontier=no_pairs(state.level, state.channels)))
+        return MultilevelTransport.from_pair_sets(
+            state.camera, state.tree.domain, state.channels, list(state.rows), list(state.stored)
+        )
 
     def transport(self, state: DualState) -> MultilevelTransport:
-        """Return the multilevel transport; responses still to be subdivided as they are."""
+        """Return the multilevel transport; responses still to be subdivided as they are.
+
+        Where the single rays measured show that it is symmetric, responses are spread over their
+        blocks as the transpose is.
+        """
         pair_sets = list(state.stored)
         if len(state.frontier):
             together = [state.stored[-1], state.frontier]
@@ -227,8 +236,9 @@ class Dual(PackingMethod[DualState]):
                 state.tree, state.level - 1, together, state.channels, state.camera.size
             )
         return MultilevelTransport.from_pair_sets(
-            state.camera, state.tree.domain, state.channels, list(state.rows), pair_sets
-        )
+            state.camera, state.tree.domain, state.channels, list(state.rows), pair_sets,
+            state.options.subtract_stored and looks_symmetric(state.tree, state.camera, pair_sets),
+        )  # fmt: skip
 
     def pack(self, state: DualState) -> Pack:
         """Return the responses that the last refinement stored, and the frontier."""

@@ -69,7 +69,8 @@ def _explanation(runs: list[Run], worst: set[str]) -> str:
         "it falls below the threshold, and no finer: "
         f"{percent(in_blocks / stored if stored else None)} % of the responses here are those of "
         "whole blocks. A pattern that cuts through such a block gets the block's mean, whatever "
-        f"texture or edge lies within it.{crease} And each number is a single pixel's "
+        "texture or edge lies within it, weighted where the rig is coaxial by what the block's own "
+        f"pixels saw of the pixel's block.{crease} And each number is a single pixel's "
         "measurement with all of its noise, where symmetric photography takes whole images of a "
         "block, on both sides, as the factors of a leaf."
     )

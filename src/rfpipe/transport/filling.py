@@ -11,7 +11,8 @@ from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multilevel.transport import MultilevelTransport, PairSet, fold
+from rfpipe.transport.multilevel.pairs import PairSet, fold
+from rfpipe.transport.multilevel.transport import MultilevelTransport
 from rfpipe.transport.sum import SumTransport
 
 __all__ = ["fill_from_transpose"]
@@ -89,7 +90,12 @@ def _with_pairs(
         fold(tree, last, finest, transport.channels, camera.size),
     ]
     return MultilevelTransport.from_pair_sets(
-        camera, tree.domain, transport.channels, transport.level_rows, pair_sets
+        camera,
+        tree.domain,
+        transport.channels,
+        transport.level_rows,
+        pair_sets,
+        transport.symmetric,
     )
 
 

@@ -16,15 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
-from rfpipe.methods.symmetric.nodes import Frontier, compared_pixels
+from rfpipe.methods.symmetric.nodes import Frontier, as_leaves, compared_pixels, select
 from rfpipe.methods.symmetric.pieces import Pieces
 from rfpipe.methods.symmetric.rank_test import Limits
-from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets
+from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, ragged_ranges
 
 __all__ = ["predictable", "rank_k_leaves"]
 
 Flags = NDArray[np.bool_]
 Index = NDArray[np.int64]
+
+AMPLIFIED = 32.0
+"""How many times the leading term's a term's norm, over its part of the block sums, may be. From 8
+to 128 errors are the same within some per cent (`benchmarks/bench_rank_k.py --sweep`)."""
 
 
 def predictable(
@@ -74,7 +78,7 @@ def predictable(
     kernels.leave_one_out(
         tree.child_starts[level], tree.starts[level + 1], nodes.block_a[chosen],
         nodes.block_b[chosen], first_pair[chosen], pieces.offset_a, pieces.offset_b,
-        pieces.values, pieces.sums, pieces.spread, ssd, noise,
+        pieces.values, pieces.sums, pieces.spread, AMPLIFIED, ssd, noise,
     )  # fmt: skip
     samples = compared_pixels(tree, level, nodes)[chosen]
     allowed = limits.allowed(noise / samples, samples)
@@ -90,7 +94,9 @@ def rank_k_leaves(
     pieces: Pieces,
     chosen: Flags,
 ) -> LeafSet:
-    """Return the leaves of some nodes, as many terms each as stand out from noise.
+    """Return the leaves of some nodes, as many terms each as their block sums are evidence of.
+
+    Where none is, in a colour channel that had light a level above, the node's rank-1 leaf is kept.
 
     Parameters
     ----------
@@ -117,15 +123,24 @@ def rank_k_leaves(
         pieces.values, sums,
     )  # fmt: skip
     kernels.invert_cores(
-        children, block_a, block_b, first, sums, pieces.sums, pieces.spread, left, right, rank
-    )
-    terms = rank.max(axis=0)
+        children, tree.starts[level + 1], block_a, block_b, first, pieces.offset_a, pieces.offset_b,
+        pieces.values, sums, pieces.sums, pieces.spread, AMPLIFIED, left, right, rank,
+    )  # fmt: skip
+    without = (rank == 0) & (nodes.energy[:, chosen] > 0)
+    terms = np.maximum(rank.max(axis=0), without.any(axis=0))
     term_a, term_b = np.repeat(block_a, terms), np.repeat(block_b, terms)
     begin, _, n_values = factor_offsets(starts, term_a, term_b)
     factors = np.zeros((channels, n_values), np.float32)
+    first_term = np.append(0, np.cumsum(terms))
     kernels.combine_pieces(
         children, tree.starts[level + 1], block_a, block_b, first, pieces.offset_a,
-        pieces.offset_b, pieces.values, left, right, np.append(0, np.cumsum(terms)), begin,
-        factors,
+        pieces.offset_b, pieces.values, left, right, first_term, begin, factors,
     )  # fmt: skip
+    if without.any():
+        rank_1 = as_leaves(tree, level, select(tree, level, nodes, chosen)).values
+        own, _, n_values = factor_offsets(starts, block_a, block_b)
+        sizes = np.diff(np.append(own, n_values))
+        for c, some in enumerate(without):
+            target = ragged_ranges(begin[first_term[:-1][some]], sizes[some])
+            factors[c, target] = rank_1[c, ragged_ranges(own[some], sizes[some])]
     return LeafSet(level, term_a, term_b, factors)

@@ -63,7 +63,49 @@ def _decompose(matrix, vectors):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _weights_without(core, left_out, limit, weights):  # type: ignore[no-untyped-def]
+def _carried(rotated, vectors, limit, amplified, of_columns, of_rows, carried):  # type: ignore[no-untyped-def]
+    """Tell which terms of a decomposed core its sums are evidence of.
+
+    A term with singular value s and singular vectors u and v adds ``Y v (Z u)^T / s`` to the
+    entries, of norm ``|Y v| |Z u| / s``, and the sums show s of it. The quotient of both is much
+    the same for all terms of smooth light. It is large where the images hold what isn't smooth and
+    nearly cancels in the sums: such light is multiplied by itself and divided by next to nothing.
+
+    Parameters
+    ----------
+    rotated, vectors : float64 (rows, columns), (columns, columns)
+        As `_decompose` leaves them.
+    limit : float
+        Singular values up to here are noise.
+    amplified : float
+        How many times the leading term's quotient another one's may be.
+    of_columns, of_rows : float64 (columns, columns), (rows, rows)
+        Inner products of the images that the core's columns and rows are the sums of.
+    carried : bool (columns,)
+        Written.
+    """
+    rows, columns = rotated.shape
+    square, quotient = np.zeros(columns), np.zeros(columns)
+    for r in range(columns):
+        images_a, images_b = 0.0, 0.0
+        for k in range(rows):
+            square[r] += rotated[k, r] * rotated[k, r]
+            for other in range(rows):
+                images_b += rotated[k, r] * rotated[other, r] * of_rows[k, other]
+        for k in range(columns):
+            for other in range(columns):
+                images_a += vectors[k, r] * vectors[other, r] * of_columns[k, other]
+        carried[r] = square[r] > limit * limit
+        if carried[r]:
+            # squared, and what is rotated is s u
+            quotient[r] = max(images_a, 0.0) / square[r] * (max(images_b, 0.0) / square[r] ** 2)
+    most = amplified * amplified * quotient[np.argmax(square)]
+    for r in range(columns):
+        carried[r] &= quotient[r] <= most
+
+
+@numba.njit(cache=True)
+def _weights_without(core, left_out, limit, amplified, of_columns, of_rows, weights):  # type: ignore[no-untyped-def]
     """Write the weights of columns that add up to what one column differs from the others.
 
     The column counts 1, the others minus what the truncated pseudo-inverse predicts it by.
@@ -71,41 +113,50 @@ def _weights_without(core, left_out, limit, weights):  # type: ignore[no-untyped
     rows, columns = core.shape
     others = np.empty((rows, columns - 1))
     vectors = np.empty((columns - 1, columns - 1))
+    products = np.empty((columns - 1, columns - 1))
+    carried = np.empty(columns - 1, np.bool_)
     for k in range(columns - 1):
         others[:, k] = core[:, k + (k >= left_out)]
+        for j in range(columns - 1):
+            products[j, k] = of_columns[j + (j >= left_out), k + (k >= left_out)]
     _decompose(others, vectors)
+    _carried(others, vectors, limit, amplified, products, of_rows, carried)
     weights[:] = 0.0
     weights[left_out] = 1.0
     for r in range(columns - 1):
+        if not carried[r]:
+            continue
         square, shared = 0.0, 0.0
         for k in range(rows):
             square += others[k, r] * others[k, r]
             shared += others[k, r] * core[k, left_out]
-        if square > limit * limit:
-            for k in range(columns - 1):
-                weights[k + (k >= left_out)] -= vectors[k, r] * shared / square
+        for k in range(columns - 1):
+            weights[k + (k >= left_out)] -= vectors[k, r] * shared / square
 
 
 @numba.njit(cache=True)
-def _residual(core, limit, products, noise):  # type: ignore[no-untyped-def]
+def _residual(core, limit, amplified, products, of_rows, noise):  # type: ignore[no-untyped-def]
     """Predict each column of images from the others; return squared errors and their noise.
 
     Parameters
     ----------
     core : float64 (rows, columns)
         Energies of the images' blocks.
-    limit : float
-        Singular values up to here are noise.
+    limit, amplified : float
+        As in `_carried`.
     products : float64 (columns, columns)
         Inner products of the images.
+    of_rows : float64 (columns, rows, rows)
+        Those of the rows' images, over the block of each column.
     noise : float64 (columns,)
         Summed variance of each.
     """
     columns = core.shape[1]
     weights = np.empty(columns)
     error, expected = 0.0, 0.0
+    whole = of_rows.sum(axis=0)
     for column in range(columns):
-        _weights_without(core, column, limit, weights)
+        _weights_without(core, column, limit, amplified, products, whole - of_rows[column], weights)
         square = 0.0
         for k in range(columns):
             expected += weights[k] * weights[k] * noise[k]
@@ -113,6 +164,34 @@ def _residual(core, limit, products, noise):  # type: ignore[no-untyped-def]
                 square += weights[k] * weights[other] * products[k, other]
         error += max(square, 0.0)
     return error, expected
+
+
+@numba.njit(cache=True)
+def _inner_products(values, pair, offsets, starts, step, stride, products):  # type: ignore[no-untyped-def]
+    """Write the inner products of a node's images on one side, child by child of that side.
+
+    Parameters
+    ----------
+    values : float32 (n_values,)
+    pair : int
+        First pair of children.
+    offsets : int64 (pairs,)
+        Where the pairs' pieces on this side begin.
+    starts : int64 (blocks + 1,)
+        First tree positions of the side's children.
+    step, stride : int
+        From one child of this side to the next, and from one of the other side, in pairs.
+    products : float64 (blocks, images, images)
+        Written.
+    """
+    for block in range(products.shape[0]):
+        size = starts[block + 1] - starts[block]
+        for j in range(products.shape[1]):
+            at = offsets[pair + block * step + j * stride]
+            for k in range(j + 1):
+                other = offsets[pair + block * step + k * stride]
+                product = _dot(values[at : at + size], values[other : other + size])
+                products[block, j, k] = products[block, k, j] = product
 
 
 @numba.njit(cache=True)
@@ -140,7 +219,7 @@ def _core(pair, sums, spread, core):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True, parallel=True)
 def leave_one_out(  # type: ignore[no-untyped-def]
     children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values, sums, spread,
-    ssd, noise,
+    amplified, ssd, noise,
 ):  # fmt: skip
     """Predict the images under each child of nodes from those under the other children.
 
@@ -159,6 +238,8 @@ def leave_one_out(  # type: ignore[no-untyped-def]
     values : float32 (C, n_values)
     sums, spread : float64 (C, 2, pairs)
         Of the pieces, and of their variances.
+    amplified : float
+        As in `_carried`.
     ssd, noise : float64 (C, n)
         Written: summed squared differences, and what noise alone would make of them.
     """
@@ -169,48 +250,41 @@ def leave_one_out(  # type: ignore[no-untyped-def]
         core = np.empty((rows, columns))
         for c in range(values.shape[0]):
             limit = _core(first_pair[n], sums[c], spread[c], core)
-            products_a, noise_a = np.zeros((columns, columns)), np.zeros(columns)
-            products_b, noise_b = np.zeros((rows, rows)), np.zeros(rows)
+            noise_a, noise_b = np.zeros(columns), np.zeros(rows)
             for i in range(rows):
-                size_a = child_starts[first_a + i + 1] - child_starts[first_a + i]
                 for j in range(columns):
-                    pair = first_pair[n] + i * columns + j
-                    size_b = child_starts[first_b + j + 1] - child_starts[first_b + j]
-                    noise_a[j] += spread[c, 0, pair]
-                    noise_b[i] += spread[c, 1, pair]
-                    at = offset_a[pair]
-                    for k in range(j + 1):
-                        other = offset_a[first_pair[n] + i * columns + k]
-                        product = _dot(
-                            values[c, at : at + size_a], values[c, other : other + size_a]
-                        )
-                        products_a[j, k] += product
-                        if k < j:
-                            products_a[k, j] += product
-                    at = offset_b[pair]
-                    for k in range(i + 1):
-                        other = offset_b[first_pair[n] + k * columns + j]
-                        product = _dot(
-                            values[c, at : at + size_b], values[c, other : other + size_b]
-                        )
-                        products_b[i, k] += product
-                        if k < i:
-                            products_b[k, i] += product
-            error_a, expected_a = _residual(core, limit, products_a, noise_a)
-            error_b, expected_b = _residual(core.T.copy(), limit, products_b, noise_b)
+                    noise_a[j] += spread[c, 0, first_pair[n] + i * columns + j]
+                    noise_b[i] += spread[c, 1, first_pair[n] + i * columns + j]
+            over_a, over_b = np.empty((rows, columns, columns)), np.empty((columns, rows, rows))
+            _inner_products(
+                values[c], first_pair[n], offset_a, child_starts[first_a : first_a + rows + 1],
+                columns, 1, over_a,
+            )  # fmt: skip
+            _inner_products(
+                values[c], first_pair[n], offset_b, child_starts[first_b : first_b + columns + 1],
+                1, columns, over_b,
+            )  # fmt: skip
+            error_a, expected_a = _residual(
+                core, limit, amplified, over_a.sum(axis=0), over_b, noise_a
+            )
+            error_b, expected_b = _residual(
+                core.T.copy(), limit, amplified, over_b.sum(axis=0), over_a, noise_b
+            )
             ssd[c, n] = error_a + error_b
             noise[c, n] = expected_a + expected_b
 
 
 @numba.njit(cache=True, parallel=True)
 def invert_cores(  # type: ignore[no-untyped-def]
-    children, block_a, block_b, first_pair, sums, measured, spread, left, right, rank
-):
+    children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values, sums,
+    measured, spread, amplified, left, right, rank,
+):  # fmt: skip
     """Split the truncated pseudo-inverse of each node's core: ``W^+ = right @ left.T``.
 
     Parameters
     ----------
-    children, block_a, block_b, first_pair, spread
+    children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values, spread,
+    amplified
         As in `leave_one_out`.
     sums, measured : float64 (C, 2, pairs)
         Of the pieces as they are, and as they were measured.
@@ -220,19 +294,33 @@ def invert_cores(  # type: ignore[no-untyped-def]
         Written: number of terms.
     """
     for n in numba.prange(block_a.shape[0]):
-        rows = children[block_a[n] + 1] - children[block_a[n]]
-        columns = children[block_b[n] + 1] - children[block_b[n]]
+        first_a, first_b = children[block_a[n]], children[block_b[n]]
+        rows = children[block_a[n] + 1] - first_a
+        columns = children[block_b[n] + 1] - first_b
         core, vectors = np.empty((rows, columns)), np.empty((columns, columns))
+        carried = np.empty(columns, np.bool_)
         for c in range(sums.shape[0]):
             limit = _core(first_pair[n], measured[c], spread[c], core)
             _core(first_pair[n], sums[c], spread[c], core)
             _decompose(core, vectors)
+            over_a, over_b = np.empty((rows, columns, columns)), np.empty((columns, rows, rows))
+            _inner_products(
+                values[c], first_pair[n], offset_a, child_starts[first_a : first_a + rows + 1],
+                columns, 1, over_a,
+            )  # fmt: skip
+            _inner_products(
+                values[c], first_pair[n], offset_b, child_starts[first_b : first_b + columns + 1],
+                1, columns, over_b,
+            )  # fmt: skip
+            _carried(
+                core, vectors, limit, amplified, over_a.sum(axis=0), over_b.sum(axis=0), carried
+            )
             terms = 0
             for r in range(columns):
                 value = 0.0
                 for k in range(rows):
                     value = math.hypot(value, core[k, r])
-                if value > limit:
+                if carried[r]:
                     for k in range(rows):
                         left[c, n, k, terms] = core[k, r] / value**1.5
                     for k in range(columns):

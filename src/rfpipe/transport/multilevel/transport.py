@@ -3,77 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.blocks import RayDomain
 from rfpipe.transport.arrays import Arrays, LevelTransport
 from rfpipe.transport.base import Float, Transport, planar_patterns
+from rfpipe.transport.multilevel.pairs import PAIR_PARTS, PairSet, fold
+from rfpipe.transport.multilevel.spread import Spread, spread_by_transpose, spread_evenly
 from rfpipe.transport.rounding import rounded
+from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
 
 Double = NDArray[np.float64]
 
 # Patterns relit together: bounds the memory of the planes that are summed in float64.
 _BATCH = 16
-
-PAIR_PARTS = ("block", "pixel", "values")
-"""The arrays of a `PairSet`, by which stores name them."""
-
-
-@dataclass(frozen=True)
-class PairSet:
-    """Responses of camera pixels to projector blocks of one level, ordered by block, then pixel.
-
-    Attributes
-    ----------
-    level : int
-    block, pixel : ndarray of int32, shape (n,)
-        A block of the level and a camera ray (C order); no pair comes twice.
-    values : ndarray of float32, shape (channels, n)
-        Radiance of the pixel when the whole block is lit.
-    """
-
-    level: int
-    block: NDArray[np.int32]
-    pixel: NDArray[np.int32]
-    values: Float
-
-    def __len__(self) -> int:
-        return len(self.block)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the arrays."""
-        return self.block.nbytes + self.pixel.nbytes + self.values.nbytes
-
-
-def no_pairs(level: int, channels: int) -> PairSet:
-    """Return an empty set of pairs."""
-    none = np.empty(0, np.int32)
-    return PairSet(level, none, none, np.empty((channels, 0), np.float32))
-
-
-def fold(
-    tree: BlockTree, level: int, pair_sets: Sequence[PairSet], channels: int, pixels: int
-) -> PairSet:
-    """Add up pairs of `level` and of finer levels over their blocks of `level`."""
-    if not any(len(pairs) for pairs in pair_sets):
-        return no_pairs(level, channels)
-    key = np.concatenate(
-        [
-            tree.ancestors(pairs.level, level)[pairs.block] * pixels + pairs.pixel
-            for pairs in pair_sets
-        ]
-    )
-    values = np.concatenate([pairs.values for pairs in pair_sets], axis=1)
-    kept, index = np.unique(key, return_inverse=True)
-    sums = np.stack([np.bincount(index, plane, len(kept)) for plane in values])
-    block, pixel = np.divmod(kept, pixels)
-    return PairSet(level, block.astype(np.int32), pixel.astype(np.int32), sums.astype(np.float32))
 
 
 class MultilevelTransport(LevelTransport[PairSet]):
@@ -85,10 +32,27 @@ class MultilevelTransport(LevelTransport[PairSet]):
         See `rfpipe.transport.arrays.HoldingTransport`.
     held : sequence of PairSet
         By level, the coarsest first; may be read when used.
+    symmetric : bool
+        Whether the transport is its own transpose, as a coaxial rig's is: a response is then spread
+        over its block in proportion to the transpose's estimate, else evenly.
     """
 
     kind = "multilevel"
     parts = PAIR_PARTS
+
+    def __init__(
+        self,
+        camera_shape: tuple[int, ...],
+        projector_shape: tuple[int, ...],
+        channels: int,
+        level_rows: list[dict[str, Any]],
+        held: Sequence[PairSet],
+        nbytes: int | None = None,
+        symmetric: bool = False,
+    ) -> None:
+        super().__init__(camera_shape, projector_shape, channels, level_rows, held, nbytes)
+        self.symmetric = symmetric
+        self._spreads: dict[int, Spread] = {}
 
     @classmethod
     def from_pair_sets(
@@ -98,10 +62,11 @@ class MultilevelTransport(LevelTransport[PairSet]):
         channels: int,
         level_rows: list[dict[str, Any]],
         pair_sets: Sequence[PairSet],
+        symmetric: bool = False,
     ) -> MultilevelTransport:
         """Build a transport from pair sets, at most one a level."""
         filled = sorted(filter(len, pair_sets), key=lambda pairs: pairs.level)
-        return cls(camera.shape, projector.shape, channels, level_rows, filled)
+        return cls(camera.shape, projector.shape, channels, level_rows, filled, symmetric=symmetric)
 
     @property
     def pair_sets(self) -> Sequence[PairSet]:
@@ -111,7 +76,8 @@ class MultilevelTransport(LevelTransport[PairSet]):
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``, by eq. (3.2).
 
-        Each level's matrix acts on the pattern's means over the level's blocks.
+        Each level's matrix acts on the pattern's means over the level's blocks, weighted ones
+        where the transport is symmetric.
         """
         from rfpipe.transport.multilevel.kernels import scatter_to_pixels
 
@@ -120,26 +86,48 @@ class MultilevelTransport(LevelTransport[PairSet]):
         for first in range(0, len(patterns), _BATCH):
             part = patterns[first : first + _BATCH][..., self.tree.order]
             images = np.zeros((*part.shape[:2], pixels))
-            for pairs, starts, values in self._chosen(channels):
-                sums = np.add.reduceat(part, starts[:-1], axis=-1, dtype=np.float64)
-                scatter_to_pixels(pairs.block, pairs.pixel, values, sums / np.diff(starts), images)
+            for index, (pairs, _, values) in enumerate(self._chosen(channels)):
+                spread = self._spread(index, pairs)
+                means = np.stack(
+                    [shares @ part[:, k].T for k, shares in enumerate(spread.of(channels))]
+                )
+                weights = np.ascontiguousarray(np.moveaxis(means, 2, 0))
+                scatter_to_pixels(spread.node, pairs.pixel, values, weights, images)
             result[first : first + _BATCH] = images
         return result
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, M)``: `forward` transposed.
 
-        Each level's block values are spread evenly over the block.
+        Each level's values are spread over their blocks.
         """
+        from rfpipe.transport.multilevel.kernels import gather_to_blocks
+
         rays = self.tree.domain.size
         result = np.empty((*images.shape[:2], rays), np.float32)
         for first in range(0, len(images), _BATCH):
             part = images[first : first + _BATCH]
             spread = np.zeros((*part.shape[:2], rays))
-            for density, starts in self._densities(part, channels):
-                spread += np.repeat(density, np.diff(starts), axis=-1)
+            light = np.ascontiguousarray(part)
+            for index, (pairs, _, values) in enumerate(self._chosen(channels)):
+                over = self._spread(index, pairs)
+                chosen = over.of(channels)
+                totals = np.zeros((*part.shape[:2], chosen[0].shape[0]))
+                gather_to_blocks(over.node, pairs.pixel, values, light, totals)
+                for k, shares in enumerate(chosen):
+                    spread[:, k] += (shares.T @ totals[:, k].T).T
             result[first : first + _BATCH] = spread[..., self.tree.inverse]
         return result
+
+    def _spread(self, index: int, pairs: PairSet) -> Spread:
+        """Return how a level's responses are spread over their blocks, made when first used."""
+        if pairs.level not in self._spreads:
+            self._spreads[pairs.level] = (
+                spread_by_transpose(self.tree, self.pair_sets, index)
+                if self.symmetric and pairs.level < self.last_level
+                else spread_evenly(self.tree, pairs)
+            )
+        return self._spreads[pairs.level]
 
     def dual_image(self, camera_pattern: ArrayLike) -> Float:
         """Return the image from the projector's view under light from the camera, by eq. (3.3).
@@ -201,7 +189,23 @@ class MultilevelTransport(LevelTransport[PairSet]):
         folded = [pairs for pairs in self.pair_sets if pairs.level >= level]
         camera = RayDomain(self.camera_shape)
         kept.append(fold(self.tree, level, folded, self.channels, camera.size))
-        return self.from_pair_sets(camera, self.tree.domain, self.channels, level_rows, kept)
+        return self.from_pair_sets(
+            camera, self.tree.domain, self.channels, level_rows, kept, self.symmetric
+        )
+
+    def pack(
+        self, number_format: NumberFormat = "float32"
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the arrays and attributes that a store keeps."""
+        arrays, attributes = super().pack(number_format)
+        return arrays, {**attributes, "symmetric": self.symmetric}
+
+    @classmethod
+    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
+        """Build a transport from a store; its pairs are read when first used."""
+        opened = super().unpack(bundle, memory_budget)
+        opened.symmetric = bundle.attributes.get("symmetric", False)
+        return opened
 
     def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:
         arrays: dict[str, NDArray[Any]] = {}
