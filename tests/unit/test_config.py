@@ -64,7 +64,8 @@ def test_thesis_file_has_the_default_scenes_at_full_size_and_a_light_field() -> 
         shown = thesis.scenes[name]
         assert (shown.geometry, shown.surfaces) == (scene.geometry, scene.surfaces)
         assert shown.ray_shape == (310, 350)
-    assert set(thesis.acquisitions) == {(name, "symmetric") for name in thesis.scenes}
+    planes = {(name, "near_far") for name in default.scenes}
+    assert set(thesis.acquisitions) == planes | {(name, "symmetric") for name in thesis.scenes}
     assert thesis.camera == default.camera
     assert thesis.scenes["light_field"].ray_shape == (9, 130, 200)
     field, plane = (thesis.methods_of(name)["symmetric"] for name in ("light_field", "planes_i"))

@@ -97,7 +97,11 @@ def test_defects_stay_local_and_are_filled_in(method: str) -> None:
     found, mask = dense(bad.transport)[0], BAD.ravel()
     assert np.isfinite(found).all()
     rows, columns = found[np.ix_(mask, ~mask)], found[np.ix_(~mask, mask)].T
-    np.testing.assert_allclose(rows, columns, atol=1e-6 * np.abs(found).max())
+    if method == "dual":  # each response is spread by what others saw
+        assert np.linalg.norm(rows - columns) < 0.1 * np.linalg.norm(columns)
+        assert relative_rms(rows, matrix[np.ix_(mask, ~mask)]) < 0.1
+    else:
+        np.testing.assert_allclose(rows, columns, atol=1e-6 * np.abs(found).max())
     if method != "low_rank":  # which has no column to take them from
         assert 0.5 < rows.sum() / matrix[np.ix_(mask, ~mask)].sum() < 2
     # what nobody has seen is not made up

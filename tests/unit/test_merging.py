@@ -173,7 +173,7 @@ def test_a_camera_with_no_good_pixel_is_refused() -> None:
     on = np.stack([camera.expose(np.ones((2, 2, 3)), 1, (8, index)) for index in range(8)])
     off[:, :, 0, 0], on[:, :, 0, 0] = 4000, 4000  # the mosaic spreads it over all four
     with pytest.raises(CaptureError, match=r"all 4 camera pixels.*merge.mask_defects"):
-        Merger.calibrate(camera, [off], [on])
+        Merger.from_references(camera, [off], [on])
 
 
 def test_workers_keep_the_order_and_hold_few_results() -> None:
@@ -228,7 +228,7 @@ def test_the_floodlit_image_is_as_uncertain_as_its_variance_says() -> None:
     image = generator(5).uniform(0.2, 1, IMAGE).astype(np.float32)
     off = np.stack([CAMERA.expose(np.zeros_like(image), 1, (9, index)) for index in range(64)])
     on = np.stack([CAMERA.expose(image, 1, (8, index)) for index in range(6)])
-    learnt = Merger.calibrate(CAMERA, [off], [on])
+    learnt = Merger.from_references(CAMERA, [off], [on])
     one = CAMERA.merge(on, learnt.black, MergeOptions(64)).variance
     np.testing.assert_allclose(learnt.floodlit_variance, one.mean(axis=0) / 6, rtol=1e-5)
     deviation = np.square(learnt.floodlit - image) / learnt.floodlit_variance

@@ -353,7 +353,7 @@ def test_states_say_so_in_plain_data() -> None:
 
 
 def test_another_rig_is_refused() -> None:
-    with pytest.raises(InputError, match=r"coaxial rig.*\(2, 3\).*\(4, 5\); use dual"):
+    with pytest.raises(InputError, match=r"coaxial rig.*\(2, 3\).*\(4, 5\); use a method for"):
         NearFar().n_levels(RayDomain((2, 3)), RayDomain((4, 5)))
 
 

@@ -121,7 +121,7 @@ def acquired(folder: Path, transport: Transport) -> Path:
     """Write a transport as the assemble stage does."""
     digest = save_transport(transport, folder / "transport.zarr")
     manifest = {"scene": "corner", "method": "symmetric", "digest": digest, "patterns": 7}
-    write_manifest(folder / "transport.json", {**manifest, "tolerance": 1e-3})
+    write_manifest(folder / "transport.json", {**manifest, "options": {"tolerance": 1e-3}})
     return folder
 
 

@@ -139,7 +139,7 @@ def test_a_ray_without_a_good_pixel_is_unknown() -> None:
     light = np.full((*SHAPE, 1), 0.5, np.float32)
     dark, frames = frames_of(CAMERA, np.zeros_like(light), 8), frames_of(CAMERA, light, 2)
     dark[:, :, 0, 1], frames[:, :, 0, 1] = 3000, 3000
-    merger = Merger.calibrate(sensor, [dark], [frames])
+    merger = Merger.from_references(sensor, [dark], [frames])
     for image, spread in (
         (merger.floodlit, merger.floodlit_variance),
         (merger.merge(frames, 0).radiance[1], merger.merge(frames, 0).variance[1]),

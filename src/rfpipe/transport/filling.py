@@ -50,7 +50,9 @@ def fill_from_transpose(transport: Transport, masked: NDArray[np.bool_]) -> Tran
     rays = rays[~np.concatenate(rows)]
     if not len(rays) or not _is_symmetric(transport, ~masked.ravel()):
         return transport
-    columns = [transport.forward(lit, channels) for lit in _impulses(transport, rays)]
+    # what pixels saw of a block's masked rays is spread by what these rays saw: nothing yet
+    source = _spread_evenly(transport)
+    columns = [source.forward(lit, channels) for lit in _impulses(source, rays)]
     together = np.moveaxis(np.concatenate(columns), 1, 0)
     seen = together.any(axis=(0, 2))
     if not seen.any():
@@ -69,6 +71,16 @@ def _impulses(transport: Transport, rays: NDArray[np.int64]) -> Iterator[Float]:
         lit = np.zeros((len(some), transport.channels, size), np.float32)
         lit[np.arange(len(some)), :, some] = 1
         yield lit
+
+
+def _spread_evenly(transport: Transport) -> Transport:
+    """Return a transport whose responses are spread evenly over their blocks."""
+    if not isinstance(transport, MultilevelTransport) or not transport.symmetric:
+        return transport
+    domain = RayDomain(transport.camera_shape)
+    return MultilevelTransport.from_pair_sets(
+        domain, domain, transport.channels, transport.level_rows, list(transport.pair_sets)
+    )
 
 
 def _with_pairs(
