@@ -15,7 +15,7 @@ from rfpipe.stages.capturing.forecast import forecast
 
 
 def settings(**changes: object) -> Config:
-    scene = {"geometry": "plane", "surfaces": ["texture"], "shape": [5, 7]}
+    scene = {"kind": "plane", "surfaces": ["texture"], "shape": [5, 7]}
     return Config.model_validate({"scenes": {"wall": scene}, **changes})
 
 

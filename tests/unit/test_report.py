@@ -36,8 +36,8 @@ from rfpipe.store import write_arrays, write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.dense import DenseTransport
 
-PLANE = {"geometry": "plane", "surfaces": ["texture"], "shape": [8, 10]}
-WEDGE = {"geometry": "wedge", "surfaces": ["texture", "texture"], "shape": [8, 10]}
+PLANE = {"kind": "plane", "surfaces": ["texture"], "shape": [8, 10]}
+WEDGE = {"kind": "wedge", "surfaces": ["texture", "texture"], "shape": [8, 10]}
 
 BOTH = Config.model_validate(
     {
@@ -61,7 +61,7 @@ FIELD = Config.model_validate(
         "scenes": {
             "corner": WEDGE,
             "field": {
-                "geometry": "room", "surfaces": ["texture", "white", "white"], "shape": [6, 9],
+                "kind": "room", "surfaces": ["texture", "white", "white"], "shape": [6, 9],
                 "views": [2, 3], "methods": {"symmetric": {}}, "sweep": False,
             },
         },

@@ -1,6 +1,7 @@
 """Simulated scenes: the ground-truth transport that a rig of the simulation captures."""
 
-from rfpipe.scenes.base import Scene
+from rfpipe.scenes.base import CoaxialScene, Scene, SceneKind
+from rfpipe.scenes.build import scene_from_config
 from rfpipe.scenes.geometries import GEOMETRIES
 from rfpipe.scenes.geometry import Plane, Sphere, SurfacePoints, surface_points
 from rfpipe.scenes.hard import DenseScene, hard_cases
@@ -12,7 +13,6 @@ from rfpipe.scenes.reference import (
     planes_scene,
     reference_scene,
     room_scene,
-    scene_from_config,
 )
 from rfpipe.scenes.relighting import (
     CREASE,
@@ -28,12 +28,14 @@ __all__ = [
     "ONE_VIEW",
     "REFERENCE_SCENES",
     "RELIGHTING_PATTERNS",
+    "CoaxialScene",
     "DenseScene",
     "LightFieldScene",
     "Occluder",
     "Plane",
     "RadiosityScene",
     "Scene",
+    "SceneKind",
     "Sphere",
     "SurfacePoints",
     "hard_cases",

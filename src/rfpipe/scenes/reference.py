@@ -1,14 +1,12 @@
-"""The four scenes of [thesis Fig. 2.1], and any scene that a configuration describes."""
+"""The four scenes of [thesis Fig. 2.1], other rooms of planes, and the room of Fig. 5.8."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.base import Scene
 from rfpipe.scenes.geometries import GEOMETRIES
 from rfpipe.scenes.geometry import SurfacePoints, surface_points
 from rfpipe.scenes.light_field import LightFieldScene
@@ -18,10 +16,7 @@ from rfpipe.scenes.room import room_panels
 from rfpipe.scenes.textures import surface_albedo
 from rfpipe.scenes.views import ViewArray
 
-if TYPE_CHECKING:
-    from rfpipe.config import SceneConfig
-
-__all__ = ["REFERENCE_SCENES", "planes_scene", "reference_scene", "room_scene", "scene_from_config"]
+__all__ = ["REFERENCE_SCENES", "planes_scene", "reference_scene", "room_scene"]
 
 # Geometry and surfaces of the scenes of Fig. 2.1.
 REFERENCE_SCENES: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -185,54 +180,4 @@ def room_scene(
         seed=seed,
         compress=compress,
         name=f"room of {', '.join(surfaces)}",
-    )
-
-
-def scene_from_config(config: SceneConfig, compress: bool | None = None) -> Scene:
-    """Build the scene that a configuration describes.
-
-    Parameters
-    ----------
-    config
-        A scene's settings.
-    compress
-        Whether to compress its form factors; by their number where None. Thousands of patterns
-        pay for it at any size.
-
-    Returns
-    -------
-    Scene
-
-    Raises
-    ------
-    InputError
-        When it is a captured scene, of which no light transport is known.
-    """
-    if config.is_captured:
-        raise InputError(
-            "a scene of geometry captured can't be simulated; take plane, wedge or another"
-        )
-    if config.geometry == "room":
-        return room_scene(
-            config.surfaces,
-            config.shape,
-            views=config.views,
-            span_degrees=config.span_degrees,
-            channels=config.channels,
-            bounces=config.bounces,
-            seed=config.seed,
-            compress=compress,
-        )
-    return planes_scene(
-        config.geometry,
-        config.surfaces,
-        config.shape,
-        channels=config.channels,
-        bounces=config.bounces,
-        occluders=[
-            Occluder(occluder.centre, occluder.edge_u, occluder.edge_v)
-            for occluder in config.occluders
-        ],
-        seed=config.seed,
-        compress=compress,
     )
