@@ -1,5 +1,6 @@
 """Simulated scenes: the ground-truth transport that a rig of the simulation captures."""
 
+from rfpipe.scenes.aside import AsideScene
 from rfpipe.scenes.base import CoaxialScene, Scene, SceneKind
 from rfpipe.scenes.build import scene_from_config
 from rfpipe.scenes.geometries import GEOMETRIES
@@ -7,9 +8,11 @@ from rfpipe.scenes.geometry import Plane, Sphere, SurfacePoints, surface_points
 from rfpipe.scenes.hard import DenseScene, hard_cases
 from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
+from rfpipe.scenes.pinhole import Pinhole
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.reference import (
     REFERENCE_SCENES,
+    aside_scene,
     planes_scene,
     reference_scene,
     room_scene,
@@ -28,16 +31,19 @@ __all__ = [
     "ONE_VIEW",
     "REFERENCE_SCENES",
     "RELIGHTING_PATTERNS",
+    "AsideScene",
     "CoaxialScene",
     "DenseScene",
     "LightFieldScene",
     "Occluder",
+    "Pinhole",
     "Plane",
     "RadiosityScene",
     "Scene",
     "SceneKind",
     "Sphere",
     "SurfacePoints",
+    "aside_scene",
     "hard_cases",
     "planes_scene",
     "reference_scene",

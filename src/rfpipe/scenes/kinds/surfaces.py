@@ -6,12 +6,13 @@ from typing import Any, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from rfpipe.config.base import Settings
+from rfpipe.config.base import Extent, Settings
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.scenes.base import Scene, SceneKind
 from rfpipe.scenes.kinds.diffuse import Diffuse, SurfaceName
 from rfpipe.scenes.occluders import Occluder
-from rfpipe.scenes.reference import planes_scene
+from rfpipe.scenes.pinhole import Pinhole
+from rfpipe.scenes.reference import aside_scene, planes_scene
 
 __all__ = [
     "Corner",
@@ -19,6 +20,7 @@ __all__ = [
     "OccluderOptions",
     "Plane",
     "PlaneOptions",
+    "ProjectorOptions",
     "SphereOnPlane",
     "SphereOptions",
     "SurfacesOptions",
@@ -57,12 +59,59 @@ class OccluderOptions(Settings):
         return self
 
 
+class ProjectorOptions(Settings):
+    """A projector that stands elsewhere than the camera; its pixels are as wide as the camera's."""
+
+    position: Vector = Field(
+        description="Where it stands, (x, y, z) in scene units: the camera is at the origin, x to "
+        "its right, y down, and looks along +z at the middle of the scene, [0, 0, 3]. At [1.72, 0, "
+        "0.54] the projector looks at that from 35 degrees aside."
+    )
+    look_at: Vector = Field(
+        (0.0, 0.0, 3.0), description="The point (x, y, z) at which it aims, in scene units."
+    )
+    shape: tuple[Extent, Extent] | None = Field(
+        None,
+        description="Height and width in pixels, 1 to 4096 each; null for as many as the camera's.",
+    )
+
+    @model_validator(mode="after")
+    def _looks_somewhere(self) -> Self:
+        (x, _, z), (to_x, _, to_z) = self.position, self.look_at
+        if (x, z) == (to_x, to_z):
+            raise ValueError(
+                "look_at should be another point than position, and not one straight above or below"
+            )
+        return self
+
+
 class SurfacesOptions(Diffuse):
     """What rooms of a few surfaces have in common."""
+
+    projector: ProjectorOptions | None = Field(
+        None,
+        description="The projector where it does not share the camera's rays, such as {position: "
+        "[1.72, 0, 0.54]}, in front of all surfaces; null for a coaxial rig.",
+    )
 
     occluders: tuple[OccluderOptions, ...] = Field(
         (), description="Parallelograms that block light between surfaces."
     )
+
+    @property
+    def ray_shape(self) -> tuple[int, ...]:
+        """Shape of the projector's ray domain."""
+        return (self.projector and self.projector.shape) or self.shape
+
+    @property
+    def camera_ray_shape(self) -> tuple[int, ...]:
+        """Shape of the camera's ray domain."""
+        return self.shape
+
+    @property
+    def is_coaxial(self) -> bool:
+        """Whether camera and projector share their rays."""
+        return self.projector is None
 
 
 class PlaneOptions(SurfacesOptions):
@@ -101,16 +150,21 @@ class _Surfaces(SceneKind):
     @classmethod
     def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:
         """Put up the surfaces."""
-        return planes_scene(
-            cls.geometry,
-            options.surfaces,
-            options.shape,
-            channels=options.channels,
-            bounces=options.bounces,
-            occluders=[Occluder(**dict(occluder)) for occluder in options.occluders],
-            seed=options.seed,
-            compress=many_patterns or None,
-        )
+        room: dict[str, Any] = {
+            "geometry": cls.geometry,
+            "surfaces": options.surfaces,
+            "shape": options.shape,
+            "channels": options.channels,
+            "bounces": options.bounces,
+            "occluders": [Occluder(**dict(occluder)) for occluder in options.occluders],
+            "seed": options.seed,
+            "compress": many_patterns or None,
+        }
+        if options.projector is None:
+            return planes_scene(**room)
+        placed = options.projector
+        projector = Pinhole(options.ray_shape, placed.position, placed.look_at)
+        return aside_scene(**room, projector=projector)
 
 
 class Plane(_Surfaces):
