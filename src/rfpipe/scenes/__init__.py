@@ -1,7 +1,7 @@
 """Simulated scenes: the ground-truth transport that a rig of the simulation captures."""
 
 from rfpipe.scenes.aside import AsideScene
-from rfpipe.scenes.base import CoaxialScene, Scene, SceneKind
+from rfpipe.scenes.base import CoaxialScene, Scene, SceneKind, apply_in_batches
 from rfpipe.scenes.build import scene_from_config
 from rfpipe.scenes.geometries import GEOMETRIES
 from rfpipe.scenes.geometry import Plane, Sphere, SurfacePoints, surface_points
@@ -43,6 +43,7 @@ __all__ = [
     "SceneKind",
     "Sphere",
     "SurfacePoints",
+    "apply_in_batches",
     "aside_scene",
     "hard_cases",
     "planes_scene",
