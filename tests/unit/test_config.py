@@ -61,7 +61,9 @@ def test_default_file_holds_the_defaults() -> None:
 def test_thesis_file_has_the_default_scenes_at_full_size_and_a_light_field() -> None:
     default = Config()
     thesis = load_config(FOLDER / "thesis.yaml")
-    for name, scene in default.scenes.items():
+    assert set(default.scenes) - set(thesis.scenes) == {"aside"}
+    for name in set(default.scenes) & set(thesis.scenes):
+        scene = default.scenes[name]
         shown = thesis.scenes[name]
         assert (shown.kind, shown.surfaces) == (scene.kind, scene.surfaces)
         assert shown.ray_shape == (310, 350)

@@ -178,7 +178,7 @@ class ReportConfig(Settings):
     """What the report shows."""
 
     title: str = Field(
-        "Light transport of four scenes", min_length=1, description="The report's title."
+        "Light transport of five scenes", min_length=1, description="The report's title."
     )
     trials: dict[SectionName, tuple[float, ...]] = Field(
         default_factory=dict,
@@ -194,13 +194,21 @@ class ReportConfig(Settings):
     )
 
 
-def _thesis_scenes() -> dict[str, SceneSettings]:
-    """Scenes I to IV of [Fig. 2.1], at a fifth of their size."""
+def _default_scenes() -> dict[str, SceneSettings]:
+    """Scenes I to IV of [Fig. 2.1], at a fifth of their size, and one lit from 35 degrees aside."""
     return {
         "planes_i": SceneSettings.of("plane", surfaces=("texture",)),
         "planes_ii": SceneSettings.of("wedge", surfaces=("white", "white")),
         "planes_iii": SceneSettings.of("wedge", surfaces=("white", "texture")),
         "planes_iv": SceneSettings.of("wedge", surfaces=("texture", "texture")),
+        "aside": SceneSettings.of(
+            "wedge_120",
+            surfaces=("texture", "white"),
+            shape=(48, 54),
+            projector={"position": (1.72, 0.0, 0.54), "shape": (40, 46)},
+            methods={"dual": {}},
+            sweep=False,
+        ),
     }
 
 
@@ -209,10 +217,10 @@ class Config(Settings):
 
     seed: int = Field(1, ge=0, description="Seed of the captures' noise, an integer of at least 0.")
     scenes: dict[SectionName, SerializeAsAny[SceneSettings]] = Field(
-        default_factory=_thesis_scenes,
+        default_factory=_default_scenes,
         min_length=1,
         description="The scenes by name: lower-case letters, digits and _. The default are "
-        "scenes I to IV of Fig. 2.1.",
+        "scenes I to IV of Fig. 2.1, and one whose projector stands aside.",
     )
     methods: Annotated[
         dict[SectionName, SerializeAsAny[MethodSettings]], SectionsOf(MethodSettings)

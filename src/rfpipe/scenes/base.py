@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rfpipe.config.scenes import SceneSettings
 from rfpipe.errors import InputError
+
+if TYPE_CHECKING:
+    from rfpipe.config import SceneSettings
 
 __all__ = ["CoaxialScene", "Scene", "SceneKind", "apply_in_batches"]
 
@@ -30,7 +32,7 @@ class SceneKind:
         Its options: a pydantic model, each field with a description, its unit and range.
     """
 
-    Options: ClassVar[type[SceneSettings]] = SceneSettings
+    Options: ClassVar[type[SceneSettings]]
 
     @classmethod
     def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003

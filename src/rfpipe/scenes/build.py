@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from rfpipe.config.scenes import SceneSettings
+from typing import TYPE_CHECKING
+
 from rfpipe.scenes.base import Scene
+
+if TYPE_CHECKING:
+    from rfpipe.config import SceneSettings
 
 __all__ = ["scene_from_config"]
 
