@@ -3,8 +3,8 @@
 A pixel is cut into parts. Each part stands for a box on the other's picture, as wide as the outline
 of the piece of surface that it covers has there (of the same standard deviation), and is shared out
 between the pixels that the box overlaps. Points in place of boxes would make ripples where the two
-pictures are about as fine. A box knows nothing of outlines: light that falls close beside one reaches
-over it by half a box.
+pictures are about as fine. A box knows nothing of outlines: light that falls close beside one
+reaches over it by half a box.
 """
 
 from __future__ import annotations
