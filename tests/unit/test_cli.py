@@ -62,7 +62,7 @@ def failure(
 
 
 def test_validate_names_the_acquisitions() -> None:
-    assert "valid. 12 acquisitions" in run("validate", CONFIG)
+    assert "valid. 13 acquisitions" in run("validate", CONFIG)
 
 
 def test_schema_is_the_model_s() -> None:

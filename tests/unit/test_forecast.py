@@ -55,8 +55,8 @@ def test_the_command_says_what_does_not_fit(
     runner = CliRunner()
     result = runner.invoke(app, ["plan", str(config), "--folder", str(tmp_path / "results")])
     assert result.exit_code == 0
-    assert result.output.count("dual") == 4
-    assert "One after the other: 9 h" in result.output
+    assert result.output.count("dual") == 5
+    assert "One after the other: 10 h" in result.output
     assert "may not fit" not in result.output
     from rfpipe.stages.capturing import disk
 

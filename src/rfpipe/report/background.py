@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from rfpipe.provenance import versions
 from rfpipe.report import charts, pictures, study_tables, tables
 from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation
@@ -182,8 +184,14 @@ _UNITS = {
 
 def _told(options: dict[str, Any]) -> str:
     """Show options in a line, without those that are empty."""
-    told = {name: value for name, value in options.items() if value not in (None, [])}
-    return "; ".join(f"{name.replace('_', ' ')} {_shown(value)}" for name, value in told.items())
+    told = []
+    for name, value in options.items():
+        words, _, unit = name.rpartition("_")
+        if unit == "degrees":
+            told.append(f"{words} " + " by ".join(f"{angle:g}°" for angle in np.atleast_1d(value)))
+        elif value not in (None, []):
+            told.append(f"{name.replace('_', ' ')} {_shown(value)}")
+    return "; ".join(told)
 
 
 def _settings(name: str, units: dict[str, str], values: dict[str, Any]) -> Tabulation:
