@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rfpipe.config import SceneConfig
+from rfpipe.config import SceneSettings
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.optics import OpticalPath, Quadrilateral, centred_corners, tilted_corners
 from rfpipe.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
@@ -64,7 +64,7 @@ def wedge_bench(
     seed: int = 0,
 ) -> Bench:
     """Return a bench before two planes that light each other."""
-    config = SceneConfig(geometry="wedge", surfaces=("white", "texture"), shape=rays, channels=1)
+    config = SceneSettings.of("wedge", surfaces=("white", "texture"), shape=rays, channels=1)
     scene = scene_from_config(config)
     direct = scene_from_config(config.model_copy(update={"bounces": 1}))
     path = OpticalPath(

@@ -19,13 +19,16 @@ from typing import Any
 
 from rfpipe.errors import InputError
 
-__all__ = ["CAMERAS", "METHODS", "PROJECTORS", "RIGS", "find", "names", "path_of"]
+__all__ = ["CAMERAS", "METHODS", "PROJECTORS", "RIGS", "SCENES", "find", "names", "path_of"]
 
 METHODS = "rfpipe.methods"
 """The group of acquisition methods."""
 
 PROJECTORS, CAMERAS, RIGS = "rfpipe.projectors", "rfpipe.cameras", "rfpipe.rigs"
 """The groups of devices' drivers, and of rigs as a whole."""
+
+SCENES = "rfpipe.scenes"
+"""The group of kinds of scenes."""
 
 
 @cache

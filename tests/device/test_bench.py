@@ -32,7 +32,7 @@ RAYS = (8, 10)
 
 
 def settings(**changes: Any) -> RigConfig:
-    scene = {"geometry": "wedge", "surfaces": ["white", "texture"], "shape": RAYS, "channels": 1}
+    scene = {"kind": "wedge", "surfaces": ["white", "texture"], "shape": RAYS, "channels": 1}
     bench = {
         "scene": scene,
         "display_shape": [60, 70],
@@ -54,7 +54,7 @@ COLOUR = {
     "sensor": {"exposures": [1 / 64, 1 / 8], "bayer": "RGGB"},
     "bench": {
         "scene": {
-            "geometry": "wedge", "surfaces": ["white", "texture"], "shape": RAYS, "channels": 3
+            "kind": "wedge", "surfaces": ["white", "texture"], "shape": RAYS, "channels": 3
         }
     },
 }  # fmt: skip
@@ -264,7 +264,7 @@ def test_the_devices_count_what_happens() -> None:
 
 
 def test_a_simulated_rig_has_no_devices() -> None:
-    scene = {"geometry": "plane", "surfaces": ["white"], "shape": [4, 5]}
+    scene = {"kind": "plane", "surfaces": ["white"], "shape": [4, 5]}
     config = parse_rig_config({"kind": "simulated", "scene": scene}, "mine.yaml")
     rig = rig_from_config(config)
     assert rig.capture(np.ones((1, 4, 5), np.float32), [(0, 0)]).shape == (1, 4, 4, 5, 3)

@@ -20,7 +20,7 @@ SETTINGS = {
     "projector": {"options": {"settle_seconds": 0.0}},
     "bench": {
         "scene": {
-            "geometry": "wedge", "surfaces": ["white", "texture"], "shape": list(RAYS),
+            "kind": "wedge", "surfaces": ["white", "texture"], "shape": list(RAYS),
             "channels": 1,
         },
         "display_shape": [144, 160],

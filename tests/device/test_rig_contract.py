@@ -56,7 +56,7 @@ class TestRigOfALine(RigContract):
 
 
 class Scene:
-    shape = (5, 6)
+    camera_shape = projector_shape = (5, 6)
     channels = 3
 
     def apply(self, patterns: np.ndarray) -> np.ndarray:

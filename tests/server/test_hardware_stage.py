@@ -10,7 +10,7 @@ import pytest
 from tests.server.harness import TOKEN, ResampledRig, Running, free_port, running
 
 from rfpipe import acquire
-from rfpipe.config import SceneConfig
+from rfpipe.config import SceneSettings
 from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.stages import assemble, hardware, merge, normalize, refine, relight, schedule
 from rfpipe.stages.capturing.sensors import read_sensor
@@ -96,7 +96,7 @@ def test_what_is_captured_needs_no_server(acquired: Acquisition) -> None:
 
 def test_a_captured_scene_is_relit_without_a_truth(acquired: Acquisition) -> None:
     folder = acquired.folder.path
-    relight.run(folder, SceneConfig(geometry="captured", shape=SHAPE), CODE)
+    relight.run(folder, SceneSettings.of("captured", shape=SHAPE), CODE)
     images = open_arrays(folder / "relight.zarr")
     assert set(images.names) == {
         "patterns", "relit", "floodlit_relit", "floodlit_captured", "levels_relit",

@@ -216,7 +216,7 @@ def test_the_command_calibrates_and_reports(
 
 
 def test_a_simulated_rig_has_nothing_to_calibrate(tmp_path: Path) -> None:
-    scene = {"geometry": "plane", "surfaces": ["white"]}
+    scene = {"kind": "plane", "surfaces": ["white"]}
     config = parse_rig_config({"kind": "simulated", "scene": scene}, "rig.yaml")
     with pytest.raises(ConfigError, match="simulated"):
         calibrate_rig(config, tmp_path)

@@ -11,7 +11,7 @@ from rfpipe.calibration.symmetry import (
     symmetry_findings,
     take_symmetry,
 )
-from rfpipe.config import SceneConfig
+from rfpipe.config import SceneSettings
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
@@ -22,7 +22,7 @@ RAYS = 256
 
 
 def wedge() -> np.ndarray:
-    config = SceneConfig(geometry="wedge", surfaces=("white", "texture"), shape=SHAPE, channels=1)
+    config = SceneSettings.of("wedge", surfaces=("white", "texture"), shape=SHAPE, channels=1)
     scene = scene_from_config(config)
     return scene.apply(np.eye(RAYS, dtype=np.float32))[:, :, 0].T.astype(float)
 

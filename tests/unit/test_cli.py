@@ -62,7 +62,7 @@ def failure(
 
 
 def test_validate_names_the_acquisitions() -> None:
-    assert "valid. 12 acquisitions" in run("validate", CONFIG)
+    assert "valid. 13 acquisitions" in run("validate", CONFIG)
 
 
 def test_schema_is_the_model_s() -> None:
@@ -205,3 +205,10 @@ def test_serve_refuses_before_a_device_is_opened(
     text = failure(monkeypatch, capsys, "serve", CONFIG.with_name("rig.yaml"), *arguments)
     assert expected in text
     assert "Traceback" not in text
+
+
+def test_scenes_are_listed_with_their_options() -> None:
+    text = run("scenes")
+    assert "wedge_120: Two planes that meet at 120 degrees" in text
+    assert "    surfaces (needed): Left and right plane." in text
+    assert "    projector (None): The projector where it does not share the camera's rays" in text

@@ -7,12 +7,12 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from rfpipe import units
+from rfpipe import plugins, units
 from rfpipe.config import (
     CameraConfig,
     Config,
     NumberFormat,
-    OccluderConfig,
+    SceneSettings,
     default_yaml,
     json_schema,
     load_config,
@@ -20,6 +20,7 @@ from rfpipe.config import (
 )
 from rfpipe.errors import ConfigError
 from rfpipe.methods import get_method, method_names
+from rfpipe.scenes.kinds.surfaces import OccluderOptions
 
 FOLDER = Path(__file__).parents[2] / "config"
 
@@ -60,9 +61,11 @@ def test_default_file_holds_the_defaults() -> None:
 def test_thesis_file_has_the_default_scenes_at_full_size_and_a_light_field() -> None:
     default = Config()
     thesis = load_config(FOLDER / "thesis.yaml")
-    for name, scene in default.scenes.items():
+    assert set(default.scenes) - set(thesis.scenes) == {"aside"}
+    for name in set(default.scenes) & set(thesis.scenes):
+        scene = default.scenes[name]
         shown = thesis.scenes[name]
-        assert (shown.geometry, shown.surfaces) == (scene.geometry, scene.surfaces)
+        assert (shown.kind, shown.surfaces) == (scene.kind, scene.surfaces)
         assert shown.ray_shape == (310, 350)
     planes = {(name, "near_far") for name in default.scenes}
     assert set(thesis.acquisitions) == planes | {(name, "symmetric") for name in thesis.scenes}
@@ -87,6 +90,9 @@ def test_every_setting_has_a_description() -> None:
     ]
     options = {name: get_method(name).Options.model_fields for name in method_names()}
     bare += [f"{name}.{key}" for name in options for key, it in options[name].items()
+             if not it.description]  # fmt: skip
+    kinds = {name: SceneSettings.model_of(name) for name in plugins.names(plugins.SCENES)}
+    bare += [f"{name}.{key}" for name in kinds for key, it in kinds[name].model_fields.items()
              if not it.description]  # fmt: skip
     assert bare == []
 
@@ -122,7 +128,7 @@ def test_unknown_key_names_file_key_and_closest_known() -> None:
 
 
 def test_unknown_key_inside_a_scene() -> None:
-    scene = {"geometry": "plane", "surfaces": ["white"], "shpae": [8, 8]}
+    scene = {"kind": "plane", "surfaces": ["white"], "shpae": [8, 8]}
     text = message({"scenes": {"mine": scene}})
     assert "scenes.mine.shpae is unknown; did you mean shape?" in text
 
@@ -185,24 +191,25 @@ def test_exposures_in_milliseconds_are_refused_with_their_unit() -> None:
     assert "seconds" in text
 
 
-ROOM = {"geometry": "room", "surfaces": ["texture", "white", "white"]}
+ROOM = {"kind": "room", "surfaces": ["texture", "white", "white"]}
 
 
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"surfaces": ["white"]}, "geometry room should have 3 surfaces, not 1 (white)"),
+        ({"surfaces": ["white"]},
+         "kind room should have 3 surfaces (left wall, right wall, floor), not 1 (white)"),
         ({"views": [3, 0]}, "scenes.mine.views[1] is 0; it should be greater than or equal to 1"),
         ({"views": 9}, "scenes.mine.views is 9"),
         ({"span_degrees": [90, 29]}, "should be less than or equal to 45"),
         ({"occluders": [{"centre": [0, 0, 2], "edge_u": [1, 0, 0], "edge_v": [0, 1, 0]}]},
-         "occluders should be empty"),
+         "scenes.mine.occluders is unknown"),
         ({"methods": {}}, "scenes.mine.methods is {}"),
         ({"methods": ["dual"]}, "as in {dual: {}}"),
         ({"methods": {"dual": {"tolerance": 2}}}, "scenes.mine.methods.dual.tolerance is 2; it"),
         ({"methods": {"duel": None}}, "scenes.mine.methods.duel: 'duel' is unknown"),
-        ({"geometry": "plane", "surfaces": ["white"], "views": [3, 3]},
-         "views should be null with geometry plane"),
+        ({"kind": "plane", "surfaces": ["white"], "views": [3, 3]},
+         "scenes.mine.views is unknown"),
     ],
 )  # fmt: skip
 def test_mistakes_in_a_light_field_are_explained(change: dict[str, object], expected: str) -> None:
@@ -267,7 +274,7 @@ def test_the_schema_knows_the_options_of_every_method() -> None:
 
 
 def test_every_mistake_is_reported_once() -> None:
-    scene = {"geometry": "plane", "surfaces": ["wihte"]}
+    scene = {"kind": "plane", "surfaces": ["wihte"]}
     text = message({"sede": 1, "seed": -1, "scenes": {"mine": scene}})
     assert sorted(line.split(" is ")[0] for line in text.splitlines()) == [
         "mine.yaml: scenes.mine.surfaces[0]",
@@ -285,13 +292,13 @@ def test_every_mistake_is_reported_once() -> None:
             ["camera: black_level_counts", "below full scale, 255 at 8 bits"],
         ),
         (
-            {"scenes": {"mine": {"geometry": "wedge", "surfaces": ["white"]}}},
-            ["scenes.mine: geometry wedge should have 2 surfaces, not 1"],
+            {"scenes": {"mine": {"kind": "wedge", "surfaces": ["white"]}}},
+            ["scenes.mine: kind wedge should have 2 surfaces (left, right), not 1"],
         ),
         (
             {
                 "camera": {"bayer": "RGGB"},
-                "scenes": {"mine": {"geometry": "plane", "surfaces": ["white"], "channels": 1}},
+                "scenes": {"mine": {"kind": "plane", "surfaces": ["white"], "channels": 1}},
             },
             ["camera.bayer RGGB", "scenes.mine.channels is 1", "set it to 3"],
         ),
@@ -304,13 +311,34 @@ def test_settings_that_contradict_each_other(data: object, words: list[str]) -> 
 
 def test_occluder_needs_two_directions() -> None:
     with pytest.raises(ValueError, match="parallel"):
-        OccluderConfig(centre=(0, 0, 1), edge_u=(1, 0, 0), edge_v=(-2, 0, 0))
+        OccluderOptions(centre=(0, 0, 1), edge_u=(1, 0, 0), edge_v=(-2, 0, 0))
 
 
 def test_missing_key_says_what_it_means() -> None:
     text = message({"scenes": {"mine": {"surfaces": ["white"]}}})
-    assert "scenes.mine.geometry is missing; add it." in text
-    assert "wedge: two planes" in text
+    assert text.startswith("mine.yaml: scenes.mine.kind is missing; add it.")
+    assert "'rfpipe scenes' lists" in text
+    assert len(text.splitlines()) == 1
+
+
+def test_an_old_scene_is_refused_with_the_new_spelling() -> None:
+    text = message({"scenes": {"mine": {"geometry": "wedge", "surfaces": ["white", "white"]}}})
+    assert "scenes.mine: geometry is called kind now, as in {kind: wedge}" in text
+
+
+def test_an_unknown_kind_is_refused_with_those_there_are() -> None:
+    text = message({"scenes": {"mine": {"kind": "wegde"}}})
+    assert "scenes.mine: 'wegde' is unknown; expected one of captured, corner, plane" in text
+
+
+def test_the_schema_knows_the_options_of_every_kind() -> None:
+    schema = json_schema()
+    kinds = {rule["if"]["properties"]["kind"]["const"]: rule["then"]["$ref"]
+             for rule in schema["$defs"]["SceneSettings"]["allOf"]}  # fmt: skip
+    assert set(kinds) == set(plugins.names(plugins.SCENES))
+    room = schema["$defs"][kinds["room"].rpartition("/")[2]]
+    assert "degrees" in room["properties"]["span_degrees"]["description"]
+    assert set(room["properties"]["methods"]["anyOf"][0]["properties"]) == set(method_names())
 
 
 @pytest.mark.parametrize(

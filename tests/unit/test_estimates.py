@@ -30,7 +30,7 @@ ROWS = [
     {"level": 4, "patterns": 0},
 ]
 COUNTS = {"nodes": 1, "empty": 0, "rank1": 0, "scalar": 0, "subdivided": 0}
-WEDGE = {"geometry": "wedge", "surfaces": ["texture", "white"], "shape": [8, 10]}
+WEDGE = {"kind": "wedge", "surfaces": ["texture", "white"], "shape": [8, 10]}
 CONFIG = Config.model_validate(
     {
         "scenes": {"corner": WEDGE, "other": WEDGE},

@@ -15,7 +15,7 @@ from rfpipe.stages.capturing.forecast import forecast
 
 
 def settings(**changes: object) -> Config:
-    scene = {"geometry": "plane", "surfaces": ["texture"], "shape": [5, 7]}
+    scene = {"kind": "plane", "surfaces": ["texture"], "shape": [5, 7]}
     return Config.model_validate({"scenes": {"wall": scene}, **changes})
 
 
@@ -55,8 +55,8 @@ def test_the_command_says_what_does_not_fit(
     runner = CliRunner()
     result = runner.invoke(app, ["plan", str(config), "--folder", str(tmp_path / "results")])
     assert result.exit_code == 0
-    assert result.output.count("dual") == 4
-    assert "One after the other: 9 h" in result.output
+    assert result.output.count("dual") == 5
+    assert "One after the other: 10 h" in result.output
     assert "may not fit" not in result.output
     from rfpipe.stages.capturing import disk
 

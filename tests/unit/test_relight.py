@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rfpipe.config import SceneConfig
+from rfpipe.config import SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import (
@@ -23,7 +23,7 @@ from rfpipe.stages.relight import relit_arrays, right_half
 from rfpipe.store import open_arrays, read_manifest, write_manifest
 from rfpipe.transport import Transport, save_transport
 
-SCENE = SceneConfig(geometry="wedge", surfaces=("white", "texture"), shape=(9, 12), channels=3)
+SCENE = SceneSettings.of("wedge", surfaces=("white", "texture"), shape=(9, 12), channels=3)
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +54,8 @@ def test_all_images_agree_with_the_scenes_matrix(transports, method):
 
 
 def test_a_stack_of_views_is_relit_from_each_in_the_light_of_each():
-    room = SceneConfig(
-        geometry="room", surfaces=("texture", "white", "white"), shape=(6, 9), views=(2, 2)
+    room = SceneSettings.of(
+        "room", surfaces=("texture", "white", "white"), shape=(6, 9), views=(2, 2)
     )
     scene = scene_from_config(room)
     transport = acquire(SimulatedRig(scene), "symmetric", tolerance=1e-3, progress=False).transport
@@ -83,7 +83,7 @@ def test_right_half_leaves_the_middle_column_dark():
 
 def test_a_transport_of_another_shape_or_colour_is_refused(transports):
     other = SCENE.model_copy(update={"shape": (8, 12)})
-    with pytest.raises(InputError, match="isn't of a coaxial scene"):
+    with pytest.raises(InputError, match="isn't of a scene from"):
         relit_arrays(transports["symmetric"], scene_from_config(other))
     grey = SCENE.model_copy(update={"channels": 1})
     with pytest.raises(InputError, match="3 channels, a scene of 1"):

@@ -36,8 +36,8 @@ from rfpipe.store import write_arrays, write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.dense import DenseTransport
 
-PLANE = {"geometry": "plane", "surfaces": ["texture"], "shape": [8, 10]}
-WEDGE = {"geometry": "wedge", "surfaces": ["texture", "texture"], "shape": [8, 10]}
+PLANE = {"kind": "plane", "surfaces": ["texture"], "shape": [8, 10]}
+WEDGE = {"kind": "wedge", "surfaces": ["texture", "texture"], "shape": [8, 10]}
 
 BOTH = Config.model_validate(
     {
@@ -61,7 +61,7 @@ FIELD = Config.model_validate(
         "scenes": {
             "corner": WEDGE,
             "field": {
-                "geometry": "room", "surfaces": ["texture", "white", "white"], "shape": [6, 9],
+                "kind": "room", "surfaces": ["texture", "white", "white"], "shape": [6, 9],
                 "views": [2, 3], "methods": {"symmetric": {}}, "sweep": False,
             },
         },
@@ -517,7 +517,7 @@ def test_averaging_tells_noise_from_what_blocks_do(results):
 class Aside:
     """A scene whose camera of 5 x 6 rays looks aside at what 4 x 8 projector rays light."""
 
-    shape = (5, 6)
+    camera_shape, projector_shape = (5, 6), (4, 8)
     channels = 1
     albedo = np.full((5, 6, 1), 0.5, np.float32)
     matrix = np.random.default_rng(0).random((30, 32)).astype(np.float32)
@@ -541,7 +541,7 @@ def captured(method, folder, arrays, scene):
 
 ASIDE = Config.model_validate(
     {
-        "scenes": {"desk": {"geometry": "captured", "surfaces": [], "shape": [4, 8],
+        "scenes": {"desk": {"kind": "captured", "shape": [4, 8],
                             "camera_shape": [5, 6], "channels": 1}},
         "methods": {"dual": {}},
         "capture": {"rig": "remote"},
@@ -554,13 +554,13 @@ def aside_transport():
 
 
 def test_a_camera_that_looks_from_aside_has_pictures_and_no_unlit_pixels(tmp_path):
-    arrays = relight.relit_arrays(aside_transport(), Aside(), is_coaxial=False)
+    arrays = relight.relit_arrays(aside_transport(), Aside())
     assert arrays["relit"].shape == (5, 5, 6, 1)
     assert arrays["patterns"].shape == (5, 4, 8)
     assert arrays["line_truth"].shape == (6, 8, 1)
     np.testing.assert_allclose(arrays["line_truth"][..., 0], Aside.matrix[12:18, 16:24])
-    with pytest.raises(InputError, match="coaxial scene"):
-        relight.relit_arrays(aside_transport(), Aside())
+    with pytest.raises(InputError, match=r"isn't of a scene from \(4, 8\) to \(5, 6\)"):
+        relight.relit_arrays(aside_transport().T, Aside())
     captured("dual", tmp_path, arrays, "desk")
     errors = pd.read_csv(tables_of(tmp_path)[0])
     np.testing.assert_allclose(errors["rms_total"], 0.01, rtol=1e-3)

@@ -17,7 +17,7 @@ from rfpipe.rigs.pylon_options import PylonOptions
 from rfpipe.rigs.window_options import WindowOptions
 
 FOLDER = Path(__file__).parents[2] / "config"
-PLANE = {"geometry": "plane", "surfaces": ["white"], "channels": 1}
+PLANE = {"kind": "plane", "surfaces": ["white"], "channels": 1}
 
 
 def message(data: object) -> str:

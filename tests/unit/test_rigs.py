@@ -205,7 +205,7 @@ def test_descriptions_tell_rigs_apart() -> None:
 class Scene:
     """A small coaxial scene."""
 
-    shape = (4, 5)
+    camera_shape = projector_shape = (4, 5)
     channels = 3
 
     def apply(self, patterns: np.ndarray) -> np.ndarray:
@@ -215,7 +215,7 @@ class Scene:
         return {"name": "half of everything"}
 
 
-def test_a_simulated_rig_is_coaxial() -> None:
+def test_a_simulated_rig_has_the_rays_of_its_scene() -> None:
     rig = SimulatedRig(Scene(), CameraModel(), seed=3, seconds_per_pattern=0.5)
     assert rig.camera_shape == rig.projector_shape == (4, 5)
     assert (rig.channels, rig.seconds_per_pattern, rig.sensor) == (3, 0.5, CameraModel())

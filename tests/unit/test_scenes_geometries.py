@@ -1,14 +1,12 @@
 """Rooms beside the wedge at right angles: where their surfaces are, and the light between them."""
 
-import typing
-
 import numpy as np
 import pytest
 
-from rfpipe.config import SceneConfig
-from rfpipe.config.rig import GeometryName
+from rfpipe.config import SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.photometry import CameraModel
+from rfpipe.plugins import SCENES, names
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes import (
     CREASE,
@@ -195,12 +193,15 @@ def test_large_rooms_are_compressed_by_themselves():
 
 
 def test_the_settings_know_the_same_rooms_with_as_many_surfaces():
-    assert set(GEOMETRIES) == set(typing.get_args(GeometryName)) - {"room", "captured"}
+    assert set(GEOMETRIES) == set(names(SCENES)) - {"room", "captured"}
     for name, surfaces in GEOMETRIES.items():
-        config = SceneConfig(geometry=name, surfaces=("white",) * len(surfaces), shape=(6, 7))
+        assert SceneSettings.model_of(name).surface_names == tuple(it.name for it in surfaces)
+        config = SceneSettings.of(name, surfaces=("white",) * len(surfaces), shape=(6, 7))
         assert scene_from_config(config).shape == (6, 7)
-        with pytest.raises(ValueError, match=f"{name} should have {len(surfaces)} surfaces, not 0"):
-            SceneConfig(geometry=name, surfaces=())
+        with pytest.raises(
+            ValueError, match=rf"{name} should have {len(surfaces)} surfaces .*, not 0"
+        ):
+            SceneSettings.of(name, surfaces=())
 
 
 def test_rooms_are_told_apart_by_their_descriptions():

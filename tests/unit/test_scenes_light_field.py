@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import LinearOperator
 
-from rfpipe.config import SceneConfig
+from rfpipe.config import SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.scenes import LightFieldScene, room_scene, scene_from_config
 from rfpipe.scenes.panels import Panel, TexelGrid
@@ -227,8 +227,8 @@ def test_a_ray_that_sees_nothing_is_named():
 
 
 def test_config_describes_the_same_scene():
-    config = SceneConfig(
-        geometry="room", surfaces=SURFACES, shape=(5, 8), views=(2, 3), span_degrees=(20, 10),
+    config = SceneSettings.of(
+        "room", surfaces=SURFACES, shape=(5, 8), views=(2, 3), span_degrees=(20, 10),
         channels=1, bounces=2, seed=3,
     )  # fmt: skip
     made = scene_from_config(config)

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from rfpipe.config import SceneConfig
+from rfpipe.config import SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes import (
@@ -305,8 +305,8 @@ def test_albedo_out_of_range_is_refused():
 
 
 def test_config_describes_the_same_scene():
-    config = SceneConfig(
-        geometry="wedge",
+    config = SceneSettings.of(
+        "wedge",
         surfaces=("white", "texture"),
         shape=(12, 14),
         channels=1,

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from rfpipe.config import Config, SceneConfig, parse_config
+from rfpipe.config import Config, SceneSettings, parse_config
 from rfpipe.errors import ConfigError, InputError
 from rfpipe.rigs.token import read_token
 from rfpipe.scenes import scene_from_config
@@ -90,7 +90,7 @@ def test_a_token_file_that_others_may_read_or_that_is_not_there(tmp_path: Path) 
         read_token(file)
 
 
-DESK = {"desk": {"geometry": "captured", "shape": [4, 5]}}
+DESK = {"desk": {"kind": "captured", "shape": [4, 5]}}
 REMOTE = {"rig": "remote"}
 
 
@@ -103,7 +103,7 @@ def test_a_captured_scene() -> None:
     assert scene.camera_ray_shape == scene.ray_shape == (4, 5)
     with pytest.raises(InputError, match="can't be simulated"):
         scene_from_config(scene)
-    array = SceneConfig(geometry="captured", shape=(4, 5), views=(3, 3))
+    array = SceneSettings.of("captured", shape=(4, 5), views=(3, 3))
     assert array.ray_shape == (9, 4, 5)
 
 
@@ -118,11 +118,11 @@ def test_a_captured_scene() -> None:
         ),
         (
             {"scenes": {"desk": {**DESK["desk"], "surfaces": ["white"]}}, "capture": REMOTE},
-            "geometry captured should have 0 surfaces",
+            "scenes.desk.surfaces is unknown",
         ),
         (
-            {"scenes": {"a": {"geometry": "plane", "surfaces": ["white"], "camera_shape": [2, 2]}}},
-            "camera_shape should be null with geometry plane",
+            {"scenes": {"a": {"kind": "plane", "surfaces": ["white"], "camera_shape": [2, 2]}}},
+            "scenes.a.camera_shape is unknown",
         ),
         ({"capture": {**REMOTE, "url": "rig:8750"}}, "capture.url is 'rig:8750'"),
         ({"capture": {**REMOTE, "patience_seconds": -1}}, "capture.patience_seconds is -1"),

@@ -18,7 +18,7 @@ from rfpipe.transport.dense import DenseTransport
 
 CONFIG = Config.model_validate(
     {
-        "scenes": {"corner": {"geometry": "wedge", "surfaces": ["white", "texture"],
+        "scenes": {"corner": {"kind": "wedge", "surfaces": ["white", "texture"],
                               "shape": [8, 10]}},
         "methods": {"symmetric": {}},
         "report": {"trials": {"symmetric": [0.03, 0.003]}},

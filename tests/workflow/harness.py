@@ -18,8 +18,8 @@ ROOT = Path(__file__).parents[2]
 
 CONFIG: dict[str, Any] = {
     "scenes": {
-        "tiny": {"geometry": "wedge", "surfaces": ["white", "texture"], "shape": [8, 8]},
-        "long": {"geometry": "wedge", "surfaces": ["white", "texture"], "shape": [16, 18]},
+        "tiny": {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [8, 8]},
+        "long": {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [16, 18]},
     },
     "methods": {"symmetric": {}, "dual": {}, "brute_force": {}},
     # one pattern at a time, for captures that can be stopped anywhere

@@ -10,7 +10,7 @@ RIG = {
     "rays": [8, 8],
     "projector": {"options": {"settle_seconds": 0.0}},
     "bench": {
-        "scene": {"geometry": "wedge", "surfaces": ["white", "white"], "shape": [8, 8],
+        "scene": {"kind": "wedge", "surfaces": ["white", "white"], "shape": [8, 8],
                   "channels": 1},
         "display_shape": [64, 64],
         "camera_shape": [32, 32],

@@ -16,7 +16,7 @@ from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
 
 WEDGE = {
-    "geometry": "wedge",
+    "kind": "wedge",
     "surfaces": ["texture", "white"],
     "shape": [24, 26],
     "sweep": False,

@@ -223,7 +223,7 @@ def test_a_captured_scene_is_relit_and_reported_without_a_truth(tmp_path: Path) 
     with serving(tmp_path, CONFIG["scenes"]["tiny"]) as server:
         workflow = server.workflow(
             tmp_path / "run",
-            scenes={"desk": {"geometry": "captured", "shape": [8, 8]}},
+            scenes={"desk": {"kind": "captured", "shape": [8, 8]}},
             methods={"symmetric": {}, "dual": {}},
             report={"resolutions": [4, 8]},
         )

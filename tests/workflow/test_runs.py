@@ -78,7 +78,7 @@ def test_the_whole_run_ends_in_a_report_and_then_has_nothing_to_do(copy: Workflo
 
 ONE_SCENE = {"tiny": CONFIG["scenes"]["tiny"]}
 LIGHT_FIELD = {
-    "geometry": "room",
+    "kind": "room",
     "surfaces": ["texture", "white", "white"],
     "shape": [8, 12],
     "views": [2, 2],

@@ -3,7 +3,12 @@
 from rfpipe.config import load_config, parse_config
 from rfpipe.methods import method_names
 from rfpipe.stages.evaluating.sweep import is_swept
-from rfpipe.stages.jobs.code import acquisition_code, method_module, stage_code
+from rfpipe.stages.jobs.code import (
+    acquisition_code,
+    method_module,
+    scene_module,
+    stage_code,
+)
 from rfpipe.stages.jobs.notify import notify
 from rfpipe.stages.plan import Plan, plan_of
 
@@ -107,10 +112,16 @@ def sweep_settings(wildcards):
     }
 
 
+def relight_code(wildcards):
+    """Fingerprint of the code of the relighting beside what is true of a scene."""
+    return stage_code("stages.relight", scene_module(scene_settings(wildcards)["kind"]))
+
+
 def sweep_code(wildcards):
     """Fingerprint of the code of a method's sweep."""
+    scene = scene_module(scene_settings(wildcards)["kind"])
     method = method_module(plan(wildcards)["method"])
-    return stage_code("stages.evaluating.sweep", method)
+    return stage_code("stages.evaluating.sweep", method, scene)
 
 
 def study_code(wildcards):

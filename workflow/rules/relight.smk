@@ -14,7 +14,7 @@ rule relight:
         mem_mib=MEMORY_MIB,
     params:
         scene=scene_settings,
-        code=stage_code("stages.relight"),
+        code=relight_code,
     script:
         "../scripts/relight.py"
 

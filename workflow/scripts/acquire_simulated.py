@@ -1,10 +1,10 @@
 from functools import partial
 from pathlib import Path
 
-from rfpipe.config import CameraConfig, SceneConfig
+from rfpipe.config import CameraConfig, SceneSettings
 from rfpipe.photometry import sensor_from_config
 from rfpipe.rigs import SimulatedRig
-from rfpipe.scenes.reference import scene_from_config
+from rfpipe.scenes import scene_from_config
 from rfpipe.stages import capture, levels
 from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
@@ -14,7 +14,7 @@ params = snakemake.params
 start(snakemake.log[0])
 resources = Resources.of_job(snakemake)
 rig = SimulatedRig(
-    scene_from_config(SceneConfig(**params.scene)),
+    scene_from_config(SceneSettings.model_validate(params.scene)),
     sensor_from_config(CameraConfig(**params.camera) if params.camera else None),
     params.seed,
     params.seconds_per_pattern,

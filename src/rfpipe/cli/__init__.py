@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from rfpipe.config.base import Described
+
 __all__ = ["app", "main"]
 
 app = typer.Typer(
@@ -52,9 +54,19 @@ def methods() -> None:
         method = get_method(name)
         rig = "coaxial rigs" if method.needs_coaxial_rig else "any rig"
         typer.echo(f"{name}: {method.title.lower()}, {rig}")
-        for option, field in method.Options.model_fields.items():
-            if option != method.Options.key:
-                typer.echo(f"    {option} ({field.default!r}): {field.description}")
+        _list_options(method.Options)
+
+
+@app.command()
+def scenes() -> None:
+    """List the kinds of scenes that are installed, each with its options."""
+    from rfpipe import plugins
+    from rfpipe.config import SceneSettings
+
+    for name in plugins.names(plugins.SCENES):
+        kind = plugins.find(plugins.SCENES, name)
+        typer.echo(f"{name}: {(kind.__doc__ or '').partition('.')[0]}")
+        _list_options(SceneSettings.model_of(name))
 
 
 @app.command()
@@ -224,6 +236,14 @@ def serve(
     )
     config = load_rig_config(rig)
     run(lambda: rig_from_config(config), read_token(token_file), settings)
+
+
+def _list_options(model: type[Described]) -> None:
+    """Print the options of a method or a scene, each with its default and its description."""
+    for option, field in model.model_fields.items():
+        if option != model.key:
+            default = "needed" if field.is_required() else repr(field.default)
+            typer.echo(f"    {option} ({default}): {field.description}")
 
 
 def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.float32]:

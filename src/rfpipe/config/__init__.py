@@ -25,13 +25,11 @@ from rfpipe.config.model import (
     MergeConfig,
     Normalization,
     NumberFormat,
-    OccluderConfig,
     ReportConfig,
     ResourcesConfig,
-    SceneConfig,
     StorageConfig,
-    Surface,
 )
+from rfpipe.config.scenes import SceneSettings
 
 __all__ = [
     "BenchConfig",
@@ -44,15 +42,13 @@ __all__ = [
     "MethodSettings",
     "Normalization",
     "NumberFormat",
-    "OccluderConfig",
     "ProjectorDriver",
     "ReportConfig",
     "ResourcesConfig",
     "RigConfig",
     "RigDriver",
-    "SceneConfig",
+    "SceneSettings",
     "StorageConfig",
-    "Surface",
     "default_yaml",
     "json_schema",
     "load_config",

@@ -11,10 +11,19 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validat
 from rfpipe import plugins
 from rfpipe.errors import InputError
 
-__all__ = ["Described", "Extent", "Fraction", "MethodSettings", "SectionsOf", "Settings"]
+__all__ = [
+    "Described",
+    "Extent",
+    "Fraction",
+    "MethodSettings",
+    "SectionsOf",
+    "Settings",
+    "ViewCount",
+]
 
 Extent = Annotated[int, Field(ge=1, le=4096)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
+ViewCount = Annotated[int, Field(ge=1, le=16)]
 
 
 class Settings(BaseModel):

@@ -6,8 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from rfpipe.config.base import Fraction, Settings
-from rfpipe.config.rig import ViewCount
+from rfpipe.config.base import Fraction, Settings, ViewCount
 
 __all__ = ["CalibrationConfig", "Quadrilateral"]
 

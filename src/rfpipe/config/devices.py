@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializeAsAny, model_validator
 
 from rfpipe.config.base import Extent, Settings
 from rfpipe.config.calibration import CalibrationConfig, Quadrilateral
+from rfpipe.config.camera import CameraConfig
 from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
-from rfpipe.config.rig import CameraConfig, SceneConfig
+from rfpipe.config.scenes import SceneSettings
 
 __all__ = ["BenchConfig", "RigConfig"]
 
@@ -22,9 +23,9 @@ class BenchConfig(Settings):
     driver are the real ones, the camera is the driver's emulated one.
     """
 
-    scene: SceneConfig = Field(
-        default_factory=lambda: SceneConfig(
-            geometry="wedge", surfaces=("white", "texture"), shape=(32, 32), channels=1
+    scene: SerializeAsAny[SceneSettings] = Field(
+        default_factory=lambda: SceneSettings.of(
+            "wedge", surfaces=("white", "texture"), shape=(32, 32), channels=1
         ),
         description="The scene; 1 channel for a grey camera, 3 for one with a colour mosaic.",
     )
@@ -70,8 +71,14 @@ class BenchConfig(Settings):
     )
 
     @model_validator(mode="after")
+    def _scene_is_coaxial(self) -> Self:
+        if not self.scene.is_coaxial:
+            raise ValueError("scene should be a coaxial one: a bench has one domain of rays")
+        return self
+
+    @model_validator(mode="after")
     def _has_a_quadrilateral_for_each_view(self) -> Self:
-        views = math.prod(self.scene.views or (1, 1))
+        views = math.prod(self.scene.view_grid)
         for name in ("projector_corners", "camera_corners"):
             corners = getattr(self, name)
             if corners is not None and len(corners) != views:
@@ -87,8 +94,8 @@ class RigConfig(Settings):
 
     kind: Literal["devices", "simulated"] = Field(
         "devices",
-        description="devices: a projector and a camera, or the bench; simulated: a scene under a "
-        "coaxial rig, exactly as in a run's settings.",
+        description="devices: a projector and a camera, or the bench; simulated: a scene, "
+        "exactly as in a run's settings.",
     )
     projector: ProjectorDriver = Field(
         default_factory=lambda: ProjectorDriver.model_validate({}),
@@ -127,7 +134,7 @@ class RigConfig(Settings):
         description="The optical bench in software, in place of display, scene and camera; null "
         "for real ones.",
     )
-    scene: SceneConfig | None = Field(
+    scene: SerializeAsAny[SceneSettings] | None = Field(
         None, description="The scene of a simulated rig; null for a rig of devices."
     )
     seed: int = Field(0, ge=0, description="Seed of the simulated noise, at least 0.")

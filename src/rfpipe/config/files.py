@@ -14,7 +14,7 @@ from rfpipe.config.base import Described, Settings
 from rfpipe.config.devices import BenchConfig, RigConfig
 from rfpipe.config.drivers import ProjectorDriver
 from rfpipe.config.model import Config
-from rfpipe.config.problems import explained, model_within, shown
+from rfpipe.config.problems import explained, shown
 from rfpipe.config.schema import schema_of
 from rfpipe.errors import ConfigError
 
@@ -195,7 +195,7 @@ def _yaml_lines(settings: BaseModel, indent: int, *, commented: bool) -> list[st
         if isinstance(value, BaseModel):
             lines.append(f"{margin}{name}:")
             lines += _yaml_lines(value, indent + 2, commented=commented)
-        elif isinstance(value, dict) and model_within(field) is not None:
+        elif value and isinstance(value, dict) and all(map(_is_model, value.values())):
             lines.append(f"{margin}{name}:")
             seen: set[type[BaseModel]] = set()
             for entry, inner in value.items():
@@ -210,6 +210,10 @@ def _yaml_lines(settings: BaseModel, indent: int, *, commented: bool) -> list[st
         if indent == 0:
             lines.append("")
     return lines if indent else lines[:-1]
+
+
+def _is_model(value: object) -> bool:
+    return isinstance(value, BaseModel)
 
 
 def _flow(value: object) -> str:

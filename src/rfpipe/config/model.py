@@ -11,7 +11,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
 from rfpipe.config.base import Extent, MethodSettings, SectionsOf, Settings
-from rfpipe.config.rig import CameraConfig, OccluderConfig, SceneConfig, Surface
+from rfpipe.config.camera import CameraConfig
+from rfpipe.config.scenes import SceneSettings
 from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
 
 __all__ = [
@@ -21,12 +22,9 @@ __all__ = [
     "MergeConfig",
     "Normalization",
     "NumberFormat",
-    "OccluderConfig",
     "ReportConfig",
     "ResourcesConfig",
-    "SceneConfig",
     "StorageConfig",
-    "Surface",
 ]
 
 Normalization = Literal["none", "per_channel", "total_energy"]
@@ -180,7 +178,7 @@ class ReportConfig(Settings):
     """What the report shows."""
 
     title: str = Field(
-        "Light transport of four scenes", min_length=1, description="The report's title."
+        "Light transport of five scenes", min_length=1, description="The report's title."
     )
     trials: dict[SectionName, tuple[float, ...]] = Field(
         default_factory=dict,
@@ -196,13 +194,21 @@ class ReportConfig(Settings):
     )
 
 
-def _thesis_scenes() -> dict[str, SceneConfig]:
-    """Scenes I to IV of [Fig. 2.1], at a fifth of their size."""
+def _default_scenes() -> dict[str, SceneSettings]:
+    """Scenes I to IV of [Fig. 2.1], at a fifth of their size, and one lit from 35 degrees aside."""
     return {
-        "planes_i": SceneConfig(geometry="plane", surfaces=("texture",)),
-        "planes_ii": SceneConfig(geometry="wedge", surfaces=("white", "white")),
-        "planes_iii": SceneConfig(geometry="wedge", surfaces=("white", "texture")),
-        "planes_iv": SceneConfig(geometry="wedge", surfaces=("texture", "texture")),
+        "planes_i": SceneSettings.of("plane", surfaces=("texture",)),
+        "planes_ii": SceneSettings.of("wedge", surfaces=("white", "white")),
+        "planes_iii": SceneSettings.of("wedge", surfaces=("white", "texture")),
+        "planes_iv": SceneSettings.of("wedge", surfaces=("texture", "texture")),
+        "aside": SceneSettings.of(
+            "wedge_120",
+            surfaces=("texture", "white"),
+            shape=(48, 54),
+            projector={"position": (1.72, 0.0, 0.54), "shape": (40, 46)},
+            methods={"dual": {}},
+            sweep=False,
+        ),
     }
 
 
@@ -210,11 +216,11 @@ class Config(Settings):
     """All settings of a run."""
 
     seed: int = Field(1, ge=0, description="Seed of the captures' noise, an integer of at least 0.")
-    scenes: dict[SectionName, SceneConfig] = Field(
-        default_factory=_thesis_scenes,
+    scenes: dict[SectionName, SerializeAsAny[SceneSettings]] = Field(
+        default_factory=_default_scenes,
         min_length=1,
         description="The scenes by name: lower-case letters, digits and _. The default are "
-        "scenes I to IV of Fig. 2.1.",
+        "scenes I to IV of Fig. 2.1, and one whose projector stands aside.",
     )
     methods: Annotated[
         dict[SectionName, SerializeAsAny[MethodSettings]], SectionsOf(MethodSettings)
@@ -299,8 +305,8 @@ class Config(Settings):
         captured = [name for name, scene in self.scenes.items() if scene.is_captured]
         if captured and self.capture.rig == "simulated":
             raise ValueError(
-                f"capture.rig should be remote for scenes.{captured[0]}, whose geometry is "
-                "captured, not simulated"
+                f"capture.rig should be remote for scenes.{captured[0]}, which is a "
+                "real scene, not a simulated one"
             )
         if self.capture.rig == "remote" and len(self.scenes) > 1:
             raise ValueError(
@@ -310,7 +316,7 @@ class Config(Settings):
         for name, method in self.acquisitions:
             scene = self.scenes[name]
             about = self.methods_of(name)[method].subject(method)
-            if about.needs_coaxial_rig and scene.camera_ray_shape != scene.ray_shape:
+            if about.needs_coaxial_rig and not scene.is_coaxial:
                 raise ValueError(
                     f"scenes.{name}.methods should be methods for any rig, such as {{dual: {{}}}}: "
                     f"{method} needs a coaxial one, whose camera and projector share their rays"

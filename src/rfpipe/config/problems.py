@@ -93,7 +93,9 @@ def _at(
             model = _described(model, str(part), data)
             continue
         field = found
-        model = _driven(model, str(part), section) or model_within(found) or model
+        # a section that says its name is of that name's model
+        inner = _described(model_within(found) or model, "", data)
+        model = _driven(model, str(part), section) or inner
     return model, field
 
 
@@ -119,7 +121,7 @@ def _driven(model: type[BaseModel], name: str, section: object) -> type[BaseMode
 
 
 def model_within(field: FieldInfo) -> type[BaseModel] | None:
-    """Find the settings model inside a field's type, such as ``dict[str, SceneConfig]``."""
+    """Find the settings model inside a field's type, such as ``dict[str, SceneSettings]``."""
     for mark in field.metadata:
         if isinstance(mark, SectionsOf):
             return mark.model

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rfpipe import plugins
-from rfpipe.config.base import SectionsOf, Settings
+from rfpipe.config.base import Described, SectionsOf, Settings
 from rfpipe.config.drivers import DeviceDriver
 
 __all__ = ["schema_of"]
@@ -21,13 +21,16 @@ def schema_of(kind: type[Settings]) -> dict[str, Any]:
     kind : type of Settings
     """
     schema = kind.model_json_schema(ref_template=_REFERENCE)
+    for node, model in _inner(schema):
+        if issubclass(model, Described) and model.model_fields[model.key].is_required():
+            _choose(schema, node, model)
     models = [(schema, kind), *_inner(schema)]
     for node, model in models:
         if issubclass(model, DeviceDriver):
             _describe_drivers(schema, node, model)
         for name, field in model.model_fields.items():
             for mark in field.metadata:
-                if isinstance(mark, SectionsOf):
+                if isinstance(mark, SectionsOf) and name in node.get("properties", {}):
                     _describe(schema, node["properties"][name], mark)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
@@ -50,27 +53,49 @@ def _describe_drivers(
     """Say what options a driver has, by the names that are installed."""
     rules = []
     for name in plugins.names(model.group):
-        options = model.options_model(name)
-        described = options.model_json_schema(ref_template=_REFERENCE)
-        schema["$defs"] |= described.pop("$defs", {})
-        schema["$defs"][options.__name__] = described
-        then = {"properties": {"options": {"$ref": _REFERENCE.format(model=options.__name__)}}}
+        then = {"properties": {"options": _defined(schema, model.options_model(name))}}
         rules.append({"if": {"properties": {"driver": {"const": name}}}, "then": then})
     node["properties"]["options"] = {"type": "object", "description": "The driver's options."}
     if rules:
         node["allOf"] = rules
 
 
+def _defined(schema: dict[str, Any], model: type[Settings]) -> dict[str, Any]:
+    """Add a model to the schema's definitions; return the reference to it."""
+    definitions = schema.setdefault("$defs", {})
+    described = model.model_json_schema(ref_template=_REFERENCE)
+    definitions |= described.pop("$defs", {})
+    definitions[model.__name__] = described
+    return {"$ref": _REFERENCE.format(model=model.__name__)}
+
+
+def _choose(schema: dict[str, Any], node: dict[str, Any], model: type[Described]) -> None:
+    """Say what a section holds by the name that it says: any installed one, or a path."""
+    installed = plugins.names(model.group)
+    key = node["properties"][model.key]
+    rules = [
+        {
+            "if": {"properties": {model.key: {"const": name}}},
+            "then": _defined(schema, model.model_of(name)),
+        }
+        for name in installed
+    ]
+    said = {"anyOf": [{"enum": list(installed)}, {"pattern": ":"}]}
+    node.clear()
+    node |= {
+        "type": "object",
+        "description": model.__doc__.splitlines()[0] if model.__doc__ else "",
+        "properties": {model.key: key | said},
+        "required": [model.key],
+        "allOf": rules,
+    }
+
+
 def _describe(schema: dict[str, Any], node: dict[str, Any], mark: SectionsOf) -> None:
     """Say what sections there may be, by the names that are installed."""
     sections: dict[str, Any] = {}
-    definitions = schema.setdefault("$defs", {})
     for name in plugins.names(mark.model.group):
-        model = mark.model.model_of(name)
-        described = model.model_json_schema(ref_template=_REFERENCE)
-        definitions |= described.pop("$defs", {})
-        definitions[model.__name__] = described
-        sections[name] = {"$ref": _REFERENCE.format(model=model.__name__)}
+        sections[name] = _defined(schema, mark.model.model_of(name))
     if mark.partial:
         sections = {name: {"anyOf": [it, {"type": "null"}]} for name, it in sections.items()}
     own = {"type": "object", "required": [mark.model.key]}

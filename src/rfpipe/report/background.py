@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from rfpipe.provenance import versions
 from rfpipe.report import charts, pictures, study_tables, tables
 from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation
@@ -127,33 +129,18 @@ def setup_section(inputs: Inputs) -> Section:
         blocks.append(_settings("Noise model", _UNITS, config.camera.model_dump(mode="json")))
     scenes = Table(
         [],
-        ["scene", "geometry", "surfaces", "rays", "channels", "bounces", "occluders", "seed"],
+        ["scene", "kind", "rays", "channels", "options"],
         [
-            [
-                name, scene.geometry, ", ".join(scene.surfaces),
-                ray_size(scene), str(scene.channels), str(scene.bounces),
-                str(len(scene.occluders)), str(scene.seed),
-            ]
+            [name, scene.kind, ray_size(scene), str(scene.channels), _told(scene.own_options())]
             for name, scene in config.scenes.items()
         ],
-        text_columns=3,
-    )  # fmt: skip
+        text_columns=2,
+    )
     about = (
-        "Radiosity of planes seen by a coaxial pinhole rig; ground truth by exact transport."
+        "Simulated scenes before pinhole rigs; ground truth by exact transport."
         if inputs.has_truth
         else "A real scene; its ground truth is unknown."
     )
-    if inputs.light_fields and inputs.has_truth:
-        about += (
-            " A room has a box, a poster and a card in it besides; a light field's array of views "
-            "spans "
-            + ", ".join(
-                " by ".join(f"{degrees:g}°" for degrees in scene.span_degrees)
-                for scene in config.scenes.values()
-                if scene.views is not None
-            )
-            + "."
-        )
     acquisition = {
         "seed": config.seed,
         **{
@@ -195,6 +182,18 @@ _UNITS = {
 }
 
 
+def _told(options: dict[str, Any]) -> str:
+    """Show options in a line, without those that are empty."""
+    told = []
+    for name, value in options.items():
+        words, _, unit = name.rpartition("_")
+        if unit == "degrees":
+            told.append(f"{words} " + " by ".join(f"{angle:g}°" for angle in np.atleast_1d(value)))
+        elif value not in (None, []):
+            told.append(f"{name.replace('_', ' ')} {_shown(value)}")
+    return "; ".join(told)
+
+
 def _settings(name: str, units: dict[str, str], values: dict[str, Any]) -> Tabulation:
     """Show settings as names and values with their units."""
     rows = [
@@ -207,6 +206,8 @@ def _settings(name: str, units: dict[str, str], values: dict[str, Any]) -> Tabul
 def _shown(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(_shown(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{name.replace('_', ' ')} {_shown(it)}" for name, it in value.items())
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, bool):

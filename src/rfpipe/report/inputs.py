@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.config import Config, SceneConfig
+from rfpipe.config import Config, SceneSettings
 from rfpipe.report import methods
 from rfpipe.report.thesis import numeral_of
 from rfpipe.stages.relight import right_half
@@ -49,7 +49,7 @@ class Run:
     Attributes
     ----------
     scene, method : str
-    settings : SceneConfig
+    settings : SceneSettings
     facts : dict
         The manifest ``relight.json``.
     images : ArrayBundle
@@ -58,7 +58,7 @@ class Run:
 
     scene: str
     method: str
-    settings: SceneConfig
+    settings: SceneSettings
     facts: dict[str, Any]
     images: ArrayBundle
 
@@ -96,12 +96,12 @@ class Run:
     @property
     def is_light_field(self) -> bool:
         """Whether its images are stacks of views."""
-        return self.settings.views is not None
+        return self.settings.is_light_field
 
     @property
     def middle_view(self) -> int:
         """Number of the view in the middle of a light field's array."""
-        rows, columns = self.settings.views or (1, 1)
+        rows, columns = self.settings.view_grid
         return rows // 2 * columns + columns // 2
 
     @property
@@ -224,7 +224,7 @@ class Inputs:
         return [run for run in self.runs if run.scene == scene]
 
 
-def scene_title(name: str, scene: SceneConfig) -> str:
+def scene_title(name: str, scene: SceneSettings) -> str:
     """Return a scene's name, with its number in Fig. 2.1 if it has one."""
     numeral = numeral_of(scene)
     return name if numeral is None else f"{name} ({numeral})"

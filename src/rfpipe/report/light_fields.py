@@ -38,7 +38,7 @@ def light_fields_section(inputs: Inputs) -> Section | None:
     )
     blocks: list[Block] = []
     for run in runs:
-        views = size(*(run.settings.views or ()))
+        views = size(*run.settings.view_grid)
         of = f"{run.title}, {run.method_title.lower()}"
         shared = (
             f"{of}: {views} views, each picture where its view is in the array; on the left "
@@ -76,7 +76,7 @@ def views_figure(run: Run, *, is_light_moving: bool) -> Figure:
     is_light_moving : bool
         Whether the light moves before the middle view, or the view in the middle one's light.
     """
-    rows, columns = run.settings.views or (1, 1)
+    rows, columns = run.settings.view_grid
     middle = run.middle_view
     relit, truth = (
         images[:, middle] if is_light_moving else images[middle]
@@ -128,7 +128,7 @@ def view_errors(runs: list[Run]) -> tuple[Table, pd.DataFrame]:
     numbers: list[dict[str, Any]] = []
     for run in runs:
         errors = _errors_between(run)
-        columns = (run.settings.views or (1, 1))[1]
+        columns = run.settings.view_grid[1]
         for light, of_light in enumerate(errors):
             row, column = divmod(light, columns)
             others = np.delete(of_light, light)

@@ -55,7 +55,7 @@ def costs(inputs: Inputs) -> list[dict[str, Any]]:
                 "scene": run.scene,
                 "title": run.title,
                 "method": run.method,
-                "views": math.prod(run.settings.views or (1,)),
+                "views": math.prod(run.settings.view_grid),
                 "height": height,
                 "width": width,
                 "channels": channels,

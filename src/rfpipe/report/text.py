@@ -7,7 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from rfpipe.config import Config, SceneConfig
+from rfpipe.config import Config, SceneSettings
 
 __all__ = ["DASH", "TIMES", "fixed", "number", "percent", "ray_size", "size", "wishes", "words"]
 
@@ -58,10 +58,10 @@ def size(*lengths: int) -> str:
     return f"{_JOINT}{TIMES}{_JOINT}".join(map(str, lengths))
 
 
-def ray_size(scene: SceneConfig) -> str:
+def ray_size(scene: SceneSettings) -> str:
     """Return the size of a projector's rays: rows and columns of views before the image's.
 
     With that of the camera's rays, where it differs.
     """
-    own = size(*(scene.views or ()), *scene.shape)
-    return f"{own} to {size(*scene.camera_shape)}" if scene.camera_shape else own
+    own = size(*(scene.view_grid if scene.is_light_field else ()), *scene.ray_shape[-2:])
+    return own if scene.is_coaxial else f"{own} to {size(*scene.camera_ray_shape[-2:])}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rfpipe.config import SceneConfig
+from rfpipe.config import SceneSettings
 from rfpipe.scenes import REFERENCE_SCENES
 
 __all__ = [
@@ -66,19 +66,20 @@ TABLE_3_1 = {
 }
 
 
-def numeral_of(scene: SceneConfig) -> str | None:
+def numeral_of(scene: SceneSettings) -> str | None:
     """Return which scene of Fig. 2.1 a configured one is, ``"I"`` to ``"IV"``; None for others."""
-    if scene.occluders:
+    options = scene.options()
+    if options.get("occluders") or not scene.is_coaxial:
         return None
-    for numeral, (geometry, surfaces) in REFERENCE_SCENES.items():
-        if (scene.geometry, tuple(scene.surfaces)) == (geometry, surfaces):
+    for numeral, (kind, surfaces) in REFERENCE_SCENES.items():
+        if (scene.kind, tuple(options.get("surfaces", ()))) == (kind, surfaces):
             return numeral
     return None
 
 
-def row_of(scene: SceneConfig) -> str | None:
+def row_of(scene: SceneSettings) -> str | None:
     """Return the row of Table 5.1 that a configured scene can stand beside; None for others."""
-    if scene.views is not None:
+    if scene.is_light_field:
         return _LIGHT_FIELD
     numeral = numeral_of(scene)
     return numeral and f"Fig. 2.1 ({numeral})"

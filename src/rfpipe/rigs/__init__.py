@@ -13,7 +13,7 @@ from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.operator import OperatorRig
 from rfpipe.rigs.remote import RemoteRig
-from rfpipe.rigs.simulated import CoaxialScene, SimulatedRig
+from rfpipe.rigs.simulated import LitScene, SimulatedRig
 
 __all__ = [
     "BLACK_LEVEL_KEY",
@@ -21,8 +21,8 @@ __all__ = [
     "FLOODLIT_KEY",
     "WARM_UP_KEY",
     "Camera",
-    "CoaxialScene",
     "DeviceRig",
+    "LitScene",
     "OperatorRig",
     "PatternOperator",
     "Projector",

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import CaptureError
+from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.display import VirtualDisplay, memory_display
@@ -33,7 +33,7 @@ from rfpipe.rigs.window import WindowProjector
 from rfpipe.rigs.xvfb import xvfb
 
 if TYPE_CHECKING:
-    from rfpipe.config import BenchConfig, RigConfig, SceneConfig
+    from rfpipe.config import BenchConfig, RigConfig, SceneSettings
 
 __all__ = ["BenchCamera", "BenchProjector", "Scenery", "optical_path", "software_bench"]
 
@@ -249,25 +249,31 @@ def optical_path(bench: BenchConfig, projector_shape: tuple[int, int]) -> Optica
     from rfpipe.scenes import scene_from_config
 
     scene = scene_from_config(bench.scene)
-    views = bench.scene.views or (1, 1)
+    shape = scene.projector_shape
+    views = bench.scene.view_grid
     return OpticalPath(
         scene,
-        scene.shape,
+        shape,
         projector_shape,
         bench.camera_shape,
-        bench.projector_corners or centred_corners(scene.shape, projector_shape, views),
-        bench.camera_corners or tilted_corners(scene.shape, bench.camera_shape, views),
+        bench.projector_corners or centred_corners(shape, projector_shape, views),
+        bench.camera_corners or tilted_corners(shape, bench.camera_shape, views),
         _direct_light(bench.scene),
         bench.ambient,
     )
 
 
-def _direct_light(config: SceneConfig) -> Float:
+def _direct_light(config: SceneSettings) -> Float:
     """Return the radiance (N, C) that each view sees of its own direct light."""
     from rfpipe.scenes import scene_from_config
 
+    if "bounces" not in type(config).model_fields:
+        raise ConfigError(
+            f"bench.scene is of kind {config.kind}, which doesn't tell direct light by an option "
+            "bounces; take plane, wedge or another"
+        )
     scene = scene_from_config(config.model_copy(update={"bounces": 1}))
-    domain = RayDomain(scene.shape)
+    domain = RayDomain(scene.projector_shape)
     light = np.repeat(np.eye(domain.views, dtype=np.float32), domain.rays_per_image, axis=1)
     images = np.asarray(scene.apply(light))
     own = light.astype(bool)

@@ -1,4 +1,4 @@
-"""The simulated coaxial rig: a scene seen and lit through one ray domain."""
+"""The simulated rig: a projector and a camera before a simulated scene."""
 
 from __future__ import annotations
 
@@ -8,26 +8,30 @@ from rfpipe.photometry import Sensor
 from rfpipe.rigs.base import PatternOperator
 from rfpipe.rigs.operator import OperatorRig
 
-__all__ = ["CoaxialScene", "SimulatedRig"]
+__all__ = ["LitScene", "SimulatedRig"]
 
 
-class CoaxialScene(PatternOperator, Protocol):
-    """A scene's light transport over one ray domain, camera and projector alike."""
+class LitScene(PatternOperator, Protocol):
+    """A scene's light transport between two ray domains."""
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the ray domain, see `rfpipe.blocks.RayDomain`."""
+    def camera_shape(self) -> tuple[int, ...]:
+        """Shape of the camera's ray domain, see `rfpipe.blocks.RayDomain`."""
+
+    @property
+    def projector_shape(self) -> tuple[int, ...]:
+        """Shape of the projector's ray domain."""
 
     def describe(self) -> dict[str, Any]:
         """Plain data: all that shapes the transport."""
 
 
 class SimulatedRig(OperatorRig):
-    """A projector and a camera that look at a simulated scene along the same rays.
+    """A projector and a camera that look at a simulated scene.
 
     Parameters
     ----------
-    scene : CoaxialScene
+    scene : LitScene
         Such as one of `rfpipe.scenes`.
     sensor : Sensor or None
         The camera; None captures exact radiance.
@@ -41,14 +45,14 @@ class SimulatedRig(OperatorRig):
 
     def __init__(
         self,
-        scene: CoaxialScene,
+        scene: LitScene,
         sensor: Sensor | None = None,
         seed: int = 0,
         seconds_per_pattern: float = 2.0,
         threads: int = 1,
     ) -> None:
-        shape = scene.shape
-        super().__init__(scene, shape, shape, sensor, seed, seconds_per_pattern, threads)
+        shapes = scene.camera_shape, scene.projector_shape
+        super().__init__(scene, *shapes, sensor, seed, seconds_per_pattern, threads)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""

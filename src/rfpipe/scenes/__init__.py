@@ -1,18 +1,21 @@
 """Simulated scenes: the ground-truth transport that a rig of the simulation captures."""
 
-from rfpipe.scenes.base import Scene
+from rfpipe.scenes.aside import AsideScene
+from rfpipe.scenes.base import CoaxialScene, Scene, SceneKind, apply_in_batches
+from rfpipe.scenes.build import scene_from_config
 from rfpipe.scenes.geometries import GEOMETRIES
 from rfpipe.scenes.geometry import Plane, Sphere, SurfacePoints, surface_points
 from rfpipe.scenes.hard import DenseScene, hard_cases
 from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
+from rfpipe.scenes.pinhole import Pinhole
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.reference import (
     REFERENCE_SCENES,
+    aside_scene,
     planes_scene,
     reference_scene,
     room_scene,
-    scene_from_config,
 )
 from rfpipe.scenes.relighting import (
     CREASE,
@@ -28,14 +31,20 @@ __all__ = [
     "ONE_VIEW",
     "REFERENCE_SCENES",
     "RELIGHTING_PATTERNS",
+    "AsideScene",
+    "CoaxialScene",
     "DenseScene",
     "LightFieldScene",
     "Occluder",
+    "Pinhole",
     "Plane",
     "RadiosityScene",
     "Scene",
+    "SceneKind",
     "Sphere",
     "SurfacePoints",
+    "apply_in_batches",
+    "aside_scene",
     "hard_cases",
     "planes_scene",
     "reference_scene",

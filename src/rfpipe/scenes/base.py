@@ -3,51 +3,117 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["Scene", "apply_in_batches"]
+if TYPE_CHECKING:
+    from rfpipe.config import SceneSettings
+
+__all__ = ["CoaxialScene", "Scene", "SceneKind", "apply_in_batches"]
 
 _PATTERNS_AT_A_TIME = 16
 
 
-class Scene(Protocol):
-    """Ground-truth transport of a simulated scene under a coaxial rig: patterns in, radiance out.
+class SceneKind:
+    """A kind of scene, which settings call by a name or a path: its options, and how it is made.
 
-    N is the number of rays, C the number of colour channels.
+    A name is that of an entry point of the group ``rfpipe.scenes``; a path is ``module:Class`` or
+    ``file.py:Class``.
+
+    Attributes
+    ----------
+    Options : type of SceneSettings
+        Its options: a pydantic model, each field with a description, its unit and range.
     """
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the ray domain, of N rays."""
-        ...
+    Options: ClassVar[type[SceneSettings]]
 
-    @property
-    def channels(self) -> int:
-        """Colour channels, 1 or 3."""
-        ...
+    @classmethod
+    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
+        """Return the scene of some options.
+
+        Parameters
+        ----------
+        options : Options
+            The kind's own.
+        many_patterns : bool
+            Whether thousands of patterns are to come, so that a slower preparation pays.
+        """
+        make: Any = cls
+        made: Scene = make(options)
+        return made
+
+
+class Scene(SceneKind, ABC):
+    """Ground-truth transport of a simulated scene: patterns in, radiance out.
+
+    A scene of your own derives from this class, and is a kind by itself: ``MyScene(options)`` makes
+    it. `rfpipe.testing.SceneContract` has the tests that every scene should pass.
+
+    Parameters
+    ----------
+    camera_shape, projector_shape : tuple of int
+        Shapes of the ray domains, of M and of N rays: (H, W), or (V, H, W) for an array of views.
+    channels : int
+        Colour channels, C: 1 or 3.
+    """
+
+    def __init__(
+        self, camera_shape: tuple[int, ...], projector_shape: tuple[int, ...], channels: int
+    ) -> None:
+        self.camera_shape = tuple(camera_shape)
+        self.projector_shape = tuple(projector_shape)
+        self.channels = channels
+
+    @abstractmethod
+    def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
+        """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape)."""
+
+    @abstractmethod
+    def describe(self) -> dict[str, Any]:
+        """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
 
     @property
     def albedo(self) -> NDArray[np.float32]:
-        """Albedo seen by each ray, float32 (*shape, C)."""
-        ...
+        """Albedo seen by each camera ray, float32 (*camera_shape, C) in [0, 1].
 
-    def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
-        """Radiance float32 (B, N, C) under patterns (B, N) or (B, *shape)."""
-        ...
+        Where a scene doesn't say it: the floodlit image, its maximum as 1.
+        """
+        image = self.apply(np.ones((1, math.prod(self.projector_shape))))
+        brightest = float(image.max())
+        image /= brightest if brightest > 0 else 1
+        return image.reshape(*self.camera_shape, self.channels)
 
     def dense(self, channel: int = 0) -> NDArray[np.float64]:
-        """The whole matrix (N, N) of one channel, of a small scene."""
-        ...
+        """The whole matrix (M, N) of one channel, of a small scene."""
+        columns = self.apply(np.eye(math.prod(self.projector_shape)))
+        return columns[..., channel].T.astype(np.float64)
 
-    def describe(self) -> dict[str, Any]:
-        """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
-        ...
+
+class CoaxialScene(Scene):
+    """A scene whose camera and projector share their rays, so that ``T = T^T`` (2.10).
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Shape of the ray domain.
+    channels : int
+        Colour channels, 1 or 3.
+    """
+
+    def __init__(self, shape: tuple[int, ...], channels: int) -> None:
+        super().__init__(shape, shape, channels)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the ray domain."""
+        return self.camera_shape
 
 
 def apply_in_batches(
@@ -55,6 +121,7 @@ def apply_in_batches(
     patterns: ArrayLike,
     shape: tuple[int, ...],
     channels: int,
+    camera_rays: int | None = None,
 ) -> NDArray[np.float32]:
     """Put patterns through an operator, always the same number at a time.
 
@@ -65,17 +132,19 @@ def apply_in_batches(
     Parameters
     ----------
     radiance
-        The operator: weights float64 (N, b) to radiance float64 (N, b, C), b fixed.
+        The operator: weights float64 (N, b) to radiance float64 (M, b, C), b fixed.
     patterns
         (B, N) or (B, *shape): weights of the rays, in image order.
     shape
-        Shape of the ray domain, of N rays.
+        Shape of the projector's ray domain, of N rays.
     channels
         Number of colour channels, C.
+    camera_rays
+        Number of the camera's rays, M; N where None.
 
     Returns
     -------
-    float32 (B, N, C)
+    float32 (B, M, C)
 
     Raises
     ------
@@ -92,7 +161,7 @@ def apply_in_batches(
     weights = weights.reshape(len(weights), rays)
     if not np.isfinite(weights).all():
         raise InputError("patterns: every weight should be finite, found NaN or infinity")
-    out = np.empty((len(weights), rays, channels), dtype=np.float32)
+    out = np.empty((len(weights), camera_rays or rays, channels), dtype=np.float32)
     for start in range(0, len(weights), _PATTERNS_AT_A_TIME):
         part = weights[start : start + _PATTERNS_AT_A_TIME]
         padded = np.zeros((rays, _PATTERNS_AT_A_TIME))

@@ -16,8 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.scenes.pinhole import Pinhole
 
-__all__ = ["Plane", "Points", "Sphere", "Surface", "SurfacePoints", "surface_points"]
+__all__ = [
+    "Plane",
+    "Points",
+    "Sight",
+    "Sphere",
+    "Surface",
+    "SurfacePoints",
+    "least_squared",
+    "sight_of",
+    "surface_points",
+]
 
 Vector = tuple[float, float, float]
 
@@ -143,16 +154,21 @@ class SurfacePoints(Points):
 
     @property
     def least_squared_distance(self) -> float:
-        """Lower clamp of the squared distance between two points, scene units squared.
+        """Lower clamp of the squared distance between two points, see `least_squared`."""
+        return least_squared(self.planes, self.mean_area)
 
-        The mean area; in an acute crease of opening t it is 1 / (2 sin(t / 2)^2) times that: seen
-        from its mouth, pixels are long and close to each other there, and their central points
-        alone would exchange more light than there is.
-        """
-        normals = [plane.unit_normal for plane in self.planes]
-        openings = [1 + float(one @ other) for one, other in combinations(normals, 2)]  # 1 - cos t
-        acute = min((opening for opening in openings if opening > _PARALLEL), default=1.0)
-        return self.mean_area / min(acute, 1.0)
+
+def least_squared(planes: Sequence[Plane], mean_area: float) -> float:
+    """Lower clamp of the squared distance between points that pixels see, scene units squared.
+
+    The mean area; in an acute crease of opening t it is 1 / (2 sin(t / 2)^2) times that: seen
+    from its mouth, pixels are long and close to each other there, and their central points
+    alone would exchange more light than there is.
+    """
+    normals = [plane.unit_normal for plane in planes]
+    openings = [1 + float(one @ other) for one, other in combinations(normals, 2)]  # 1 - cos t
+    acute = min((opening for opening in openings if opening > _PARALLEL), default=1.0)
+    return mean_area / min(acute, 1.0)
 
 
 def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> SurfacePoints:
@@ -179,10 +195,6 @@ def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Surfa
         If the shape isn't two positive numbers, a pixel sees none of the surfaces, or another
         than the last surface is a sphere.
     """
-    if len(shape) != 2 or min(shape) < 1:
-        raise InputError(
-            f"scene shape {tuple(shape)}: expected height and width in pixels, each at least 1"
-        )
     planes = tuple(surface for surface in surfaces if isinstance(surface, Plane))
     sphere = surfaces[-1] if isinstance(surfaces[-1], Sphere) else None
     if len(planes) + (sphere is not None) != len(surfaces):
@@ -190,58 +202,94 @@ def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Surfa
             f"surfaces {', '.join(surface.name for surface in surfaces)}: expected planes, and at "
             "most one sphere, the last"
         )
-    height, width = shape
-    pitch = 1 / min(shape)
-    rays = _rays(height, width, pitch)
-    depths = [_depth_of_plane(plane, rays) for plane in planes]
-    depths += [] if sphere is None else [_depth_of_sphere(sphere, rays)]
-    surface = np.argmin(depths, axis=0)  # the first of equals
-    depth = np.stack(depths)[surface, np.arange(len(rays))]
-    if not np.isfinite(depth).all():
-        row, column = np.unravel_index(int(np.argmin(np.isfinite(depth))), shape)
+    pinhole = Pinhole(shape)
+    sight = sight_of(pinhole, surfaces)
+    if (sight.surface < 0).any():
+        row, column = np.unravel_index(int(np.argmin(sight.surface)), shape)
         raise InputError(
-            f"pixel ({row}, {column}) of a {height} x {width} image sees none of the surfaces "
+            f"pixel ({row}, {column}) of a {shape[0]} x {shape[1]} image sees none of the surfaces "
             f"{', '.join(surface.name for surface in surfaces)}; close the room with another plane"
         )
-    positions = rays * depth[:, None]
+    return SurfacePoints(
+        planes, sight.surface, sight.positions, sight.areas, pinhole.shape, sphere=sphere
+    )
 
+
+@dataclass(frozen=True)
+class Sight:
+    """Where rays from a pinhole meet surfaces.
+
+    Parameters
+    ----------
+    surface
+        int64 (n,): the surface that each ray meets first, -1 where it meets none.
+    positions, normals
+        float64 (n, 3): where it does, and the unit normal there; zero where it meets none.
+    areas
+        float64 (n,): what the ray's share of a pixel covers there, scene units squared.
+    """
+
+    surface: NDArray[np.int64]
+    positions: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    areas: NDArray[np.float64]
+
+
+def sight_of(pinhole: Pinhole, surfaces: Sequence[Surface], parts: int = 1) -> Sight:
+    """Follow the rays of a pinhole's pixels, cut into `parts` x `parts`, to the nearest surfaces.
+
+    Planes bound the pinhole's room: they are seen from the front alone.
+    """
+    rays, pitch = pinhole.rays(parts), pinhole.pitch / parts
+    depths = np.stack(
+        [
+            (_depth_of_plane if isinstance(surface, Plane) else _depth_of_sphere)(
+                surface,  # type: ignore[arg-type]
+                pinhole.origin,
+                rays,
+            )
+            for surface in surfaces
+        ]
+    )
+    surface = np.argmin(depths, axis=0)  # the first of equals
+    depth = depths[surface, np.arange(len(rays))]
+    missed = ~np.isfinite(depth)
+    surface[missed], depth[missed] = -1, 0
+    positions = pinhole.origin + rays * depth[:, None]
+    positions[missed] = 0
+    normals = np.zeros_like(rays)
+    for index, each in enumerate(surfaces):
+        on = surface == index
+        normals[on] = each.unit_normal if isinstance(each, Plane) else each.normals(positions[on])
     squared_length = (rays**2).sum(1)
     solid_angle = pitch**2 / squared_length**1.5
-    normals = np.zeros_like(rays)
-    for index, plane in enumerate(planes):
-        normals[surface == index] = plane.unit_normal
-    on_sphere = surface == len(planes)
-    if sphere is not None:
-        normals[on_sphere] = sphere.normals(positions[on_sphere])
     cosine = -(rays * normals).sum(1) / np.sqrt(squared_length)
-    if sphere is not None:
-        # the mean over the outermost pixel of a disc, whose central ray may run along the limb
-        limb = np.sqrt(pitch * depth[on_sphere] / (2 * sphere.radius))
-        cosine[on_sphere] = np.maximum(cosine[on_sphere], limb)
+    for index, each in enumerate(surfaces):
+        if isinstance(each, Sphere):
+            # the mean over the outermost pixel of a disc, whose central ray may run along the limb
+            on = surface == index
+            cosine[on] = np.maximum(cosine[on], np.sqrt(pitch * depth[on] / (2 * each.radius)))
+    cosine[missed] = 1
     areas = solid_angle * squared_length * depth**2 / cosine
-    return SurfacePoints(planes, surface, positions, areas, (height, width), sphere=sphere)
+    return Sight(surface, positions, normals, areas)
 
 
-def _rays(height: int, width: int, pitch: float) -> NDArray[np.float64]:
-    """Central rays of the pixels, (H W, 3), as long as they are at z = 1."""
-    image_plane = np.ones((height, width, 3))
-    image_plane[..., 0] = (np.arange(width) + 0.5 - width / 2) * pitch
-    image_plane[..., 1] = ((np.arange(height) + 0.5 - height / 2) * pitch)[:, None]
-    return image_plane.reshape(-1, 3)
-
-
-def _depth_of_plane(plane: Plane, rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Depth z at which rays (N, 3) meet the front of a plane, infinite where they don't."""
+def _depth_of_plane(
+    plane: Plane, origin: NDArray[np.float64], rays: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Depth at which rays (N, 3) meet the front of a plane, infinite where they don't."""
     depth = np.full(len(rays), np.inf)
     towards = rays @ plane.unit_normal  # negative: the ray runs against the front side
-    reach = np.asarray(plane.point) @ plane.unit_normal
+    reach = (np.asarray(plane.point) - origin) @ plane.unit_normal
     np.divide(reach, towards, out=depth, where=towards < 0)
     return depth
 
 
-def _depth_of_sphere(sphere: Sphere, rays: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Depth z at which rays (N, 3) from outside meet a sphere, infinite where they don't."""
-    centre = np.asarray(sphere.centre)
+def _depth_of_sphere(
+    sphere: Sphere, origin: NDArray[np.float64], rays: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Depth at which rays (N, 3) from outside meet a sphere, infinite where they don't."""
+    centre = np.asarray(sphere.centre) - origin
     squared_length, along = (rays**2).sum(1), rays @ centre
     power = centre @ centre - sphere.radius**2
     chord = along**2 - squared_length * power

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint, generator
-from rfpipe.scenes.base import apply_in_batches
+from rfpipe.scenes.base import CoaxialScene, apply_in_batches
 from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.reference import planes_scene, reference_scene
@@ -35,7 +35,7 @@ _SEED = 0
 PLATE = Occluder(centre=(0, 0, 2.6), edge_u=(0, 0.5, 0), edge_v=(0, 0, 0.25))
 
 
-class DenseScene:
+class DenseScene(CoaxialScene):
     """A scene given by its matrix.
 
     Parameters
@@ -66,14 +66,9 @@ class DenseScene:
             )
         if not (np.isfinite(matrices).all() and (matrices >= 0).all()):
             raise InputError(f"scene {name}: every entry should be finite and at least 0")
+        super().__init__(tuple(shape), len(matrices))
         self.name = name
-        self.shape = tuple(shape)
         self._matrices = matrices
-
-    @property
-    def channels(self) -> int:
-        """Colour channels."""
-        return len(self._matrices)
 
     @property
     def albedo(self) -> NDArray[np.float32]:

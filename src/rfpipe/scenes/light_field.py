@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.scenes.base import apply_in_batches
+from rfpipe.scenes.base import CoaxialScene, apply_in_batches
 from rfpipe.scenes.diffuse import DiffuseSurfaces, require_channel, require_few
 from rfpipe.scenes.panels import Panel, TexelGrid
 from rfpipe.scenes.textures import surface_albedo
@@ -32,7 +32,7 @@ _PARTS = 3  # of a pixel along either side, each seen along a ray of its own
 _PATCH = 2  # texels along either side of a patch that indirect light takes for one
 
 
-class LightFieldScene:
+class LightFieldScene(CoaxialScene):
     """Panels with texels, seen and lit by an array of views.
 
     Only texels that some ray sees take part: light that falls elsewhere is lost.
@@ -73,6 +73,7 @@ class LightFieldScene:
     ) -> None:
         if channels not in (1, 3):
             raise InputError(f"channels {channels}: expected 1 (grey) or 3 (RGB)")
+        super().__init__(views.ray_shape, channels)
         self.views = views
         self.panels = tuple(panels)
         self.name = name
@@ -99,16 +100,6 @@ class LightFieldScene:
             compress=compress,
             patches=grid.patches(texels, _PATCH),
         )
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the ray domain: views, height and width; the latter alone of one view."""
-        return self.views.ray_shape
-
-    @property
-    def channels(self) -> int:
-        """Colour channels, 1 or 3."""
-        return self._surfaces.channels
 
     @property
     def albedo(self) -> NDArray[np.float32]:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.scenes.base import apply_in_batches
+from rfpipe.scenes.base import CoaxialScene, apply_in_batches
 from rfpipe.scenes.diffuse import DiffuseSurfaces, require_channel, require_few
 from rfpipe.scenes.formfactors import FormFactors
 from rfpipe.scenes.geometry import SurfacePoints
@@ -25,7 +25,7 @@ from rfpipe.scenes.occluders import Occluder, blocked
 __all__ = ["RadiosityScene"]
 
 
-class RadiosityScene:
+class RadiosityScene(CoaxialScene):
     """Diffuse surfaces, their albedo and black occluders, seen by a coaxial rig.
 
     Parameters
@@ -70,6 +70,7 @@ class RadiosityScene:
             )
         if not light > 0 or not np.isfinite(light):
             raise InputError(f"light {light}: expected a finite number above 0")
+        super().__init__(points.shape, values.shape[2])
         self.points = points
         self.light = float(light)
         self.name = name
@@ -84,16 +85,6 @@ class RadiosityScene:
             occluders=occluders,
             compress=compress,
         )
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width of the ray domain."""
-        return self.points.shape
-
-    @property
-    def channels(self) -> int:
-        """Colour channels, 1 or 3."""
-        return self._surfaces.channels
 
     @property
     def albedo(self) -> NDArray[np.float32]:

@@ -1,27 +1,25 @@
-"""The four scenes of [thesis Fig. 2.1], and any scene that a configuration describes."""
+"""The four scenes of [thesis Fig. 2.1], other rooms of planes, and the room of Fig. 5.8."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.base import Scene
+from rfpipe.scenes.aside import AsideScene
 from rfpipe.scenes.geometries import GEOMETRIES
-from rfpipe.scenes.geometry import SurfacePoints, surface_points
+from rfpipe.scenes.geometry import Surface, SurfacePoints, surface_points
 from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
+from rfpipe.scenes.pinhole import Pinhole
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.room import room_panels
 from rfpipe.scenes.textures import surface_albedo
 from rfpipe.scenes.views import ViewArray
 
-if TYPE_CHECKING:
-    from rfpipe.config import SceneConfig
-
-__all__ = ["REFERENCE_SCENES", "planes_scene", "reference_scene", "room_scene", "scene_from_config"]
+__all__ = ["REFERENCE_SCENES", "aside_scene", "planes_scene", "reference_scene", "room_scene"]
 
 # Geometry and surfaces of the scenes of Fig. 2.1.
 REFERENCE_SCENES: dict[str, tuple[str, tuple[str, ...]]] = {
@@ -80,6 +78,81 @@ def planes_scene(
         For an unknown geometry or surface, a number of surfaces that doesn't fit the geometry, or
         settings out of range.
     """
+    facing = _checked(geometry, surfaces, channels)
+    points = surface_points(shape, facing)
+    pages = _pages(surfaces, points.shape, channels, seed).reshape(len(facing), -1, channels)
+    albedo = pages[points.surface, np.arange(len(points.surface))]
+    return RadiosityScene(
+        points,
+        albedo.reshape(*points.shape, channels),
+        bounces=bounces,
+        occluders=occluders,
+        compress=compress,
+        light=1.0 if geometry in _THESIS_ROOMS else _dimmed(points),
+        name=f"{geometry} of {', '.join(surfaces)}",
+    )
+
+
+def aside_scene(
+    geometry: str,
+    surfaces: Sequence[str],
+    shape: tuple[int, int],
+    projector: Pinhole,
+    *,
+    channels: int = 3,
+    bounces: int = 3,
+    occluders: Sequence[Occluder] = (),
+    seed: int = 0,
+    compress: bool | None = None,
+) -> AsideScene:
+    """Build a scene whose projector does not share the camera's rays [Fig. 3.10].
+
+    Textures are printed on the surfaces as `planes_scene` has them, pixel by pixel of the camera,
+    and repeated beyond its image. The projector's light is dimmed as there.
+
+    Parameters
+    ----------
+    geometry, surfaces, channels, bounces, occluders, seed, compress
+        As for `planes_scene`.
+    shape
+        Height and width of the camera's image in pixels.
+    projector
+        Where the projector stands, and its pixels.
+
+    Returns
+    -------
+    AsideScene
+
+    Raises
+    ------
+    InputError
+        As for `planes_scene`; and if the projector stands behind a surface.
+    """
+    facing = _checked(geometry, surfaces, channels)
+    camera = Pinhole(shape)
+    pages = _pages(surfaces, shape, channels, seed)
+
+    def albedo(positions: NDArray[np.float64], surface: NDArray[np.int64]) -> NDArray[np.float64]:
+        place = np.nan_to_num(camera.project(positions))
+        row, column = np.mod(np.floor(place), shape).astype(np.int64).T
+        found: NDArray[np.float64] = pages[surface, row, column]
+        return found
+
+    return AsideScene(
+        facing,
+        camera,
+        projector,
+        albedo,
+        bounces=bounces,
+        occluders=occluders,
+        compress=compress,
+        contrast=_CONTRAST,
+        name=f"{geometry} of {', '.join(surfaces)}, lit from aside",
+    )
+
+
+def _checked(geometry: str, surfaces: Sequence[str], channels: int) -> tuple[Surface, ...]:
+    """Return the surfaces of a geometry; raise InputError where the settings don't fit it."""
     if geometry not in GEOMETRIES:
         raise InputError(f"geometry {geometry!r}: expected one of {', '.join(GEOMETRIES)}")
     facing = GEOMETRIES[geometry]
@@ -90,22 +163,15 @@ def planes_scene(
         )
     if channels not in (1, 3):
         raise InputError(f"channels {channels}: expected 1 (grey) or 3 (RGB)")
-    points = surface_points(shape, facing)
-    of_surfaces = np.stack(
-        [
-            surface_albedo(kind, points.shape, channels, seed, index).reshape(-1, channels)
-            for index, kind in enumerate(surfaces)
-        ]
-    )
-    albedo = of_surfaces[points.surface, np.arange(len(points.surface))]
-    return RadiosityScene(
-        points,
-        albedo.reshape(*points.shape, channels),
-        bounces=bounces,
-        occluders=occluders,
-        compress=compress,
-        light=1.0 if geometry in _THESIS_ROOMS else _dimmed(points),
-        name=f"{geometry} of {', '.join(surfaces)}",
+    return facing
+
+
+def _pages(
+    surfaces: Sequence[str], shape: tuple[int, int], channels: int, seed: int
+) -> NDArray[np.float64]:
+    """Albedo of each surface, as the camera would see it everywhere: (surfaces, H, W, C)."""
+    return np.stack(
+        [surface_albedo(kind, shape, channels, seed, index) for index, kind in enumerate(surfaces)]
     )
 
 
@@ -185,54 +251,4 @@ def room_scene(
         seed=seed,
         compress=compress,
         name=f"room of {', '.join(surfaces)}",
-    )
-
-
-def scene_from_config(config: SceneConfig, compress: bool | None = None) -> Scene:
-    """Build the scene that a configuration describes.
-
-    Parameters
-    ----------
-    config
-        A scene's settings.
-    compress
-        Whether to compress its form factors; by their number where None. Thousands of patterns
-        pay for it at any size.
-
-    Returns
-    -------
-    Scene
-
-    Raises
-    ------
-    InputError
-        When it is a captured scene, of which no light transport is known.
-    """
-    if config.is_captured:
-        raise InputError(
-            "a scene of geometry captured can't be simulated; take plane, wedge or another"
-        )
-    if config.geometry == "room":
-        return room_scene(
-            config.surfaces,
-            config.shape,
-            views=config.views,
-            span_degrees=config.span_degrees,
-            channels=config.channels,
-            bounces=config.bounces,
-            seed=config.seed,
-            compress=compress,
-        )
-    return planes_scene(
-        config.geometry,
-        config.surfaces,
-        config.shape,
-        channels=config.channels,
-        bounces=config.bounces,
-        occluders=[
-            Occluder(occluder.centre, occluder.edge_u, occluder.edge_v)
-            for occluder in config.occluders
-        ],
-        seed=config.seed,
-        compress=compress,
     )

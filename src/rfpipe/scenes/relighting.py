@@ -73,7 +73,7 @@ def relighting_patterns(shape: tuple[int, ...], seed: int = 0) -> dict[str, NDAr
 
 
 def scene_patterns(scene: Scene, seed: int = 0) -> dict[str, NDArray[np.float32]]:
-    """Make the relighting patterns of a scene: those of its ray domain, and `CREASE`.
+    """Make the relighting patterns of a scene: those of its projector, and `CREASE`.
 
     Near where surfaces meet most indirect light is exchanged between the fewest pixels, which the
     other patterns hardly weigh. The strip is W / 64 wide on either side, at least a pixel. Outlines
@@ -88,9 +88,9 @@ def scene_patterns(scene: Scene, seed: int = 0) -> dict[str, NDArray[np.float32]
 
     Returns
     -------
-    dict of float32 arrays of the scene's shape, weights in [0, 1]
+    dict of float32 arrays of the projector's shape, weights in [0, 1]
     """
-    patterns = relighting_patterns(scene.shape, seed)
+    patterns = relighting_patterns(scene.projector_shape, seed)
     if isinstance(scene, RadiosityScene):
         strip = _crease_strip(scene.points)
         if strip.any():

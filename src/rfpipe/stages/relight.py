@@ -22,7 +22,7 @@ from rfpipe.transport import Transport, open_transport
 from rfpipe.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
-    from rfpipe.config import SceneConfig
+    from rfpipe.config import SceneSettings
     from rfpipe.scenes import Scene
 
 __all__ = [
@@ -40,8 +40,8 @@ _AT_A_TIME = 32
 
 
 def images_of(scene: Scene, patterns: Float) -> Float:
-    """Return a scene's exact images ``(P, *shape, C)`` under patterns ``(P, *projector_shape)``."""
-    return scene.apply(patterns).reshape(len(patterns), *scene.shape, scene.channels)
+    """Return exact images ``(P, *camera_shape, C)`` under patterns ``(P, *projector_shape)``."""
+    return scene.apply(patterns).reshape(len(patterns), *scene.camera_shape, scene.channels)
 
 
 def right_half(shape: tuple[int, ...]) -> Float:
@@ -60,9 +60,7 @@ def one_view_at_a_time(shape: tuple[int, ...]) -> Float:
     return patterns.reshape(domain.views, *shape)
 
 
-def relit_arrays(
-    transport: Transport, scene: Scene, *, is_coaxial: bool = True
-) -> dict[str, NDArray[Any]]:
+def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     """Compute all that the report shows of one transport, beside the truth.
 
     Parameters
@@ -70,8 +68,6 @@ def relit_arrays(
     transport : Transport
     scene : Scene
         The scene that it was acquired from, over one image or several views.
-    is_coaxial : bool
-        Whether camera and projector share their rays. Otherwise their shapes may differ, too.
 
     Returns
     -------
@@ -96,21 +92,20 @@ def relit_arrays(
     InputError
         When transport and scene differ in shape or channels.
     """
-    from rfpipe.scenes import relighting_patterns, scene_patterns
+    from rfpipe.scenes import scene_patterns
 
     seen, lit = transport.camera_shape, transport.projector_shape
-    if seen != scene.shape or (is_coaxial and lit != scene.shape):
+    if (seen, lit) != (scene.camera_shape, scene.projector_shape):
         raise InputError(
-            f"a transport from {lit} to {seen} rays isn't of a "
-            f"{'coaxial ' if is_coaxial else ''}scene of {scene.shape}"
+            f"a transport from {lit} to {seen} rays isn't of a scene from "
+            f"{scene.projector_shape} to {scene.camera_shape}"
         )
     if transport.channels != scene.channels:
         raise InputError(
             f"a transport of {transport.channels} channels, a scene of {scene.channels}"
         )
     truth_of = partial(images_of, scene)
-    chosen = scene_patterns(scene) if is_coaxial else relighting_patterns(lit)
-    patterns = np.stack(list(chosen.values()))
+    patterns = np.stack(list(scene_patterns(scene).values()))
     every = np.concatenate([patterns, np.ones((1, *lit), np.float32)])
     relit, truth = transport.relight_batch(every), truth_of(every)
     details = _between_views if RayDomain(lit).is_stack else _within_image
@@ -212,7 +207,7 @@ def _entries(
     return np.concatenate(columns).swapaxes(0, 1)
 
 
-def run(folder: Path, scene: SceneConfig, code: str) -> None:
+def run(folder: Path, scene: SceneSettings, code: str) -> None:
     """Relight the transport of an acquisition; write ``relight.zarr`` and ``relight.json``.
 
     Parameters
@@ -220,7 +215,7 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
     folder : Path
         ``results/{scene}/{method}``, with ``transport.zarr`` and ``transport.json``; for a
         captured scene with what the merge of level 0 left, too.
-    scene : SceneConfig
+    scene : SceneSettings
         The scene that it was acquired from.
     code : str
         Fingerprint of the code behind the stage.
@@ -233,25 +228,20 @@ def run(folder: Path, scene: SceneConfig, code: str) -> None:
     if accept_bundle(store, manifest, made_from):
         return
     transport = open_transport(folder / "transport.zarr")
-    is_coaxial = scene.camera_shape is None
     if scene.is_captured:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
         names = list(relighting_patterns(transport.projector_shape))
     else:
         simulated = scene_from_config(scene)
-        arrays = relit_arrays(transport, simulated, is_coaxial=is_coaxial)
-        names = list(
-            scene_patterns(simulated)
-            if is_coaxial
-            else relighting_patterns(transport.projector_shape)
-        )
+        arrays = relit_arrays(transport, simulated)
+        names = list(scene_patterns(simulated))
     facts = {
         "stage": "relight",
         "scene": acquired["scene"],
         "method": acquired["method"],
         "names": names,
-        "coaxial": is_coaxial,
+        "coaxial": scene.is_coaxial,
         "row": _middle_row(transport.camera_shape),
         "patterns": acquired["patterns"],
         "bytes": transport.nbytes,

@@ -1,4 +1,4 @@
-"""The public contract suites: what methods, rigs, projectors and cameras must do; the dot test.
+"""The public contract suites: what methods, scenes, rigs and devices must do; the dot test.
 
 In a test file of your own, for pytest::
 
@@ -13,5 +13,13 @@ from rfpipe.testing.devices import CameraContract, ProjectorContract
 from rfpipe.testing.methods import MethodContract
 from rfpipe.testing.operators import dot_test
 from rfpipe.testing.rigs import RigContract
+from rfpipe.testing.scenes import SceneContract
 
-__all__ = ["CameraContract", "MethodContract", "ProjectorContract", "RigContract", "dot_test"]
+__all__ = [
+    "CameraContract",
+    "MethodContract",
+    "ProjectorContract",
+    "RigContract",
+    "SceneContract",
+    "dot_test",
+]

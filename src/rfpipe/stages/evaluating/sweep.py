@@ -82,7 +82,7 @@ def sweep_option(config: Config, scene: str, method: str) -> Sweep:
     from rfpipe.scenes import scene_from_config, scene_patterns
     from rfpipe.stages.acquire import acquire
 
-    exact = scene_from_config(config.scenes[scene], compress=True)
+    exact = scene_from_config(config.scenes[scene], many_patterns=True)
     rig = SimulatedRig(exact, sensor_from_config(config.camera), config.seed)
     section = config.methods_of(scene)[method]
     option, values = trials(config, method, section)

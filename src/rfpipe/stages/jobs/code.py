@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from rfpipe.plugins import METHODS, path_of
+from rfpipe.plugins import METHODS, SCENES, path_of
 from rfpipe.provenance import import_fingerprint, imported_sources
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "SHAPELESS",
     "acquisition_code",
     "method_module",
+    "scene_module",
     "stage_code",
     "stage_modules",
 ]
@@ -79,3 +80,8 @@ def stage_modules(stage: str, *chosen: str) -> list[str]:
 def method_module(name: str) -> str:
     """Module, or Python file, of a method by its name or path, to give to `stage_code`."""
     return path_of(METHODS, name).rpartition(":")[0]
+
+
+def scene_module(kind: str) -> str:
+    """Module, or Python file, of a kind of scene by its name or path, as `method_module`."""
+    return path_of(SCENES, kind).rpartition(":")[0]

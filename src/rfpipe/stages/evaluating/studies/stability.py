@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpipe.config.base import MethodSettings
 from rfpipe.errors import RfpipeError
-from rfpipe.scenes.base import Scene
+from rfpipe.scenes.base import CoaxialScene
 from rfpipe.scenes.hard import hard_cases
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.stages.evaluating.metrics import relative_rms
@@ -45,7 +45,7 @@ def stability_study(config: Config) -> list[dict[str, Any]]:
     return rows
 
 
-def _exposed_for(scene: Scene, camera: CameraConfig) -> CameraConfig:
+def _exposed_for(scene: CoaxialScene, camera: CameraConfig) -> CameraConfig:
     """Set a camera's aperture so that the scene's floodlit maximum is a radiance of 1 to it."""
     brightest = float(scene.apply(np.ones((1, int(np.prod(scene.shape))), np.float32)).max())
     if brightest <= 0:
@@ -56,14 +56,14 @@ def _exposed_for(scene: Scene, camera: CameraConfig) -> CameraConfig:
 
 
 def stability_row(
-    name: str, scene: Scene, method: str, camera: CameraConfig | None, config: Config
+    name: str, scene: CoaxialScene, method: str, camera: CameraConfig | None, config: Config
 ) -> dict[str, Any]:
     """Acquire one small scene and compare the whole matrix with the truth.
 
     Parameters
     ----------
     name : str
-    scene : Scene
+    scene : CoaxialScene
         Small enough for its dense matrix.
     method : str
     camera : CameraConfig or None
@@ -106,7 +106,7 @@ def stability_row(
     return {**row, "patterns": result.patterns, **_errors(result.transport, scene)}
 
 
-def _errors(transport: Transport, scene: Scene) -> dict[str, float]:
+def _errors(transport: Transport, scene: CoaxialScene) -> dict[str, float]:
     """Compare a transport with the scene's dense matrix."""
     truth = np.stack([scene.dense(channel) for channel in range(scene.channels)])
     rays = truth.shape[-1]

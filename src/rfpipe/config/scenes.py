@@ -1,0 +1,119 @@
+"""What settings know of any scene; a kind's own options lie beside the kind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, ModelWrapValidatorHandler, field_validator, model_validator
+
+from rfpipe import plugins
+from rfpipe.config.base import Described, Extent, MethodSettings, SectionsOf
+from rfpipe.config.sections import no_list, parse_described
+
+__all__ = ["SceneSettings"]
+
+
+class SceneSettings(Described):
+    """The settings of a scene of any kind, a simulated or a real one.
+
+    Attributes
+    ----------
+    is_captured : bool
+        Whether it is a real scene, before a real rig, without ground truth.
+    """
+
+    group: ClassVar[str] = plugins.SCENES
+    key: ClassVar[str] = "kind"
+    is_captured: ClassVar[bool] = False
+
+    kind: str = Field(
+        min_length=1,
+        description="What kind of scene it is: one that 'rfpipe scenes' lists with its options, or "
+        "a class of your own as module:Class or file.py:Class.",
+    )
+    shape: tuple[Extent, Extent] = Field(
+        (62, 70),
+        description="Rays of the rig, or of each of its views: height and width in pixels, 1 to "
+        "4096 each.",
+    )
+    channels: Literal[1, 3] = Field(3, description="Colour channels: 1 (grey) or 3 (RGB).")
+    methods: Annotated[
+        dict[str, dict[str, Any] | None] | None, SectionsOf(MethodSettings, partial=True)
+    ] = Field(
+        None,
+        min_length=1,
+        description="Methods to acquire this scene with, each with the options that differ from "
+        "its section among the run's methods, such as {symmetric: {tolerance: 2.0e-3}}; null for "
+        "all methods of the run as they are.",
+    )
+    sweep: bool = Field(
+        True,
+        description="Whether to acquire the scene again with other options, for the plot of speed "
+        "against error: true or false.",
+    )
+
+    @classmethod
+    def of(cls, kind: str, **options: Any) -> Self:
+        """Return the settings of a scene of some kind.
+
+        Raises
+        ------
+        ValidationError
+            When there is no such kind, it lacks an option, or one is out of range.
+        """
+        return cls.model_validate({"kind": kind, **options})
+
+    @property
+    def ray_shape(self) -> tuple[int, ...]:
+        """Shape of the projector's ray domain: (H, W), or (V, H, W) for an array of views."""
+        return self.shape
+
+    @property
+    def camera_ray_shape(self) -> tuple[int, ...]:
+        """Shape of the camera's ray domain, the same as `ray_shape` for a coaxial rig."""
+        return self.ray_shape
+
+    @property
+    def view_grid(self) -> tuple[int, int]:
+        """Rows and columns of the array of views, (1, 1) of a single pair."""
+        return 1, 1
+
+    @property
+    def is_light_field(self) -> bool:
+        """Whether the rig is an array of views, be it of a single pair."""
+        return len(self.ray_shape) > 2
+
+    @property
+    def is_coaxial(self) -> bool:
+        """Whether camera and projector share their rays."""
+        return self.camera_ray_shape == self.ray_shape
+
+    @property
+    def is_swept(self) -> bool:
+        """Whether it is acquired with several options; a real one isn't."""
+        return self.sweep and not self.is_captured
+
+    def own_options(self) -> dict[str, Any]:
+        """Return the options that the kind has beside those of any scene, as plain data."""
+        return self.model_dump(mode="json", exclude=set(SceneSettings.model_fields))
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _of_its_kind(cls, settings: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Let the kind's own model check the settings."""
+        if cls is not SceneSettings or not isinstance(settings, Mapping):
+            return handler(settings)
+        if "geometry" in settings:
+            raise ValueError(
+                f"geometry is called kind now, as in {{kind: {settings['geometry']}}}, and a scene "
+                "has the options of its kind alone"
+            )
+        if cls.name_in(settings) is None:  # says that of the kind alone
+            return handler({name: settings[name] for name in settings if name == cls.key})
+        return parse_described(cls, None, settings)
+
+    @field_validator("methods", mode="before")
+    @classmethod
+    def _have_sections(cls, methods: object) -> object:
+        return no_list(methods)

@@ -1,0 +1,1 @@
+"""The kinds of scenes that rfpipe comes with, each with its options."""

@@ -1,0 +1,124 @@
+"""What every simulated scene must do."""
+
+from __future__ import annotations
+
+import json
+from math import prod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.provenance import generator
+from rfpipe.scenes.base import Scene
+from rfpipe.testing.checks import require
+
+__all__ = ["SceneContract"]
+
+Float = NDArray[np.float32]
+
+
+class SceneContract:
+    """Tests that any scene must pass; subclass it as ``Test...`` and define `make_scene`.
+
+    Attributes
+    ----------
+    coaxial : bool
+        Whether camera and projector share their rays, so that the transport is symmetric.
+    tolerance : float
+        Largest relative difference allowed; float32 arithmetic reaches about 1e-6.
+    """
+
+    coaxial: bool = True
+    tolerance: float = 1e-5
+
+    def make_scene(self) -> Scene:
+        """Return a scene, each time anew and each time the same; small, to be quick."""
+        raise NotImplementedError(f"{type(self).__name__} must define make_scene()")
+
+    def test_shapes(self) -> None:
+        """Pictures are float32 (B, M, C), whatever the number of patterns and their form."""
+        scene = self.make_scene()
+        for shape in (scene.camera_shape, scene.projector_shape):
+            require(len(shape) >= 2 and min(shape) > 0, f"a ray domain is {shape}")
+        require(scene.channels in (1, 3), f"channels is {scene.channels}, not 1 or 3")
+        for count in (1, 3):
+            patterns = _patterns(scene, count)
+            images = scene.apply(patterns)
+            expected = (count, prod(scene.camera_shape), scene.channels)
+            require(
+                images.shape == expected and images.dtype == np.float32,
+                f"apply() returns {images.dtype} {images.shape}; expected float32 {expected}",
+            )
+            flat = scene.apply(patterns.reshape(count, -1))
+            require(np.array_equal(flat, images), "apply() differs for patterns (B, N)")
+
+    def test_light_is_not_negative(self) -> None:
+        """Radiance is finite and at least 0, and some light comes back."""
+        images = self.make_scene().apply(_patterns(self.make_scene(), 3))
+        require(np.isfinite(images).all(), "radiance is NaN or infinite")
+        require(images.min() >= 0, f"radiance is negative: {images.min()}")
+        require(images.max() > 0, "no light comes back")
+
+    def test_linearity(self) -> None:
+        """The picture of a sum is the sum of the pictures; darkness gives darkness."""
+        scene = self.make_scene()
+        patterns = _patterns(scene, 2)
+        both, dark = 0.25 * patterns[0] + 0.5 * patterns[1], np.zeros_like(patterns[0])
+        first, second, mixed, black = scene.apply(np.stack([*patterns, both, dark]))
+        error = _relative(mixed, 0.25 * first + 0.5 * second)
+        require(error <= self.tolerance, f"the picture of a sum is off by {error:.3g}")
+        require(not black.any(), "there is light in darkness")
+
+    def test_same_bytes_beside_any_patterns(self) -> None:
+        """A pattern's picture doesn't depend on the patterns that it comes with.
+
+        Else a capture that was resumed differs from an undisturbed one; `apply_in_batches` helps.
+        """
+        scene = self.make_scene()
+        patterns = _patterns(scene, 19)
+        images = scene.apply(patterns)
+        for first, last in ((0, 1), (1, 5), (16, 19)):
+            part = self.make_scene().apply(patterns[first:last])
+            same = np.array_equal(part, images[first:last])
+            require(same, f"patterns {first} to {last} differ when lit by themselves")
+
+    def test_dense(self) -> None:
+        """Every channel's matrix is what `apply` does, and symmetric where coaxial."""
+        scene = self.make_scene()
+        patterns = _patterns(scene, 2)
+        images = scene.apply(patterns)
+        for channel in range(scene.channels):
+            matrix = scene.dense(channel)
+            error = _relative(images[..., channel], patterns.reshape(2, -1) @ matrix.T)
+            require(error <= self.tolerance, f"dense({channel}) is off by {error:.3g}")
+            if self.coaxial:
+                error = _relative(matrix, matrix.T)
+                require(error <= self.tolerance, f"T and its transpose differ by {error:.3g}")
+
+    def test_albedo(self) -> None:
+        """The albedo that the camera sees is float32 (*camera_shape, C) in [0, 1]."""
+        scene = self.make_scene()
+        expected = (*scene.camera_shape, scene.channels)
+        albedo = scene.albedo
+        require(
+            albedo.shape == expected and albedo.dtype == np.float32,
+            f"albedo is {albedo.dtype} {albedo.shape}; expected float32 {expected}",
+        )
+        require(((albedo >= 0) & (albedo <= 1)).all(), "albedo is not within 0 to 1")
+
+    def test_description(self) -> None:
+        """`describe` is plain data that JSON keeps, and the same each time."""
+        described = json.dumps(self.make_scene().describe(), sort_keys=True)
+        again = json.dumps(self.make_scene().describe(), sort_keys=True)
+        require(described == again, "describe() differs when the scene is made again")
+
+
+def _patterns(scene: Scene, count: int) -> Float:
+    """Random patterns (count, *projector_shape) in [0, 1)."""
+    return generator(count).random((count, *scene.projector_shape), dtype=np.float32)
+
+
+def _relative(found: NDArray[np.floating], expected: NDArray[np.floating]) -> float:
+    """Norm of a difference, relative to what was expected."""
+    scale = float(np.linalg.norm(expected))
+    return float(np.linalg.norm(found - expected)) / scale if scale > 0 else 0.0

@@ -1,0 +1,220 @@
+"""Camera and projector apart: direct light, shadows, reciprocity, and the coaxial case."""
+
+import numpy as np
+import pytest
+
+from rfpipe import acquire
+from rfpipe.config import SceneSettings
+from rfpipe.errors import InputError
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import (
+    GEOMETRIES,
+    AsideScene,
+    Occluder,
+    Pinhole,
+    aside_scene,
+    planes_scene,
+    relighting_patterns,
+    scene_from_config,
+    surface_points,
+)
+from rfpipe.scenes.geometry import sight_of
+from rfpipe.testing import SceneContract
+
+PLATE = Occluder((0.3, 0, 2.2), (0.2, 0, 0.1), (0, 0.3, 0))
+PLACES = {
+    "plane": (1.72, 0, 0.54),
+    "wedge_120": (1.72, 0, 0.54),
+    "corner": (0.5, -0.3, 0.4),
+    "sphere_on_plane": (1.2, -0.5, 0.3),
+}
+MIDDLE = (0.0, 0.0, 3.0)
+
+
+def waves(positions, surface):
+    """A smooth albedo, each surface's another."""
+    x, y, z = positions.T
+    return (0.5 + 0.3 * np.sin(9 * x + 5 * y) * np.cos(7 * z) + 0.05 * surface)[:, None]
+
+
+def grey(positions, surface):
+    return np.full((len(positions), 1), 0.5)
+
+
+def aside(geometry, camera=(15, 18), projector=(12, 14), albedo=waves, **settings):
+    lamp = Pinhole(projector, PLACES[geometry], MIDDLE)
+    return AsideScene(GEOMETRIES[geometry], Pinhole(camera), lamp, albedo, **settings)
+
+
+def at_right_angles(shape):
+    """A projector beside the sphere."""
+    centre = np.array(GEOMETRIES["sphere_on_plane"][2].centre)
+    return Pinhole(shape, tuple(centre + np.array([2.0, -1.0, 0.0])), tuple(centre))
+
+
+class TestAsideScene(SceneContract):
+    coaxial = False
+
+    def make_scene(self):
+        return aside_scene(
+            "wedge_120", ("texture", "white"), (7, 8),
+            Pinhole((5, 9), PLACES["wedge_120"], MIDDLE), occluders=[PLATE],
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("bounces", [1, 3])
+@pytest.mark.parametrize("occluders", [(), (PLATE,)])
+@pytest.mark.parametrize("geometry", PLACES)
+def test_swapping_camera_and_projector_gives_the_transpose(geometry, occluders, bounces):
+    settings = {"occluders": occluders, "bounces": bounces}
+    one = aside(geometry, **settings)
+    other = AsideScene(GEOMETRIES[geometry], one.projector, one.camera, waves, **settings)
+    here, there = one.dense() / one.scale, other.dense() / other.scale
+    assert here.shape == (270, 168)
+    assert here.min() >= 0
+    np.testing.assert_allclose(here, there.T, atol=1e-12 * here.max())
+
+
+@pytest.mark.parametrize("geometry", ["plane", "wedge_120", "corner", "sphere_on_plane"])
+def test_at_the_camera_s_place_it_is_the_coaxial_matrix(geometry):
+    shape, surfaces = (13, 17), ("texture", "white", "texture")[: len(GEOMETRIES[geometry])]
+    coaxial = planes_scene(geometry, surfaces, shape)
+    same = aside_scene(geometry, surfaces, shape, Pinhole(shape))
+    np.testing.assert_array_equal(same.albedo, coaxial.albedo)
+    # pixels on an edge see parts of two surfaces, of which the coaxial one takes the middle's
+    parts = sight_of(Pinhole(shape), GEOMETRIES[geometry], 4).surface.reshape(-1, 16)
+    whole = (parts == parts[:, :1]).all(axis=1)
+    assert whole.mean() > 0.7
+    found = same.dense(1) / same.scale
+    expected = coaxial.dense(1) / (coaxial.light * coaxial.points.mean_area)
+    edges = np.diag(np.where(whole, 1, 0)) + 1 - np.eye(len(whole))
+    np.testing.assert_allclose(found * edges, expected * edges, atol=1e-12 * expected.max())
+    assert np.linalg.norm(found - expected) < 0.05 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("geometry", ["plane", "wedge_120"])
+def test_direct_light_falls_off_as_it_should(geometry):
+    scene = aside(geometry, (31, 36), (24, 28), grey, bounces=1)
+    lit = scene.apply(np.ones((1, 24 * 28)))[0, :, 0] / scene.scale
+    seen = sight_of(scene.camera, scene.surfaces)
+    way = seen.positions - scene.projector.origin
+    distance, ahead = np.linalg.norm(way, axis=1), way @ scene.projector.axes[2]
+    cosine = -(way * seen.normals).sum(1) / distance
+    # a pixel's solid angle is pitch^2 (ahead / distance)^3
+    expected = 0.5 * cosine / distance**2 * (distance / ahead) ** 3 / scene.projector.pitch**2
+    place = scene.projector.project(seen.positions)
+    inside = ((place > 1) & (place < np.array([24, 28]) - 1)).all(axis=1)
+    assert inside.mean() > 0.6
+    ratio = lit[inside] / expected[inside]
+    assert abs(ratio.mean() - 1) < 0.003
+    assert np.abs(ratio - 1).max() < 0.06
+    assert not lit[((place < -1) | (place > np.array([25, 29]))).any(axis=1)].any()
+
+
+@pytest.mark.parametrize("geometry", ["plane", "wedge_120"])
+def test_all_direct_light_in_view_is_accounted_for(geometry):
+    scene = aside(geometry, (31, 36), (24, 28), grey, bounces=1)
+    areas = surface_points((31, 36), GEOMETRIES[geometry]).areas
+    light = (scene.dense() * areas[:, None]).sum(axis=0) / (0.5 * scene.scale)
+    middle = light.reshape(24, 28)[8:16, 8:20]
+    np.testing.assert_allclose(middle, 1, atol=5e-3)
+    assert light.max() < 1.1
+
+
+def test_what_stands_between_throws_a_shadow_where_geometry_says():
+    wall = GEOMETRIES["plane"]
+    plate = Occluder((1.25, 0, 1.6), (0.15, 0, 0), (0, 0.15, 0))  # beside the camera's view
+    lamp = Pinhole((24, 28), PLACES["plane"], MIDDLE)
+    camera = Pinhole((31, 36))
+    free, shaded = (
+        AsideScene(wall, camera, lamp, grey, bounces=1, occluders=occluders)
+        for occluders in ((), (plate,))
+    )
+    ones = np.ones((1, 24 * 28))
+    share = (shaded.apply(ones) / np.maximum(free.apply(ones), 1e-9))[0, :, 0].reshape(31, 36)
+    # the plate's corners, from the lamp onto the wall at z = 3
+    corners = np.array([(1.25 + u, v, 1.6) for u in (-0.15, 0.15) for v in (-0.15, 0.15)])
+    away = (3 - lamp.origin[2]) / (corners[:, 2] - lamp.origin[2])
+    shadow = camera.project(lamp.origin + away[:, None] * (corners - lamp.origin))
+    (top, left), (bottom, right) = shadow.min(axis=0), shadow.max(axis=0)
+    rows, columns = np.arange(31)[:, None], np.arange(36)
+    inner = (rows > top) & (rows + 1 < bottom) & (columns > left) & (columns + 1 < right)
+    outer = (rows + 1 < top) | (rows > bottom) | (columns + 1 < left) | (columns > right)
+    lit = free.apply(ones)[0, :, 0].reshape(31, 36) > 0
+    assert np.count_nonzero(inner) > 4
+    assert share[inner].max() < 0.05
+    assert share[outer & lit].min() > 0.95
+
+
+def test_a_sphere_is_dark_behind_and_throws_its_shadow():
+    sphere = GEOMETRIES["sphere_on_plane"][2]
+    scene = AsideScene(
+        GEOMETRIES["sphere_on_plane"], Pinhole((31, 36)), at_right_angles((24, 28)), grey, bounces=1
+    )
+    lit = scene.apply(np.ones((1, 24 * 28)))[0, :, 0]
+    seen = sight_of(scene.camera, scene.surfaces)
+    towards = scene.projector.origin - seen.positions
+    cosine = (towards * seen.normals).sum(1) / np.linalg.norm(towards, axis=1)
+    parts = sight_of(scene.camera, scene.surfaces, 4).surface.reshape(-1, 16)
+    on_sphere, turned_away = (parts == 2).all(axis=1), cosine < -0.3
+    assert np.count_nonzero(on_sphere & turned_away) > 5
+    assert lit[on_sphere & (cosine > 0.3)].min() > 0
+    # boxes of the projector's parts are wide where it grazes the wall, and reach over the outline
+    assert lit[on_sphere & turned_away].max() < 0.01 * np.median(lit[on_sphere & (cosine > 0.3)])
+    centre = np.asarray(sphere.centre) - seen.positions
+    along = (centre * towards).sum(1) / (towards**2).sum(1)
+    missed = np.linalg.norm(centre - along[:, None] * towards, axis=1)
+    behind = (seen.surface < 2) & (along > 0) & (along < 1) & (missed < 0.7 * sphere.radius)
+    assert np.count_nonzero(behind) > 5
+    assert not lit[behind].any()
+
+
+def test_settings_place_the_projector():
+    settings = SceneSettings.of(
+        "wedge_120", surfaces=("texture", "white"), shape=(9, 12), channels=1,
+        projector={"position": PLACES["wedge_120"], "shape": (8, 10)},
+    )  # fmt: skip
+    assert (settings.ray_shape, settings.camera_ray_shape) == ((8, 10), (9, 12))
+    assert not settings.is_coaxial
+    made = scene_from_config(settings)
+    assert (made.projector_shape, made.camera_shape) == ((8, 10), (9, 12))
+    lamp = Pinhole((8, 10), PLACES["wedge_120"], MIDDLE)
+    direct = aside_scene("wedge_120", ("texture", "white"), (9, 12), lamp, channels=1)
+    assert made.describe() == direct.describe()
+    same = settings.model_copy(update={"projector": None})
+    assert same.is_coaxial
+    own = SceneSettings.of("plane", surfaces=("white",), projector={"position": (1, 0, 0)})
+    assert own.ray_shape == own.camera_ray_shape == (62, 70)
+    assert not own.is_coaxial
+
+
+def test_impossible_places_are_refused():
+    with pytest.raises(InputError, match="stands behind the surface right"):
+        aside_scene("wedge", ("white", "white"), (4, 5), Pinhole((4, 5), (3, 0, 3), MIDDLE))
+    inside = GEOMETRIES["sphere_on_plane"][2].centre
+    with pytest.raises(InputError, match="behind the surface sphere"):
+        aside_scene("sphere_on_plane", ("white",) * 3, (4, 5), Pinhole((4, 5), inside, (9, 0, 9)))
+    with pytest.raises(InputError, match="another point to look at"):
+        Pinhole((4, 5), (1, 0, 1), (1, 5, 1))
+    with pytest.raises(ValueError, match="look_at should be another point"):
+        SceneSettings.of("plane", surfaces=("white",), projector={"position": (0, 1, 3)})
+
+
+def test_dual_photography_at_right_angles():
+    """[Fig. 3.10]: the axes of camera and projector meet at right angles on a sphere."""
+    lamp = at_right_angles((16, 16))
+    assert abs(lamp.axes[2] @ [0, 0, 1]) < 1e-12
+    scene = aside_scene(
+        "sphere_on_plane", ("texture", "white", "white"), (16, 18), lamp, channels=1
+    )
+    result = acquire(SimulatedRig(scene), "dual", tolerance=1e-4, progress=False)
+    assert result.transport.projector_shape == (16, 16)
+    patterns = np.stack(list(relighting_patterns((16, 16)).values()))
+    truth = scene.apply(patterns).reshape(-1, 16, 18, 1)
+    relit = result.transport.relight_batch(patterns)
+    assert np.linalg.norm(relit - truth) < 0.02 * np.linalg.norm(truth)
+    # the dual image: what the projector would see by the camera's light
+    matrix = scene.dense()
+    seen = result.transport.T.relight(np.ones((16, 18)))
+    expected = matrix.sum(axis=0).reshape(16, 16, 1)
+    assert np.linalg.norm(seen - expected) < 0.05 * np.linalg.norm(expected)

@@ -1,0 +1,74 @@
+"""A scene of the user's own, in one file outside the package, used by settings alone."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.workflow.harness import Workflow
+
+from rfpipe import acquire, open_transport
+from rfpipe.config import SceneSettings, parse_config
+from rfpipe.errors import ConfigError
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import scene_from_config
+from rfpipe.testing import SceneContract
+
+EXAMPLE = Path(__file__).parents[1] / "examples" / "frosted_glass.py"
+OPTIONS = {"shape": [6, 8], "channels": 1, "blur": 0.7}
+
+
+def made(**options):
+    settings = SceneSettings.of(f"{EXAMPLE}:FrostedGlass", **{**OPTIONS, **options})
+    return scene_from_config(settings)
+
+
+class TestFrostedGlass(SceneContract):
+    def make_scene(self):
+        return made(channels=3)
+
+
+def test_it_runs_in_the_workflow_beside_rfpipe_s_own(tmp_path: Path) -> None:
+    shutil.copy(EXAMPLE, tmp_path)
+    workflow = Workflow(tmp_path)
+    workflow.configure(
+        scenes={"glass": {"kind": "frosted_glass.py:FrostedGlass", **OPTIONS},
+                "wall": {"kind": "plane", "surfaces": ["white"], "shape": [6, 8]}},
+        methods={"brute_force": {}},
+        camera=None,
+        report={"resolutions": [4]},
+    )  # fmt: skip
+    workflow.run()
+    page = workflow.path("report/index.html").read_text(encoding="utf-8")
+    assert "frosted_glass.py:FrostedGlass" in page.replace("frosted glass.py", "frosted_glass.py")
+    relit = open_transport(workflow.path("glass/brute_force/transport.zarr"))
+    spot = np.zeros((6, 8), np.float32)
+    spot[2, 3] = 1
+    expected = made().apply(spot[None])[0].reshape(6, 8, 1)
+    assert np.count_nonzero(expected > 0.01 * expected.max()) > 9
+    np.testing.assert_allclose(relit.relight(spot), expected, atol=5e-3 * expected.max())
+
+
+def test_it_runs_in_process() -> None:
+    result = acquire(SimulatedRig(made()), "symmetric", tolerance=1e-4, progress=False)
+    pattern = np.random.default_rng(0).random((6, 8)).astype(np.float32)
+    expected = made().apply(pattern[None])[0].reshape(6, 8, 1)
+    np.testing.assert_allclose(result.transport.relight(pattern), expected, rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"blur": 0}, "scenes.glass.blur is 0; it should be greater than 0"),
+        ({"blurr": 1}, "scenes.glass.blurr is unknown; did you mean blur?"),
+        ({"kind": f"{EXAMPLE}:Glass"}, "has no 'Glass'; expected a class in it"),
+        ({"kind": "absent.py:Glass"}, "there is no file absent.py"),
+    ],
+)
+def test_mistakes_in_its_settings_are_explained(change, message: str) -> None:
+    glass = {"kind": f"{EXAMPLE}:FrostedGlass", **OPTIONS, **change}
+    with pytest.raises(ConfigError) as caught:
+        parse_config({"scenes": {"glass": glass}}, "mine.yaml")
+    assert message in str(caught.value)
