@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from rfpipe import acquire
-from rfpipe.config import SceneSettings
-from rfpipe.errors import InputError
+from rfpipe.config import SceneSettings, parse_config, parse_rig_config
+from rfpipe.errors import ConfigError, InputError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import (
     GEOMETRIES,
@@ -218,3 +218,24 @@ def test_dual_photography_at_right_angles():
     seen = result.transport.T.relight(np.ones((16, 18)))
     expected = matrix.sum(axis=0).reshape(16, 16, 1)
     assert np.linalg.norm(seen - expected) < 0.05 * np.linalg.norm(expected)
+
+
+def test_compressed_form_factors_give_the_same_light():
+    patterns = np.random.default_rng(3).random((2, 12 * 14))
+    exact, compressed = (
+        aside("wedge_120", compress=compress).apply(patterns) for compress in (False, True)
+    )
+    np.testing.assert_allclose(compressed, exact, rtol=1e-3)
+    assert (compressed != exact).any()
+
+
+def test_methods_for_coaxial_rigs_are_refused():
+    scene = {"kind": "plane", "surfaces": ["white"], "projector": {"position": [1, 0, 0]}}
+    with pytest.raises(ConfigError, match=r"scenes\.lit\.methods should be methods for any rig"):
+        parse_config({"scenes": {"lit": scene}, "methods": {"symmetric": {}}}, "mine.yaml")
+    assert parse_config({"scenes": {"lit": scene}, "methods": {"dual": {}}}, "mine.yaml")
+    with pytest.raises(ConfigError, match=r"scene should be a coaxial one"):
+        parse_rig_config({"bench": {"scene": {**scene, "channels": 1}}}, "bench.yaml")
+    missing = {**scene, "projector": {"look_at": [0, 0, 3]}}
+    with pytest.raises(ConfigError, match=r"scenes\.lit\.projector\.position is missing"):
+        parse_config({"scenes": {"lit": missing}}, "mine.yaml")

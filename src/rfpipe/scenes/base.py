@@ -81,7 +81,7 @@ class Scene(SceneKind, ABC):
 
     @property
     def albedo(self) -> NDArray[np.float32]:
-        """Albedo seen by each camera ray, float32 (*camera_shape, C) in [0, 1].
+        """Albedo seen by each camera ray, float32 (*camera_shape, C), for pictures.
 
         Where a scene doesn't say it: the floodlit image, its maximum as 1.
         """
