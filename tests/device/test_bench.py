@@ -268,7 +268,7 @@ def test_a_simulated_rig_has_no_devices() -> None:
     config = parse_rig_config({"kind": "simulated", "scene": scene}, "mine.yaml")
     rig = rig_from_config(config)
     assert rig.capture(np.ones((1, 4, 5), np.float32), [(0, 0)]).shape == (1, 4, 4, 5, 3)
-    with pytest.raises(ConfigError, match="kind is simulated; expected devices"):
+    with pytest.raises(ConfigError, match="the rig is simulated; expected one of devices"):
         devices_from_config(config)
 
 

@@ -214,7 +214,7 @@ def test_an_edit_of_the_merge_shows_no_pattern_again(edited: Workflow) -> None:
     ]
     assert redone[0] == {"merge", "normalize", "refine"}
     assert redone[1] == {"schedule", "merge", "normalize", "refine"}  # of what level 0 refined
-    pictures = {name for name in before if "/capture" in name or "reference" in name}
+    pictures = {name for name in before if "/capture" in name or "/reference" in name}
     assert {name: edited.contents("tiny/symmetric")[name] for name in pictures} == {
         name: before[name] for name in pictures
     }

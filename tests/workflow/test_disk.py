@@ -69,7 +69,7 @@ def test_a_capture_that_does_not_fit_is_refused_before_the_rig_is_touched(
     assert str(tmp_path) in message
     assert f"up to {NEED.total / 1e6:.3g} MB (raw exposures {NEED.raw / 1e6:.3g} MB" in message
     assert f"{NEED.total / 1e6:.3g} MB are free" in message
-    for advice in ("another disk", "capture.keep_raw to false", "acquisition.tolerance"):
+    for advice in ("another disk", "capture.keep_raw to false", "the method's options"):
         assert advice in message
     assert mine.rig.shown == []
     with pytest.raises(StoreError) as error:

@@ -112,9 +112,9 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -
     assert chunks(acquisition.folder.path) == []
 
 
-@pytest.mark.parametrize("lost", ["merge", "sums", "references"])
+@pytest.mark.parametrize("lost", ["merge", "sums", "merged_reference"])
 def test_damaged_merged_images_need_the_raw_exposures(acquisition: Acquisition, lost: str) -> None:
-    level = 0 if lost == "references" else 1
+    level = 0 if lost == "merged_reference" else 1
     damage(acquisition.folder.store(level, lost))
     with pytest.raises(StaleStoreError, match=r"damaged.*To capture all levels again"):
         acquisition.merge(level)
@@ -137,7 +137,7 @@ def test_other_patterns_are_captured_anew(
     assert names == {
         f"{name}.zarr"
         for name in (
-            "schedule", "reference", "capture", "merge", "sums", "references", "normalize",
+            "schedule", "reference", "capture", "merge", "sums", "merged_reference", "normalize",
             "refine",
         )
     }  # fmt: skip

@@ -129,7 +129,7 @@ def test_the_default_run_with_every_thesis_method_has_few_jobs(tmp_path: Path) -
     workflow.config.write_text(yaml.safe_dump({"methods": methods}))
     output = workflow.run("--dry-run")
     jobs = dict(re.findall(r"^(\w+) +(\d+)$", output, re.MULTILINE))
-    assert int(jobs["acquire_simulated"]) == 3 * len(Config().scenes)
+    assert int(jobs["acquire_simulated"]) == len(Config().acquisitions) == 13
     assert int(jobs["total"]) <= 60
 
 
@@ -186,8 +186,9 @@ def test_a_damaged_chunk_is_found_by_the_next_stage_and_can_be_made_again(
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ("acquisition: {tolerence: 1e-3}", "acquisition.tolerence is unknown; did you mean"),
-        ("acquisition: {tolerance: 2}", "acquisition.tolerance is 2"),
+        ("methods: {dual: {tolerence: 1e-3}}", "dual.tolerence is unknown; did you mean"),
+        ("methods: {dual: {tolerance: 2}}", "methods.dual.tolerance is 2"),
+        ("acquisition: {tolerance: 1e-3}", "methods: {symmetric: {tolerance: 1.0e-3}"),
         ("seed: 1\nseed: 2", "the key 'seed' stands twice"),
     ],
 )

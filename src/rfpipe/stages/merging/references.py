@@ -23,7 +23,7 @@ __all__ = ["REFERENCES", "learn_references", "read_floodlit", "read_merger"]
 
 Float = NDArray[np.float32]
 
-REFERENCES = "references"
+REFERENCES = "merged_reference"
 """Their store, and their key in the merge's manifest of level 0."""
 
 
