@@ -157,7 +157,7 @@ def test_the_section_shows_each_estimate_and_how_good_the_last_was() -> None:
     ]  # fmt: skip
     for block in (compared, steps):
         assert all(len(row) == len(block.table.columns) for row in block.table.rows)
-        assert len(block.numbers) == len(block.table.rows)
+        assert len(block.table.numbers) == len(block.table.rows)
     assert "Dashed" in chart.caption
     assert "0.02 of" in chart.caption
 

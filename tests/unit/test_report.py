@@ -366,9 +366,9 @@ def test_without_benchmarks_the_sweeps_processing_time_stands_in(results):
 
 def test_scenes_of_the_thesis_stand_beside_its_numbers(results):
     inputs = load_inputs(BOTH, results, *tables_of(results))
-    table, numbers = table_5_1(inputs)
+    table = table_5_1(inputs)
     assert [row[0] for row in table.rows[:2]] == ["flat (I)", "corner (IV)"]
-    assert list(numbers["thesis_patterns"][:2]) == [809, 841]
+    assert list(table.numbers["thesis_patterns"][:2]) == [809, 841]
     assert {"Fig. 2.1 (II)", "Fig. 2.1 (III)"} <= {row[0] for row in table.rows}
 
 
@@ -423,13 +423,13 @@ def test_a_light_field_stands_beside_the_thesis_own(with_field):
     (field,) = inputs.light_fields
     assert (field.rays, field.middle_view) == (2 * 3 * 6 * 9, 4)
     assert not field.has_indirect_light
-    table, numbers = table_5_1(inputs)
+    table = table_5_1(inputs)
     row = table.rows[1]
     assert row[0] == "field"
     assert row[-2:] == ["3,368", "233,657"]
-    assert numbers["thesis_patterns"][1] == 3368
+    assert table.numbers["thesis_patterns"][1] == 3368
     assert sum("8D" in cell[0] for cell in table.rows) == 0  # not named again below
-    levels, _ = levels_table(inputs)
+    levels = levels_table(inputs)
     assert {row[0] for row in levels.rows} == {
         "Symmetric photography", "Symmetric photography, light fields", "Dual photography",
     }  # fmt: skip
@@ -438,7 +438,8 @@ def test_a_light_field_stands_beside_the_thesis_own(with_field):
 def test_errors_between_views_are_those_of_their_pictures(with_field):
     inputs = load_inputs(FIELD, with_field, *tables_of(with_field))
     (field,) = inputs.light_fields
-    table, numbers = view_errors(inputs.light_fields)
+    table = view_errors(inputs)
+    numbers = table.numbers
     assert len(numbers) == 36
     assert [row[2] for row in table.rows] == ["1, 1", "1, 2", "1, 3", "2, 1", "2, 2", "2, 3"]
     relit, truth = field.read("views_relit"), field.read("views_truth")

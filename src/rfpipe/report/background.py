@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from rfpipe.provenance import versions
-from rfpipe.report import charts, pictures, study_tables, tables
-from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation
-from rfpipe.report.inputs import Inputs
-from rfpipe.report.text import ray_size, wishes
+from rfpipe.report import charts, methods, pictures, tables
+from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation, table_of
+from rfpipe.report.inputs import Inputs, Study
+from rfpipe.report.text import fixed, number, percent, ray_size, size, wishes, words
 
 __all__ = [
     "mosaic_section",
@@ -32,15 +33,27 @@ def resolution_section(inputs: Inputs) -> Section | None:
         "texture is as fine as the pixels at each. Left on a linear scale, where growth as "
         "O(log pq) is a straight line; right with brute force, which takes one pattern a pixel."
     )
-    table, numbers = study_tables.resolution_table(study)
     return Section(
         "resolution",
         "Patterns against resolution (Fig. 3.8)",
-        [],
         [
             Illustration("Fig. 3.8", caption, "fig_3_8", charts.resolution_figure(study.rows)),
-            Tabulation("Patterns", "By method and resolution.", table, numbers),
+            Tabulation("Patterns", "By method and resolution.", _resolution_table(study)),
         ],
+    )
+
+
+def _resolution_table(study: Study) -> Table:
+    import pandas as pd
+
+    numbers = pd.DataFrame(study.rows)
+    patterns = numbers.pivot(index="method", columns="side", values="patterns")
+    return table_of(
+        patterns.loc[numbers["method"].unique()].reset_index(),
+        [("method", "method", methods.title)],
+        [(size(int(side), int(side)), side, number) for side in patterns.columns],
+        csv="resolution.csv",
+        numbers=numbers,
     )
 
 
@@ -57,7 +70,6 @@ def mosaic_section(inputs: Inputs) -> Section | None:
         "noise, as cameras had it, give the dim and pale sum that the thesis shows; "
         "normalization restores it."
     )
-    table, numbers = study_tables.mosaic_table(study)
     about = (
         "Light and colour contrast of the sum relative to the floodlit image; relative RMS error "
         "of the sum against the floodlit image, and of the single-pixel images against the truth."
@@ -65,11 +77,28 @@ def mosaic_section(inputs: Inputs) -> Section | None:
     return Section(
         "normalization",
         "Colour normalization (Fig. B.1)",
-        [f"The runs above use the normalization {_shown(inputs.config.normalization)}."],
         [
             Illustration("Fig. B.1", caption, "fig_b_1", pictures.mosaic_figure(study)),
-            Tabulation("Normalization", about, table, numbers),
+            Tabulation("Normalization", about, _mosaic_table(study)),
         ],
+        [f"The runs above use the normalization {_shown(inputs.config.normalization)}."],
+    )
+
+
+def _mosaic_table(study: Study) -> Table:
+    chains = {"linear": "whole bracket, linear", "median": "short exposure, median"}
+    return table_of(
+        study.rows,
+        [("interpolation", "chain", chains.__getitem__), ("normalization", "normalization", words)],
+        [
+            ("light", "energy", fixed(1, 100)),
+            ("colour contrast", "colour_contrast", fixed(1, 100)),
+            ("of the sum", "rms", percent),
+            ("of single images", "image_error", fixed(0, 100)),
+        ],
+        [("", 2), ("sum, % of floodlit", 2), ("relative error, %", 2)],
+        csv="mosaic.csv",
+        is_grouped=True,
     )
 
 
@@ -86,13 +115,31 @@ def stability_section(inputs: Inputs) -> Section | None:
         "except for the photon-starved scene. Misalignment by half a pixel breaks the symmetry "
         "that symmetric photography builds on; dual photography doesn't need it."
     )
-    table, numbers = study_tables.stability_table(study)
-    return Section(
-        "stability",
-        "Numerical stability",
-        [],
-        [Tabulation("Hard cases", caption, table, numbers)],
+    hard_cases = Tabulation("Hard cases", caption, _stability_table(study))
+    return Section("stability", "Numerical stability", [hard_cases])
+
+
+def _stability_table(study: Study) -> Table:
+    scientific = partial(number, form=".1e")
+    return table_of(
+        study.rows,
+        [("case", "case", words), ("method", "method", methods.title), ("camera", "camera", str)],
+        [
+            ("patterns", "patterns", number),
+            ("brute force", "rays", number),
+            ("of T", "matrix_error", scientific),
+            ("of an image", "relight_error", scientific),
+            ("of float32 sums", "accumulation", scientific),
+            ("", "refused", _refusal),
+        ],
+        [("", 5), ("relative error", 3), ("", 1)],
+        csv="stability.csv",
+        is_grouped=True,
     )
+
+
+def _refusal(reason: str) -> str:
+    return f"refused: {reason.split(':', maxsplit=1)[0]}" if reason else ""
 
 
 def times_section(inputs: Inputs) -> Section:
@@ -106,14 +153,13 @@ def times_section(inputs: Inputs) -> Section:
         )
         figure = charts.times_figure(inputs.times)
         blocks.append(Illustration("Time by stage", caption, "processing_time", figure))
-    table, numbers = tables.processing_table(inputs)
     about = (
         "Processing (everything but the simulated capture) of each run, and for each HDR image: "
         "of the stages on files, and of the same acquisition in memory, as measured in the "
         "sweep of tolerances."
     )
-    blocks.append(Tabulation("Processing time", about, table, numbers))
-    return Section("time", "Where the processing time goes", [], blocks)
+    blocks.append(Tabulation("Processing time", about, tables.processing_table(inputs)))
+    return Section("time", "Where the processing time goes", blocks)
 
 
 def setup_section(inputs: Inputs) -> Section:
@@ -157,7 +203,7 @@ def setup_section(inputs: Inputs) -> Section:
         _settings("Acquisition", {"seconds_per_pattern": "s"}, acquisition),
         _settings("Versions", {}, versions()),
     ]
-    return Section("setup", "Camera, scenes and versions", text, blocks)
+    return Section("setup", "Camera, scenes and versions", blocks, text)
 
 
 _REMOTE = (
@@ -197,7 +243,7 @@ def _told(options: dict[str, Any]) -> str:
 def _settings(name: str, units: dict[str, str], values: dict[str, Any]) -> Tabulation:
     """Show settings as names and values with their units."""
     rows = [
-        [key.replace("_", " "), f"{_shown(value)} {units.get(key, '')}".rstrip()]
+        [words(key), f"{_shown(value)} {units.get(key, '')}".rstrip()]
         for key, value in values.items()
     ]
     return Tabulation(name, "", Table([], ["", "value"], rows, text_columns=2))
@@ -212,4 +258,4 @@ def _shown(value: Any) -> str:
         return f"{value:g}"
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return "none" if value is None else str(value).replace("_", " ")
+    return "none" if value is None else words(value)

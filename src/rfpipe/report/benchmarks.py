@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.report import charts
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["benchmarks_section"]
 
+_CURVE: dict[str, Any] = {"marker": "o", "markersize": 4, "linewidth": 1.4}
 _FLOOR: dict[str, Any] = {"linestyle": "--", "color": "#5c5c5c", "label": "floor: a copy"}
 _COLOURS = ("#1f5a9e", "#c4611a", "#4c8c4a", "#7d5ba6")
 # Columns of the table of relighting, and what they are; those that it lacks are not drawn.
@@ -26,50 +28,24 @@ _RELIT = {
     "dense_ms": "dense product, numpy",
     "csr_ms": "sparse product (CSR), scipy",
 }
-# Columns of the tables that are shown as they are, those that are there; None: all.
-_SHOWN = {
-    "relight": (
-        "rays", "leaves", "store_mb", "factors_mb", "first_relight_ms", "relight_ms",
-        "batch_ms_per_pattern", "spot_ms", "copy_ms", "relight_by_copy", "csr_ms", "dense_ms",
-    ),
-    "storage": None,
-    "merge": None,
-}  # fmt: skip
-_TABLES = {
-    "relight": ("Relighting", "Milliseconds a pattern, and the floor."),
-    "storage": ("Storage", "Ways to store the same transport; the error is what they add."),
-    "merge": ("Merge and normalize", "Milliseconds an HDR image, by who does the work."),
-}
+# Columns of the table of relighting that are shown, those that are there.
+_SHOWN = (
+    "rays", "leaves", "store_mb", "factors_mb", "first_relight_ms", "relight_ms",
+    "batch_ms_per_pattern", "spot_ms", "copy_ms", "relight_by_copy", "csr_ms", "dense_ms",
+)  # fmt: skip
 
 
 def benchmarks_section(inputs: Inputs) -> Section | None:
     """Return what the benchmarks left, or None where they weren't run."""
     found = inputs.benchmarks
-    if not found:
-        return None
     blocks: list[Block] = []
-    if {"scaling", "relight"} & set(found):
-        caption = "Both axes logarithmic. " + " ".join(
-            text
-            for name, text in (("scaling", _PROCESSING), ("relight", _RELIGHTING))
-            if name in found
-        )
+    drawn = [name for name in _TIMES if name in found]
+    if drawn:
+        caption = " ".join(["Both axes logarithmic.", *(_TIMES[name][0] for name in drawn)])
         blocks.append(Illustration("Time against rays", caption, "time_by_rays", _times(found)))
-    if "scaling" in found:
-        table = _scaling_table(found["scaling"])
-        blocks.append(Tabulation("Processing", _SCALES, table, found["scaling"]))
-    for name, (title, caption) in _TABLES.items():
-        if name in found:
-            table = _plain_table(found[name], name)
-            blocks.append(Tabulation(title, caption, table, found[name]))
-    if "patterns" in found:
-        figure = charts.resolution_figure(found["patterns"].to_dict("records"))
-        blocks.append(Illustration("Patterns against rays", _PATTERNS, "patterns_by_rays", figure))
-    if "workflow" in found:
-        table = _overhead_table(found["workflow"])
-        blocks.append(Tabulation("Overhead", _OVERHEAD, table, found["workflow"]))
+    blocks += [block_of(found[name]) for name, block_of in _BLOCKS.items() if name in found]
     text = "Measured by `make bench`, apart from the run above, on the machine it ran on."
-    return Section("scale", "Speed and scale", [text], blocks)
+    return Section("scale", "Speed and scale", blocks, [text])
 
 
 _PROCESSING = (
@@ -81,75 +57,54 @@ _RELIGHTING = (
     "Relighting: milliseconds of a warm call; dashed the floor, a copy of the factors as float32 "
     "numbers; and the products with T itself where it fits."
 )
-_SCALES = (
-    "In one process on all cores, stage by stage on files; the peak of memory includes the "
-    "simulated scene. 1 MB = 10⁶ bytes."
-)
-_PATTERNS = (
-    "Scene IV in grey, exact radiance, as Fig. 3.8: left on a linear scale, right with brute "
-    "force, which takes one pattern a ray."
-)
-_OVERHEAD = (
-    "Means over the jobs of a run of the workflow, in seconds. Of a job's wall time, as Snakemake "
-    "measures it, what the stage itself did is its own work; the rest is starting Python, loading "
-    "libraries and compiled kernels, and Snakemake's part. Last, the whole run's wall time times "
-    "its cores, over the jobs: cores that wait count as overhead there."
-)
 
 
 def _times(found: dict[str, pd.DataFrame]) -> Figure:
     """Draw processing and relighting against the rays, as far as they were measured."""
-    drawn = [
-        draw
-        for name, draw in (("scaling", _draw_processing), ("relight", _draw_relighting))
-        if name in found
-    ]
+    drawn = [name for name in _TIMES if name in found]
     figure, axes = new_figure(1, len(drawn), (4.5 * len(drawn), 3.6))
-    for axis, draw in zip(axes[0], drawn, strict=True):
-        draw(axis, found)
+    for axis, name in zip(axes[0], drawn, strict=True):
+        _, draw, label = _TIMES[name]
+        draw(axis, found[name])
         logarithmic(axis)
         axis.set_xlabel("rays", fontsize=8.5)
+        axis.set_ylabel(label, fontsize=8.5)
         axis.legend(fontsize=8, frameon=False)
     return figure
 
 
-def _draw_processing(axis: Axes, found: dict[str, pd.DataFrame]) -> None:
-    table = found["scaling"]
+def _draw_processing(axis: Axes, table: pd.DataFrame) -> None:
     scenes = table.groupby("scene", sort=False)
     for (scene, rows), colour in zip(scenes, _COLOURS, strict=False):
-        rays = rows["rays"]
-        axis.plot(rays, 1e3 * rows["processing_s_per_image"], "o-", color=colour, markersize=4,
-                  linewidth=1.4, label=words(scene))  # fmt: skip
+        milliseconds = 1e3 * rows["processing_s_per_image"]
+        axis.plot(rows["rays"], milliseconds, color=colour, label=words(scene), **_CURVE)
     floor = table.sort_values("rays")
     axis.plot(floor["rays"], 1e3 * floor["floor_s_per_image"], **_FLOOR)
-    axis.set_ylabel("processing, ms an HDR image", fontsize=8.5)
 
 
-def _draw_relighting(axis: Axes, found: dict[str, pd.DataFrame]) -> None:
-    table = found["relight"]
+def _draw_relighting(axis: Axes, table: pd.DataFrame) -> None:
     for (column, label), colour in zip(_RELIT.items(), _COLOURS, strict=True):
         if column in table:
             rows = table.dropna(subset=[column])
-            axis.plot(rows["rays"], rows[column], "o-", color=colour, markersize=4,
-                      linewidth=1.4, label=label)  # fmt: skip
+            axis.plot(rows["rays"], rows[column], color=colour, label=label, **_CURVE)
     if "copy_ms" in table:
         axis.plot(table["rays"], table["copy_ms"], **_FLOOR)
-    axis.set_ylabel("relighting, ms a pattern", fontsize=8.5)
 
 
-def _scaling_table(found: pd.DataFrame) -> Table:
-    sizes = [
-        size(*([int(views)] if views > 1 else []), int(height), int(width))
-        for views, height, width in zip(
-            found["views"], found["height"], found["width"], strict=True
-        )
-    ]
+_TIMES = {
+    "scaling": (_PROCESSING, _draw_processing, "processing, ms an HDR image"),
+    "relight": (_RELIGHTING, _draw_relighting, "relighting, ms a pattern"),
+}
+
+
+def _scaling(found: pd.DataFrame) -> Tabulation:
+    lengths = found[["views", "height", "width"]].to_numpy(int)
+    sizes = [size(*(row if row[0] > 1 else row[1:])) for row in lengths]
     times = found["processing_s_per_image"] / found["floor_s_per_image"]
-    return table_of(
-        found.assign(size=sizes, times=times).to_dict("records"),
+    table = table_of(
+        found.assign(size=sizes, times=times),
+        [("scene", "scene", words), ("size", "size", str)],
         [
-            ("scene", "scene", words),
-            ("size", "size", str),
             ("rays", "rays", number),
             ("tolerance", "tolerance", "{:g}".format),
             ("patterns", "patterns", number),
@@ -160,30 +115,36 @@ def _scaling_table(found: pd.DataFrame) -> Table:
             ("peak memory", "peak_mb", number),
         ],
         [("", 5), ("ms an HDR image", 2), ("", 1), ("MB", 2)],
-        text_columns=2,
         csv="bench_scaling.csv",
+        numbers=found,
     )
-
-
-def _overhead_table(found: pd.DataFrame) -> Table:
-    return table_of(
-        found.to_dict("records"),
-        [
-            ("stage", "stage", words),
-            ("jobs", "jobs", number),
-            ("a job", "job_s", fixed(2)),
-            ("own work", "own_s", fixed(2)),
-            ("overhead", "overhead_s", fixed(2)),
-        ],
-        csv="bench_workflow.csv",
+    caption = (
+        "In one process on all cores, stage by stage on files; the peak of memory includes the "
+        "simulated scene. 1 MB = 10⁶ bytes."
     )
+    return Tabulation("Processing", caption, table)
 
 
-def _plain_table(found: pd.DataFrame, name: str) -> Table:
-    """Show a table, or its most telling columns, with the names that they have."""
-    shown = [column for column in _SHOWN[name] or found.columns if column in found]
-    columns = [(words(column), column, _cell) for column in shown]
-    return table_of(found.to_dict("records"), columns, csv=f"bench_{name}.csv")
+def _relight(found: pd.DataFrame) -> Tabulation:
+    shown = found[[column for column in _SHOWN if column in found]]
+    caption = "Milliseconds a pattern, and the floor."
+    return Tabulation("Relighting", caption, _plain_table(shown, "relight", found))
+
+
+def _storage(found: pd.DataFrame) -> Tabulation:
+    caption = "Ways to store the same transport; the error is what they add."
+    return Tabulation("Storage", caption, _plain_table(found, "storage", found))
+
+
+def _merge(found: pd.DataFrame) -> Tabulation:
+    caption = "Milliseconds an HDR image, by who does the work."
+    return Tabulation("Merge and normalize", caption, _plain_table(found, "merge", found))
+
+
+def _plain_table(shown: pd.DataFrame, name: str, numbers: pd.DataFrame) -> Table:
+    """Show a table with the names that its columns have."""
+    first, *others = [(words(column), column, _cell) for column in shown]
+    return table_of(shown, [first], others, csv=f"bench_{name}.csv", numbers=numbers)
 
 
 def _cell(value: Any) -> str:
@@ -191,3 +152,39 @@ def _cell(value: Any) -> str:
         return value
     is_whole = float(value).is_integer()
     return number(value, ",.0f" if is_whole else ".3g")
+
+
+def _patterns(found: pd.DataFrame) -> Illustration:
+    caption = (
+        "Scene IV in grey, exact radiance, as Fig. 3.8: left on a linear scale, right with brute "
+        "force, which takes one pattern a ray."
+    )
+    figure = charts.resolution_figure(found.to_dict("records"))
+    return Illustration("Patterns against rays", caption, "patterns_by_rays", figure)
+
+
+def _overhead(found: pd.DataFrame) -> Tabulation:
+    caption = (
+        "Means over the jobs of a run of the workflow, in seconds. Of a job's wall time, as "
+        "Snakemake measures it, what the stage itself did is its own work; the rest is starting "
+        "Python, loading libraries and compiled kernels, and Snakemake's part. Last, the whole "
+        "run's wall time times its cores, over the jobs: cores that wait count as overhead there."
+    )
+    columns = [
+        ("jobs", "jobs", number),
+        ("a job", "job_s", fixed(2)),
+        ("own work", "own_s", fixed(2)),
+        ("overhead", "overhead_s", fixed(2)),
+    ]
+    table = table_of(found, [("stage", "stage", words)], columns, csv="bench_workflow.csv")
+    return Tabulation("Overhead", caption, table)
+
+
+_BLOCKS: dict[str, Callable[[pd.DataFrame], Block]] = {
+    "scaling": _scaling,
+    "relight": _relight,
+    "storage": _storage,
+    "merge": _merge,
+    "patterns": _patterns,
+    "workflow": _overhead,
+}

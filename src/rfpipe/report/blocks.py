@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
@@ -88,7 +88,7 @@ class Table:
 
     Attributes
     ----------
-    groups : list of (str, int)
+    groups : sequence of (str, int)
         Headings over so many columns each; may be empty.
     columns : list of str
     rows : list of list of str
@@ -98,14 +98,17 @@ class Table:
         Name of the CSV file beside it, or "".
     is_grouped : bool
         Whether rows with the same first cell, one below the other, show it once.
+    numbers : DataFrame or None
+        Written to the CSV file; None where another stage wrote it, or there is none.
     """
 
-    groups: list[tuple[str, int]]
+    groups: Sequence[tuple[str, int]]
     columns: list[str]
     rows: list[list[str]]
     text_columns: int = 1
-    csv: str = field(default="")
+    csv: str = ""
     is_grouped: bool = False
+    numbers: pd.DataFrame | None = None
 
     @property
     def bodies(self) -> list[list[list[str]]]:
@@ -115,30 +118,37 @@ class Table:
         return [list(rows) for _, rows in groupby(self.rows, lambda row: row[0])]
 
 
-Column = tuple[str, str, Callable[[Any], str]]
+Column = tuple[str, Any, Callable[[Any], str]]
 
 
 def table_of(
-    records: Iterable[Mapping[Any, Any]],
+    records: pd.DataFrame | Sequence[Mapping[Any, Any]],
+    labels: Sequence[Column],
     columns: Sequence[Column],
     groups: Sequence[tuple[str, int]] = (),
     **options: Any,
 ) -> Table:
-    """Make a table of records.
+    """Make a table of records, with the numbers of its CSV file.
 
     Parameters
     ----------
-    records : iterable of mapping
+    records : DataFrame or sequence of mapping
         A row each.
-    columns : sequence of (str, str, callable)
-        For each column its heading, the key of its values, and what makes text of a value.
+    labels, columns : sequence of (str, object, callable)
+        The columns of text at the left, and the others: for each its heading, the key of its
+        values, and what makes text of a value.
     groups : sequence of (str, int)
         As in `Table`.
     **options
-        The rest of `Table`.
+        The rest of `Table`; its numbers are the records by default.
     """
-    rows = [[shown(record.get(key)) for _, key, shown in columns] for record in records]
-    return Table(list(groups), [heading for heading, *_ in columns], rows, **options)
+    import pandas as pd
+
+    shown, numbers = [*labels, *columns], pd.DataFrame(records)
+    each = records.to_dict("records") if isinstance(records, pd.DataFrame) else records
+    rows = [[text(record.get(key)) for _, key, text in shown] for record in each]
+    options = {"text_columns": len(labels), "numbers": numbers, **options}
+    return Table(groups, [heading for heading, *_ in shown], rows, **options)
 
 
 @dataclass(frozen=True)
@@ -149,8 +159,6 @@ class Tabulation:
     ----------
     name, caption : str
     table : Table
-    numbers : DataFrame or None
-        Written to the table's CSV file; None where another stage wrote it, or there is none.
     is_folded : bool
         Whether a reader has to open it.
     """
@@ -158,7 +166,6 @@ class Tabulation:
     name: str
     caption: str
     table: Table
-    numbers: pd.DataFrame | None = None
     is_folded: bool = True
 
 
@@ -172,12 +179,12 @@ class Section:
     Attributes
     ----------
     anchor, title : str
-    text : list of str
-        Paragraphs.
-    blocks : list of Block
+    blocks : sequence of Block
+    text : sequence of str
+        Paragraphs before them.
     """
 
     anchor: str
     title: str
-    text: list[str] = field(default_factory=list)
-    blocks: list[Block] = field(default_factory=list)
+    blocks: Sequence[Block]
+    text: Sequence[str] = ()

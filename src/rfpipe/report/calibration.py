@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rfpipe.calibration import STEPS, CalibrationFolder
 from rfpipe.calibration.base import Findings
 from rfpipe.errors import StoreError
-from rfpipe.report.blocks import Illustration, Section, Table, Tabulation
+from rfpipe.report.blocks import Illustration, Section, Table, Tabulation, table_of
 from rfpipe.report.calibration_charts import (
     correspondence_figure,
     dark_figure,
@@ -128,26 +128,23 @@ def _summary(found: dict[str, Findings]) -> Section:
     ]
     table = Table([], ["step", "verdict"], rows, text_columns=2)
     caption = "What each step found; its reasons stand in its section."
-    return Section(
-        "summary", "Verdicts", [], [Tabulation("Verdicts", caption, table, is_folded=False)]
-    )
+    return Section("summary", "Verdicts", [Tabulation("Verdicts", caption, table, is_folded=False)])
 
 
 def _section(name: str, findings: Findings) -> Section:
     title = STEPS[name].title
     draw, caption = _CAPTIONS[name]
     verdict = f"Verdict: {_STANDINGS[findings.verdict.standing]}. {findings.verdict.text}"
-    numbers = _numbers(findings.facts)
-    rows = [[str(fact), str(value)] for fact, value in numbers.itertuples(index=False)]
-    table = Table([], ["number", "value"], rows, text_columns=2, csv=f"{name}.csv")
+    labels = [("number", "number", str), ("value", "value", str)]
+    table = table_of(_numbers(findings.facts), labels, [], csv=f"{name}.csv")
     return Section(
         name,
         title,
-        [verdict],
         [
             Illustration(title, caption, name, draw(findings)),
-            Tabulation("Numbers", "Units stand in the names.", table, numbers),
+            Tabulation("Numbers", "Units stand in the names.", table),
         ],
+        [verdict],
     )
 
 

@@ -31,7 +31,6 @@ def captured_section(inputs: Inputs) -> Section:
     return Section(
         "captured",
         "The scene relit",
-        [],
         [
             Illustration(
                 f"{run.title}, {run.method_title.lower()}",

@@ -47,20 +47,18 @@ def estimates_section(inputs: Inputs) -> Section | None:
         curve += " Dashed: the mean error over the relighting patterns at the end."
     else:
         beside += " The truth is not known here."
-    titles = _titles(inputs)
+    titles = {run.scene: run.title for run in inputs.runs}
+    figure = estimates_figure(steps, compared, target, titles)
     return Section(
         "estimates",
         "Estimated error while it ran",
-        [_ABOUT],
         [
-            Illustration(
-                "Estimated error against patterns", curve, "estimated_error",
-                estimates_figure(steps, compared, target, titles),
-            ),
-            Tabulation("Estimated and true error", beside, _compared(compared, titles), compared),
-            Tabulation("Estimates level by level", _STEPS, _stepwise(steps, titles), steps),
+            Illustration("Estimated error against patterns", curve, "estimated_error", figure),
+            Tabulation("Estimated and true error", beside, _compared(compared, inputs)),
+            Tabulation("Estimates level by level", _STEPS, _stepwise(steps, inputs)),
         ],
-    )  # fmt: skip
+        [_ABOUT],
+    )
 
 
 _ABOUT = (
@@ -154,16 +152,11 @@ def estimates_figure(
     return figure
 
 
-def _titles(inputs: Inputs) -> dict[str, str]:
-    return {run.scene: run.title for run in inputs.runs}
-
-
-def _compared(compared: pd.DataFrame, titles: dict[str, str]) -> Table:
+def _compared(compared: pd.DataFrame, inputs: Inputs) -> Table:
     return table_of(
-        compared.to_dict("records"),
+        compared,
+        inputs.labels,
         [
-            ("scene", "scene", lambda scene: titles[scene]),
-            ("method", "method", methods.title),
             ("patterns", "patterns", number),
             ("asked for", "target_error", percent),
             ("estimated", "estimated_error", percent),
@@ -171,23 +164,20 @@ def _compared(compared: pd.DataFrame, titles: dict[str, str]) -> Table:
             ("estimated over true", "ratio", fixed(2)),
         ],
         [("", 3), ("error, %", 3), ("", 1)],
-        text_columns=2,
         csv="estimates.csv",
         is_grouped=True,
     )
 
 
-def _stepwise(steps: pd.DataFrame, titles: dict[str, str]) -> Table:
+def _stepwise(steps: pd.DataFrame, inputs: Inputs) -> Table:
     return table_of(
-        steps.to_dict("records"),
+        steps,
+        inputs.labels,
         [
-            ("scene", "scene", lambda scene: titles[scene]),
-            ("method", "method", methods.title),
             ("level", "level", number),
             ("patterns", "patterns", number),
             ("estimated error, %", "estimated_error", percent),
         ],
-        text_columns=2,
         csv="estimate_history.csv",
         is_grouped=True,
     )

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from rfpipe.report import methods, tables
 from rfpipe.report.blocks import Gallery, Picture, Section, Tabulation
 from rfpipe.report.drawing import UNLIT_GAIN, brighten_unlit, srgb
@@ -40,15 +37,12 @@ def glance_section(inputs: Inputs) -> Section:
         f"Patterns shown; minutes of capture, at {per_pattern:g} s a pattern, and processing"
         f"{inputs.without_references}; bytes on disk, 1 MB = 10⁶ bytes. {about}"
     )
-    table, _ = tables.results_table(inputs)
+    table = tables.results_table(inputs, numbers)
     return Section(
         "glance",
         "At a glance",
-        [_scenes_text(inputs), *(_found(numbers))],
-        [
-            Gallery(pictures),
-            Tabulation("What it took", caption, table, numbers, is_folded=False),
-        ],
+        [Gallery(pictures), Tabulation("What it took", caption, table, is_folded=False)],
+        [_scenes_text(inputs), _found(numbers)],
     )
 
 
@@ -66,19 +60,18 @@ def _scenes_text(inputs: Inputs) -> str:
     return text + "."
 
 
-def _found(numbers: pd.DataFrame) -> list[str]:
+def _found(numbers: pd.DataFrame) -> str:
     """Sum each method up in a sentence."""
     sentences = []
     for method, own in numbers.groupby("method", sort=False):
         sentence = f"{methods.title(str(method))}: {_range(own['patterns'], number)} patterns"
         if own["mean_error"].notna().any():
-            sentence += (
-                f" for a mean error of {_range(own['mean_error'], percent)}\N{NO-BREAK SPACE}%"
-            )
+            error = _range(own["mean_error"], percent)
+            sentence += f" for a mean error of {error}\N{NO-BREAK SPACE}%"
         sentences.append(sentence)
     rays = _range(numbers["rays"], number)
-    yardstick = f"Brute force, one pattern a projector pixel, would take {rays}."
-    return [". ".join(sentences) + f". {yardstick}"]
+    sentences.append(f"Brute force, one pattern a projector pixel, would take {rays}.")
+    return ". ".join(sentences)
 
 
 def _range(values: Any, shown: Any) -> str:
@@ -104,9 +97,7 @@ def scene_picture(run: Run) -> Picture:
     if run.has_truth and run.is_coaxial and not run.is_light_field:
         for name in ("relit", "truth"):
             shown[name] = brighten_unlit(shown[name], pattern)
-    panels: dict[str, NDArray[np.float64]] = {
-        name: srgb(image, run.white) for name, image in shown.items()
-    }
+    panels = {name: srgb(image, run.white) for name, image in shown.items()}
     caption = (
         f"{run.method_title}, {number(run.patterns)} patterns: {said} with the "
         f"{words(names[index])}."

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rfpipe.config import Config, SceneSettings
 from rfpipe.report import methods
+from rfpipe.report.blocks import Column
 from rfpipe.report.thesis import numeral_of
 from rfpipe.stages.relight import right_half
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
@@ -215,9 +216,18 @@ class Inputs:
         return times[(times["scene"] == run.scene) & (times["method"] == run.method)]
 
     @property
+    def labels(self) -> list[Column]:
+        """The columns that name a run at the left of a table, where records have their names."""
+        return [("scene", "scene", self.title_of), ("method", "method", methods.title)]
+
+    @property
     def scenes(self) -> list[str]:
         """The scenes of the runs."""
         return list(dict.fromkeys(run.scene for run in self.runs))
+
+    def title_of(self, scene: str) -> str:
+        """Return the title of a scene; its name where no run is of it."""
+        return next((run.title for run in self.of_scene(scene)), scene)
 
     def of_scene(self, scene: str) -> list[Run]:
         """Return the runs of a scene."""

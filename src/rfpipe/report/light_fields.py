@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation
+from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation, table_of
 from rfpipe.report.drawing import label_below, new_figure, show_radiance
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.text import percent, size
 from rfpipe.stages.evaluating.metrics import relative_rms
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
 __all__ = ["light_fields_section", "view_errors", "views_figure"]
@@ -49,21 +47,16 @@ def light_fields_section(inputs: Inputs) -> Section | None:
             ("a", "light moves", "The middle view, in the light of each view's projector in turn."),
             ("b", "view moves", "The light of the middle view's projector, seen from each view."),
         ):
-            blocks.append(
-                Illustration(
-                    f"Fig. 5.8 ({letter}), the {name}",
-                    f"{what} {shared}",
-                    f"fig_5_8_{letter}_{run.scene}_{run.method}",
-                    views_figure(run, is_light_moving=letter == "a"),
-                )
-            )
-    table, numbers = view_errors(runs)
+            figure = views_figure(run, is_light_moving=letter == "a")
+            slug = f"fig_5_8_{letter}_{run.scene}_{run.method}"
+            title = f"Fig. 5.8 ({letter}), the {name}"
+            blocks.append(Illustration(title, f"{what} {shared}", slug, figure))
     caption = (
         "Relative RMS error of the pictures in the light of one view's projector: of the picture "
         "from the same view, and of the other views' pictures, in the mean and at worst."
     )
-    blocks.append(Tabulation("Errors between views", caption, table, numbers))
-    return Section("light_fields", "8D reflectance fields (Fig. 5.8)", [text], blocks)
+    blocks.append(Tabulation("Errors between views", caption, view_errors(inputs)))
+    return Section("light_fields", "8D reflectance fields (Fig. 5.8)", blocks, [text])
 
 
 def views_figure(run: Run, *, is_light_moving: bool) -> Figure:
@@ -107,61 +100,48 @@ def views_figure(run: Run, *, is_light_moving: bool) -> Figure:
     return figure
 
 
-def view_errors(runs: list[Run]) -> tuple[Table, pd.DataFrame]:
-    """Return the errors of every view's picture in every view's light.
-
-    Parameters
-    ----------
-    runs : list of Run
-        Of light fields.
+def view_errors(inputs: Inputs) -> Table:
+    """Return the errors of every view's picture in every view's light, of all light fields.
 
     Returns
     -------
     Table
-        A row for each light.
-    DataFrame
-        ``scene``, ``method``, ``light``, ``view`` (from 0, row by row), ``rms``.
+        A row for each light. Its numbers: ``scene``, ``method``, ``light``, ``view`` (from 0, row
+        by row), ``rms``.
     """
     import pandas as pd
 
-    rows: list[list[str]] = []
+    rows: list[dict[str, Any]] = []
     numbers: list[dict[str, Any]] = []
-    for run in runs:
-        errors = _errors_between(run)
+    for run in inputs.light_fields:
         columns = run.settings.view_grid[1]
-        for light, of_light in enumerate(errors):
-            row, column = divmod(light, columns)
-            others = np.delete(of_light, light)
-            rows.append(
-                [
-                    run.title,
-                    run.method_title,
-                    f"{row + 1}, {column + 1}",
-                    percent(of_light[light]),
-                    percent(others.mean() if len(others) else None),
-                    percent(others.max(initial=0.0) if len(others) else None),
-                ]
-            )
+        for light, errors in enumerate(_errors_between(run)):
             about = {"scene": run.scene, "method": run.method, "light": light}
-            numbers += [
-                {**about, "view": view, "rms": float(error)} for view, error in enumerate(of_light)
-            ]
-    table = Table(
-        [("", 3), ("relative RMS error, %", 3)],
-        ["scene", "method", "light: row, column", "same view", "other views, mean", "worst"],
+            numbers += [{**about, "view": view, "rms": rms} for view, rms in enumerate(errors)]
+            row, column = divmod(light, columns)
+            others = pd.Series(errors).drop(light)
+            of_light = {
+                "place": f"{row + 1}, {column + 1}",
+                "same": errors[light],
+                "mean": others.mean(skipna=False),
+                "worst": others.max(skipna=False),
+            }
+            rows.append({**about, **of_light})
+    return table_of(
         rows,
-        text_columns=3,
+        [*inputs.labels, ("light: row, column", "place", str)],
+        [
+            ("same view", "same", percent),
+            ("other views, mean", "mean", percent),
+            ("worst", "worst", percent),
+        ],
+        [("", 3), ("relative RMS error, %", 3)],
         csv="view_errors.csv",
+        numbers=pd.DataFrame(numbers),
     )
-    return table, pd.DataFrame(numbers)
 
 
-def _errors_between(run: Run) -> NDArray[np.float64]:
+def _errors_between(run: Run) -> list[list[float]]:
     """Return the relative errors (lights, views)."""
     relit, truth = run.read("views_relit"), run.read("views_truth")
-    return np.array(
-        [
-            [relative_rms(*pictures) for pictures in zip(*pair, strict=True)]
-            for pair in zip(relit, truth, strict=True)
-        ]
-    )
+    return [list(map(relative_rms, *of_light)) for of_light in zip(relit, truth, strict=True)]

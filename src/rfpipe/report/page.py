@@ -28,6 +28,7 @@ from rfpipe.report.blocks import Block, Gallery, Picture, Section, Tabulation
 from rfpipe.report.drawing import image_png, png
 from rfpipe.report.inputs import Inputs, load_inputs
 from rfpipe.report.text import ray_size
+from rfpipe.stages.evaluating.evaluate import write_table
 from rfpipe.store.files import write_atomically
 
 __all__ = ["build_report", "make_sections", "write_page"]
@@ -141,11 +142,12 @@ def _placed_block(block: Block, folder: Path) -> dict[str, Any]:
     if isinstance(block, Gallery):
         return {"pictures": [_placed_picture(picture, folder) for picture in block.pictures]}
     if isinstance(block, Tabulation):
-        return _placed_table(block, folder)
+        file = f"tables/{block.table.csv}" if block.table.csv else ""
+        if block.table.numbers is not None and file:
+            write_table(folder / file, block.table.numbers)
+        return {**vars(block), "file": file}
     alt = block.alt or f"{block.name}: see the caption."
-    image = _placed_image(block.slug, png(block.figure), folder)
-    about = {"name": block.name, "caption": block.caption, "is_folded": block.is_folded}
-    return {**about, "alt": alt, **image}
+    return {**vars(block), "alt": alt, **_placed_image(block.slug, png(block.figure), folder)}
 
 
 def _placed_picture(picture: Picture, folder: Path) -> dict[str, Any]:
@@ -156,12 +158,9 @@ def _placed_picture(picture: Picture, folder: Path) -> dict[str, Any]:
     gap = np.ones((height * scale, max(1, width * scale // _GAPS_A_PANEL), 3))
     parts = [gap] * (2 * len(picture.panels) - 1)
     parts[::2] = [panel.repeat(scale, 0).repeat(scale, 1) for panel in picture.panels.values()]
-    names = list(picture.panels)
     return {
-        "name": picture.name,
-        "caption": picture.caption,
-        "alt": f"{picture.name}: {', '.join(names)}, from left to right.",
-        "panels": names,
+        **vars(picture),
+        "alt": f"{picture.name}: {', '.join(picture.panels)}, from left to right.",
         "gap": gap.shape[1] / (width * scale),
         **_placed_image(picture.slug, image_png(np.concatenate(parts, axis=1)), folder),
     }
@@ -173,14 +172,6 @@ def _placed_image(slug: str, image: bytes, folder: Path) -> dict[str, Any]:
     width, height = (int.from_bytes(image[at : at + 4]) for at in _PNG_SIZE)
     about = {"file": file, "width": width, "height": height}
     return {**about, "image": b64encode(image).decode()}
-
-
-def _placed_table(block: Tabulation, folder: Path) -> dict[str, Any]:
-    file = f"tables/{block.table.csv}" if block.table.csv else ""
-    if block.numbers is not None and file:
-        text = block.numbers.to_csv(index=False, float_format="%.6g", lineterminator="\n")
-        write_atomically(folder / file, text.encode())
-    return {**vars(block), "file": file}
 
 
 def _lead(inputs: Inputs) -> str:

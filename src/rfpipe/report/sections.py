@@ -51,8 +51,8 @@ def errors_section(inputs: Inputs) -> Section:
     return Section(
         "errors",
         "Errors by pattern",
-        [about],
         [Tabulation("Errors by pattern", detail, tables.errors_by_pattern(inputs))],
+        [about],
     )
 
 
@@ -92,7 +92,7 @@ def matrices_section(inputs: Inputs) -> Section:
                     is_folded=method != inputs.methods[0],
                 )
             )
-    return Section("matrices", "The transport matrices (Fig. 2.1)", [], blocks)
+    return Section("matrices", "The transport matrices (Fig. 2.1)", blocks)
 
 
 def _parts(items: Sequence[Item]) -> Iterator[tuple[list[Item], str]]:
@@ -112,27 +112,23 @@ def cost_section(inputs: Inputs) -> Section:
     )
     blocks: list[Block] = []
     if methods.of_table("5.1", inputs.methods):
-        table, numbers = tables.table_5_1(inputs)
         caption = common + (
             f"The thesis' scenes I to IV have {size(height, width)} = {height * width:,} rays, its "
             f"gummy bears {size(240, 340)}, its light field {size(3, 3)} views of "
             f"{size(130, 200)}; 2 s a HDR image, processing included, on a computer of 2006."
         )
-        blocks.append(
-            Tabulation("Table 5.1, symmetric photography", caption, table, numbers, is_folded=False)
-        )
+        name, table = "Table 5.1, symmetric photography", tables.table_5_1(inputs)
+        blocks.append(Tabulation(name, caption, table, is_folded=False))
     if methods.of_table("3.1", inputs.methods):
-        table, numbers = tables.table_3_1(inputs)
         caption = common + (
             "A brute-force scan is computed: one pattern a ray, T as float32. The thesis' scenes "
             "are others (box, bottle, a moving camera), at 25 patterns a minute; on scene IV of "
             f"Fig. 2.1 at {size(height, width)} its dual photography took {DUAL_ON_SCENE_IV:,} "
             "patterns."
         )
-        blocks.append(
-            Tabulation("Table 3.1, dual photography", caption, table, numbers, is_folded=False)
-        )
-    return Section("cost", "Size, time and patterns (Tables 5.1 and 3.1)", [], blocks)
+        name, table = "Table 3.1, dual photography", tables.table_3_1(inputs)
+        blocks.append(Tabulation(name, caption, table, is_folded=False))
+    return Section("cost", "Size, time and patterns (Tables 5.1 and 3.1)", blocks)
 
 
 def methods_section(inputs: Inputs) -> Section | None:
@@ -152,7 +148,6 @@ def methods_section(inputs: Inputs) -> Section | None:
     return Section(
         "methods",
         "The methods side by side (Fig. 5.9)",
-        [],
         [
             Illustration("Fig. 5.9", caption, f"fig_5_9{suffix}", pictures.methods_figure(part))
             for part, suffix in _parts(scenes)
@@ -176,12 +171,8 @@ def levels_section(inputs: Inputs) -> Section | None:
         "are products of two images, a picture has full resolution at every level, but the light "
         "of a lit pixel is spread over its whole block."
     )
-    return Section(
-        "levels",
-        "Stopping at a level (Fig. 5.7)",
-        [],
-        [Illustration("Fig. 5.7", caption, "fig_5_7", pictures.levels_figure(runs))],
-    )
+    figure = Illustration("Fig. 5.7", caption, "fig_5_7", pictures.levels_figure(runs))
+    return Section("levels", "Stopping at a level (Fig. 5.7)", [figure])
 
 
 def leaves_section(inputs: Inputs) -> Section | None:
@@ -205,22 +196,12 @@ def leaves_section(inputs: Inputs) -> Section | None:
     )
     if any(numeral_of(scene) == "I" for scene in inputs.config.scenes.values()):
         caption += " As in the thesis, scene I is the sparse one: most of its nodes are empty."
-    return Section(
-        "leaves",
-        "Leaves at each level (Fig. 5.10)",
-        [],
-        [
-            *(
-                [Illustration("Fig. 5.10", caption, "fig_5_10", charts.leaves_figure(rows))]
-                if rows
-                else []
-            ),
-            Tabulation(
-                "Levels", "Patterns and nodes of each level, added over the scenes of a method.",
-                *tables.levels_table(inputs),
-            ),
-        ],
-    )  # fmt: skip
+    about = "Patterns and nodes of each level, added over the scenes of a method."
+    blocks: list[Block] = [Tabulation("Levels", about, tables.levels_table(inputs))]
+    if rows:
+        figure = charts.leaves_figure(rows)
+        blocks.insert(0, Illustration("Fig. 5.10", caption, "fig_5_10", figure))
+    return Section("leaves", "Leaves at each level (Fig. 5.10)", blocks)
 
 
 def speed_section(inputs: Inputs) -> Section | None:
@@ -233,31 +214,24 @@ def speed_section(inputs: Inputs) -> Section | None:
         f"{inputs.config.capture.seconds_per_pattern:g} s a pattern: the mean over the relighting "
         "patterns, the band their range. Dotted: the patterns of brute force."
     )
+    about = (
+        "Mean error over the relighting patterns. Processing in one process, without the "
+        "simulation of the pictures."
+    )
     known = set(inputs.speed_error["scene"])
     scenes = [scene for scene in inputs.scenes if scene in known]
-    return Section(
-        "speed",
-        "Speed against error",
-        [],
-        [
-            *(
-                Illustration(
-                    "Speed against error",
-                    caption,
-                    f"speed_error{suffix}",
-                    charts.speed_error_figure(inputs, part),
-                    _speed_in_words(inputs, part),
-                )
-                for part, suffix in _parts(scenes)
-            ),
-            Tabulation(
-                "Cost at each step",
-                "Mean error over the relighting patterns. Processing in one process, without the "
-                "simulation of the pictures.",
-                tables.speed_table(inputs),
-            ),
-        ],
-    )
+    curves = [
+        Illustration(
+            "Speed against error",
+            caption,
+            f"speed_error{suffix}",
+            charts.speed_error_figure(inputs, part),
+            _speed_in_words(inputs, part),
+        )
+        for part, suffix in _parts(scenes)
+    ]
+    table = Tabulation("Cost at each step", about, tables.speed_table(inputs))
+    return Section("speed", "Speed against error", [*curves, table])
 
 
 def _speed_in_words(inputs: Inputs, scenes: Sequence[str]) -> str:

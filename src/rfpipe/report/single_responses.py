@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,17 +42,13 @@ def single_responses_section(inputs: Inputs) -> Section | None:
         "its error and the light that comes out too much or too little."
     )
     name = methods.title(own[0].method)
+    table = _sources_table(numbers, inputs)
     return Section(
         "single_responses",
         f"Why {name[0].lower()}{name[1:]} errs as it does",
+        [Tabulation("Blocks or noise", caption, table, is_folded=False)],
         [_explanation(own, worst)],
-        [
-            Tabulation(
-                "Blocks or noise", caption, _sources_table(numbers, inputs), numbers,
-                is_folded=False,
-            )
-        ],
-    )  # fmt: skip
+    )
 
 
 def _explanation(runs: list[Run], worst: set[str]) -> str:
@@ -149,24 +146,17 @@ def _averaged(image: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def _sources_table(numbers: pd.DataFrame, inputs: Inputs) -> Table:
-    titles = {run.scene: run.title for run in inputs.runs}
     return table_of(
-        numbers.to_dict("records"),
+        numbers,
+        inputs.labels,
         [
-            ("scene", "scene", lambda scene: titles[scene]),
-            ("method", "method", methods.title),
             ("single pixels", "error", percent),
             ("averaged", "error_averaged", percent),
             ("pattern", "worst_pattern", words),
             ("error", "worst_error", percent),
-            ("light", "worst_light", _signed),
+            ("light", "worst_light", partial(number, form="+.1f", scale=100)),
         ],
         [("", 2), ("mean error, %", 2), ("worst, %", 3)],
-        text_columns=2,
         csv="error_sources.csv",
         is_grouped=True,
     )
-
-
-def _signed(value: float) -> str:
-    return number(value, "+.1f", 100)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -158,9 +158,9 @@ def rivals_section(inputs: Inputs) -> Section | None:
     if len(beside):
         text += [". ".join(line[0].upper() + line[1:] for line in summary_lines(beside)) + "."]
         shown = _comparison_table(beside)
-        blocks.append(Tabulation("Near/far against symmetric photography", _BESIDE, shown, beside))
-    blocks.append(Tabulation("Runs", _RUNS, _runs_table(table), table))
-    return Section("rivals", "Error against patterns of all methods", text, blocks)
+        blocks.append(Tabulation("Near/far against symmetric photography", _BESIDE, shown))
+    blocks.append(Tabulation("Runs", _RUNS, _runs_table(table)))
+    return Section("rivals", "Error against patterns of all methods", blocks, text)
 
 
 _ABOUT = (
@@ -229,17 +229,16 @@ _WHERE: list[Column] = [
 ]
 
 
-def _with_sizes(table: pd.DataFrame) -> list[dict[Any, Any]]:
-    """Return the rows of a table, each with its size as text."""
-    sizes = [size(*lengths) for lengths in table[["height", "width"]].to_numpy(int)]
-    return table.assign(size=sizes).to_dict("records")
+def _with_sizes(table: pd.DataFrame) -> pd.DataFrame:
+    """Add to a table the size of each row as text."""
+    return table.assign(size=[size(*both) for both in table[["height", "width"]].to_numpy(int)])
 
 
 def _comparison_table(beside: pd.DataFrame) -> Table:
     return table_of(
         _with_sizes(beside),
+        _WHERE,
         [
-            *_WHERE,
             ("seed", "seed", str),
             ("target, %", "target_error", percent),
             ("patterns", "patterns", number),
@@ -253,8 +252,8 @@ def _comparison_table(beside: pd.DataFrame) -> Table:
         ],
         [("", 6), ("near/far: error, %", 2), ("estimated", 1), ("symmetric, same mean", 2),
          ("symmetric, same worst", 2)],
-        text_columns=3,
         csv="bench_near_far.csv",
+        numbers=beside,
     )  # fmt: skip
 
 
@@ -262,9 +261,8 @@ def _runs_table(table: pd.DataFrame) -> Table:
     places = ["scene", "height", "width", "noise", "method", "setting"]
     return table_of(
         _with_sizes(_over_seeds(table, places)),
+        [*_WHERE, ("method", "method", methods.title)],
         [
-            *_WHERE,
-            ("method", "method", methods.title),
             ("setting", "setting", "{:g}".format),
             ("patterns", "patterns", number),
             ("estimated", "estimated_error", percent),
@@ -276,6 +274,6 @@ def _runs_table(table: pd.DataFrame) -> Table:
             ("MB", "transport_mb", fixed(2)),
         ],
         [("", 6), ("error, %", 3), ("unlit pixels, %", 2), ("", 2)],
-        text_columns=4,
         csv="bench_speed_error.csv",
+        numbers=table,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.report import methods
@@ -43,32 +44,30 @@ def costs(inputs: Inputs) -> list[dict[str, Any]]:
         no benchmark files; NaN without either. ``minutes`` of both; of the capture alone where
         that is all that is known.
     """
-    rows: list[dict[str, Any]] = []
-    per_pattern = inputs.config.capture.seconds_per_pattern
-    for run in inputs.runs:
-        height, width = run.settings.shape
-        channels, camera_rays = run.settings.channels, math.prod(run.settings.camera_ray_shape)
-        capture = run.patterns * per_pattern
-        processing = _processing_seconds(inputs, run)
-        rows.append(
-            {
-                "scene": run.scene,
-                "title": run.title,
-                "method": run.method,
-                "views": math.prod(run.settings.view_grid),
-                "height": height,
-                "width": width,
-                "channels": channels,
-                "rays": run.rays,
-                "patterns": run.patterns,
-                "megabytes": run.facts["bytes"] / 1e6,
-                "dense_terabytes": run.rays * camera_rays * channels * _FLOAT_BYTES / 1e12,
-                "capture_s": capture,
-                "processing_s": processing,
-                "minutes": (capture + (0.0 if math.isnan(processing) else processing)) / 60,
-            }
-        )
-    return rows
+    return [_cost(inputs, run) for run in inputs.runs]
+
+
+def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
+    height, width = run.settings.shape
+    channels, camera_rays = run.settings.channels, math.prod(run.settings.camera_ray_shape)
+    capture = run.patterns * inputs.config.capture.seconds_per_pattern
+    processing = _processing_seconds(inputs, run)
+    return {
+        "scene": run.scene,
+        "title": run.title,
+        "method": run.method,
+        "views": math.prod(run.settings.view_grid),
+        "height": height,
+        "width": width,
+        "channels": channels,
+        "rays": run.rays,
+        "patterns": run.patterns,
+        "megabytes": run.facts["bytes"] / 1e6,
+        "dense_terabytes": run.rays * camera_rays * channels * _FLOAT_BYTES / 1e12,
+        "capture_s": capture,
+        "processing_s": processing,
+        "minutes": (capture + (0.0 if math.isnan(processing) else processing)) / 60,
+    }
 
 
 def _processing_seconds(inputs: Inputs, run: Run) -> float:
@@ -109,12 +108,9 @@ def results(inputs: Inputs) -> pd.DataFrame:
     return pd.DataFrame(costs(inputs)).merge(found, how="left", on=["scene", "method"])
 
 
-def results_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
-    """Return patterns, minutes, bytes and errors of each run on one line."""
-    numbers = results(inputs)
+def results_table(inputs: Inputs, found: pd.DataFrame) -> Table:
+    """Return patterns, minutes, bytes and errors of each run, as `results` found, on one line."""
     columns: list[Column] = [
-        ("scene", "title", str),
-        ("method", "method", methods.title),
         ("patterns", "patterns", number),
         ("time, min", "minutes", fixed(1)),
         ("stored, MB", "megabytes", fixed(2)),
@@ -124,34 +120,21 @@ def results_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
     ]
     groups = [("", 2), ("cost", 3), ("error of relit pictures, %", 3)]
     if not inputs.has_truth:
-        columns, groups = columns[:5], []
-    table = table_of(
-        numbers.to_dict("records"), columns, groups,
-        text_columns=2, csv="results.csv", is_grouped=True,
-    )  # fmt: skip
-    return table, numbers
+        columns, groups = columns[:3], []
+    return table_of(found, inputs.labels, columns, groups, csv="results.csv", is_grouped=True)
 
 
-def table_5_1(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
+def table_5_1(inputs: Inputs) -> Table:
     """Table 5.1: cost of symmetric photography here and in the thesis."""
-    import pandas as pd
-
-    numbers: list[dict[str, Any]] = []
-    used = set()
-    for row in _costs_of(inputs, "5.1"):
-        name = row_of(inputs.config.scenes[row["scene"]])
-        used.add(name)
-        numbers.append({**row, **_thesis_numbers(TABLE_5_1[name] if name else None)})
-    numbers += [
-        {"title": name, **_thesis_numbers(thesis)}
-        for name, thesis in TABLE_5_1.items()
-        if name not in used
-    ]
-    table = table_of(
-        numbers,
+    scenes = inputs.config.scenes
+    ours = [(row, row_of(scenes[row["scene"]])) for row in _costs_of(inputs, "5.1")]
+    shown = {name for _, name in ours}
+    theirs = [({"title": name}, name) for name in TABLE_5_1 if name not in shown]
+    return table_of(
+        [{**row, **_thesis_numbers(name)} for row, name in [*ours, *theirs]],
+        [("scene", "title", str)],
         [
-            ("scene", "title", str),
-            ("rays", "size", _or_dash),
+            ("rays", "scene", _ray_sizes(inputs)),
             ("size, MB", "megabytes", fixed(2)),
             ("time, min", "minutes", fixed(1)),
             ("patterns", "patterns", number),
@@ -164,51 +147,38 @@ def table_5_1(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
         [("", 1), ("here", 5), (f"thesis, planes at {size(*PLANES_SHAPE)}", 4)],
         csv="table_5_1.csv",
     )
-    return table, pd.DataFrame(numbers).drop(columns="size", errors="ignore")
 
 
 def _costs_of(inputs: Inputs, table: str) -> list[dict[str, Any]]:
-    """Return the costs of a thesis table's runs, each with the size of its rays as text."""
+    """Return the costs of a thesis table's runs."""
     shown = methods.of_table(table, inputs.methods)
-    rows = [row for row in costs(inputs) if row["method"] in shown]
-    return [{**row, "size": ray_size(inputs.config.scenes[row["scene"]])} for row in rows]
+    return [row for row in costs(inputs) if row["method"] in shown]
 
 
-def _or_dash(text: str | None) -> str:
-    return text or DASH
+def _ray_sizes(inputs: Inputs) -> Callable[[str | None], str]:
+    """Return what makes of a scene's name the size of its rays; a dash of None."""
+    scenes = inputs.config.scenes
+    return lambda scene: DASH if scene is None else ray_size(scenes[scene])
 
 
-def _thesis_numbers(thesis: Any) -> dict[str, Any]:
-    if thesis is None:
-        return {}
-    return {f"thesis_{name}": value for name, value in vars(thesis).items()}
+def _thesis_numbers(name: str | None) -> dict[str, Any]:
+    numbers = vars(TABLE_5_1[name]) if name else {}
+    return {f"thesis_{key}": value for key, value in numbers.items()}
 
 
-def table_3_1(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
+def table_3_1(inputs: Inputs) -> Table:
     """Table 3.1: cost of dual photography here and, for other scenes, in the thesis."""
-    import pandas as pd
-
     per_pattern = inputs.config.capture.seconds_per_pattern
     ours = [
         {**row, "brute_force_days": row["rays"] * per_pattern / 86_400}
         for row in _costs_of(inputs, "3.1")
     ]
-    theirs = [
-        {
-            "title": f"thesis: {name}",
-            "dense_terabytes": thesis.brute_force_terabytes,
-            "brute_force_days": thesis.brute_force_days,
-            "megabytes": thesis.megabytes,
-            "minutes": thesis.minutes,
-            "patterns": thesis.patterns,
-        }
-        for name, thesis in TABLE_3_1.items()
-    ]
-    table = table_of(
+    theirs = [{"title": f"thesis: {name}", **vars(found)} for name, found in TABLE_3_1.items()]
+    return table_of(
         [*ours, *theirs],
+        [("scene", "title", str)],
         [
-            ("scene", "title", str),
-            ("rays", "size", _or_dash),
+            ("rays", "scene", _ray_sizes(inputs)),
             ("size, TB", "dense_terabytes", _significant),
             ("time, days", "brute_force_days", _significant),
             ("size, MB", "megabytes", _significant),
@@ -218,7 +188,6 @@ def table_3_1(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
         [("", 2), ("brute-force scan", 2), ("dual photography", 3)],
         csv="table_3_1.csv",
     )
-    return table, pd.DataFrame([*ours, *theirs]).drop(columns="size")
 
 
 def _significant(value: Any) -> str:
@@ -230,29 +199,29 @@ def _significant(value: Any) -> str:
 def errors_by_pattern(inputs: Inputs) -> Table:
     """Return total and unlit error of each run under each relighting pattern."""
     names = list(dict.fromkeys(inputs.errors["pattern"]))
-    table = inputs.errors.set_index(["scene", "method", "pattern"])
-    rows = []
-    for run in inputs.runs:
-        cells = []
-        for column in ("rms_total", "rms_unlit"):
-            for name in names:
-                key = (run.scene, run.method, name)
-                cells.append(percent(table.loc[key, column] if key in table.index else None))
-        rows.append([run.title, methods.title(run.method), *cells])
-    short = [name.replace("_", " ") for name in names]
-    return Table(
-        [("", 2), ("relative RMS error in total, %", len(names)),
-         ("on the unlit pixels, %", len(names))],
-        ["scene", "method", *short, *short],
-        rows,
-        text_columns=2,
+    kinds = ["rms_total", "rms_unlit"]
+    table = inputs.errors.pivot(index=["scene", "method"], columns="pattern", values=kinds)
+    errors = table.to_dict("index")
+    return table_of(
+        [
+            {"scene": run.scene, "method": run.method, **errors[run.scene, run.method]}
+            for run in inputs.runs
+        ],
+        inputs.labels,
+        [(words(name), (kind, name), percent) for kind in kinds for name in names],
+        [
+            ("", 2),
+            ("relative RMS error in total, %", len(names)),
+            ("on the unlit pixels, %", len(names)),
+        ],
         csv="errors.csv",
         is_grouped=True,
-    )  # fmt: skip
+        numbers=None,
+    )
 
 
-def levels_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
-    """Return the levels of all runs as numbers, and their sums over scenes as text."""
+def levels_table(inputs: Inputs) -> Table:
+    """Return the sums of all runs' levels over scenes; the CSV file has each run's own."""
     import pandas as pd
 
     numbers = pd.DataFrame(
@@ -262,34 +231,30 @@ def levels_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
             for row in run.facts["levels"]
         ]
     )
-    kinds = ["patterns", "nodes", "empty", "rank1", "rank_k", "scalar", "subdivided"]
     # the second level of a light field has whole views
     fields = numbers["scene"].isin([run.scene for run in inputs.light_fields])
-    sums = numbers.groupby([fields, "method", "level"], sort=False)[kinds].sum()
-    rows = [
-        [
-            methods.title(str(method)) + (", light fields" if is_field else ""),
-            str(level),
-            *(number(value) for value in row),
-        ]
-        for (is_field, method, level), row in zip(sums.index, sums.to_numpy(), strict=True)
-    ]
-    names = ["patterns", "nodes", "empty", "rank-1 or stored", "rank-k", "scalar", "subdivided"]
-    columns = ["method", "level", *names]
-    return Table([], columns, rows, csv="levels.csv"), numbers
+    kinds = ["patterns", "nodes", "empty", "rank1", "rank_k", "scalar", "subdivided"]
+    sums = numbers.groupby([fields, "method", "level"], sort=False)[kinds].sum().reset_index()
+    suffix = sums["scene"].map({True: ", light fields", False: ""})
+    names = {"rank1": "rank-1 or stored", "rank_k": "rank-k"}
+    return table_of(
+        sums.assign(method=sums["method"].map(methods.title) + suffix),
+        [("method", "method", str)],
+        [("level", "level", str), *((names.get(kind, kind), kind, number) for kind in kinds)],
+        csv="levels.csv",
+        numbers=numbers,
+    )
 
 
 def speed_table(inputs: Inputs) -> Table:
     """Return cost and mean errors at each value of the sweep."""
     columns = ["scene", "method", "option", "value"]
     means = inputs.speed_error.drop(columns="pattern").groupby(columns, sort=False).mean()
-    titles = {run.scene: run.title for run in inputs.runs}
     means["asked"] = [f"{words(option)} {value:g}" for _, _, option, value in means.index]
     return table_of(
-        means.reset_index().to_dict("records"),
+        means.reset_index(),
+        inputs.labels,
         [
-            ("scene", "scene", lambda scene: str(titles.get(scene, scene))),
-            ("method", "method", methods.title),
             ("asked for", "asked", str),
             ("patterns", "patterns", number),
             ("capture, min", "capture_s", fixed(1, 1 / 60)),
@@ -301,16 +266,14 @@ def speed_table(inputs: Inputs) -> Table:
             ("CIEDE2000", "ciede2000", fixed(2)),
         ],
         [("", 3), ("cost", 4), ("mean error", 4)],
-        text_columns=2,
         csv="speed_error.csv",
         is_grouped=True,
+        numbers=None,
     )
 
 
-def processing_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
+def processing_table(inputs: Inputs) -> Table:
     """Return the processing seconds of each run, and a HDR image."""
-    import pandas as pd
-
     numbers = []
     for run in inputs.runs:
         jobs = inputs.times_of(run)
@@ -329,12 +292,10 @@ def processing_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
                 "processing_in_process_s_per_image": alone / run.patterns,
             }
         )  # fmt: skip
-    titles = {run.scene: run.title for run in inputs.runs}
-    table = table_of(
+    return table_of(
         numbers,
+        inputs.labels,
         [
-            ("scene", "scene", lambda scene: titles[scene]),
-            ("method", "method", methods.title),
             ("HDR images", "patterns", number),
             ("simulated capture, s", "capture_jobs_s", fixed(1)),
             ("processing, s", "processing_jobs_s", fixed(1)),
@@ -343,8 +304,6 @@ def processing_table(inputs: Inputs) -> tuple[Table, pd.DataFrame]:
             ("ms an image", "processing_in_process_s_per_image", fixed(1, 1000)),
         ],
         [("", 3), ("stages on files", 3), ("in memory", 2)],
-        text_columns=2,
         csv="processing.csv",
         is_grouped=True,
     )
-    return table, pd.DataFrame(numbers)

@@ -39,7 +39,7 @@ class SymmetricResult:
 class DualResult:
     """A row of Table 3.1; 25 patterns a minute."""
 
-    brute_force_terabytes: float
+    dense_terabytes: float
     brute_force_days: float
     megabytes: float
     minutes: float

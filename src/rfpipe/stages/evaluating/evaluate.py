@@ -16,7 +16,7 @@ from rfpipe.store.files import write_atomically
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ERROR_COLUMNS", "error_rows", "errors_table", "run", "speed_error_table"]
+__all__ = ["ERROR_COLUMNS", "error_rows", "errors_table", "run", "speed_error_table", "write_table"]
 
 ERROR_COLUMNS = ("pattern", "rms_total", "rms_unlit", "psnr_db", "ciede2000")
 """Relighting pattern; relative RMS error in total and on the pixels that it leaves dark; PSNR in
@@ -132,8 +132,13 @@ def run(
         speed_error: speed_error_table(relight_manifests, sweep_manifests, seconds_per_pattern),
     }
     for path, table in tables.items():
-        text = table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
-        write_atomically(path, text.encode())
+        write_table(path, table)
+
+
+def write_table(path: Path, table: pd.DataFrame) -> None:
+    """Write a table of numbers as CSV, to six digits."""
+    text = table.to_csv(index=False, float_format="%.6g", lineterminator="\n")
+    write_atomically(path, text.encode())
 
 
 def _opened(manifest: Path) -> tuple[dict[str, Any], ArrayBundle]:
