@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +16,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+    from matplotlib.image import AxesImage
 
 __all__ = [
     "UNLIT_GAIN",
     "brighten_unlit",
     "chunks",
     "draw_method",
+    "head",
     "image_png",
     "label_below",
     "label_left",
@@ -31,8 +33,10 @@ __all__ = [
     "number_axis",
     "panel_ratio",
     "png",
-    "scene_panels",
+    "scene_curves",
     "shared_legend",
+    "show_image",
+    "show_panels",
     "show_radiance",
     "srgb",
 ]
@@ -78,19 +82,42 @@ def new_figure(
     return figure, axes
 
 
-def scene_panels(titles: Sequence[str], x_label: str, y_label: str) -> tuple[Figure, list[Axes]]:
-    """Make a figure of small plots, one a title, at most four abreast; return them in order."""
+def scene_curves(
+    titles: Mapping[str, str],
+    draw: Callable[[Axes, str], None],
+    patterns: ArrayLike,
+    errors: ArrayLike,
+    steps: Sequence[int] = (1, 3),
+) -> Figure:
+    """Draw errors against patterns, both logarithmic: a panel a scene, at most four abreast.
+
+    Parameters
+    ----------
+    titles : mapping of str to str
+        What stands above each scene's panel.
+    draw : callable
+        Draws the curves of a scene, errors in per cent.
+    patterns, errors : array_like of float
+        All that is drawn, as fractions, for the limits of the axes.
+    steps : sequence of int
+        Numbers of a decade that the axes show.
+    """
     columns = min(_ABREAST, len(titles))
     rows = -(-len(titles) // columns)
     figure, axes = new_figure(rows, columns, (2.5 * columns + 0.5, 2.4 * rows + 0.4))
-    for axis, title in zip(axes.flat, titles, strict=False):
+    for axis, (scene, title) in zip(axes.flat, titles.items(), strict=False):
         axis.set_title(title, fontsize=9, pad=4)
-        axis.set_xlabel(x_label, fontsize=8.5)
+        axis.set_xlabel("patterns", fontsize=8.5)
+        logarithmic(axis, steps)
+        draw(axis, scene)
+        axis.set_xlim(*logarithmic_limits(patterns))
+        axis.set_ylim(*logarithmic_limits(100 * np.asarray(errors)))
     for axis in axes.flat[len(titles) :]:
         axis.set_axis_off()
     for axis in axes[:, 0]:
-        axis.set_ylabel(y_label, fontsize=8.5)
-    return figure, list(axes.flat[: len(titles)])
+        axis.set_ylabel("error, %", fontsize=8.5)
+    shared_legend(figure)
+    return figure
 
 
 def logarithmic(axis: Axes, steps: Sequence[int] = (1, 3)) -> None:
@@ -121,9 +148,8 @@ def logarithmic_limits(values: ArrayLike) -> tuple[float, float]:
 def draw_method(axis: Axes, x: ArrayLike, y: ArrayLike, method: str) -> None:
     """Draw a method's curve, with its own colour and marker and its name for the legend."""
     axis.plot(
-        x, y, marker=methods.marker(method), linestyle=methods.line(method),
-        color=methods.colour(method), label=methods.title(method), linewidth=1.4,
-        markersize=4.5, markerfacecolor="white", markeredgewidth=1.2,
+        x, y, label=methods.title(method), linewidth=1.4, markersize=4.5, markerfacecolor="white",
+        markeredgewidth=1.2, **methods.style(method),
     )  # fmt: skip
 
 
@@ -185,11 +211,35 @@ def brighten_unlit(
     return radiance * np.where(pattern == 0, gain, 1)[..., None]
 
 
-def show_radiance(axis: Axes, radiance: NDArray[Any], white: float) -> None:
-    """Show a radiance image (H, W, C) pixel by pixel, without ticks."""
-    axis.imshow(srgb(radiance, white), interpolation="nearest")
+def show_image(axis: Axes, image: NDArray[Any], **options: Any) -> AxesImage:
+    """Show an image pixel by pixel, without ticks; options are those of ``Axes.imshow``."""
     axis.set_xticks([])
     axis.set_yticks([])
+    return axis.imshow(image, interpolation="nearest", **options)
+
+
+def show_radiance(axis: Axes, radiance: NDArray[Any], white: float) -> None:
+    """Show a radiance image (H, W, C) pixel by pixel, without ticks."""
+    show_image(axis, srgb(radiance, white))
+
+
+def show_panels(
+    axes: Iterable[Axes], panels: Iterable[tuple[str, NDArray[Any], str]], white: float
+) -> None:
+    """Show radiance images, each with its title and what stands below; leave other axes empty."""
+    free = iter(axes)
+    for (title, radiance, below), axis in zip(panels, free, strict=False):
+        show_radiance(axis, radiance, white)
+        axis.set_title(title, fontsize=8.5, pad=3)
+        label_below(axis, below)
+    for unused in free:
+        unused.set_axis_off()
+
+
+def head(axes: Iterable[Axes], titles: Iterable[str]) -> None:
+    """Put titles above a row of panels."""
+    for axis, title in zip(axes, titles, strict=True):
+        axis.set_title(title, fontsize=9.5, pad=5)
 
 
 def panel_ratio(shapes: Sequence[tuple[int, ...]]) -> float:

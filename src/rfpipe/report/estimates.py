@@ -8,19 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 from rfpipe.report import methods
 from rfpipe.report.blocks import Illustration, Section, Table, Tabulation, table_of
-from rfpipe.report.drawing import (
-    draw_method,
-    logarithmic,
-    logarithmic_limits,
-    scene_panels,
-    shared_legend,
-)
+from rfpipe.report.drawing import draw_method, scene_curves
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.text import fixed, number, percent
 from rfpipe.transport.history import HISTORY_COLUMNS, estimates
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["compare", "estimates_figure", "estimates_section", "histories"]
@@ -132,24 +127,19 @@ def estimates_figure(
     titles : dict of str to str
         Of the scenes.
     """
-    scenes = list(dict.fromkeys(steps["scene"]))
-    figure, axes = scene_panels([titles[scene] for scene in scenes], "patterns", "error, %")
-    shown = [*steps["estimated_error"], *compared["true_error"], target]
-    for axis, scene in zip(axes, scenes, strict=True):
-        logarithmic(axis, (1, 2, 5))
+
+    def draw(axis: Axes, scene: str) -> None:
         for method, own in steps[steps["scene"] == scene].groupby("method", sort=False):
             seen = own[own["estimated_error"] > 0]
             draw_method(axis, seen["patterns"], 100 * seen["estimated_error"], str(method))
         for run in compared[compared["scene"] == scene].dropna(subset=["true_error"]).itertuples():
-            axis.axhline(
-                100 * run.true_error, linestyle="--", linewidth=1.1,
-                color=methods.colour(run.method),
-            )  # fmt: skip
+            colour = methods.colour(run.method)
+            axis.axhline(100 * run.true_error, linestyle="--", linewidth=1.1, color=colour)
         axis.axhline(100 * target, linestyle=":", linewidth=0.9, color="#5c5c5c")
-        axis.set_xlim(*logarithmic_limits(steps["patterns"]))
-        axis.set_ylim(*logarithmic_limits([100 * error for error in shown]))
-    shared_legend(figure)
-    return figure
+
+    errors = [*steps["estimated_error"], *compared["true_error"], target]
+    shown = {scene: titles[scene] for scene in steps["scene"]}
+    return scene_curves(shown, draw, steps["patterns"], errors, (1, 2, 5))
 
 
 def _compared(compared: pd.DataFrame, inputs: Inputs) -> Table:

@@ -21,11 +21,10 @@ __all__ = [
     "SYMMETRIC",
     "colour",
     "know",
-    "line",
     "listed",
-    "marker",
     "of_table",
     "stores_single_responses",
+    "style",
     "swatches",
     "title",
 ]
@@ -76,14 +75,10 @@ def colour(method: str) -> str:
     return _told(method, "colour", _GREY)
 
 
-def marker(method: str) -> str:
-    """Return matplotlib's name of a method's marker; "" for none."""
-    return _told(method, "marker", "o")
-
-
-def line(method: str) -> str:
-    """Return matplotlib's name of a method's kind of line."""
-    return _told(method, "line", "-")
+def style(method: str) -> dict[str, str]:
+    """Return matplotlib's colour, marker and kind of line of a method's curve."""
+    marker, line = _told(method, "marker", "o"), _told(method, "line", "-")
+    return {"color": colour(method), "marker": marker, "linestyle": line}
 
 
 def of_table(number: str, methods: Iterable[str]) -> list[str]:

@@ -15,7 +15,6 @@ from rfpipe.errors import StoreError
 from rfpipe.report import (
     background,
     benchmarks,
-    captured,
     estimates,
     glance,
     light_fields,
@@ -114,7 +113,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
             sections.levels_section(inputs),
         ]
     else:
-        pictures = [captured.captured_section(inputs)]
+        pictures = [sections.captured_section(inputs)]
     candidates = [
         glance.glance_section(inputs),
         sections.speed_section(inputs),

@@ -1,32 +1,56 @@
-"""Relit pictures side by side [thesis Figs. 5.7, 5.9 and B.1]."""
+"""Transport matrices and relit pictures side by side [thesis Figs. 2.1, 5.7, 5.9 and B.1]."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rfpipe.report import methods
 from rfpipe.report.drawing import (
     brighten_unlit,
+    head,
     label_below,
     label_left,
     new_figure,
     panel_ratio,
+    show_image,
+    show_panels,
     show_radiance,
 )
 from rfpipe.report.inputs import Run, Study
-from rfpipe.report.text import TIMES
+from rfpipe.report.text import TIMES, words
 from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
+from rfpipe.stages.evaluating.slices import NO_LEAF
 from rfpipe.stages.relight import right_half
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["amplification", "levels_figure", "methods_figure", "mosaic_figure"]
+__all__ = [
+    "DECADES",
+    "amplification",
+    "captured_figure",
+    "levels_figure",
+    "matrices_figure",
+    "methods_figure",
+    "mosaic_figure",
+]
+
+DECADES = 7
+"""Decades of the matrix' entries that are shown, from the largest of a scene down."""
+
+DIFFERENCE = 0.01
+"""Ends of the difference's colours, as a fraction of the radiance shown as white."""
 
 _PANEL = 2.2  # inches
+_SMALL_PANEL = 2.05
+_COLUMN = 2.25  # of the transport matrices
+_EMPTY_COLOUR = "#d3e3f3"
+_CAPTURED_ABREAST = 4
 _BRIGHT = 0.7  # of white: where the dark half's brightest light is amplified to
 
 
@@ -71,8 +95,7 @@ def methods_figure(scenes: Sequence[Sequence[Run]]) -> Figure:
         label_below(row[-1], f"left half {TIMES} {gain:g}")
         row[0].text(-0.06, 0.5, runs[0].title, rotation=90, ha="right", va="center", fontsize=8.5,
                     transform=row[0].transAxes)  # fmt: skip
-    for axis, name in zip(axes[0], [*map(methods.title, shown), "Ground truth"], strict=True):
-        axis.set_title(name, fontsize=9.5, pad=5)
+    head(axes[0], [*map(methods.title, shown), "Ground truth"])
     return figure
 
 
@@ -88,27 +111,20 @@ def levels_figure(runs: Sequence[Run]) -> Figure:
     per_row = 5
     n_levels = max(sum(row["patterns"] > 0 for row in run.facts["levels"]) for run in runs)
     rows_each = -(-(n_levels + 1) // per_row)
-    panel = 2.05
+    panel = _SMALL_PANEL
     size = (panel * per_row + 0.5, (panel * ratio + 0.42) * rows_each * len(runs))
     figure, axes = new_figure(rows_each * len(runs), per_row, size)
     for index, run in enumerate(runs):
         own = axes[index * rows_each : (index + 1) * rows_each]
         label_left(own[0, 0], run.method_title)
         truth = run.read_shown("truth")[0]
-        shown, panel_of = 0, iter(own.flat)
+        patterns, panels = 0, []
         for row, image in zip(run.facts["levels"], run.read_shown("levels_relit"), strict=True):
-            if not row["patterns"]:
-                continue
-            axis = next(panel_of)
-            show_radiance(axis, image, run.white)
-            axis.set_title(f"level {row['level']}", fontsize=8.5, pad=3)
-            shown += int(row["patterns"])
-            label_below(axis, f"patterns {shown:,}, error {relative_rms(image, truth):.1%}")
-        axis = next(panel_of)
-        show_radiance(axis, truth, run.white)
-        axis.set_title("ground truth", fontsize=8.5, pad=3)
-        for unused in panel_of:
-            unused.set_axis_off()
+            if row["patterns"]:
+                patterns += int(row["patterns"])
+                below = f"patterns {patterns:,}, error {relative_rms(image, truth):.1%}"
+                panels.append((f"level {row['level']}", image, below))
+        show_panels(own.flat, [*panels, ("ground truth", truth, "")], run.white)
     return figure
 
 
@@ -140,8 +156,7 @@ def mosaic_figure(study: Study) -> Figure:
             label_below(
                 axis, f"light {facts['energy']:.0%}, colour contrast {facts['colour_contrast']:.0%}"
             )
-    for axis, title in zip(axes[0], ["floodlit", *(names[mode] for mode in modes)], strict=True):
-        axis.set_title(title, fontsize=9.5, pad=5)
+    head(axes[0], ["floodlit", *(names[mode] for mode in modes)])
     return figure
 
 
@@ -149,3 +164,122 @@ _CHAINS = {
     "linear": "whole bracket,\nlinear interpolation",
     "median": "one short exposure,\nmedian interpolation",
 }
+
+
+def captured_figure(run: Run) -> Figure:
+    """Show the floodlit images and the relit ones."""
+    floodlit, relit = run.read("floodlit_captured"), run.read("floodlit_relit")
+    shown = {
+        "floodlit, captured": run.read_shown("floodlit_captured"),
+        "floodlit, relit": run.read_shown("floodlit_relit"),
+        **dict(zip(run.facts["names"], run.read_shown("relit"), strict=True)),
+    }
+    rows = -(-len(shown) // _CAPTURED_ABREAST)
+    ratio = panel_ratio([next(iter(shown.values())).shape])
+    figure, axes = new_figure(
+        rows,
+        _CAPTURED_ABREAST,
+        (_SMALL_PANEL * _CAPTURED_ABREAST, (_SMALL_PANEL * ratio + 0.42) * rows),
+    )
+    panels = [(words(name), image, "") for name, image in shown.items()]
+    show_panels(axes.flat, panels, run.white)
+    label_below(axes.flat[1], f"difference {relative_rms(relit, floodlit):.1%}")
+    label_left(axes.flat[0], f"patterns {run.patterns:,}")
+    return figure
+
+
+def matrices_figure(runs: Sequence[Run]) -> Figure:
+    """Draw rows (a) to (e) of Fig. 2.1, a column for each run.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Of one method, four at most to stay legible.
+    """
+    with_levels = all(run.has_leaf_levels for run in runs)
+    n_rows = 8 if with_levels else 7
+    ratio = panel_ratio([run.image_shape for run in runs])
+    heights = [ratio] * 2 + [1.0] * (n_rows - 5) + [ratio] * 3
+    size = (_COLUMN * len(runs) + 0.9, _COLUMN * sum(heights) + 0.32 * n_rows)
+    figure, axes = new_figure(n_rows, len(runs), size, height_ratios=heights)
+    for column, run in zip(axes.T, runs, strict=True):
+        _draw_column(column, run, with_levels)
+    head(axes[0], [run.title for run in runs])
+    names = ["(a)  albedo", f"(b)  T {TIMES} floodlight", "(c)  T along the line", "true T"]
+    names += ["(d)  level of the leaf"] if with_levels else []
+    names += [f"(e)  T {TIMES} vertical bar", "true radiance", "difference"]
+    for axis, name in zip(axes[:, 0], names, strict=True):
+        label_left(axis, name)
+    _add_scales(figure, axes, runs, with_levels)
+    return figure
+
+
+def _draw_column(column: NDArray[Any], run: Run, with_levels: bool) -> None:
+    """Draw one run's panels, top to bottom."""
+    panels = iter(column)
+    show_radiance(next(panels), run.read("albedo"), 1.0)
+    axis = next(panels)
+    show_radiance(axis, run.read("floodlit_relit"), run.white)
+    axis.axhline(run.facts["row"], color="#ffd84a", linewidth=1.6, alpha=0.55)
+    error = relative_rms(run.read("floodlit_relit"), run.read("floodlit_truth"))
+    label_below(axis, f"error {error:.2%}")
+    for name in ("line_relit", "line_truth"):
+        _show_line(next(panels), run.read(name), run)
+    if with_levels:
+        _show_levels(next(panels), run)
+    pattern, relit, truth = (run.read(name)[0] for name in ("patterns", "relit", "truth"))
+    axis = next(panels)
+    label_below(axis, _errors(run, relit, truth, pattern))
+    for panel, image in ((axis, relit), (next(panels), truth)):
+        show_radiance(panel, brighten_unlit(image, pattern) if run.is_coaxial else image, run.white)
+    difference = (relit - truth).mean(axis=-1) / run.white
+    show_image(next(panels), difference, cmap="RdBu_r", vmin=-DIFFERENCE, vmax=DIFFERENCE)
+
+
+def _errors(run: Run, relit: NDArray[Any], truth: NDArray[Any], pattern: NDArray[Any]) -> str:
+    unlit = unlit_rms(relit, truth, pattern) if run.is_coaxial else np.nan
+    total = f"error {relative_rms(relit, truth):.2%}"
+    return total if np.isnan(unlit) else f"{total}, unlit {unlit:.1%}"
+
+
+def _show_line(axis: Axes, entries: NDArray[Any], run: Run) -> None:
+    """Show the entries of T between the rays of a line on a logarithmic scale of grey."""
+    from matplotlib.colors import LogNorm
+
+    top = float(run.read("line_truth").mean(axis=-1).max()) or 1.0
+    floor = top * 10.0**-DECADES
+    grey = np.maximum(entries.mean(axis=-1), floor)
+    show_image(axis, grey, cmap="magma", norm=LogNorm(floor, top))
+
+
+def _show_levels(axis: Axes, run: Run) -> None:
+    """Show leaf levels: white the coarsest, black single rays, empty ones pale blue."""
+    levels = run.read("line_levels")
+    shown = np.ma.masked_equal(levels, NO_LEAF)
+    axis.set_facecolor(_EMPTY_COLOUR)
+    show_image(axis, shown, cmap="gray_r", vmin=0, vmax=_last_level(run))
+
+
+def _last_level(run: Run) -> int:
+    return max((int(row["level"]) for row in run.facts["levels"]), default=0) or 1
+
+
+def _add_scales(figure: Figure, axes: NDArray[Any], runs: Sequence[Run], with_levels: bool) -> None:
+    """Add colour bars at the right of the rows that need one."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LogNorm, Normalize
+
+    def add(rows: slice, mappable: ScalarMappable, label: str, **options: Any) -> None:
+        bar = figure.colorbar(mappable, ax=list(axes[rows, -1]), fraction=0.06, pad=0.03, **options)
+        bar.set_label(label, fontsize=8)
+        bar.ax.tick_params(labelsize=7.5, width=0.5, length=2.5)
+        bar.outline.set_linewidth(0.5)
+
+    add(slice(2, 4), ScalarMappable(LogNorm(10.0**-DECADES, 1), "magma"),
+        "entry of T over the largest", aspect=32)  # fmt: skip
+    if with_levels:
+        deepest = max(_last_level(run) for run in runs)
+        add(slice(4, 5), ScalarMappable(Normalize(0, deepest), "gray_r"),
+            "level (pale blue: empty)", aspect=16, ticks=list(range(deepest + 1)))  # fmt: skip
+    add(slice(-1, None), ScalarMappable(Normalize(-DIFFERENCE * 100, DIFFERENCE * 100), "RdBu_r"),
+        "% of white", aspect=16)  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
-from rfpipe.report import charts, matrices, methods, pictures, tables
+from rfpipe.report import charts, methods, pictures, tables
 from rfpipe.report.blocks import Block, Illustration, Section, Tabulation
 from rfpipe.report.drawing import UNLIT_GAIN, chunks
 from rfpipe.report.inputs import Inputs, Run
@@ -13,6 +13,7 @@ from rfpipe.report.text import number, percent, size, wishes, words
 from rfpipe.report.thesis import DUAL_ON_SCENE_IV, PLANES_SHAPE, TABLE_5_1, numeral_of
 
 __all__ = [
+    "captured_section",
     "cost_section",
     "errors_section",
     "leaves_section",
@@ -56,6 +57,31 @@ def errors_section(inputs: Inputs) -> Section:
     )
 
 
+def captured_section(inputs: Inputs) -> Section:
+    """The scene under floodlight and under the relighting patterns, for each method."""
+    caption = (
+        "The scene under floodlight, as the rig captured it and as the acquired T gives it, with "
+        "their relative RMS difference, and the scene relit with each of the relighting "
+        "patterns. The captured floodlit image's maximum is shown as white. The difference tells "
+        "whether the levels add up, not whether each pixel's light comes from the right place."
+    )
+    if inputs.light_fields:
+        caption += " Of the views the middle one is shown."
+    return Section(
+        "captured",
+        "The scene relit",
+        [
+            Illustration(
+                f"{run.title}, {run.method_title.lower()}",
+                caption,
+                f"captured_{run.scene}_{run.method}",
+                pictures.captured_figure(run),
+            )
+            for run in inputs.runs
+        ],
+    )
+
+
 def matrices_section(inputs: Inputs) -> Section:
     """Fig. 2.1 for each method."""
     blocks: list[Block] = []
@@ -77,7 +103,7 @@ def matrices_section(inputs: Inputs) -> Section:
                 "(a) Albedo of the scene. (b) The scene under floodlight, rendered from the "
                 "acquired T; the line marks the rays of (c) and (d). (c) Entries of T between "
                 "the rays of that line, camera rays down and projector rays across, acquired and "
-                f"true: mean of the channels, logarithmic over {matrices.DECADES} decades. On a "
+                f"true: mean of the channels, logarithmic over {pictures.DECADES} decades. On a "
                 "coaxial rig the diagonal is direct light, the off-diagonal quarters light from "
                 f"one plane to the other, the diagonal quarters third bounces. {leaves}(e) Relit "
                 f"with a vertical bar{unlit}; beside it the truth, and the difference before "
@@ -88,7 +114,7 @@ def matrices_section(inputs: Inputs) -> Section:
                     f"Fig. 2.1, {methods.listed([method])}",
                     caption,
                     f"fig_2_1_{method}{suffix}",
-                    matrices.matrices_figure(runs),
+                    pictures.matrices_figure(runs),
                     is_folded=method != inputs.methods[0],
                 )
             )

@@ -11,13 +11,7 @@ from numpy.typing import ArrayLike
 
 from rfpipe.report import methods
 from rfpipe.report.blocks import Block, Column, Illustration, Section, Table, Tabulation, table_of
-from rfpipe.report.drawing import (
-    draw_method,
-    logarithmic,
-    logarithmic_limits,
-    scene_panels,
-    shared_legend,
-)
+from rfpipe.report.drawing import draw_method, scene_curves
 from rfpipe.report.inputs import Inputs
 from rfpipe.report.text import fixed, number, percent, size, words
 
@@ -113,10 +107,7 @@ def against_symmetric(table: pd.DataFrame) -> pd.DataFrame:
             row[f"symmetric_for_{name}"] = needed
             row[f"times_fewer_for_{name}"] = needed / run["patterns"]
         rows.append(row)
-    columns = [*_PLACE, "target_error", *kept, "estimate_ratio"]
-    for name in ("mean", "worst"):
-        columns += [f"symmetric_for_{name}", f"times_fewer_for_{name}"]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(rows)
 
 
 def summary_lines(beside: pd.DataFrame) -> list[str]:
@@ -192,24 +183,16 @@ def curves_figure(table: pd.DataFrame) -> Figure:
     table : DataFrame
         With `COLUMNS`, of one size and one camera.
     """
-    scenes = list(dict.fromkeys(table["scene"]))
-    titles = [words(scene) for scene in scenes]
-    figure, axes = scene_panels(titles, "patterns", "error, %")
-    for axis, scene in zip(axes, scenes, strict=True):
-        _draw_scene(axis, table[table["scene"] == scene])
-        axis.set_xlim(*logarithmic_limits(table["patterns"]))
-        axis.set_ylim(*logarithmic_limits(100 * table[["error_mean", "error_worst"]]))
-    shared_legend(figure)
-    return figure
 
+    def draw(axis: Axes, scene: str) -> None:
+        for method, rows in table[table["scene"] == scene].groupby("method", sort=False):
+            means = _over_seeds(rows, ["setting"]).sort_values("patterns")
+            draw_method(axis, means["patterns"], 100 * means["error_mean"], str(method))
+            axis.plot(means["patterns"], 100 * means["error_worst"], ".:", markersize=3,
+                      linewidth=1, color=methods.colour(str(method)))  # fmt: skip
 
-def _draw_scene(axis: Axes, table: pd.DataFrame) -> None:
-    for method, rows in table.groupby("method", sort=False):
-        means = _over_seeds(rows, ["setting"]).sort_values("patterns")
-        draw_method(axis, means["patterns"], 100 * means["error_mean"], str(method))
-        axis.plot(means["patterns"], 100 * means["error_worst"], ".:", markersize=3, linewidth=1,
-                  color=methods.colour(str(method)))  # fmt: skip
-    logarithmic(axis)
+    titles = {scene: words(scene) for scene in table["scene"]}
+    return scene_curves(titles, draw, table["patterns"], table[["error_mean", "error_worst"]])
 
 
 def _over_seeds(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
