@@ -28,6 +28,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")]
 TransportPath = Annotated[
     Path, typer.Argument(metavar="TRANSPORT", help="A transport.zarr that a run left in results/.")
 ]
@@ -35,7 +36,7 @@ TransportPath = Annotated[
 
 @app.command()
 def validate(
-    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")],
+    config: ConfigPath,
 ) -> None:
     """Check a settings file; say every mistake in it."""
     from rfpipe.config import load_config
@@ -71,7 +72,7 @@ def scenes() -> None:
 
 @app.command()
 def plan(
-    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")],
+    config: ConfigPath,
     folder: Annotated[
         Path, typer.Option(help="Where the results are to lie, for the disk's free space.")
     ] = Path("results"),
@@ -106,9 +107,7 @@ def info(path: TransportPath) -> None:
     from rfpipe.transport import open_transport
 
     transport = open_transport(path)
-    rows, columns = (
-        math.prod(shape) for shape in (transport.camera_shape, transport.projector_shape)
-    )
+    rows, columns = map(math.prod, (transport.camera_shape, transport.projector_shape))
     dense = rows * columns * transport.channels * 4  # float32
     typer.echo(f"camera     {_times(transport.camera_shape)} = {rows:,} rays")
     typer.echo(f"projector  {_times(transport.projector_shape)} = {columns:,} rays")

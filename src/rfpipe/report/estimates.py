@@ -132,9 +132,10 @@ def estimates_figure(
         for method, own in steps[steps["scene"] == scene].groupby("method", sort=False):
             seen = own[own["estimated_error"] > 0]
             draw_method(axis, seen["patterns"], 100 * seen["estimated_error"], str(method))
-        for run in compared[compared["scene"] == scene].dropna(subset=["true_error"]).itertuples():
-            colour = methods.colour(run.method)
-            axis.axhline(100 * run.true_error, linestyle="--", linewidth=1.1, color=colour)
+        known = compared[compared["scene"] == scene].dropna(subset=["true_error"])
+        for run in known.to_dict("records"):
+            colour = methods.colour(run["method"])
+            axis.axhline(100 * run["true_error"], linestyle="--", linewidth=1.1, color=colour)
         axis.axhline(100 * target, linestyle=":", linewidth=0.9, color="#5c5c5c")
 
     errors = [*steps["estimated_error"], *compared["true_error"], target]

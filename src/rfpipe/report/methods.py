@@ -6,7 +6,7 @@ Methods describe themselves; no other module of the report names one.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rfpipe import plugins
 from rfpipe.errors import InputError
@@ -75,7 +75,7 @@ def colour(method: str) -> str:
     return _told(method, "colour", _GREY)
 
 
-def style(method: str) -> dict[str, str]:
+def style(method: str) -> dict[str, Any]:
     """Return matplotlib's colour, marker and kind of line of a method's curve."""
     marker, line = _told(method, "marker", "o"), _told(method, "line", "-")
     return {"color": colour(method), "marker": marker, "linestyle": line}

@@ -43,7 +43,7 @@ __all__ = [
 DECADES = 7
 """Decades of the matrix' entries that are shown, from the largest of a scene down."""
 
-DIFFERENCE = 0.01
+_DIFFERENCE = 0.01
 """Ends of the difference's colours, as a fraction of the radiance shown as white."""
 
 _PANEL = 2.2  # inches
@@ -233,7 +233,7 @@ def _draw_column(column: NDArray[Any], run: Run, with_levels: bool) -> None:
     for panel, image in ((axis, relit), (next(panels), truth)):
         show_radiance(panel, brighten_unlit(image, pattern) if run.is_coaxial else image, run.white)
     difference = (relit - truth).mean(axis=-1) / run.white
-    show_image(next(panels), difference, cmap="RdBu_r", vmin=-DIFFERENCE, vmax=DIFFERENCE)
+    show_image(next(panels), difference, cmap="RdBu_r", vmin=-_DIFFERENCE, vmax=_DIFFERENCE)
 
 
 def _errors(run: Run, relit: NDArray[Any], truth: NDArray[Any], pattern: NDArray[Any]) -> str:
@@ -281,5 +281,5 @@ def _add_scales(figure: Figure, axes: NDArray[Any], runs: Sequence[Run], with_le
         deepest = max(_last_level(run) for run in runs)
         add(slice(4, 5), ScalarMappable(Normalize(0, deepest), "gray_r"),
             "level (pale blue: empty)", aspect=16, ticks=list(range(deepest + 1)))  # fmt: skip
-    add(slice(-1, None), ScalarMappable(Normalize(-DIFFERENCE * 100, DIFFERENCE * 100), "RdBu_r"),
+    add(slice(-1, None), ScalarMappable(Normalize(-_DIFFERENCE * 100, _DIFFERENCE * 100), "RdBu_r"),
         "% of white", aspect=16)  # fmt: skip

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -147,6 +145,8 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
     code : str
         Fingerprint of the code behind the stage.
     """
+    import pandas as pd
+
     store, times, manifest = (folder / f"sweep.{suffix}" for suffix in ("zarr", "csv", "json"))
     section = config.methods_of(scene)[method]
     made_from = fingerprint(
@@ -164,11 +164,8 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
     if times.exists() and accept_bundle(store, manifest, made_from):
         return
     found = sweep_option(config, scene, method)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, TIMES_COLUMNS, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(found.times)
-    write_atomically(times, text.getvalue().encode())
+    table = pd.DataFrame(found.times).to_csv(index=False, lineterminator="\n")
+    write_atomically(times, table.encode())
     facts = {
         "stage": "sweep",
         "scene": scene,

@@ -91,10 +91,7 @@ def stability_row(
         "rays": int(np.prod(scene.shape)),
         "method": method,
         "camera": "exact" if camera is None else f"{camera.bits} bits",
-        "patterns": None,
-        "matrix_error": None,
-        "relight_error": None,
-        "accumulation": None,
+        **dict.fromkeys(("patterns", "matrix_error", "relight_error", "accumulation")),
         "refused": "",
     }
     rig = SimulatedRig(scene, sensor_from_config(camera), config.seed)
