@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from rfpipe.report import charts, methods, pictures, tables
 from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation, table_of
 from rfpipe.report.inputs import Inputs, Study
 from rfpipe.report.text import fixed, number, percent, ray_size, size, wishes, words
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = [
     "mosaic_section",
@@ -24,9 +27,12 @@ __all__ = [
 
 def resolution_section(inputs: Inputs) -> Section | None:
     """Fig. 3.8."""
+    import pandas as pd
+
     study = inputs.studies.get("resolution")
     if study is None:
         return None
+    numbers = pd.DataFrame(study.rows)
     caption = (
         "Patterns for scene IV (two textured planes at an angle, grey, exact radiance; "
         f"{wishes(inputs.config)}) against the projector's resolution; the "
@@ -37,16 +43,13 @@ def resolution_section(inputs: Inputs) -> Section | None:
         "resolution",
         "Patterns against resolution (Fig. 3.8)",
         [
-            Illustration("Fig. 3.8", caption, "fig_3_8", charts.resolution_figure(study.rows)),
-            Tabulation("Patterns", "By method and resolution.", _resolution_table(study)),
+            Illustration("Fig. 3.8", caption, "fig_3_8", charts.resolution_figure(numbers)),
+            Tabulation("Patterns", "By method and resolution.", _resolution_table(numbers)),
         ],
     )
 
 
-def _resolution_table(study: Study) -> Table:
-    import pandas as pd
-
-    numbers = pd.DataFrame(study.rows)
+def _resolution_table(numbers: pd.DataFrame) -> Table:
     patterns = numbers.pivot(index="method", columns="side", values="patterns")
     return table_of(
         patterns.loc[numbers["method"].unique()].reset_index(),

@@ -159,7 +159,7 @@ def _patterns(found: pd.DataFrame) -> Illustration:
         "Scene IV in grey, exact radiance, as Fig. 3.8: left on a linear scale, right with brute "
         "force, which takes one pattern a ray."
     )
-    figure = charts.resolution_figure(found.to_dict("records"))
+    figure = charts.resolution_figure(found)
     return Illustration("Patterns against rays", caption, "patterns_by_rays", figure)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -95,26 +95,22 @@ def _stack_levels(axis: Axes, run: Run) -> None:
     axis.set_yticks([0, 50, 100])
 
 
-def resolution_figure(study: Sequence[Mapping[Any, Any]]) -> Figure:
+def resolution_figure(study: pd.DataFrame) -> Figure:
     """Draw patterns against the projector's resolution [Fig. 3.8].
 
     Parameters
     ----------
-    study : sequence of dict
+    study : DataFrame
         Rows of `rfpipe.stages.evaluating.studies.resolution.resolution_study`.
     """
     figure, axes = new_figure(1, 2, (8.6, 3.3))
-    names = list(dict.fromkeys(row["method"] for row in study))
+    sides = study.drop_duplicates("rays").sort_values("rays")
     for axis, is_logarithmic in zip(axes[0], (False, True), strict=True):
-        for method in names:
-            if method == methods.BRUTE_FORCE and not is_logarithmic:
-                continue
-            rows = [row for row in study if row["method"] == method]
-            rays, patterns = ([row[name] for row in rows] for name in ("rays", "patterns"))
-            draw_method(axis, rays, patterns, method)
-        sides = sorted({(row["rays"], row["side"]) for row in study})
+        for method, rows in study.groupby("method", sort=False):
+            if is_logarithmic or method != methods.BRUTE_FORCE:
+                draw_method(axis, rows["rays"], rows["patterns"], str(method))
         axis.set_xscale("log", base=2)
-        axis.set_xticks([rays for rays, _ in sides], [f"{side}²" for _, side in sides])
+        axis.set_xticks(sides["rays"], [f"{side}²" for side in sides["side"]])
         axis.set_xlabel("projector pixels", fontsize=8.5)
         axis.set_ylabel("patterns", fontsize=8.5)
         axis.grid(True, linewidth=0.4, color="#dddddd")
@@ -139,10 +135,11 @@ def speed_error_figure(inputs: Inputs, scenes: Sequence[str]) -> Figure:
         2, len(scenes), (2.55 * len(scenes) + 0.5, 5.4), sharex="col", sharey="row"
     )
     table = inputs.speed_error
+    kinds = {"rms_total": "error, %", "rms_unlit": "error on unlit pixels, %"}
     for column, scene in zip(axes.T, scenes, strict=True):
         own = table[table["scene"] == scene]
         run = inputs.of_scene(scene)[0]
-        for axis, name in zip(column, ("rms_total", "rms_unlit"), strict=True):
+        for axis, name in zip(column, kinds, strict=True):
             logarithmic(axis)
             _draw_errors(axis, own, name)
             axis.axvline(run.rays, color="#5c5c5c", linewidth=0.9, linestyle=":",
@@ -154,10 +151,7 @@ def speed_error_figure(inputs: Inputs, scenes: Sequence[str]) -> Figure:
             why = "no indirect light" if run.is_coaxial else "no pixel is\nknown to be unlit"
             column[1].text(0.5, 0.5, why, ha="center", va="center", fontsize=8.5,
                            transform=column[1].transAxes, color="#555555")  # fmt: skip
-    for axis, name, label in zip(
-        axes[:, 0], ("rms_total", "rms_unlit"), ("error, %", "error on unlit pixels, %"),
-        strict=True,
-    ):  # fmt: skip
+    for axis, (name, label) in zip(axes[:, 0], kinds.items(), strict=True):
         label_left(axis, label)
         axis.set_ylim(*logarithmic_limits(100 * table[name]))
     shared_legend(figure)

@@ -90,13 +90,12 @@ def compare(inputs: Inputs) -> pd.DataFrame:
     """
     import pandas as pd
 
-    errors = inputs.errors
     rows: list[dict[str, Any]] = []
     for run in inputs.runs:
         found = estimates(run.facts["levels"])
         if not found:
             continue
-        own = errors[(errors["scene"] == run.scene) & (errors["method"] == run.method)]
+        own = run.own(inputs.errors)
         true = float(own["rms_total"].mean()) if len(own) else math.nan
         estimated = found[-1]["estimated_error"]
         rows.append(

@@ -133,6 +133,10 @@ class Run:
         dark = right_half(self.settings.shape) == 0
         return bool(dark.any() and self.read("half_truth")[dark].max() > 0)
 
+    def own(self, table: pd.DataFrame) -> pd.DataFrame:
+        """Return the rows of a table with ``scene`` and ``method`` that are this run's."""
+        return table[(table["scene"] == self.scene) & (table["method"] == self.method)]
+
     def read(self, name: str) -> NDArray[Any]:
         """Read one of the arrays."""
         return self.images.read(name)
@@ -209,11 +213,6 @@ class Inputs:
             f", without the reference brackets ({capture.black_frames} all-off and "
             f"{capture.floodlit_frames} all-on ones, {minutes:.1f} min)"
         )
-
-    def times_of(self, run: Run) -> pd.DataFrame:
-        """Return the rows of `times` that are a run's."""
-        times = self.times
-        return times[(times["scene"] == run.scene) & (times["method"] == run.method)]
 
     @property
     def labels(self) -> list[Column]:

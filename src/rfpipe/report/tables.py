@@ -71,15 +71,14 @@ def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
 
 
 def _processing_seconds(inputs: Inputs, run: Run) -> float:
-    own = inputs.times_of(run)
+    own = run.own(inputs.times)
     own = own[own["stage"] != "capture"]
     return float(own["seconds"].sum()) if len(own) else in_process_seconds(inputs, run)
 
 
 def in_process_seconds(inputs: Inputs, run: Run) -> float:
     """Return the processing seconds of a run's acquisition within the sweep; NaN without one."""
-    table = inputs.speed_error
-    own = table[(table["scene"] == run.scene) & (table["method"] == run.method)]
+    own = run.own(inputs.speed_error)
     section = inputs.config.methods_of(run.scene)[run.method]
     at = own[own["value"] == section.options().get(section.subject(run.method).trades)]
     return float(at["processing_s"].iloc[0]) if len(at) else math.nan
@@ -276,7 +275,7 @@ def processing_table(inputs: Inputs) -> Table:
     """Return the processing seconds of each run, and a HDR image."""
     numbers = []
     for run in inputs.runs:
-        jobs = inputs.times_of(run)
+        jobs = run.own(inputs.times)
         is_capture = jobs["stage"] == "capture"
         seconds, simulated = (
             float(jobs[chosen]["seconds"].sum()) if len(jobs) else math.nan
