@@ -17,7 +17,6 @@ from rfpipe.report.drawing import label_below, label_left, new_figure, panel_rat
 from rfpipe.report.page import write_page
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -86,16 +85,13 @@ def _section(name: str, findings: Findings) -> Section:
     )
 
 
-def _numbers(facts: dict[str, Any]) -> pd.DataFrame:
-    """Return the facts that are single numbers or texts, as a table."""
-    import pandas as pd
-
-    rows = [
+def _numbers(facts: dict[str, Any]) -> list[dict[str, str]]:
+    """Return the facts that are single numbers or texts."""
+    return [
         {"number": name, "value": f"{value:.6g}" if isinstance(value, float) else str(value)}
         for name, value in facts.items()
         if isinstance(value, bool | int | float | str)
     ]
-    return pd.DataFrame(rows, columns=["number", "value"])
 
 
 _CHARTS: dict[str, tuple[Callable[[Findings], Figure], str]] = {}

@@ -96,7 +96,7 @@ def error_sources(runs: list[Run]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    rows: list[dict[str, Any]] = []
+    rows: list[dict[Any, Any]] = []
     for run in runs:
         pictures = zip(
             run.facts["names"],
@@ -106,18 +106,9 @@ def error_sources(runs: list[Run]) -> pd.DataFrame:
         found = pd.DataFrame([_of_picture(run, *picture) for picture in pictures]).dropna()
         if found.empty:
             continue
-        worst = found.iloc[int(found["error"].argmax())]
-        rows.append(
-            {
-                "scene": run.scene,
-                "method": run.method,
-                "error": found["error"].mean(),
-                "error_averaged": found["error_averaged"].mean(),
-                "worst_pattern": worst["pattern"],
-                "worst_error": worst["error"],
-                "worst_light": worst["light"],
-            }
-        )
+        worst = found.iloc[int(found["error"].argmax())].add_prefix("worst_").to_dict()
+        means = found[["error", "error_averaged"]].mean().to_dict()
+        rows.append({"scene": run.scene, "method": run.method, **means, **worst})
     columns = ["error", "error_averaged", "worst_pattern", "worst_error", "worst_light"]
     return pd.DataFrame(rows, columns=["scene", "method", *columns])
 
