@@ -9,7 +9,8 @@ import numpy as np
 
 from rfpipe.config import SceneSettings
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs.optics import OpticalPath, Quadrilateral, centred_corners, tilted_corners
+from rfpipe.rigs.geometry import Quadrilateral
+from rfpipe.rigs.optics import OpticalPath, centred_corners, tilted_corners
 from rfpipe.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
 from rfpipe.scenes import scene_from_config
 

@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.base import (
-    Findings,
-    Verdict,
-    brackets_of,
-    camera_model,
-    uniform,
-)
+from rfpipe.calibration.base import Findings, Verdict, camera_model, take, uniform
 from rfpipe.calibration.blur import fit_blur
 from rfpipe.calibration.correspondence import (
     Correspondence,
@@ -37,7 +31,7 @@ from rfpipe.calibration.linearity import (
     measure_linearity,
     power_law,
 )
-from rfpipe.calibration.mapping import SmoothMap, camera_points, fit_map, inner
+from rfpipe.calibration.mapping import SmoothMap, fit_map, inner
 from rfpipe.calibration.rays import RayFit, fit_rays
 from rfpipe.calibration.symmetry import measure_symmetry, symmetry_findings, take_symmetry
 from rfpipe.calibration.transfer import (
@@ -51,6 +45,7 @@ from rfpipe.config import CalibrationConfig
 from rfpipe.photometry import CameraModel, Resampling
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
+from rfpipe.rigs.geometry import pixel_middles
 from rfpipe.rigs.layout import ProjectorLayout
 
 __all__ = ["STEPS", "Bench", "Step", "camera_numbers", "steps_of"]
@@ -168,7 +163,7 @@ def _dark(bench: Bench) -> Findings:
 
 def _linearity(bench: Bench) -> Findings:
     pictures = (uniform(bench.projector, level) for level in LEVELS)
-    frames = list(brackets_of(bench.projector, bench.camera, pictures))
+    frames = list(take(bench.projector, bench.camera, pictures))
     model, tolerance = bench.model, bench.settings.tolerance / 2
     found = measure_linearity(frames, bench.dark, model.exposures, model.white_level, tolerance)
     return linearity_findings(found, tolerance)
@@ -201,7 +196,7 @@ def _correspondence(bench: Bench) -> Findings:
 def _rays(bench: Bench) -> Findings:
     settings, display = bench.settings, bench.projector.shape
     found = Correspondence.from_arrays(bench.found["correspondence"].arrays)
-    points = camera_points(bench.camera.shape)
+    points = pixel_middles(bench.camera.shape)
     corners = settings.corners
     if settings.views is not None and corners is None:
         corners = tuple(find_views(found, settings.views))  # type: ignore[arg-type]
