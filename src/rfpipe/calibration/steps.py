@@ -42,7 +42,7 @@ from rfpipe.calibration.transfer import (
 )
 from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
 from rfpipe.config import CalibrationConfig
-from rfpipe.photometry import CameraModel, Resampling
+from rfpipe.photometry import CameraModel, ResampledSensor, Resampling
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.geometry import pixel_middles
@@ -234,9 +234,9 @@ def _rays(bench: Bench) -> Findings:
 
 def _symmetry(bench: Bench) -> Findings:
     arrays = bench.found["rays"].arrays
-    camera = _Modelled(bench.camera, bench.model)
-    layout = ProjectorLayout.from_arrays(arrays)
-    rig = DeviceRig(bench.lit, camera, layout, Resampling.from_arrays(arrays))
+    layout, resampling = ProjectorLayout.from_arrays(arrays), Resampling.from_arrays(arrays)
+    rig = DeviceRig(bench.lit, bench.camera, layout, resampling)
+    rig.sensor = ResampledSensor(bench.model, resampling)
     taken = take_symmetry(rig, bench.settings.symmetry_patterns, bench.settings.dark_frames)
     return symmetry_findings(measure_symmetry(*taken), bench.settings.tolerance)
 
@@ -276,26 +276,6 @@ def steps_of(settings: CalibrationConfig) -> list[Step]:
     """Return the steps of a rig: those of rays and symmetry are for coaxial ones."""
     coaxial = {"rays", "symmetry"}
     return [step for step in STEPS.values() if settings.coaxial or step.name not in coaxial]
-
-
-class _Modelled:
-    """A camera whose sensor has the numbers that were found."""
-
-    def __init__(self, camera: Camera, sensor: CameraModel) -> None:
-        self._camera = camera
-        self.shape, self.channels, self.sensor = camera.shape, camera.channels, sensor
-
-    def expose(self) -> NDArray[Any]:
-        """Take one bracket."""
-        return self._camera.expose()
-
-    def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests."""
-        return self._camera.describe()
-
-    def close(self) -> None:
-        """Give the camera back."""
-        self._camera.close()
 
 
 def _rays_a_view(corners: Iterable[Any]) -> tuple[int, int]:
