@@ -105,11 +105,8 @@ class Resampling:
         CaptureError
             When the images have another shape.
         """
-        return self._applied([self.matrix] * radiance.shape[-1], radiance)
-
-    def apply_to_variance(self, variance: NDArray[Any]) -> Float:
-        """Carry the variance of independent pixels (B, Hc, Wc, C) to the rays: squared weights."""
-        return self._applied([self.matrix.power(2)] * variance.shape[-1], variance)
+        matrices = [self.matrix] * radiance.shape[-1]
+        return applied(matrices, radiance, self.shape, self.camera_shape)
 
     def without(self, pixels: NDArray[np.bool_]) -> Resampling:
         """Return a resampling that takes nothing from some camera pixels, as defective ones.
@@ -184,9 +181,6 @@ class Resampling:
     def digest(self) -> str:
         """Fingerprint of shapes and weights."""
         return fingerprint(self.arrays())
-
-    def _applied(self, matrices: list[csr_array[Any]], images: NDArray[Any]) -> Float:
-        return applied(matrices, images, self.shape, self.camera_shape)
 
 
 def applied(
