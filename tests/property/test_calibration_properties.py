@@ -60,13 +60,14 @@ def test_overlaps_have_the_area_of_the_outline(
     y, x = np.mgrid[: rows + 1, : columns + 1].astype(float)
     turn = scale * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     corners = np.stack([x, y], -1) @ turn + (left + 40, top + 40)
-    camera, projector, share = overlaps(corners, np.ones((rows, columns), bool), 120, 120)
+    camera, projector, share, areas = overlaps(corners, np.ones((rows, columns), bool), 120, 120)
     total = np.bincount(camera.astype(int), share, rows * columns)
     assert np.abs(total - 1).max() < 1e-9
     # what all camera pixels take of a projector pixel inside them is its whole area
     taken = np.bincount(projector.astype(int), share * scale**2, 120 * 120)
     assert taken.max() < 1 + 1e-9
     assert np.isclose(taken.sum(), rows * columns * scale**2)
+    np.testing.assert_allclose(areas, share * scale**2, rtol=1e-9)
 
 
 @given(st.floats(2.0, 4.5), st.floats(-0.2, 0.2), st.floats(0, 1), st.floats(0, 1))
