@@ -83,7 +83,9 @@ def test_resampling_inverts_what_the_camera_mixes(
     layout = ProjectorLayout.grid((64, 64), (8, 8))
     fit = fit_rays(maps, layout, (40, 40))
     light = np.random.default_rng(0).random(64)
-    camera = coverage(maps, layout, (40, 40)) @ light
+    shares, area = coverage(maps, layout, (40, 40))
+    assert (area <= layout.pixels_of_ray * (1 + 1e-9)).all()
+    camera = shares @ light
     rays = fit.resampling.apply(camera.reshape(1, 40, 40, 1).astype(np.float32)).ravel()
     seen = fit.resampling.seen.ravel()
     assert seen.any()
