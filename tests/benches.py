@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from tests.simulated_devices import SimulatedCamera, SimulatedProjector
 
 from rfpipe.config import SceneSettings
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs.optics import OpticalPath, Quadrilateral, centred_corners, tilted_corners
-from rfpipe.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
+from rfpipe.rigs.geometry import Quadrilateral
+from rfpipe.rigs.optics import OpticalPath, centred_corners, tilted_corners
 from rfpipe.scenes import scene_from_config
 
 CAMERA = CameraModel()

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.simulated_devices import SimulatedCamera, SimulatedProjector
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
@@ -11,7 +12,6 @@ from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.rigs import DeviceRig, ProjectorLayout
 from rfpipe.rigs.matrices import as_pattern_operator
 from rfpipe.rigs.optics import OpticalPath, centred_corners, tilted_corners
-from rfpipe.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
 
 SENSOR = CameraModel(exposures=(1 / 64, 1 / 16))

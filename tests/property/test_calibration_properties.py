@@ -60,13 +60,14 @@ def test_overlaps_have_the_area_of_the_outline(
     y, x = np.mgrid[: rows + 1, : columns + 1].astype(float)
     turn = scale * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     corners = np.stack([x, y], -1) @ turn + (left + 40, top + 40)
-    camera, projector, share = overlaps(corners, np.ones((rows, columns), bool), 120, 120)
+    camera, projector, share, areas = overlaps(corners, np.ones((rows, columns), bool), 120, 120)
     total = np.bincount(camera.astype(int), share, rows * columns)
     assert np.abs(total - 1).max() < 1e-9
     # what all camera pixels take of a projector pixel inside them is its whole area
     taken = np.bincount(projector.astype(int), share * scale**2, 120 * 120)
     assert taken.max() < 1 + 1e-9
     assert np.isclose(taken.sum(), rows * columns * scale**2)
+    np.testing.assert_allclose(areas, share * scale**2, rtol=1e-9)
 
 
 @given(st.floats(2.0, 4.5), st.floats(-0.2, 0.2), st.floats(0, 1), st.floats(0, 1))
@@ -82,7 +83,9 @@ def test_resampling_inverts_what_the_camera_mixes(
     layout = ProjectorLayout.grid((64, 64), (8, 8))
     fit = fit_rays(maps, layout, (40, 40))
     light = np.random.default_rng(0).random(64)
-    camera = coverage(maps, layout, (40, 40)) @ light
+    shares, area = coverage(maps, layout, (40, 40))
+    assert (area <= layout.pixels_of_ray * (1 + 1e-9)).all()
+    camera = shares @ light
     rays = fit.resampling.apply(camera.reshape(1, 40, 40, 1).astype(np.float32)).ravel()
     seen = fit.resampling.seen.ravel()
     assert seen.any()

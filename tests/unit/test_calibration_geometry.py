@@ -16,18 +16,13 @@ from rfpipe.calibration.correspondence import (
     take_radiance,
 )
 from rfpipe.calibration.dark import measure_dark, take_dark
-from rfpipe.calibration.mapping import (
-    SmoothMap,
-    apply_homography,
-    camera_points,
-    fit_map,
-    inner,
-)
+from rfpipe.calibration.mapping import SmoothMap, fit_map, inner
 from rfpipe.calibration.rays import coverage, fit_rays
 from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel, MergeOptions
 from rfpipe.rigs.device_rig import DeviceRig
+from rfpipe.rigs.geometry import apply_homography, pixel_middles
 from rfpipe.rigs.layout import DARK, ProjectorLayout
 from rfpipe.scenes.relighting import relighting_patterns
 
@@ -43,14 +38,14 @@ def correspondence_of(bench: Bench, period: int = 16, steps: int = 6) -> Corresp
 
 
 def map_of(found: Correspondence) -> SmoothMap:
-    points = camera_points(found.valid.shape)
+    points = pixel_middles(found.valid.shape)
     there, valid = np.stack([found.x, found.y], axis=-1), found.valid
     return fit_map(points[valid], there[valid], inner(valid)[valid])
 
 
 def errors_of(bench: Bench, found: Correspondence) -> tuple[float, float]:
     """Return the mean error of single pixels and of the smooth map, in projector pixels."""
-    points = camera_points(bench.camera.shape)
+    points = pixel_middles(bench.camera.shape)
     true = bench.path.projector_points(points)
     seen = np.isfinite(true[..., 0])
     measured = np.stack([found.x, found.y], axis=-1)
@@ -84,9 +79,9 @@ def test_the_correspondence_is_found_within_a_tenth_of_a_pixel(changes: dict) ->
 
 def test_pixels_that_see_no_stripes_are_not_valid() -> None:
     bench = wedge_bench()
-    bench.path.projector_points(camera_points(bench.camera.shape))
+    bench.path.projector_points(pixel_middles(bench.camera.shape))
     found = correspondence_of(bench)
-    outside = np.isnan(bench.path.projector_points(camera_points((48, 54)))[..., 0])
+    outside = np.isnan(bench.path.projector_points(pixel_middles((48, 54)))[..., 0])
     # a pixel whose middle is outside may still see the edge
     assert found.valid[outside].sum() < 0.1 * outside.sum()
     assert found.valid[~outside].mean() > 0.97
@@ -250,10 +245,10 @@ def test_views_of_an_array_are_found_and_rectified() -> None:
     layout = layout_of_views(corners, (8, 8), (192, 192))
     assert layout.shape == rays
     maps = maps_of_views(found, corners)
-    true = bench.path.projector_points(camera_points((144, 144)))
+    true = bench.path.projector_points(pixel_middles((144, 144)))
     seen = found.valid & np.isfinite(true[..., 0])
     view = (true[seen] // 64).astype(int) @ [1, 3]
-    mapped = np.stack([one(camera_points((144, 144))[seen]) for one in maps])
+    mapped = np.stack([one(pixel_middles((144, 144))[seen]) for one in maps])
     error = np.hypot(*(mapped[view, np.arange(len(view))] - true[seen]).T)
     assert error.mean() < 0.1
     fit = fit_rays(maps, layout, (144, 144))

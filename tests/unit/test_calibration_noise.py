@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.benches import flat_frames, uneven
+from tests.simulated_devices import SimulatedCamera, SimulatedProjector
 
 from rfpipe.calibration.base import camera_model, take
 from rfpipe.calibration.dark import Dark, dark_findings, measure_dark
@@ -25,7 +26,6 @@ from rfpipe.calibration.transfer import (
 )
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, ExactSensor
-from rfpipe.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
 
 CAMERA = CameraModel()
 

@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from rfpipe import open_transport
-from rfpipe.calibration.mapping import camera_points, fit_map
+from rfpipe.calibration.mapping import fit_map
 from rfpipe.config import load_rig_config
 from rfpipe.rigs.bench import optical_path
+from rfpipe.rigs.geometry import pixel_middles
 from rfpipe.scenes import relighting_patterns, scene_from_config
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.relight import images_of
@@ -98,6 +99,6 @@ def check_correspondence(bench: Path) -> None:
     found = open_arrays(bench / "calibration/steps/correspondence.zarr")
     valid, there = found.read("valid"), np.stack([found.read("x"), found.read("y")], axis=-1)
     assert valid[seen].mean() > 0.9
-    smooth = fit_map(camera_points((height, width))[valid], there[valid])
+    smooth = fit_map(pixel_middles((height, width))[valid], there[valid])
     error = np.hypot(*(smooth(np.stack([x, y], axis=-1)[seen]) - true[seen]).T)
     assert error.mean() < 0.1  # projector pixels; a camera pixel is four of them wide

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
-from rfpipe.rigs.devices import Camera, Projector
+from rfpipe.rigs.devices import Camera, Projector, bracket_of
 
-__all__ = ["Findings", "Standing", "Verdict", "brackets_of", "camera_model", "take", "uniform"]
+__all__ = ["Findings", "Standing", "Verdict", "camera_model", "take", "uniform"]
 
 Float = NDArray[np.float32]
 Standing = Literal["good", "poor", "unknown"]
@@ -70,24 +70,8 @@ def take(projector: Projector, camera: Camera, pictures: Iterable[Float]) -> Ite
     CaptureError
         When a device fails, or the camera returns what is no bracket of its own.
     """
-    expected = camera.sensor.frame_shape(camera.shape, camera.channels)
     for index, picture in enumerate(pictures):
-        projector.show(picture)
-        frames = np.asarray(camera.expose())
-        if frames.shape != expected or frames.dtype != camera.sensor.frame_dtype:
-            raise CaptureError(
-                f"calibration picture {index}: the camera returned {frames.dtype} frames of shape "
-                f"{frames.shape}; expected {camera.sensor.frame_dtype} {expected}. Check the "
-                "camera's size, pixel format and exposures"
-            )
-        yield frames
-
-
-def brackets_of(
-    projector: Projector, camera: Camera, pictures: Iterable[Float]
-) -> NDArray[np.uint16]:
-    """Show pictures and return all brackets, shape (pictures, E, Hc, Wc[, C])."""
-    return np.stack(list(take(projector, camera, pictures)))
+        yield bracket_of(projector, camera, picture, f"calibration picture {index}")
 
 
 def camera_model(camera: Camera, numbers: dict[str, Any] | None = None) -> Any:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from rfpipe.calibration.codes import COARSER
 from rfpipe.calibration.correspondence import Correspondence
-from rfpipe.calibration.mapping import SmoothMap, camera_points
+from rfpipe.calibration.mapping import SmoothMap
 from rfpipe.photometry.defects import MAD_TO_DEVIATION
+from rfpipe.rigs.geometry import pixel_middles
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -51,7 +52,7 @@ def fit_blur(correspondence: Correspondence, maps: Sequence[SmoothMap]) -> tuple
     surface's albedo nor the indirect light, which stripes don't modulate.
     """
     shape = correspondence.valid.shape
-    points = camera_points((shape[0], shape[1]))
+    points = pixel_middles(shape)
     measured = np.stack([correspondence.x, correspondence.y], axis=-1)
     squares = []
     for to_projector in maps:

@@ -35,12 +35,8 @@ def gray_bits(index: NDArray[np.integer], bits: int) -> NDArray[np.bool_]:
 
 def gray_index(bits: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return the indices (...) of Gray codes (bits, ...), most significant bit first."""
-    index = np.zeros(bits.shape[1:], np.int64)
-    binary = np.zeros(bits.shape[1:], bool)
-    for bit in bits:
-        binary = binary ^ bit
-        index = index << 1 | binary
-    return index
+    binary = np.logical_xor.accumulate(bits, axis=0)
+    return np.asarray(np.tensordot(1 << np.arange(len(bits))[::-1], binary, 1), np.int64)
 
 
 @dataclass(frozen=True, eq=False)

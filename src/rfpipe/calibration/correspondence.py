@@ -30,6 +30,9 @@ WANTED = 0.1
 """Standard error in projector pixels up to which single camera pixels are sharp."""
 
 
+_MEASURED = ("x", "y", "error", "modulation", "contrast")
+
+
 @dataclass(frozen=True, eq=False)
 class Correspondence:
     """Where on the projector each camera pixel looks; pixels from its upper left corner.
@@ -63,11 +66,7 @@ class Correspondence:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what `from_arrays` needs, to be stored."""
         return {
-            "x": self.x.astype(np.float32),
-            "y": self.y.astype(np.float32),
-            "error": self.error.astype(np.float32),
-            "modulation": self.modulation.astype(np.float32),
-            "contrast": self.contrast.astype(np.float32),
+            **{name: getattr(self, name).astype(np.float32) for name in _MEASURED},
             "valid": self.valid,
             "period": np.array(self.period, np.int32),
             "projector_shape": np.array(self.projector_shape, np.int32),
@@ -77,12 +76,13 @@ class Correspondence:
     def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> Correspondence:
         """Return the correspondence whose `arrays` these are."""
         height, width = map(int, arrays["projector_shape"])
-        x, y, error, modulation, contrast = (
-            arrays[name].astype(np.float64)
-            for name in ("x", "y", "error", "modulation", "contrast")
+        measured = {name: arrays[name].astype(np.float64) for name in _MEASURED}
+        return cls(
+            **measured,
+            valid=arrays["valid"],
+            projector_shape=(height, width),
+            period=int(arrays["period"]),
         )
-        valid, period = arrays["valid"], int(arrays["period"])
-        return cls(x, y, error, modulation, contrast, valid, (height, width), period)
 
 
 def structured_light(shape: tuple[int, int], period: int, steps: int) -> Iterator[Float]:

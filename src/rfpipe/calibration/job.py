@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import closing
 from pathlib import Path
 
 from rfpipe.calibration.folder import CalibrationFolder, calibrate
@@ -48,9 +49,6 @@ def calibrate_rig(
     """
     place = CalibrationFolder(folder)
     projector, camera = devices_from_config(uncalibrated(config))
-    try:
+    with closing(projector), closing(camera):
         calibrate(projector, camera, place, config.calibrate, config.rays, only)
-    finally:
-        camera.close()
-        projector.close()
     return place

@@ -58,11 +58,14 @@ def overlaps(corners, chosen, height, width):  # type: ignore[no-untyped-def]
         Indices of pixels that overlap.
     share : float64 (n,)
         Area of the overlap over that of the camera pixel's outline.
+    areas : float64 (n,)
+        Area of the overlap in projector pixels.
     """
     rows, columns = chosen.shape
     camera = [0 for _ in range(0)]
     projector = [0 for _ in range(0)]
     share = [0.0 for _ in range(0)]
+    areas = [0.0 for _ in range(0)]
     x, y = np.empty(_CORNERS), np.empty(_CORNERS)
     u, v = np.empty(_CORNERS), np.empty(_CORNERS)
     outline_x, outline_y = np.empty(4), np.empty(4)
@@ -95,4 +98,5 @@ def overlaps(corners, chosen, height, width):  # type: ignore[no-untyped-def]
                         camera.append(i * columns + j)
                         projector.append(row * width + column)
                         share.append(area / whole)
-    return np.array(camera), np.array(projector), np.array(share)
+                        areas.append(area)
+    return np.array(camera), np.array(projector), np.array(share), np.array(areas)

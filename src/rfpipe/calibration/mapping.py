@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.defects import MAD_TO_DEVIATION
+from rfpipe.rigs.geometry import apply_homography
 
-__all__ = ["LEAST_POINTS", "SmoothMap", "camera_points", "fit_map", "inner"]
+__all__ = ["LEAST_POINTS", "SmoothMap", "fit_map", "inner"]
 
 Double = NDArray[np.float64]
 
@@ -83,19 +84,6 @@ class SmoothMap:
             "rms_pixels": self.rms,
             "error_pixels": self.error,
         }
-
-
-def apply_homography(homography: Double, points: Double) -> Double:
-    """Map points (..., 2)."""
-    x, y, w = np.moveaxis(points @ homography[:, :2].T + homography[:, 2], -1, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([x / w, y / w], axis=-1)
-
-
-def camera_points(shape: tuple[int, int]) -> Double:
-    """Return (x, y) of the middles of a picture's pixels, (H, W, 2)."""
-    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
-    return np.stack([x, y], axis=-1)
 
 
 def inner(valid: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,36 +45,24 @@ class Bins:
     @classmethod
     def none(cls, count: int) -> Bins:
         """Return bins without pairs."""
-        return cls(
-            np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count), np.ones(count)
-        )
+        pairs, signals, squares, fourths = np.zeros((4, count))
+        return cls(pairs, signals, squares, fourths, np.ones(count))
 
     def plus(self, other: Bins) -> Bins:
         """Return the pairs of both."""
-        return Bins(
-            self.pairs + other.pairs,
-            self.signals + other.signals,
-            self.squares + other.squares,
-            self.fourths + other.fourths,
-            self.steps,
-        )
+        return replace(self._each(np.add, other), steps=self.steps)
 
     def joined(self, other: Bins | None) -> Bins:
         """Return the bins of both, one after the other."""
-        if other is None:
-            return self
-        names = ("pairs", "signals", "squares", "fourths", "steps")
-        return Bins(*(np.concatenate([getattr(self, n), getattr(other, n)]) for n in names))
+        return self if other is None else self._each(np.append, other)
 
     def chosen(self, mask: NDArray[np.bool_]) -> Bins:
         """Return some of the bins."""
-        names = ("pairs", "signals", "squares", "fourths", "steps")
-        return Bins(*(getattr(self, name)[mask] for name in names))
+        return self._each(lambda values: values[mask])
 
     def replaced_by(self, other: Bins, mask: NDArray[np.bool_]) -> Bins:
         """Return the bins with another's where masked."""
-        names = ("pairs", "signals", "squares", "fourths", "steps")
-        return Bins(*(np.where(mask, getattr(other, n), getattr(self, n)) for n in names))
+        return self._each(lambda own, others: np.choose(mask, (own, others)), other)
 
     def averaged(self, group: int) -> Bins:
         """Return bins of `group` neighbours each, all with one weight; empty where one lacks."""
@@ -85,13 +75,7 @@ class Bins:
             values = sums.reshape(-1, group) / least
             return np.asarray(whole * values.mean(axis=1))
 
-        return Bins(
-            whole, mean(self.signals), mean(self.squares), mean(self.fourths), np.ones_like(whole)
-        )
-
-    def with_steps(self, steps: Double) -> Bins:
-        """Return the bins with steps of their own."""
-        return replace(self, steps=steps)
+        return replace(self._each(mean), pairs=whole, steps=np.ones_like(whole))
 
     @property
     def signal(self) -> Double:
@@ -108,6 +92,11 @@ class Bins:
         """Standard error of that variance, from its own spread."""
         spread = self.fourths / np.maximum(self.pairs, 1) - self.variance**2
         return np.sqrt(np.maximum(spread, 0) / np.maximum(self.pairs, 1))
+
+    def _each(self, change: Callable[..., NDArray[Any]], *others: Bins) -> Bins:
+        """Return what becomes of each array, together with those of other bins."""
+        names = [field.name for field in fields(self)]
+        return Bins(*(change(*(getattr(bins, n) for bins in (self, *others))) for n in names))
 
 
 @dataclass(frozen=True)

@@ -74,8 +74,8 @@ class RayFit:
 
 def coverage(
     maps: Sequence[SmoothMap], layout: ProjectorLayout, camera_shape: tuple[int, int]
-) -> csr_array[Any]:
-    """Return the share of each camera pixel that looks at each ray.
+) -> tuple[csr_array[Any], Double]:
+    """Return the share of each camera pixel that looks at each ray, and what is seen of each.
 
     Parameters
     ----------
@@ -86,8 +86,10 @@ def coverage(
 
     Returns
     -------
-    csr_array of float64, shape (camera pixels, rays)
+    shares : csr_array of float64, shape (camera pixels, rays)
         Exact areas: each pixel's outline, cut by the projector pixels of each ray.
+    seen : ndarray of float64, shape (rays,)
+        Area of each ray that camera pixels look at, in projector pixels.
     """
     from scipy.sparse import coo_array
 
@@ -101,16 +103,18 @@ def coverage(
             f"{len(maps)} maps for a layout of {domain.views} views; expected one each"
         )
     rays = layout.ray_of_pixel.ravel()
-    found: list[tuple[NDArray[Any], NDArray[Any], NDArray[Any]]] = []
+    found: list[list[NDArray[Any]]] = []
     for view, to_projector in enumerate(maps):
         corners = to_projector(np.stack([x, y], axis=-1))
         chosen = _near(corners, domain.view_of(layout.ray_of_pixel) == view)
-        pixel, target, share = overlaps(corners, chosen, *layout.display_shape)
+        pixel, target, *areas = overlaps(corners, chosen, *layout.display_shape)
         ray = rays[target.astype(np.int64)]
         own = (ray != DARK) & (domain.view_of(ray) == view)
-        found.append((pixel[own].astype(np.int64), ray[own].astype(np.int64), share[own]))
-    pixel, ray, share = (np.concatenate(part) for part in zip(*found, strict=True))
-    return coo_array((share, (pixel, ray)), shape=(height * width, prod(layout.shape))).tocsr()
+        found.append([part[own] for part in (pixel.astype(np.int64), ray, *areas)])
+    pixel, ray, share, area = (np.concatenate(part) for part in zip(*found, strict=True))
+    count = prod(layout.shape)
+    shares = coo_array((share, (pixel, ray)), shape=(height * width, count)).tocsr()
+    return shares, np.asarray(np.bincount(ray, area, count), np.float64)
 
 
 def fit_rays(
@@ -149,12 +153,8 @@ def fit_rays(
     """
     from scipy.sparse import csr_array, diags_array
 
-    shares = coverage(maps, layout, camera_shape)
-    outlines = _areas(maps, layout, camera_shape, shares)
-    pixels_of_ray = np.bincount(layout.ray_of_pixel[layout.ray_of_pixel != DARK],
-                                minlength=prod(layout.shape))  # fmt: skip
-    seen_pixels: Double = np.asarray(shares.T @ outlines)
-    seen = seen_pixels > LEAST_SEEN * np.maximum(pixels_of_ray, 1)
+    shares, area = coverage(maps, layout, camera_shape)
+    seen = area > LEAST_SEEN * np.maximum(layout.pixels_of_ray, 1)
     if not seen.any():
         raise CaptureError(
             "the camera sees none of the rays; check their place on the projector, and the "
@@ -195,28 +195,6 @@ def _near(corners: Double, region: NDArray[np.bool_]) -> NDArray[np.bool_]:
     with np.errstate(invalid="ignore"):
         inside = np.asarray(((corners > low - 1) & (corners < high + 1)).all(axis=-1))
     return np.asarray(inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:])
-
-
-def _areas(
-    maps: Sequence[SmoothMap],
-    layout: ProjectorLayout,
-    camera_shape: tuple[int, int],
-    shares: csr_array[Any],
-) -> Double:
-    """Return the area of each camera pixel on the projector, in projector pixels, (Hc Wc,)."""
-    height, width = camera_shape
-    y, x = np.mgrid[: height + 1, : width + 1].astype(np.float64)
-    view_of_pixel = np.zeros(height * width, np.int64)
-    rows, rays = shares.nonzero()
-    view_of_pixel[rows] = RayDomain(layout.shape).view_of(rays)
-    areas = np.zeros(height * width)
-    for view, to_projector in enumerate(maps):
-        corner = to_projector(np.stack([x, y], axis=-1))
-        first, second = corner[1:, 1:] - corner[:-1, :-1], corner[1:, :-1] - corner[:-1, 1:]
-        cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
-        own = view_of_pixel == view
-        areas[own] = np.abs(cross).ravel()[own] / 2
-    return areas
 
 
 def _with_past(shares: csr_array[Any]) -> tuple[csr_array[Any], NDArray[np.int64]]:

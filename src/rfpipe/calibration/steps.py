@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.base import (
-    Findings,
-    Verdict,
-    brackets_of,
-    camera_model,
-    uniform,
-)
+from rfpipe.calibration.base import Findings, Verdict, camera_model, take, uniform
 from rfpipe.calibration.blur import fit_blur
 from rfpipe.calibration.correspondence import (
     Correspondence,
@@ -37,7 +31,7 @@ from rfpipe.calibration.linearity import (
     measure_linearity,
     power_law,
 )
-from rfpipe.calibration.mapping import SmoothMap, camera_points, fit_map, inner
+from rfpipe.calibration.mapping import SmoothMap, fit_map, inner
 from rfpipe.calibration.rays import RayFit, fit_rays
 from rfpipe.calibration.symmetry import measure_symmetry, symmetry_findings, take_symmetry
 from rfpipe.calibration.transfer import (
@@ -48,9 +42,10 @@ from rfpipe.calibration.transfer import (
 )
 from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
 from rfpipe.config import CalibrationConfig
-from rfpipe.photometry import CameraModel, Resampling
+from rfpipe.photometry import CameraModel, ResampledSensor, Resampling
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
+from rfpipe.rigs.geometry import pixel_middles
 from rfpipe.rigs.layout import ProjectorLayout
 
 __all__ = ["STEPS", "Bench", "Step", "camera_numbers", "steps_of"]
@@ -168,7 +163,7 @@ def _dark(bench: Bench) -> Findings:
 
 def _linearity(bench: Bench) -> Findings:
     pictures = (uniform(bench.projector, level) for level in LEVELS)
-    frames = list(brackets_of(bench.projector, bench.camera, pictures))
+    frames = list(take(bench.projector, bench.camera, pictures))
     model, tolerance = bench.model, bench.settings.tolerance / 2
     found = measure_linearity(frames, bench.dark, model.exposures, model.white_level, tolerance)
     return linearity_findings(found, tolerance)
@@ -201,7 +196,7 @@ def _correspondence(bench: Bench) -> Findings:
 def _rays(bench: Bench) -> Findings:
     settings, display = bench.settings, bench.projector.shape
     found = Correspondence.from_arrays(bench.found["correspondence"].arrays)
-    points = camera_points(bench.camera.shape)
+    points = pixel_middles(bench.camera.shape)
     corners = settings.corners
     if settings.views is not None and corners is None:
         corners = tuple(find_views(found, settings.views))  # type: ignore[arg-type]
@@ -239,9 +234,9 @@ def _rays(bench: Bench) -> Findings:
 
 def _symmetry(bench: Bench) -> Findings:
     arrays = bench.found["rays"].arrays
-    camera = _Modelled(bench.camera, bench.model)
-    layout = ProjectorLayout.from_arrays(arrays)
-    rig = DeviceRig(bench.lit, camera, layout, Resampling.from_arrays(arrays))
+    layout, resampling = ProjectorLayout.from_arrays(arrays), Resampling.from_arrays(arrays)
+    rig = DeviceRig(bench.lit, bench.camera, layout, resampling)
+    rig.sensor = ResampledSensor(bench.model, resampling)
     taken = take_symmetry(rig, bench.settings.symmetry_patterns, bench.settings.dark_frames)
     return symmetry_findings(measure_symmetry(*taken), bench.settings.tolerance)
 
@@ -281,26 +276,6 @@ def steps_of(settings: CalibrationConfig) -> list[Step]:
     """Return the steps of a rig: those of rays and symmetry are for coaxial ones."""
     coaxial = {"rays", "symmetry"}
     return [step for step in STEPS.values() if settings.coaxial or step.name not in coaxial]
-
-
-class _Modelled:
-    """A camera whose sensor has the numbers that were found."""
-
-    def __init__(self, camera: Camera, sensor: CameraModel) -> None:
-        self._camera = camera
-        self.shape, self.channels, self.sensor = camera.shape, camera.channels, sensor
-
-    def expose(self) -> NDArray[Any]:
-        """Take one bracket."""
-        return self._camera.expose()
-
-    def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests."""
-        return self._camera.describe()
-
-    def close(self) -> None:
-        """Give the camera back."""
-        self._camera.close()
 
 
 def _rays_a_view(corners: Iterable[Any]) -> tuple[int, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -177,7 +177,7 @@ def measure_transfer(
     # where rounding hides noise, the two pictures' own mean tells whether they differ: there,
     # longer exposures have to tell the signal
     total = total.replaced_by(fine.averaged(PHASES), total.variance < HIDDEN)
-    total = total.with_steps(_steps(total.signal, response, span))
+    total = replace(total, steps=_steps(total.signal, response, span))
     used = _usable(total, _limit(saturation, dark.black_level, response, span))
     if used.sum() < 2:
         raise CaptureError(

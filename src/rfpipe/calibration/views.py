@@ -8,21 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.correspondence import Correspondence
-from rfpipe.calibration.mapping import (
-    LEAST_POINTS,
-    SmoothMap,
-    apply_homography,
-    camera_points,
-    fit_map,
-    inner,
-)
+from rfpipe.calibration.mapping import LEAST_POINTS, SmoothMap, fit_map, inner
 from rfpipe.errors import CaptureError
-from rfpipe.rigs.layout import DARK, ProjectorLayout
+from rfpipe.rigs.geometry import (
+    Quadrilateral,
+    apply_homography,
+    homography,
+    layout_within,
+    pixel_middles,
+)
+from rfpipe.rigs.layout import ProjectorLayout
 
 __all__ = ["find_views", "layout_of_views", "maps_of_views"]
 
 Double = NDArray[np.float64]
-Quadrilateral = Sequence[tuple[float, float]]
 
 JUMP = 6.0
 """Steps between neighbouring camera pixels, as a multiple of the usual one, that end a view."""
@@ -100,33 +99,25 @@ def layout_of_views(
     CaptureError
         When a ray has no projector pixel.
     """
-    rays = np.full(display_shape, DARK, np.int32)
-    middles = camera_points(display_shape)
-    height, width = shape
-    for view, quad in enumerate(corners):
-        place = apply_homography(_to_rays(shape, quad), middles).round(6)
-        inside = ((place >= 0) & (place < (width, height))).all(axis=-1)
-        x, y = np.floor(place[inside]).astype(np.int32).T
-        rays[inside] = (view * height + y) * width + x
-    total = len(corners) * height * width
-    lit = np.bincount(rays[rays != DARK], minlength=total)
-    if not lit.all():
+    layout = layout_within(corners, (len(corners), *shape), display_shape)
+    unlit = np.count_nonzero(layout.pixels_of_ray == 0)
+    if unlit:
         raise CaptureError(
-            f"{np.count_nonzero(lit == 0)} of {total} rays have no projector pixel; {shape} rays a "
+            f"{unlit} of {layout.pixels_of_ray.size} rays have no projector pixel; {shape} rays a "
             "view are too many for its place on the projector"
         )
-    return ProjectorLayout((len(corners), height, width), rays)
+    return layout
 
 
 def maps_of_views(
     correspondence: Correspondence, corners: Sequence[Quadrilateral]
 ) -> list[SmoothMap]:
     """Fit the map from camera to projector of each view, to the pixels that look into it."""
-    points = camera_points(correspondence.valid.shape)
+    points = pixel_middles(correspondence.valid.shape)
     there = np.stack([correspondence.x, correspondence.y], axis=-1)
     maps = []
     for quad in corners:
-        place = apply_homography(_to_rays((1, 1), quad), there)
+        place = apply_homography(np.linalg.inv(homography((1, 1), quad)), there)
         inside = correspondence.valid & ((place >= 0) & (place <= 1)).all(axis=-1)
         maps.append(fit_map(points[inside], there[inside], inner(inside)[inside]))
     return maps
@@ -171,13 +162,3 @@ def _trimmed(points: Double) -> Double:
     margin = 0.02 * (high - low)
     inside = ((points >= low - margin) & (points <= high + margin)).all(axis=1)
     return np.asarray(points[inside])
-
-
-def _to_rays(shape: tuple[int, int], quad: Quadrilateral) -> Double:
-    """Return the homography from the projector to a view's plane of rays."""
-    import cv2
-
-    height, width = shape
-    plane = np.array([(0, 0), (width, 0), (width, height), (0, height)], np.float32)
-    found = cv2.getPerspectiveTransform(np.array(quad, np.float32), plane)
-    return np.asarray(found, np.float64)

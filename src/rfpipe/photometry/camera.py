@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
-from rfpipe.photometry.counts import CountsMerge
-from rfpipe.photometry.demosaic import BAYER_PATTERNS, check_mosaic, mosaic
+from rfpipe.photometry.counts import CameraNumbers, CountsMerge
+from rfpipe.photometry.demosaic import check_mosaic, mosaic
 from rfpipe.photometry.optics import apply_optics
 from rfpipe.photometry.sensor import (
     ExactSensor,
-    Merged,
     MergeOptions,
     Sensor,
     check_light,
@@ -36,7 +34,7 @@ is a rounded Gaussian of the same mean and variance (skewness of the true one: a
 
 
 @dataclass(frozen=True)
-class CameraModel:
+class CameraModel(CameraNumbers, Sensor):
     """A camera with photon and read noise, limited wells and a converter of few bits.
 
     Radiance -> lens -> mosaic -> electrons of each exposure (Poisson), full well, read noise
@@ -74,53 +72,6 @@ class CameraModel:
     InputError
         When a setting is out of range.
     """
-
-    exposures: tuple[float, ...] = (1 / 64, 1 / 16, 1 / 4, 1.0)
-    electrons_per_radiance: float = 640_000.0
-    full_well_electrons: float = 20_000.0
-    read_noise_electrons: float = 5.0
-    dark_current_electrons: float = 1.0
-    black_level_counts: int = 64
-    bits: int = 12
-    psf_sigma: float = 0.0
-    vignetting: float = 0.0
-    flare: float = 0.0
-    bayer: str | None = None
-    response_gamma: float = 1.0
-
-    def __post_init__(self) -> None:
-        ascending = all(a < b for a, b in zip(self.exposures, self.exposures[1:], strict=False))
-        checks = {
-            "exposures": (bool(self.exposures) and self.exposures[0] > 0 and ascending, "ascend"),
-            "electrons_per_radiance": (self.electrons_per_radiance > 0, "be above 0"),
-            "full_well_electrons": (self.full_well_electrons > 0, "be above 0"),
-            "read_noise_electrons": (self.read_noise_electrons >= 0, "be at least 0"),
-            "dark_current_electrons": (self.dark_current_electrons >= 0, "be at least 0"),
-            "bits": (1 <= self.bits <= 16, "be 1 to 16"),
-            "black_level_counts": (
-                0 <= self.black_level_counts < self.white_level,
-                f"be at least 0 and below full scale, {self.white_level}",
-            ),
-            "psf_sigma": (self.psf_sigma >= 0, "be at least 0"),
-            "vignetting": (0 <= self.vignetting < 1, "be in [0, 1)"),
-            "flare": (0 <= self.flare < 1, "be in [0, 1)"),
-            "bayer": (self.bayer in (None, *BAYER_PATTERNS), f"be None or in {BAYER_PATTERNS}"),
-            "response_gamma": (self.response_gamma > 0, "be above 0"),
-        }
-        for name, (is_right, expected) in checks.items():
-            value = getattr(self, name)
-            if not is_right or (isinstance(value, float) and not np.isfinite(value)):
-                raise InputError(f"camera: {name} is {value}; it must {expected}")
-
-    @property
-    def white_level(self) -> int:
-        """Full scale in counts."""
-        return int(2**self.bits) - 1
-
-    @property
-    def electrons_per_count(self) -> float:
-        """Gain of a linear camera: the full well gives full scale."""
-        return self.full_well_electrons / (self.white_level - self.black_level_counts)
 
     @property
     def frame_dtype(self) -> np.dtype[Any]:
@@ -164,14 +115,11 @@ class CameraModel:
             frames[index] = self._frame(light, exposure, generator(seed, *key, index))
         return frames
 
-    def merge(
-        self, frames: NDArray[Any], black: NDArray[Any], options: MergeOptions | None = None
-    ) -> Merged:
-        """Merge brackets to radiance with its variance.
+    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> CountsMerge:
+        """Return what merges many brackets to radiance with its variance.
 
         Parameters
         ----------
-        frames : ndarray of uint16, shape (B, *frame_shape)
         black : ndarray of float32, shape `frame_shape`
             Mean of the all-off frames in counts. A response_gamma above 1 is steep there: a black
             level that leaves no room for the read noise cuts its lower half off, and the mean of
@@ -181,19 +129,15 @@ class CameraModel:
 
         Returns
         -------
-        Merged
-            In units of radiance; the black level's own noise is part of the variance.
+        CountsMerge
+            Merges frames of uint16, shape (B, *frame_shape), in units of radiance; the black
+            level's own noise is part of the variance.
 
         Raises
         ------
         CaptureError
-            When frames or `black` have the wrong shape, dtype or range.
+            When `black` has the wrong shape or range.
         """
-        options = options or MergeOptions()
-        return self.merging(black, options)(frames, options.first_index)
-
-    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> CountsMerge:
-        """Return `merge` for many brackets; see `Sensor.merging`."""
         return CountsMerge(self, black, options or MergeOptions())
 
     def _frame(self, light: Float, exposure: float, random: np.random.Generator) -> Counts:

@@ -1,20 +1,21 @@
-"""Merging the brackets of one camera: what they share is worked out once."""
+"""A camera's numbers, and the merge of its brackets: what they share is worked out once."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.photometry.demosaic import demosaic
+from rfpipe.errors import InputError
+from rfpipe.photometry.demosaic import BAYER_PATTERNS, demosaic
 from rfpipe.photometry.hdr import ROUNDS, UNKNOWN_DEVIATION, merge_bracket
 from rfpipe.photometry.sensor import Merged, MergeOptions, check_black, check_frames, check_shape
 from rfpipe.units import COUNTS, RADIANCE
 
-__all__ = ["CountsMerge", "electrons_of_counts"]
+__all__ = ["CameraNumbers", "CountsMerge", "electrons_of_counts"]
 
 Float = NDArray[np.float32]
 
@@ -27,29 +28,62 @@ COMPILED_AFTER = 2**25
 long for so many as the loading takes. Both give the same bits."""
 
 
-class CameraNumbers(Protocol):
-    """What the merge needs to know of a camera: see `rfpipe.photometry.camera.CameraModel`."""
+@dataclass(frozen=True)
+class CameraNumbers:
+    """What makes a camera's counts; see `rfpipe.photometry.camera.CameraModel`, which explains it.
+
+    Raises
+    ------
+    InputError
+        When a setting is out of range.
+    """
+
+    exposures: tuple[float, ...] = (1 / 64, 1 / 16, 1 / 4, 1.0)
+    electrons_per_radiance: float = 640_000.0
+    full_well_electrons: float = 20_000.0
+    read_noise_electrons: float = 5.0
+    dark_current_electrons: float = 1.0
+    black_level_counts: int = 64
+    bits: int = 12
+    psf_sigma: float = 0.0
+    vignetting: float = 0.0
+    flare: float = 0.0
+    bayer: str | None = None
+    response_gamma: float = 1.0
+
+    def __post_init__(self) -> None:
+        ascending = all(a < b for a, b in zip(self.exposures, self.exposures[1:], strict=False))
+        checks = {
+            "exposures": (bool(self.exposures) and self.exposures[0] > 0 and ascending, "ascend"),
+            "electrons_per_radiance": (self.electrons_per_radiance > 0, "be above 0"),
+            "full_well_electrons": (self.full_well_electrons > 0, "be above 0"),
+            "read_noise_electrons": (self.read_noise_electrons >= 0, "be at least 0"),
+            "dark_current_electrons": (self.dark_current_electrons >= 0, "be at least 0"),
+            "bits": (1 <= self.bits <= 16, "be 1 to 16"),
+            "black_level_counts": (
+                0 <= self.black_level_counts < self.white_level,
+                f"be at least 0 and below full scale, {self.white_level}",
+            ),
+            "psf_sigma": (self.psf_sigma >= 0, "be at least 0"),
+            "vignetting": (0 <= self.vignetting < 1, "be in [0, 1)"),
+            "flare": (0 <= self.flare < 1, "be in [0, 1)"),
+            "bayer": (self.bayer in (None, *BAYER_PATTERNS), f"be None or in {BAYER_PATTERNS}"),
+            "response_gamma": (self.response_gamma > 0, "be above 0"),
+        }
+        for name, (is_right, expected) in checks.items():
+            value = getattr(self, name)
+            if not is_right or (isinstance(value, float) and not np.isfinite(value)):
+                raise InputError(f"camera: {name} is {value}; it must {expected}")
 
     @property
-    def exposures(self) -> tuple[float, ...]: ...
+    def white_level(self) -> int:
+        """Full scale in counts."""
+        return int(2**self.bits) - 1
+
     @property
-    def electrons_per_radiance(self) -> float: ...
-    @property
-    def full_well_electrons(self) -> float: ...
-    @property
-    def read_noise_electrons(self) -> float: ...
-    @property
-    def dark_current_electrons(self) -> float: ...
-    @property
-    def black_level_counts(self) -> int: ...
-    @property
-    def white_level(self) -> int: ...
-    @property
-    def electrons_per_count(self) -> float: ...
-    @property
-    def bayer(self) -> str | None: ...
-    @property
-    def response_gamma(self) -> float: ...
+    def electrons_per_count(self) -> float:
+        """Gain of a linear camera: the full well gives full scale."""
+        return self.full_well_electrons / (self.white_level - self.black_level_counts)
 
 
 class CountsMerge:

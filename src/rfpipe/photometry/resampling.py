@@ -105,11 +105,8 @@ class Resampling:
         CaptureError
             When the images have another shape.
         """
-        return self._applied([self.matrix] * radiance.shape[-1], radiance)
-
-    def apply_to_variance(self, variance: NDArray[Any]) -> Float:
-        """Carry the variance of independent pixels (B, Hc, Wc, C) to the rays: squared weights."""
-        return self._applied([self.matrix.power(2)] * variance.shape[-1], variance)
+        matrices = [self.matrix] * radiance.shape[-1]
+        return applied(matrices, radiance, self.shape, self.camera_shape)
 
     def without(self, pixels: NDArray[np.bool_]) -> Resampling:
         """Return a resampling that takes nothing from some camera pixels, as defective ones.
@@ -185,9 +182,6 @@ class Resampling:
         """Fingerprint of shapes and weights."""
         return fingerprint(self.arrays())
 
-    def _applied(self, matrices: list[csr_array[Any]], images: NDArray[Any]) -> Float:
-        return applied(matrices, images, self.shape, self.camera_shape)
-
 
 def applied(
     matrices: list[csr_array[Any]],
@@ -222,7 +216,7 @@ def normalised(matrix: csr_array[Any]) -> csr_array[Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class ResampledSensor:
+class ResampledSensor(Sensor):
     """A camera whose merged images are resampled to rays; its frames stay those of the camera.
 
     Parameters
@@ -256,28 +250,36 @@ class ResampledSensor:
             f"to a picture {np.shape(radiance)}; its frames come from a camera"
         )
 
-    def merge(
-        self, frames: NDArray[Any], black: NDArray[Any], options: MergeOptions | None = None
-    ) -> Merged:
-        """Merge brackets (B, E, Hc, Wc[, C]) of the camera, and resample them to rays.
+    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:
+        """Return what merges brackets (B, E, Hc, Wc[, C]) of the camera to rays (B, *rays, C).
 
-        Returns
-        -------
-        Merged
-            Radiance and variance (B, *rays, C). Neighbouring rays that share a pixel share its
-            noise; the variance is each ray's own, and exact also under a mosaic.
+        Photosites are merged as grey pixels, then one matrix fills in the mosaic and resamples: the
+        noise that the filling spreads over neighbours counts once. Neighbouring rays that share a
+        pixel share its noise; the variance is each ray's own.
 
         Raises
         ------
         CaptureError
-            As the camera's merge, and where frames don't have the calibrated size.
+            When `black` can't be of this camera; from what is returned, when frames can't be or
+            don't have the calibrated size.
         """
-        options = options or MergeOptions()
-        return self.merging(black, options)(frames, options.first_index)
+        has_mosaic = self.sensor.bayer is not None
+        shapes = self.resampling.shape, self.resampling.camera_shape
+        black = np.asarray(black)
+        grey = replace(self.sensor, bayer=None)
+        merge = grey.merging(black[..., None] if has_mosaic else black, options)
 
-    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:
-        """Return `merge` for many brackets; see `Sensor.merging`."""
-        return _ResampledMerge(self, black, options or MergeOptions())
+        def resampled(frames: NDArray[Any], first_index: int = 0) -> Merged:
+            frames = np.asarray(frames)
+            merged = merge(frames[..., None] if has_mosaic else frames, first_index)
+            repeats = 1 if has_mosaic else merged.radiance.shape[-1]
+            return Merged(
+                applied(self.matrices * repeats, merged.radiance, *shapes),
+                applied(self.squares * repeats, merged.variance, *shapes),
+                merged.saturated,
+            )
+
+        return resampled
 
     def without(self, pixels: NDArray[np.bool_]) -> ResampledSensor:
         """Return a sensor that takes nothing from defective pixels; see `Resampling.without`."""
@@ -309,32 +311,6 @@ class ResampledSensor:
     def squares(self) -> list[csr_array[Any]]:
         """The same with squared weights, for the variance."""
         return [matrix.power(2) for matrix in self.matrices]
-
-
-class _ResampledMerge:
-    """The merge of photosites as grey pixels, then demosaic and resampling in one matrix.
-
-    In one, the noise that the interpolation spreads over neighbours counts once.
-    """
-
-    def __init__(self, sensor: ResampledSensor, black: NDArray[Any], options: MergeOptions) -> None:
-        self._sensor = sensor
-        self._has_mosaic = sensor.sensor.bayer is not None
-        grey = replace(sensor.sensor, bayer=None)
-        black = np.asarray(black)
-        self._merge = grey.merging(black[..., None] if self._has_mosaic else black, options)
-
-    def __call__(self, frames: NDArray[Any], first_index: int = 0) -> Merged:
-        frames = np.asarray(frames)
-        merged = self._merge(frames[..., None] if self._has_mosaic else frames, first_index)
-        sensor, resampling = self._sensor, self._sensor.resampling
-        shapes = resampling.shape, resampling.camera_shape
-        repeats = 1 if self._has_mosaic else merged.radiance.shape[-1]
-        return Merged(
-            applied(sensor.matrices * repeats, merged.radiance, *shapes),
-            applied(sensor.squares * repeats, merged.variance, *shapes),
-            merged.saturated,
-        )
 
 
 def sensor_from_description(

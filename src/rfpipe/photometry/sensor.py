@@ -119,14 +119,17 @@ class Sensor(Protocol):
         """
 
     def merge(
-        self, frames: NDArray[Any], black: NDArray[Any], options: MergeOptions = ...
+        self, frames: NDArray[Any], black: NDArray[Any], options: MergeOptions | None = None
     ) -> Merged:
         """Merge brackets (B, E, ...), given the mean of the all-off bracket (E, ...).
 
-        Raises CaptureError where a frame can't be one of this sensor's.
+        Raises CaptureError where a frame can't be one of this sensor's: names the pattern and the
+        pixel.
         """
+        options = options or MergeOptions()
+        return self.merging(black, options)(frames, options.first_index)
 
-    def merging(self, black: NDArray[Any], options: MergeOptions = ...) -> BracketMerge:
+    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:
         """Return `merge` for many brackets, all that depends on `black` alone worked out once.
 
         Raises CaptureError where `black` can't be of this sensor.
@@ -137,7 +140,7 @@ class Sensor(Protocol):
 
 
 @dataclass(frozen=True)
-class ExactSensor:
+class ExactSensor(Sensor):
     """A sensor without noise or limits: one exposure of a second, frames are radiance."""
 
     exposures: tuple[float, ...] = (1.0,)
@@ -161,25 +164,10 @@ class ExactSensor:
         """Return the radiance as the only frame of a bracket, float32 (1, *camera_shape, C)."""
         return check_light(radiance, key)[None]
 
-    def merge(
-        self, frames: NDArray[Any], black: NDArray[Any], options: MergeOptions | None = None
-    ) -> Merged:
-        """Subtract the all-off frame; the variance is zero.
-
-        Raises
-        ------
-        CaptureError
-            Where a frame has the wrong shape, or is not finite or negative somewhere: names the
-            pattern and the pixel.
-        """
-        options = options or MergeOptions()
-        return self.merging(black, options)(frames, options.first_index)
-
     def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:
-        """Return `merge` for many brackets; see `Sensor.merging`."""
-        options = options or MergeOptions()
+        """Return what subtracts the all-off frame; the variance is zero."""
         check_black(np.asarray(black), 1)
-        return partial(_subtracted, np.asarray(black), options)
+        return partial(_subtracted, np.asarray(black), options or MergeOptions())
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""

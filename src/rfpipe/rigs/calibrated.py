@@ -15,19 +15,10 @@ from rfpipe.photometry.resampling import Resampling
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 
-__all__ = ["CAMERA_NUMBERS", "Calibration", "load_calibration", "write_calibration"]
+__all__ = ["Calibration", "load_calibration", "write_calibration"]
 
 FACTS, ARRAYS = "calibration.json", "calibration.zarr"
 """What lies in the folder: facts that a person reads, and the arrays."""
-
-CAMERA_NUMBERS = (
-    "full_well_electrons",
-    "read_noise_electrons",
-    "dark_current_electrons",
-    "black_level_counts",
-    "response_gamma",
-)
-"""Parameters of `CameraModel` that a calibration measures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +32,8 @@ class Calibration:
     resampling : Resampling or None
         How the camera's images become images on the rays.
     camera : dict
-        Measured parameters of `CameraModel`, some of `CAMERA_NUMBERS`.
+        Measured parameters of `CameraModel`: full well, read noise, dark current, black level and
+        gamma of the response, as far as they were found.
     projector_response : ndarray of float64, shape (256,), or None
         Light of each code as a fraction of that of code 255, ascending from 0 to 1.
     black : ndarray of float32 or None

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError, InputError
+from rfpipe.errors import InputError
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key, check_patterns
-from rfpipe.rigs.devices import Camera, Projector
+from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of
 from rfpipe.rigs.layout import ProjectorLayout
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["DeviceRig"]
 
 
-class DeviceRig:
+class DeviceRig(Closing):
     """A rig of two devices: shows a pattern on the projector, then has the camera take a bracket.
 
     Retries of failed frames are the camera's; what reaches this rig is good or an error.
@@ -78,7 +78,9 @@ class DeviceRig:
         dtype = self.camera.sensor.frame_dtype
         frames = np.empty((len(patterns), *self._frame_shape), dtype)
         for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
-            frames[index] = self._bracket(pattern, tuple(key))
+            picture = pattern if self.layout is None else self.layout.picture(pattern)
+            name = f"pattern {tuple(key)}"
+            frames[index] = bracket_of(self.projector, self.camera, picture, name)
         return frames
 
     def describe(self) -> dict[str, Any]:
@@ -110,28 +112,6 @@ class DeviceRig:
             self.camera.close()
         finally:
             self.projector.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def _bracket(self, pattern: NDArray[np.float32], key: Key) -> NDArray[Any]:
-        picture = pattern if self.layout is None else self.layout.picture(pattern)
-        try:
-            self.projector.show(picture)
-            frames = np.asarray(self.camera.expose())
-        except CaptureError as error:
-            raise CaptureError(f"pattern {key}: {error}") from error
-        dtype = self.camera.sensor.frame_dtype
-        if frames.shape != self._frame_shape or frames.dtype != dtype:
-            raise CaptureError(
-                f"pattern {key}: the camera returned {frames.dtype} frames of shape "
-                f"{frames.shape}; expected {dtype} {self._frame_shape}. Check the camera's size, "
-                "pixel format and exposures"
-            )
-        return frames
 
 
 def _sensor(camera: Camera, resampling: Resampling | None) -> Sensor:

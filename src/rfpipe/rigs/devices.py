@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
+from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.sensor import Sensor
 
-__all__ = ["Camera", "Projector", "check_picture"]
+__all__ = ["Camera", "Closing", "Projector", "bracket_of", "check_picture"]
 
 Float = NDArray[np.float32]
 
@@ -78,6 +78,43 @@ class Camera(Protocol):
 
     def close(self) -> None:
         """Give the camera back; closing twice is no error."""
+
+
+class Closing:
+    """What a with statement closes in the end."""
+
+    def close(self) -> None:
+        """Give back what it holds; closing twice is no error."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def bracket_of(projector: Projector, camera: Camera, picture: Float, name: str) -> NDArray[Any]:
+    """Show a picture and return its bracket, shape (E, H, W[, C]).
+
+    Raises
+    ------
+    CaptureError
+        When a device fails, or the camera returns what is no bracket of its own; begins with the
+        picture's name.
+    """
+    try:
+        projector.show(picture)
+        frames = np.asarray(camera.expose())
+    except CaptureError as error:
+        raise CaptureError(f"{name}: {error}") from error
+    dtype = camera.sensor.frame_dtype
+    expected = camera.sensor.frame_shape(camera.shape, camera.channels)
+    if frames.shape != expected or frames.dtype != dtype:
+        raise CaptureError(
+            f"{name}: the camera returned {frames.dtype} frames of shape {frames.shape}; expected "
+            f"{dtype} {expected}. Check the camera's size, pixel format and exposures"
+        )
+    return frames
 
 
 def check_picture(picture: NDArray[Any], shape: tuple[int, int]) -> Float:

@@ -101,6 +101,12 @@ class ProjectorLayout:
         height, width = self.ray_of_pixel.shape
         return height, width
 
+    @property
+    def pixels_of_ray(self) -> NDArray[np.int64]:
+        """Number of projector pixels of each ray, (N,)."""
+        lit = self.ray_of_pixel[self.ray_of_pixel != DARK]
+        return np.bincount(lit, minlength=prod(self.shape))
+
     def picture(self, pattern: NDArray[Any]) -> Float:
         """Return the picture of a pattern.
 

@@ -13,18 +13,23 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import PatternOperator
-from rfpipe.rigs.layout import DARK, ProjectorLayout
+from rfpipe.rigs.geometry import (
+    Quadrilateral,
+    apply_homography,
+    homography,
+    layout_within,
+    lie_within,
+    rectangle,
+)
+from rfpipe.rigs.layout import DARK
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["OpticalPath", "Quadrilateral", "centred_corners", "tilted_corners"]
+__all__ = ["OpticalPath", "centred_corners", "tilted_corners"]
 
 Float = NDArray[np.float32]
 Double = NDArray[np.floating[Any]]
-Quadrilateral = Sequence[tuple[float, float]]
-"""(x, y) of the upper left, upper right, lower right and lower left corner of a view's rays, in
-pixels from the picture's upper left corner: a pixel's middle lies at halves."""
 
 SAMPLES = 8
 """Points a side at which each camera pixel looks into the scene."""
@@ -77,12 +82,12 @@ class OpticalPath:
         self.channels = scene.channels
         self._scene = scene
         self._ambient = np.float32(ambient)
-        self._to_projector = [_homography(shape, corners) for corners in projector_corners]
-        self._to_camera = [_homography(shape, corners) for corners in camera_corners]
-        self.layout = ProjectorLayout(shape, self._ray_of_pixel())
+        self._to_projector = [homography(shape, corners) for corners in projector_corners]
+        self._to_camera = [homography(shape, corners) for corners in camera_corners]
+        self.layout = layout_within(projector_corners, shape, projector_shape)
         self._rays = self.layout.ray_of_pixel.ravel()
         self._lit = self._rays != DARK
-        pixels = np.bincount(self._rays[self._lit], minlength=prod(shape))
+        pixels = self.layout.pixels_of_ray
         if not pixels.all():
             raise InputError(
                 f"bench: {np.count_nonzero(pixels == 0)} of {prod(shape)} rays have no projector "
@@ -132,9 +137,9 @@ class OpticalPath:
         points = np.asarray(camera_points, np.float64)
         found = np.full(points.shape, np.nan)
         for to_camera, to_projector in zip(self._to_camera, self._to_projector, strict=True):
-            place = _mapped(np.linalg.inv(to_camera), points)
-            inside = self._is_inside(place)
-            found[inside] = _mapped(to_projector, place[inside])
+            place = apply_homography(np.linalg.inv(to_camera), points)
+            inside = lie_within(place, RayDomain(self.shape).image_shape)
+            found[inside] = apply_homography(to_projector, place[inside])
         return found
 
     def describe(self) -> dict[str, Any]:
@@ -149,24 +154,6 @@ class OpticalPath:
             "ambient": float(self._ambient),
         }
 
-    def _is_inside(self, place: Double) -> NDArray[np.bool_]:
-        """Whether points (..., 2) of a view's plane of rays lie on a ray."""
-        limits = np.array(RayDomain(self.shape).image_shape[::-1])
-        return np.asarray(((place >= 0) & (place < limits)).all(axis=-1))
-
-    def _ray_of_pixel(self) -> NDArray[np.int32]:
-        """Return the ray that each projector pixel's middle belongs to."""
-        rays = np.full(self.projector_shape, DARK, np.int32)
-        middles = _middles(self.projector_shape)
-        height, width = RayDomain(self.shape).image_shape
-        for view, to_projector in enumerate(self._to_projector):
-            # a grid's edges fall on whole numbers, which must not depend on rounding
-            place = _mapped(np.linalg.inv(to_projector), middles).round(9)
-            inside = self._is_inside(place)
-            x, y = np.floor(place[inside]).astype(np.int32).T
-            rays[inside] = (view * height + y) * width + x
-        return rays
-
     def _sampling(self) -> csr_array[Any]:
         """Return the mean of the projector pixels' points that each camera pixel looks at."""
         from scipy.sparse import csr_array, vstack
@@ -180,16 +167,12 @@ class OpticalPath:
             points = np.stack(np.meshgrid(x, row + steps), axis=-1)
             target = self.projector_points(points).reshape(SAMPLES, width, SAMPLES, 2)
             pixel = np.broadcast_to(np.arange(width)[None, :, None], target.shape[:-1])
-            inside = self._on_projector(target)
+            inside = lie_within(target, self.projector_shape)
             u, v = np.floor(target[inside]).astype(np.int64).T
             weights = np.full(u.size, 1 / SAMPLES**2, np.float32)
             extent = (width, prod(self.projector_shape))
             rows.append(csr_array((weights, (pixel[inside], v * columns + u)), shape=extent))
         return csr_array(vstack(rows, "csr"))
-
-    def _on_projector(self, points: Double) -> NDArray[np.bool_]:
-        limits = np.array(self.projector_shape[::-1])
-        return np.asarray(((points >= 0) & (points < limits)).all(axis=-1))  # NaN is not
 
 
 def centred_corners(
@@ -221,7 +204,7 @@ def centred_corners(
     top, left = (picture_shape[0] - side * height) // 2, (picture_shape[1] - side * width) // 2
     tall, wide = side * image[0], side * image[1]
     return [
-        _rectangle(left + column * wide, top + row * tall, wide, tall)
+        rectangle(left + column * wide, top + row * tall, wide, tall)
         for row in range(views[0])
         for column in range(views[1])
     ]
@@ -245,7 +228,7 @@ def tilted_corners(
         for column in range(views[1]):
             left = (column + 0.5) * cell_width - wide / 2
             top = (row + 0.5) * cell_height - tall / 2
-            upright = np.array(_rectangle(left, top, wide, tall))
+            upright = np.array(rectangle(left, top, wide, tall))
             moved = upright + _TILT * (wide, tall)
             corners.append([(float(x), float(y)) for x, y in moved])
     return corners
@@ -253,38 +236,3 @@ def tilted_corners(
 
 _TILT = np.array([(0.020, -0.010), (0.012, 0.018), (-0.016, 0.012), (-0.024, -0.020)])
 """How far corners are moved, in fractions of the width and the height: less than the margin."""
-
-
-def _rectangle(left: float, top: float, width: float, height: float) -> Quadrilateral:
-    right, bottom = left + width, top + height
-    return [(left, top), (right, top), (right, bottom), (left, bottom)]
-
-
-def _middles(shape: tuple[int, int]) -> Double:
-    """Return (x, y) of the pixels' middles, (H, W, 2)."""
-    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
-    return np.stack([x, y], axis=-1)
-
-
-def _homography(shape: tuple[int, ...], corners: Quadrilateral) -> Double:
-    """Return the matrix (3, 3) from a view's plane of rays to a picture."""
-    height, width = RayDomain(shape).image_shape
-    equations, values = [], []
-    for (x, y), (u, v) in zip(_rectangle(0, 0, width, height), corners, strict=True):
-        equations.append([x, y, 1, 0, 0, 0, -u * x, -u * y])
-        equations.append([0, 0, 0, x, y, 1, -v * x, -v * y])
-        values += [u, v]
-    try:
-        solution = np.linalg.solve(np.array(equations, np.float64), np.array(values, np.float64))
-        matrix = np.append(solution, 1.0).reshape(3, 3)
-        np.linalg.inv(matrix)
-    except np.linalg.LinAlgError:
-        raise InputError(f"bench: the corners {list(corners)} span no quadrilateral") from None
-    return matrix
-
-
-def _mapped(homography: Double, points: Double) -> Double:
-    """Map points (..., 2)."""
-    x, y, w = np.moveaxis(points @ homography[:, :2].T + homography[:, 2], -1, 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.stack([x / w, y / w], axis=-1)

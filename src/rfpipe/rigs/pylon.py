@@ -7,13 +7,14 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
+from rfpipe.rigs.devices import Closing
 from rfpipe.rigs.pylon_options import PylonOptions
 from rfpipe.rigs.pylon_setup import CameraSetup, Value, load_pylon, said
 
@@ -24,7 +25,7 @@ Counts = NDArray[np.uint16]
 _log = logging.getLogger(__name__)
 
 
-class PylonCamera:
+class PylonCamera(Closing):
     """A Basler camera that takes brackets by software trigger.
 
     All automatic functions are off and the gain is fixed. A frame that fails or doesn't come in
@@ -121,12 +122,6 @@ class PylonCamera:
         with self._lock:
             self._closed = True
             self._drop()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _before_trigger(self, exposure: float) -> None:
         """Is called before each trigger; a real camera needs nothing more."""

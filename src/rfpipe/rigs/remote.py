@@ -7,7 +7,7 @@ import secrets
 import socket
 from collections.abc import Sequence
 from os import getpid
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from rfpipe.errors import CaptureError, InputError, TransferError
 from rfpipe.photometry import Sensor, sensor_from_description
 from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.connection import Connection, RefusedError
+from rfpipe.rigs.devices import Closing
 from rfpipe.rigs.heartbeat import HeartBeat
 from rfpipe.rigs.wire import MEDIA_TYPE, encode_patterns, unpack
 
@@ -34,7 +35,7 @@ _RIG_ATTEMPTS = 3
 _log = logging.getLogger(__name__)
 
 
-class RemoteRig:
+class RemoteRig(Closing):
     """The client of `rfpipe.server`: a rig whose devices another process or machine has.
 
     The first capture takes the rig; a heart-beat in the background keeps it until `close`. A server
@@ -109,12 +110,6 @@ class RemoteRig:
             self._heart.stop()
             self._heart = None
         self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _request(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Have patterns shown by one request, sent again until its answer arrives whole."""

@@ -13,14 +13,14 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, Self, cast
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.devices import check_picture
+from rfpipe.rigs.devices import Closing, check_picture
 from rfpipe.rigs.window_options import WindowOptions
 
 __all__ = ["WindowProjector", "code_table", "read_response"]
@@ -97,7 +97,7 @@ def read_response(path: str | Path) -> NDArray[np.float64]:
     return light
 
 
-class WindowProjector:
+class WindowProjector(Closing):
     """A projector as a monitor: a borderless window with one pixel for each of its pixels.
 
     The window lives in a process of its own (`rfpipe.rigs.window_process`), so `show` may be
@@ -188,12 +188,6 @@ class WindowProjector:
         with self._lock:
             self._closed = True
             self._window.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def _reopen(self) -> None:
         self._window.close()

@@ -8,7 +8,7 @@ import logging
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from math import prod
 from typing import Annotated, Any
 
@@ -46,7 +46,17 @@ __all__ = ["create_app"]
 
 _log = logging.getLogger("rfpipe.server")
 
-_RETRY_SOON = {"Retry-After": "1"}
+_STATUSES = {
+    InputError: 422,
+    TransferError: 422,
+    CaptureConflictError: 422,
+    LeaseHeldError: 409,
+    LeaseLapsedError: 410,
+    RigBusyError: 429,
+    CaptureStoppedError: 503,
+    CaptureError: 502,
+}
+"""How the endpoints answer where an error of these is raised; its text is the detail."""
 
 _open = APIRouter(prefix="/v1")
 _closed = APIRouter(prefix="/v1", dependencies=[Depends(HTTPBearer(auto_error=False))])
@@ -120,7 +130,7 @@ def create_app(
     app.include_router(_open)
     app.include_router(_closed)
     app.add_middleware(Guard, token=token, settings=settings)
-    add_handlers(app)
+    add_handlers(app, _STATUSES)
     return app
 
 
@@ -153,15 +163,11 @@ async def health(served: Served) -> Health:
 @_closed.get("/status", responses=_problems())
 async def status(served: Served) -> StatusAnswer:
     """Say who holds the rig and what happened since the start."""
-    metrics, lease = served.worker.metrics, served.leases.current
+    lease = served.leases.current
     return StatusAnswer(
         up_seconds=time.monotonic() - served.began,
         holder=lease and lease.client,
-        brackets=metrics.brackets,
-        answered_again=metrics.answered_again,
-        failures=metrics.failures,
-        last_error=metrics.last_error,
-        exposing_seconds=metrics.exposing_seconds,
+        **asdict(served.worker.metrics),
     )
 
 
@@ -186,15 +192,7 @@ async def rig_arrays(served: Served) -> Response:
 @_closed.post("/lease", responses=_problems(409, 422))
 async def acquire(request: LeaseRequest, served: Served) -> LeaseAnswer:
     """Take the rig for oneself."""
-    try:
-        lease = served.leases.acquire(request.client)
-    except LeaseHeldError as error:
-        raise HTTPException(
-            409,
-            f"{error}, and for {error.seconds_left:.1f} s yet if its heart stops; wait until it "
-            "is released",
-            _RETRY_SOON,
-        ) from None
+    lease = served.leases.acquire(request.client)
     _log.info("%s takes the rig", lease.client)
     return _answer(lease, served)
 
@@ -202,20 +200,13 @@ async def acquire(request: LeaseRequest, served: Served) -> LeaseAnswer:
 @_closed.put("/lease", responses=_problems(410, 422))
 async def renew(lease: LeaseHeader, served: Served) -> LeaseAnswer:
     """Keep the rig: the heart-beat of its holder."""
-    try:
-        return _answer(served.leases.renew(lease), served)
-    except LeaseLapsedError:
-        raise _lapsed() from None
+    return _answer(served.leases.renew(lease), served)
 
 
 @_closed.delete("/lease", status_code=204, responses=_problems(410, 422))
 async def release(lease: LeaseHeader, served: Served) -> None:
     """Give the rig back."""
-    try:
-        released = served.leases.release(lease)
-    except LeaseLapsedError:
-        raise _lapsed() from None
-    _log.info("%s gives the rig back", released.client)
+    _log.info("%s gives the rig back", served.leases.release(lease).client)
 
 
 @_closed.post(
@@ -234,10 +225,7 @@ async def release(lease: LeaseHeader, served: Served) -> None:
 )
 async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: Served) -> Response:
     """Show patterns and return their brackets; the same request again isn't exposed again."""
-    try:
-        served.leases.renew(lease)
-    except LeaseLapsedError:
-        raise _lapsed() from None
+    served.leases.renew(lease)
     if request.headers.get("content-type") != MEDIA_TYPE:
         raise HTTPException(415, f"the body must be of the type {MEDIA_TYPE}")
     body = await request.body()
@@ -249,24 +237,9 @@ async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: 
         digest = hashlib.sha256(body).hexdigest()
         return served.worker.submit(key, digest, lease, patterns, keys), keys
 
-    try:
-        future, keys = await asyncio.to_thread(submitted)
-        # shielded: a client that goes away doesn't take the exposure back
-        brackets = await asyncio.shield(asyncio.wrap_future(future))
-    except (TransferError, InputError) as error:
-        raise HTTPException(422, str(error)) from None
-    except CaptureConflictError:
-        raise HTTPException(
-            422, "this Idempotency-Key was used with other patterns; take a new one"
-        ) from None
-    except RigBusyError:
-        raise HTTPException(
-            429, "another capture of this lease is under way; send one at a time", _RETRY_SOON
-        ) from None
-    except CaptureStoppedError as error:
-        raise HTTPException(503, f"{error}; send it again", _RETRY_SOON) from None
-    except CaptureError as error:
-        raise HTTPException(502, str(error)) from None
+    future, keys = await asyncio.to_thread(submitted)
+    # shielded: a client that goes away doesn't take the exposure back
+    brackets = await asyncio.shield(asyncio.wrap_future(future))
     return Response(await asyncio.to_thread(_message, keys, brackets), media_type=MEDIA_TYPE)
 
 
@@ -312,12 +285,6 @@ def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
 
 def _answer(lease: Lease, served: _Served) -> LeaseAnswer:
     return LeaseAnswer(lease=lease.id, seconds=served.leases.seconds)
-
-
-def _lapsed() -> HTTPException:
-    return HTTPException(
-        410, "this lease is not in force: it lapsed or the server was started anew; acquire again"
-    )
 
 
 def _message(keys: list[tuple[int, ...]], brackets: list[NDArray[Any]]) -> bytes:

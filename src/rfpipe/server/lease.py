@@ -34,7 +34,10 @@ class LeaseHeldError(Exception):
     """Another client holds the rig; the argument is its `Lease`."""
 
     def __init__(self, lease: Lease, seconds_left: float) -> None:
-        super().__init__(f"the rig is held by {lease.client!r}")
+        super().__init__(
+            f"the rig is held by {lease.client!r}, and for {seconds_left:.1f} s yet if its heart "
+            "stops; wait until it is released"
+        )
         self.lease = lease
         self.seconds_left = seconds_left
 
@@ -99,7 +102,10 @@ class Leases:
     def _checked(self, identity: str) -> Lease:
         held = self._current()
         if held is None or not secrets.compare_digest(_known(held.id), _known(identity)):
-            raise LeaseLapsedError
+            raise LeaseLapsedError(
+                "this lease is not in force: it lapsed or the server was started anew; acquire "
+                "again"
+            )
         return held
 
     def _current(self) -> Lease | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from http import HTTPStatus
 
 from fastapi import FastAPI, Request
@@ -15,6 +16,8 @@ from starlette.responses import Response
 __all__ = ["PROBLEM_TYPE", "Problem", "add_handlers", "problem_body", "problem_response"]
 
 PROBLEM_TYPE = "application/problem+json"
+
+_COME_AGAIN = (409, 429, 503)
 
 
 class Problem(BaseModel):
@@ -36,8 +39,23 @@ def problem_response(status: int, detail: str, headers: dict[str, str] | None = 
     return Response(problem_body(status, detail), status, headers, PROBLEM_TYPE)
 
 
-def add_handlers(app: FastAPI) -> None:
-    """Answer every error of an application in this way."""
+def add_handlers(app: FastAPI, statuses: Mapping[type[Exception], int]) -> None:
+    """Answer every error of an application in this way.
+
+    Parameters
+    ----------
+    app : FastAPI
+    statuses : mapping
+        The status of errors whose text is meant for the client.
+    """
+
+    async def of_kind(_request: Request, error: Exception) -> Response:
+        status = next(statuses[kind] for kind in type(error).__mro__ if kind in statuses)
+        headers = {"Retry-After": "1"} if status in _COME_AGAIN else None
+        return problem_response(status, str(error), headers)
+
+    for kind in statuses:
+        app.add_exception_handler(kind, of_kind)
 
     @app.exception_handler(HTTPException)
     async def of_http(_request: Request, error: HTTPException) -> Response:

@@ -164,7 +164,9 @@ class RigWorker:
             capture = self._captures.get(identity)
             if capture is not None:
                 if capture.digest != digest:
-                    raise CaptureConflictError
+                    raise CaptureConflictError(
+                        "this Idempotency-Key was used with other patterns; take a new one"
+                    )
                 capture.lease = lease
                 if capture.is_under_way or len(capture.brackets) == len(capture.keys):
                     self.metrics.answered_again += 1
@@ -173,7 +175,7 @@ class RigWorker:
             busy = [other for other in self._captures.values() if other.is_under_way]
             # one that has lost its lease ends before its next pattern
             if any(self._leases.is_held_by(other.lease) for other in busy):
-                raise RigBusyError
+                raise RigBusyError("another capture of this lease is under way; send one at a time")
             if capture is None:
                 self._forget()
                 capture = _Capture(digest, lease, patterns, keys)
@@ -214,9 +216,9 @@ class RigWorker:
         """Expose the patterns that are missing, one by one."""
         for index in range(len(capture.brackets), len(capture.keys)):
             if self.is_stopping:
-                raise CaptureStoppedError("the server is being stopped")
+                raise CaptureStoppedError("the server is being stopped; send it again")
             if not self._leases.is_held_by(capture.lease):
-                raise CaptureStoppedError("the lease lapsed")
+                raise CaptureStoppedError("the lease lapsed; send it again")
             began = time.perf_counter()
             bracket = self._bracket(capture.patterns[index], capture.keys[index])
             self.metrics.exposing_seconds += time.perf_counter() - began

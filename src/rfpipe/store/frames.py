@@ -20,7 +20,6 @@ from rfpipe.store.chunks import (
     read_attributes,
 )
 from rfpipe.store.files import (
-    bytes_on_disk,
     canonical_json,
     digest_of,
     plain,
@@ -213,11 +212,6 @@ class FrameStore:
     def complete(self) -> bool:
         """True when every item is captured."""
         return len(self._digests) == self.shape[0]
-
-    @property
-    def nbytes_stored(self) -> int:
-        """Bytes on disk."""
-        return bytes_on_disk(self.path)
 
     def missing(self, longest: int | None = None) -> list[tuple[int, int]]:
         """List the runs [start, stop) of items still to capture, in order, in whole chunks.

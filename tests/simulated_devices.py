@@ -1,4 +1,4 @@
-"""A projector and a camera without hardware, as devices: for tests, and for trying out drivers."""
+"""A projector and a camera without hardware, as devices."""
 
 from __future__ import annotations
 
