@@ -135,7 +135,7 @@ class NearFar(PackingMethod[NearFarState]):
     estimates_error = True
     Options = NearFarOptions
     trades = "target_error"
-    trials = (0.03, 0.01, 0.003)
+    trials = (0.05, 0.01, 0.003)
     packing = Packing(("level", "new", "done", "rows"))
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
