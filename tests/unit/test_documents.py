@@ -1,0 +1,44 @@
+"""What the documents show is valid, and the figures that they quote are the measured ones."""
+
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from rfpipe.config import Config, parse_config, parse_rig_config
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "tests" / "examples"
+DOCUMENTS = ("config/README.md", *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
+BLOCKS = [
+    pytest.param(block, id=f"{document}-{index}")
+    for document in sorted(DOCUMENTS)
+    for index, block in enumerate(
+        re.findall(r"^```yaml\n(.*?)^```", (ROOT / document).read_text("utf-8"), re.M | re.S)
+    )
+]
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_settings_in_documents_are_valid(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(EXAMPLES)  # where the documents' own classes are
+    data = yaml.safe_load(block)
+    if set(data) <= set(Config.model_fields):
+        parse_config(data, "the document")
+    else:
+        parse_rig_config(data, "the document")
+
+
+def test_there_are_settings_in_the_documents() -> None:
+    assert len(BLOCKS) >= 8
+
+
+def test_the_readme_s_default_run_is_the_measured_one() -> None:
+    measured = (ROOT / "docs" / "measured.md").read_text("utf-8")
+    rows = re.findall(r"^\| IV \| (\w+) \| (\d+) \| [\d.]+ \| ([\d.]+) \|", measured, re.M)
+    assert {method for method, *_ in rows} == {"near_far", "symmetric", "dual"}
+    readme = (ROOT / "README.md").read_text("utf-8")
+    for method, patterns, error in rows:
+        (row,) = re.findall(rf"^\| `{method}` \|.*$", readme, re.M)
+        assert f"| {patterns} for {error} %" in row
