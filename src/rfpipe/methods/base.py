@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.config.base import MethodSettings
+from rfpipe.config.base import Fraction, MethodSettings
 from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
@@ -50,6 +50,28 @@ class Options(MethodSettings):
         le=100,
         description="Light counts as measured above this many standard deviations of its noise, "
         "0 to 100.",
+    )
+
+
+class PatternOptions(Options):
+    """The options of methods that may be told how many patterns to show."""
+
+    patterns: int = Field(
+        0,
+        ge=0,
+        le=1_000_000,
+        description="Patterns to show at most, the floodlit one included, 0 to 1000000; 0 leaves "
+        "it to the method.",
+    )
+
+
+class ErrorOptions(PatternOptions):
+    """The options of methods that stop at an error that they estimate."""
+
+    target_error: Fraction = Field(
+        0.01,
+        description="Mean error of relit pictures at which to stop, as a fraction of their norm, "
+        "between 0 and 1.",
     )
 
 

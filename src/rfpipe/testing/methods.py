@@ -61,7 +61,7 @@ class MatrixImages:
         images = np.einsum("cmn,pn->pmc", self.matrix, patterns, optimize=True)
         if self.sigma:
             for index in range(first, last):
-                random = generator(self.seed, self.schedule.level, index)
+                random = np.random.default_rng([self.seed, self.schedule.level, index])
                 images[index - first] += self.sigma * random.standard_normal(images.shape[1:])
         shape = (last - first, *self.camera_shape, len(self.matrix))
         radiance = images.reshape(shape).astype(np.float32)

@@ -14,11 +14,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from rfpipe.blocks import RayDomain
-from rfpipe.config.base import Fraction
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Pack, all_blocks
+from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, Float, LevelImages, Pack, all_blocks
 from rfpipe.methods.images import planar_batches
 from rfpipe.methods.near_far import handover
 from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
@@ -53,21 +51,8 @@ _UNEXPLAINED_AT_FIRST, _UNEXPLAINED = 0.5, 0.25
 _log = logging.getLogger(__name__)
 
 
-class NearFarOptions(SymmetricOptions):
+class NearFarOptions(ErrorOptions, SymmetricOptions):
     """What near/far acquisition, and symmetric photography if it takes over, may be told."""
-
-    target_error: Fraction = Field(
-        0.01,
-        description="Mean error of relit pictures at which to stop, as a fraction of their norm, "
-        "between 0 and 1.",
-    )
-    patterns: int = Field(
-        0,
-        ge=0,
-        le=1_000_000,
-        description="Patterns to show at most, the floodlit one included, 0 to 1000000; 0 leaves "
-        "it to the method.",
-    )
 
 
 @dataclass(frozen=True)

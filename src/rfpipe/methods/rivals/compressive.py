@@ -10,11 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
+from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, PatternOptions
 from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.rivals.pursuit import pursue, rays_and_wavelets
 from rfpipe.methods.rivals.signs import as_light, random_signs, trimmed_mean
@@ -33,18 +32,6 @@ _RAYS_PER_PATTERN, _FEWEST = 8, 32
 _MEASUREMENTS_PER_ATOM = 4
 
 
-class CompressiveOptions(Options):
-    """What compressive sensing may be told."""
-
-    patterns: int = Field(
-        0,
-        ge=0,
-        le=1_000_000,
-        description="Patterns to show at most, the floodlit one included, 0 to 1000000; 0 leaves "
-        "it to the method.",
-    )
-
-
 @dataclass(frozen=True)
 class CompressiveState:
     """The state of compressive sensing.
@@ -52,7 +39,7 @@ class CompressiveState:
     Attributes
     ----------
     camera, projector : RayDomain
-    options : CompressiveOptions
+    options : PatternOptions
     matrix : ndarray of float32, shape (C, camera rays, projector rays)
         Zeros before the floodlit image; its light spread over all rays after it.
     floodlit, variance : ndarray of float32, shape (C, camera rays)
@@ -65,7 +52,7 @@ class CompressiveState:
 
     camera: RayDomain
     projector: RayDomain
-    options: CompressiveOptions
+    options: PatternOptions
     matrix: Float
     floodlit: Float
     variance: Float
@@ -87,7 +74,7 @@ class Compressive(PackingMethod[CompressiveState]):
     title = "Compressive sensing"
     colour = "#4c8c4a"
     marker = "v"
-    Options = CompressiveOptions
+    Options = PatternOptions
     trades = "patterns"
     trials = (50, 100, 200, 500)
     packing = Packing(("level", "rows"), ("matrix", "floodlit", "variance"))
@@ -96,7 +83,7 @@ class Compressive(PackingMethod[CompressiveState]):
         self,
         camera: RayDomain,  # noqa: ARG002
         projector: RayDomain,
-        options: CompressiveOptions,
+        options: PatternOptions,
     ) -> int:
         """Return the number that is asked for, or one for some rays."""
         return pattern_count(projector.size, options.patterns)
@@ -106,7 +93,7 @@ class Compressive(PackingMethod[CompressiveState]):
         return 2
 
     def start(
-        self, camera: RayDomain, projector: RayDomain, channels: int, options: CompressiveOptions
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: PatternOptions
     ) -> CompressiveState:
         """Return the state before the floodlit image.
 

@@ -14,11 +14,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from rfpipe.blocks import RayDomain
-from rfpipe.config.base import Fraction
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
+from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, Float, LevelImages
 from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.rivals.low_rank_fit import Fit, fit, relit, start_fit
 from rfpipe.methods.rivals.signs import as_light, random_signs, trimmed_mean
@@ -33,23 +31,6 @@ _FIRST_ROUND = 16
 OWN_MOST, _MOST = 512, 4096
 
 
-class LowRankOptions(Options):
-    """What an optical low-rank acquisition may be told."""
-
-    target_error: Fraction = Field(
-        0.01,
-        description="Mean error of relit pictures at which to stop, as a fraction of their norm, "
-        "between 0 and 1.",
-    )
-    patterns: int = Field(
-        0,
-        ge=0,
-        le=1_000_000,
-        description="Patterns to show at most, the floodlit one included, 0 to 1000000; 0 leaves "
-        "it to the method.",
-    )
-
-
 @dataclass(frozen=True)
 class LowRankState:
     """The state of an optical low-rank acquisition.
@@ -59,7 +40,7 @@ class LowRankState:
     domain : RayDomain
         Of camera and projector.
     channels : int
-    options : LowRankOptions
+    options : ErrorOptions
     level : int
         Level to be scheduled next: 0 is the floodlit image, then one round of random signs each.
     images : tuple of ndarray of float32, shape (C, patterns, rays)
@@ -79,7 +60,7 @@ class LowRankState:
 
     domain: RayDomain
     channels: int
-    options: LowRankOptions
+    options: ErrorOptions
     fit: Fit
     level: int = 0
     images: tuple[Float, ...] = ()
@@ -112,7 +93,7 @@ class LowRank(PackingMethod[LowRankState]):
     marker = "P"
     needs_coaxial_rig = True
     estimates_error = True
-    Options = LowRankOptions
+    Options = ErrorOptions
     trades = "patterns"
     trials = (50, 100, 200, 500)
     packing = Packing(
@@ -123,7 +104,7 @@ class LowRank(PackingMethod[LowRankState]):
         self,
         camera: RayDomain,  # noqa: ARG002
         projector: RayDomain,
-        options: LowRankOptions,
+        options: ErrorOptions,
     ) -> int:
         """Return the number that is asked for, or the most that it shows of itself."""
         return min(projector.size, options.patterns or OWN_MOST)
@@ -139,7 +120,7 @@ class LowRank(PackingMethod[LowRankState]):
         camera: RayDomain,
         projector: RayDomain,  # noqa: ARG002 - the camera's
         channels: int,
-        options: LowRankOptions,
+        options: ErrorOptions,
     ) -> LowRankState:
         """Return the state before the floodlit image."""
         return LowRankState(camera, channels, options, start_fit(channels, camera.size))
