@@ -42,3 +42,11 @@ def test_the_readme_s_default_run_is_the_measured_one() -> None:
     for method, patterns, error in rows:
         (row,) = re.findall(rf"^\| `{method}` \|.*$", readme, re.M)
         assert f"| {patterns} for {error} %" in row
+
+
+def test_the_readme_s_tables_are_the_measured_ones() -> None:
+    measured = (ROOT / "docs" / "measured.md").read_text("utf-8").splitlines()
+    readme = (ROOT / "README.md").read_text("utf-8")
+    rows = re.findall(r"^\| (?:I|II|III|IV) \|.*$", readme, re.M)
+    assert len(rows) >= 3
+    assert set(rows) <= set(measured)
