@@ -78,7 +78,7 @@ class Described(Settings):
 
     def subject(self, name: str) -> Any:
         """Return what the settings are about, in a section of this name."""
-        return plugins.find(self.group, self.name_in(self.model_dump()) or name)
+        return plugins.find(self.group, getattr(self, self.key) or name)
 
     def options(self) -> dict[str, Any]:
         """Return all settings but the name, as plain data."""

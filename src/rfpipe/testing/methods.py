@@ -259,6 +259,9 @@ class MethodContract:
         require([row["patterns"] for row in rows] == run.patterns, f"{rows}")
         for row in rows:
             require(set(row) >= _COUNTS, f"a row lacks {_COUNTS - set(row)}")
+        estimates = any("estimated_error" in row for row in rows)
+        says = self.make_method().estimates_error
+        require(estimates == says, f"estimates_error is {says}, its rows say {estimates}")
         require(json.loads(json.dumps(rows)) == rows == list(run.states[-1].rows), f"{rows}")
 
     def test_a_state_is_restored_from_its_packs(self) -> None:
