@@ -29,7 +29,7 @@ def random_patterns(count, scene, seed=0):
 
 def test_views_span_the_angles_and_look_at_the_scene():
     views = ViewArray((3, 5), (37, 29), (4, 6))
-    positions = views.positions()
+    positions = np.array([view.position for view in views.pinholes()])
     towards = np.array([0, 0, DISTANCE]) - positions
     horizontal = np.degrees(np.arctan2(towards[:, 0], towards[:, 2])).reshape(3, 5)
     vertical = np.degrees(np.arctan2(towards[:, 1], towards[:, 2])).reshape(3, 5)
@@ -38,8 +38,9 @@ def test_views_span_the_angles_and_look_at_the_scene():
     assert positions[7] == pytest.approx([0, 0, 0])
     assert (positions[:, 2] == 0).all()
     assert (np.diff(positions[:5, 0]) > 0).all()  # left to right, then down
-    for view in range(views.count):
-        axes = views.axes(view)
+    assert len(positions) == views.count
+    for view, pinhole in enumerate(views.pinholes()):
+        axes = pinhole.axes
         assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-12)
         assert np.linalg.det(axes) == pytest.approx(1)
         assert axes[0, 1] == 0  # the horizon is level

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
 from rfpipe.scenes.crossing import is_clear, require_inside, shares
 from rfpipe.scenes.diffuse import DiffuseSurfaces, require_channel, require_few
-from rfpipe.scenes.geometry import Plane, Points, Sphere, Surface, least_squared, sight_of
+from rfpipe.scenes.geometry import Points, Surface, least_squared, sight_of
 from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.pinhole import Pinhole
 
@@ -218,7 +218,7 @@ def _side(
     clear = is_clear(one.origin, sight, (), occluders)
     both = is_clear(one.origin, parts, (), occluders)
     both &= is_clear(other.origin, parts, surfaces, occluders)
-    shared = shares(one, other, parts, both)
+    shared = shares(parts, other, both)
     count, each = len(sight.surface), _PARTS**2
     sums = csr_array(
         (np.full(count * each, 1 / each), np.arange(count * each), np.arange(count + 1) * each)
@@ -236,27 +236,13 @@ def _side(
     )
 
 
-@dataclass(frozen=True)
-class _JointPoints(Points):
-    """The points of both sides."""
-
-    clamp: float = field(kw_only=True)
-
-    @property
-    def least_squared_distance(self) -> float:
-        """Lower clamp of the squared distance between two points."""
-        return self.clamp
-
-
-def _joined(surfaces: tuple[Surface, ...], seen: _Side, lit: _Side) -> _JointPoints:
+def _joined(surfaces: tuple[Surface, ...], seen: _Side, lit: _Side) -> Points:
     """Put the points of both sides together, the camera's first."""
-    planes = tuple(surface for surface in surfaces if isinstance(surface, Plane))
     mean = float((seen.seen_areas.mean() + lit.seen_areas.mean()) / 2)
-    return _JointPoints(
-        planes,
+    return Points(
+        surfaces,
         np.concatenate([seen.surface, lit.surface]),
         np.concatenate([seen.positions, lit.positions]),
         np.concatenate([seen.bounce_areas, lit.bounce_areas]),
-        sphere=next((each for each in surfaces if isinstance(each, Sphere)), None),
-        clamp=least_squared(planes, mean),
+        least_squared(surfaces, mean),
     )

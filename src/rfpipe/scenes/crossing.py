@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.geometry import Plane, Sight, Sphere, Surface
+from rfpipe.scenes.geometry import Sight, Sphere, Surface
 from rfpipe.scenes.occluders import Occluder, blocked
 from rfpipe.scenes.pinhole import Pinhole
 from rfpipe.scenes.spheres import hidden
@@ -37,12 +37,7 @@ _BOXES_AT_A_TIME = 2**16
 def require_inside(origin: Double, surfaces: Sequence[Surface]) -> None:
     """Raise InputError where a pinhole stands behind a plane, or within a sphere."""
     for surface in surfaces:
-        if isinstance(surface, Plane):
-            inside = bool(surface.heights(origin) > 0)
-        else:
-            distance = np.linalg.norm(origin - np.asarray(surface.centre))
-            inside = bool(distance > surface.radius)
-        if not inside:
+        if not surface.heights(origin) > 0:
             raise InputError(
                 f"projector at ({', '.join(f'{x:g}' for x in origin)}): stands behind the surface "
                 f"{surface.name}; give it a position in the room, on the camera's side"
@@ -78,17 +73,15 @@ def is_clear(
     return clear
 
 
-def shares(
-    one: Pinhole, other: Pinhole, sight: Sight, clear: NDArray[np.bool_]
-) -> csr_array[np.float64]:
+def shares(sight: Sight, other: Pinhole, clear: NDArray[np.bool_]) -> csr_array[np.float64]:
     """Share the parts of one pinhole's pixels out between the other's pixels.
 
     Parameters
     ----------
-    one, other
-        The pinholes.
     sight
-        Where the parts of `one` meet surfaces, of K rays a pixel, n in all.
+        Where the parts of the one meet surfaces, n in all.
+    other
+        The other pinhole.
     clear
         bool (n,): the parts that both have in view.
 
@@ -100,8 +93,9 @@ def shares(
     from scipy.sparse import csr_array
 
     chosen = np.flatnonzero(clear)
-    parts = math.isqrt(len(clear) // math.prod(one.shape))
-    place, width = _boxes(one, other, sight, chosen, parts)
+    place = other.project(sight.positions[chosen])
+    sides = other.project_moves(sight.positions[chosen], sight.moves(chosen))
+    width = np.sqrt((sides**2).sum(axis=1))
     ahead = np.isfinite(place).all(axis=1)
     chosen, place, width = chosen[ahead], place[ahead], np.minimum(width[ahead], _WIDEST)
     found = [(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64))]
@@ -111,21 +105,6 @@ def shares(
         found.append((share, chosen[some][box], pixel))
     share, row, pixel = (np.concatenate(each) for each in zip(*found, strict=True))
     return csr_array((share, (row, pixel)), shape=(len(clear), math.prod(other.shape)))
-
-
-def _boxes(
-    one: Pinhole, other: Pinhole, sight: Sight, chosen: NDArray[np.int64], parts: int
-) -> tuple[Double, Double]:
-    """Centres and widths of the parts on the other's picture, rows and columns: float64 (n, 2)."""
-    rays, points, normals = one.rays(parts)[chosen], sight.positions[chosen], sight.normals[chosen]
-    depth = (points - one.origin) @ one.axes[2]
-    steps = one.axes[:2] * one.pitch / parts  # from a part to the next, on the image plane
-    # a ray that turns by a step meets the tangent plane so much farther on
-    towards = (rays * normals).sum(1)
-    farther = (normals @ steps.T) / towards[:, None]
-    moves = depth[:, None, None] * (steps - farther[..., None] * rays[:, None])
-    sides = other.project_moves(points, moves)
-    return other.project(points), np.sqrt((sides**2).sum(axis=1))
 
 
 def _overlaps(

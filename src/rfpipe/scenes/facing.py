@@ -100,54 +100,26 @@ class FacingPair:
 def facing_pairs(points: Points, occluders: Sequence[Occluder] = ()) -> tuple[FacingPair, ...]:
     """Pair up the surfaces of a scene, each unordered pair once, with the points that face."""
     pairs = []
-    clamp = points.least_squared_distance
     touching = _TOUCHING * np.linalg.norm(points.positions, axis=1)
-    for a, b in combinations(range(len(points.planes)), 2):
-        indices, heights = [], []
-        for mine, other in ((a, b), (b, a)):
-            over_other = points.planes[other].heights(points.positions)
-            seen = np.flatnonzero((points.surface == mine) & (over_other > touching))
-            indices.append(seen)
-            heights.append(over_other[seen])
-        first, second = indices
-        if len(first) and len(second):
-            pairs.append(
-                FacingPair(
-                    (points.planes[a], points.planes[b]),
-                    (first, second),
-                    (points.positions[first], points.positions[second]),
-                    (heights[0], heights[1]),
-                    tuple(occluders),
-                    clamp,
-                    points.sphere,
-                )
-            )
+    heights = [surface.heights(points.positions) for surface in points.surfaces]
+    planes = range(len(points.planes))
+    numbers = list(combinations(planes, 2))
     if points.sphere is not None:
-        pairs += _pairs_with_sphere(points, points.sphere, tuple(occluders))
-    return tuple(pairs)
-
-
-def _pairs_with_sphere(
-    points: Points, sphere: Sphere, occluders: tuple[Occluder, ...]
-) -> list[FacingPair]:
-    """Pair up the sphere with each plane."""
-    pairs = []
-    on_sphere = points.surface == len(points.planes)
-    touching = _TOUCHING * np.linalg.norm(points.positions, axis=1)
-    above = np.linalg.norm(points.positions - np.asarray(sphere.centre), axis=1) - sphere.radius
-    for index, plane in enumerate(points.planes):
-        heights = plane.heights(points.positions)
-        first = np.flatnonzero(on_sphere & (heights > touching))
-        second = np.flatnonzero((points.surface == index) & (above > touching))
+        numbers += [(len(planes), plane) for plane in planes]
+    for a, b in numbers:
+        first = np.flatnonzero((points.surface == a) & (heights[b] > touching))
+        second = np.flatnonzero((points.surface == b) & (heights[a] > touching))
         if len(first) and len(second):
+            of_planes = a in planes
             pairs.append(
                 FacingPair(
-                    (sphere, plane),
+                    (points.surfaces[a], points.planes[b]),
                     (first, second),
                     (points.positions[first], points.positions[second]),
-                    (heights[first], np.ones(len(second))),
-                    occluders,
+                    (heights[b][first], heights[a][second] if of_planes else np.ones(len(second))),
+                    tuple(occluders),
                     points.least_squared_distance,
+                    points.sphere if of_planes else None,
                 )
             )
-    return pairs
+    return tuple(pairs)

@@ -8,15 +8,15 @@ side and its pixels are square.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.pinhole import Pinhole
+from rfpipe.scenes.pinhole import Pinhole, Vector
 
 __all__ = [
     "Plane",
@@ -25,12 +25,11 @@ __all__ = [
     "Sphere",
     "Surface",
     "SurfacePoints",
+    "Vector",
     "least_squared",
     "sight_of",
     "surface_points",
 ]
-
-Vector = tuple[float, float, float]
 
 _PARALLEL = 1e-6  # 1 - cos of the opening below which planes count as facing, not as a crease
 
@@ -65,6 +64,18 @@ class Plane:
         distance: NDArray[np.float64] = (points - np.asarray(self.point)) @ self.unit_normal
         return distance
 
+    def normals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit normals (..., 3) at points (..., 3) of the plane."""
+        return np.broadcast_to(self.unit_normal, points.shape)
+
+    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Depths at which rays (N, 3) meet the plane's front, infinite where they don't."""
+        depth = np.full(len(rays), np.inf)
+        towards = rays @ self.unit_normal  # negative: the ray runs against the front side
+        reach = (np.asarray(self.point) - origin) @ self.unit_normal
+        np.divide(reach, towards, out=depth, where=towards < 0)
+        return depth
+
     def axes(self) -> NDArray[np.float64]:
         """Two orthogonal unit vectors in the plane, float64 (2, 3)."""
         normal = self.unit_normal
@@ -97,8 +108,34 @@ class Sphere:
         outwards: NDArray[np.float64] = (points - np.asarray(self.centre)) / self.radius
         return outwards
 
+    def heights(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Distances of points (..., 3) from the sphere, negative within it."""
+        distance = np.linalg.norm(points - np.asarray(self.centre), axis=-1)
+        return np.asarray(distance - self.radius)
+
+    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Depths at which rays (N, 3) from outside meet the sphere, infinite where they don't."""
+        centre = np.asarray(self.centre) - origin
+        squared_length, along = (rays**2).sum(1), rays @ centre
+        power = centre @ centre - self.radius**2
+        chord = along**2 - squared_length * power
+        met = (chord > 0) & (along > 0)
+        depth = np.full(len(rays), np.inf)
+        depth[met] = power / (along[met] + np.sqrt(chord[met]))
+        return depth
+
 
 Surface: TypeAlias = Plane | Sphere
+
+
+class Visible(Protocol):
+    """What rays may meet."""
+
+    def normals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit normals (..., 3) at points (..., 3) of it."""
+
+    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Depths (N,) at which rays (N, 3) from a point meet it, infinite where they don't."""
 
 
 @dataclass(frozen=True)
@@ -107,34 +144,39 @@ class Points:
 
     Parameters
     ----------
-    planes
-        The planes of the scene.
+    surfaces
+        The planes of the scene, and after them a sphere among them, if there is one.
     surface
-        int64 (N,): index into `planes` of the plane on which each point lies; their number for
-        points of the sphere.
+        int64 (N,): index into `surfaces` of the one on which each point lies.
     positions
         float64 (N, 3), scene units.
     areas
         float64 (N,): scene units squared.
-    sphere
-        A sphere among the planes, or None.
+    least_squared_distance
+        Lower clamp of the squared distance between two points, scene units squared.
     """
 
-    planes: tuple[Plane, ...]
+    surfaces: tuple[Surface, ...]
     surface: NDArray[np.int64]
     positions: NDArray[np.float64]
     areas: NDArray[np.float64]
-    sphere: Sphere | None = field(default=None, kw_only=True)
+    least_squared_distance: float
+
+    @property
+    def planes(self) -> tuple[Plane, ...]:
+        """The planes of the scene."""
+        return tuple(each for each in self.surfaces if isinstance(each, Plane))
+
+    @property
+    def sphere(self) -> Sphere | None:
+        """The sphere among them, or None."""
+        last = self.surfaces[-1]
+        return last if isinstance(last, Sphere) else None
 
     @property
     def mean_area(self) -> float:
         """Mean area of a point."""
         return float(self.areas.mean())
-
-    @property
-    def least_squared_distance(self) -> float:
-        """Lower clamp of the squared distance between two points: the mean area."""
-        return self.mean_area
 
 
 @dataclass(frozen=True)
@@ -152,20 +194,15 @@ class SurfacePoints(Points):
 
     shape: tuple[int, int]
 
-    @property
-    def least_squared_distance(self) -> float:
-        """Lower clamp of the squared distance between two points, see `least_squared`."""
-        return least_squared(self.planes, self.mean_area)
 
-
-def least_squared(planes: Sequence[Plane], mean_area: float) -> float:
+def least_squared(surfaces: Sequence[Surface], mean_area: float) -> float:
     """Lower clamp of the squared distance between points that pixels see, scene units squared.
 
     The mean area; in an acute crease of opening t it is 1 / (2 sin(t / 2)^2) times that: seen
     from its mouth, pixels are long and close to each other there, and their central points
     alone would exchange more light than there is.
     """
-    normals = [plane.unit_normal for plane in planes]
+    normals = [plane.unit_normal for plane in surfaces if isinstance(plane, Plane)]
     openings = [1 + float(one @ other) for one, other in combinations(normals, 2)]  # 1 - cos t
     acute = min((opening for opening in openings if opening > _PARALLEL), default=1.0)
     return mean_area / min(acute, 1.0)
@@ -195,9 +232,7 @@ def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Surfa
         If the shape isn't two positive numbers, a pixel sees none of the surfaces, or another
         than the last surface is a sphere.
     """
-    planes = tuple(surface for surface in surfaces if isinstance(surface, Plane))
-    sphere = surfaces[-1] if isinstance(surfaces[-1], Sphere) else None
-    if len(planes) + (sphere is not None) != len(surfaces):
+    if not all(isinstance(surface, Plane) for surface in surfaces[:-1]):
         raise InputError(
             f"surfaces {', '.join(surface.name for surface in surfaces)}: expected planes, and at "
             "most one sphere, the last"
@@ -211,16 +246,25 @@ def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Surfa
             f"{', '.join(surface.name for surface in surfaces)}; close the room with another plane"
         )
     return SurfacePoints(
-        planes, sight.surface, sight.positions, sight.areas, pinhole.shape, sphere=sphere
+        tuple(surfaces),
+        sight.surface,
+        sight.positions,
+        sight.areas,
+        least_squared(surfaces, float(sight.areas.mean())),
+        pinhole.shape,
     )
 
 
 @dataclass(frozen=True)
 class Sight:
-    """Where rays from a pinhole meet surfaces.
+    """Where the rays of a pinhole's pixels, cut into `parts` x `parts`, meet surfaces.
 
     Parameters
     ----------
+    pinhole
+        Where the rays come from.
+    parts
+        Of a pixel along either side, each with a ray.
     surface
         int64 (n,): the surface that each ray meets first, -1 where it meets none.
     positions, normals
@@ -229,28 +273,37 @@ class Sight:
         float64 (n,): what the ray's share of a pixel covers there, scene units squared.
     """
 
+    pinhole: Pinhole
+    parts: int
     surface: NDArray[np.int64]
     positions: NDArray[np.float64]
     normals: NDArray[np.float64]
     areas: NDArray[np.float64]
 
+    def moves(self, chosen: NDArray[np.bool_ | np.int64]) -> NDArray[np.float64]:
+        """How far it is from chosen (k,) places to those of the next parts: float64 (k, 2, 3).
 
-def sight_of(pinhole: Pinhole, surfaces: Sequence[Surface], parts: int = 1) -> Sight:
+        Of the part to the right and the one below, on the tangent plane; scene units.
+        """
+        rays = self.pinhole.rays(self.parts)[chosen]
+        points, normals = self.positions[chosen], self.normals[chosen]
+        depth = (points - self.pinhole.origin) @ self.pinhole.axes[2]
+        steps = self.pinhole.axes[:2] * self.pinhole.pitch / self.parts  # on the image plane
+        # a ray that turns by a step meets the tangent plane so much farther on
+        farther = (normals @ steps.T) / (rays * normals).sum(1)[:, None]
+        moved: NDArray[np.float64] = depth[:, None, None] * (
+            steps - farther[..., None] * rays[:, None]
+        )
+        return moved
+
+
+def sight_of(pinhole: Pinhole, surfaces: Sequence[Visible], parts: int = 1) -> Sight:
     """Follow the rays of a pinhole's pixels, cut into `parts` x `parts`, to the nearest surfaces.
 
     Planes bound the pinhole's room: they are seen from the front alone.
     """
     rays, pitch = pinhole.rays(parts), pinhole.pitch / parts
-    depths = np.stack(
-        [
-            (_depth_of_plane if isinstance(surface, Plane) else _depth_of_sphere)(
-                surface,  # type: ignore[arg-type]
-                pinhole.origin,
-                rays,
-            )
-            for surface in surfaces
-        ]
-    )
+    depths = np.stack([surface.depths(pinhole.origin, rays) for surface in surfaces])
     surface = np.argmin(depths, axis=0)  # the first of equals
     depth = depths[surface, np.arange(len(rays))]
     missed = ~np.isfinite(depth)
@@ -260,7 +313,7 @@ def sight_of(pinhole: Pinhole, surfaces: Sequence[Surface], parts: int = 1) -> S
     normals = np.zeros_like(rays)
     for index, each in enumerate(surfaces):
         on = surface == index
-        normals[on] = each.unit_normal if isinstance(each, Plane) else each.normals(positions[on])
+        normals[on] = each.normals(positions[on])
     squared_length = (rays**2).sum(1)
     solid_angle = pitch**2 / squared_length**1.5
     cosine = -(rays * normals).sum(1) / np.sqrt(squared_length)
@@ -271,29 +324,4 @@ def sight_of(pinhole: Pinhole, surfaces: Sequence[Surface], parts: int = 1) -> S
             cosine[on] = np.maximum(cosine[on], np.sqrt(pitch * depth[on] / (2 * each.radius)))
     cosine[missed] = 1
     areas = solid_angle * squared_length * depth**2 / cosine
-    return Sight(surface, positions, normals, areas)
-
-
-def _depth_of_plane(
-    plane: Plane, origin: NDArray[np.float64], rays: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Depth at which rays (N, 3) meet the front of a plane, infinite where they don't."""
-    depth = np.full(len(rays), np.inf)
-    towards = rays @ plane.unit_normal  # negative: the ray runs against the front side
-    reach = (np.asarray(plane.point) - origin) @ plane.unit_normal
-    np.divide(reach, towards, out=depth, where=towards < 0)
-    return depth
-
-
-def _depth_of_sphere(
-    sphere: Sphere, origin: NDArray[np.float64], rays: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Depth at which rays (N, 3) from outside meet a sphere, infinite where they don't."""
-    centre = np.asarray(sphere.centre) - origin
-    squared_length, along = (rays**2).sum(1), rays @ centre
-    power = centre @ centre - sphere.radius**2
-    chord = along**2 - squared_length * power
-    met = (chord > 0) & (along > 0)
-    depth = np.full(len(rays), np.inf)
-    depth[met] = power / (along[met] + np.sqrt(chord[met]))
-    return depth
+    return Sight(pinhole, parts, surface, positions, normals, areas)

@@ -58,6 +58,20 @@ class Panel:
         """What it hides."""
         return Occluder(self.centre, self.edge_u, self.edge_v)
 
+    def normals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit normals (..., 3) of its front at points (..., 3) of it."""
+        return self.plane.normals(points)
+
+    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Depths at which rays (N, 3) meet its front or its back, infinite where they don't."""
+        here = self.occluder.coordinates(origin)
+        way = self.occluder.coordinates(np.asarray(self.centre) + rays)
+        with np.errstate(divide="ignore", invalid="ignore"):  # rays within the panel's plane
+            depth = -here[0] / way[:, 0]
+            place = here[1:] + depth[:, None] * way[:, 1:]
+            hit = (depth > 0) & (np.abs(place) <= 1).all(axis=1)
+        return np.where(hit, depth, np.inf)
+
 
 class TexelGrid:
     """The texels of some panels, numbered panel by panel and row by row.
@@ -119,11 +133,13 @@ class TexelGrid:
             np.array([getattr(panel, name) for panel in self.panels])[panel]
             for name in ("centre", "edge_u", "edge_v")
         )
+        areas = self._areas[panel]
         return Points(
             tuple(panel.plane for panel in self.panels),
             panel,
             centre + u * edge_u + v * edge_v,
-            self._areas[panel],
+            areas,
+            float(areas.mean()),
         )
 
     def patches(self, texels: NDArray[np.int64], side: int) -> Patches:
@@ -137,4 +153,6 @@ class TexelGrid:
         count = np.bincount(patch)
         centres = np.stack([np.bincount(patch, x) / count for x in points.positions.T], axis=1)
         areas = np.bincount(patch, points.areas).astype(np.float64)
-        return Patches(Points(points.planes, points.surface[first], centres, areas), patch)
+        surface = points.surface[first]
+        clamp = float(areas.mean())
+        return Patches(Points(points.surfaces, surface, centres, areas, clamp), patch)

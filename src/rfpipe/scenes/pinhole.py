@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["Pinhole"]
+__all__ = ["Pinhole", "Vector"]
 
 Vector = tuple[float, float, float]
 Double = NDArray[np.float64]
