@@ -177,7 +177,7 @@ def test_occluder_in_view_is_black():
 def test_compressed_form_factors_are_the_dense_ones(occluders):
     points = surface_points((37, 41), GEOMETRIES["wedge"])
     dense, packed = (form_factors(points, occluders, compress=c) for c in (False, True))
-    assert isinstance(packed, compression.CompressedFormFactors)
+    assert all(isinstance(block, compression.CompressedBlock) for block in packed.blocks)
     columns = np.random.default_rng(0).random((37 * 41, 3))
     columns[:, 1] = 0
     columns[100:104, 1] = 1  # light from a spot alone
@@ -216,7 +216,8 @@ def test_compressed_scene_agrees_with_its_matrix():
     scene = textured((30, 33), occluders=(PLATE,), compress=True)
     patterns = random_patterns(3, 990) < 0.1
     radiance = scene.apply(patterns)
-    assert isinstance(scene.form_factors, compression.CompressedFormFactors)
+    (block,) = scene.form_factors.blocks
+    assert isinstance(block, compression.CompressedBlock)
     for channel in range(3):
         assert radiance[..., channel] == pytest.approx(patterns @ scene.dense(channel), rel=1e-5)
 

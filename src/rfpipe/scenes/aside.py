@@ -26,12 +26,10 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from rfpipe.provenance import fingerprint
-from rfpipe.scenes.base import Scene, apply_in_batches
 from rfpipe.scenes.crossing import is_clear, require_inside, shares
-from rfpipe.scenes.diffuse import DiffuseSurfaces, require_channel, require_few
+from rfpipe.scenes.diffuse import DiffuseScene, DiffuseSurfaces
 from rfpipe.scenes.geometry import Points, Surface, least_squared, sight_of
 from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.pinhole import Pinhole
@@ -47,7 +45,7 @@ Albedo = Callable[[Double, NDArray[np.int64]], Double]
 _PARTS = 4  # of a pixel along either side
 
 
-class AsideScene(Scene):
+class AsideScene(DiffuseScene):
     """Diffuse surfaces, seen by a camera and lit by a projector that stands elsewhere.
 
     Rays that meet no surface carry no light.
@@ -114,31 +112,6 @@ class AsideScene(Scene):
             compress=compress,
         )
 
-    @property
-    def albedo(self) -> NDArray[np.float32]:
-        """Albedo (H, W, C) in [0, 1) that the camera sees, float32; 0 of an occluder."""
-        seen = self._surfaces.albedo[: self._rays]
-        return seen.reshape(*self.camera_shape, self.channels).astype(np.float32)
-
-    @property
-    def _rays(self) -> int:
-        """Number of the camera's rays, whose points come first."""
-        return math.prod(self.camera_shape)
-
-    def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
-        """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape).
-
-        A pattern's radiance doesn't depend on the patterns beside it, see `apply_in_batches`.
-
-        Raises
-        ------
-        InputError
-            If the patterns don't have N rays each.
-        """
-        return apply_in_batches(
-            self._radiance, patterns, self.projector_shape, self.channels, self._rays
-        )
-
     def _radiance(self, weights: Double) -> Double:
         """Radiance (M, B, C) of patterns (N, B)."""
         total = np.stack([np.asarray(direct @ weights) for direct in self._direct], axis=-1)
@@ -147,17 +120,8 @@ class AsideScene(Scene):
             total += self.scale * self._surfaces.radiosity(flux)[: self._rays]
         return total
 
-    def dense(self, channel: int = 0) -> Double:
-        """The whole matrix (M, N) of one channel.
-
-        Raises
-        ------
-        InputError
-            Above `rfpipe.scenes.diffuse.DENSE_POINTS` rays of both sides, or for a channel that
-            doesn't exist.
-        """
-        require_few(len(self._surfaces.albedo), "rays")
-        require_channel(channel, self.channels)
+    def _matrix(self, channel: int) -> Double:
+        """The whole matrix (M, N) of one channel."""
         indirect = self._surfaces.dense(channel)[: self._rays, self._rays :]
         transport: Double = self._direct[channel].toarray() + self.scale * indirect
         return transport
@@ -165,16 +129,12 @@ class AsideScene(Scene):
     def describe(self) -> dict[str, Any]:
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
         return {
-            "scene": self.name,
+            **super().describe(),
             "camera": asdict(self.camera),
             "projector": asdict(self.projector),
             "parts": _PARTS,
-            "channels": self.channels,
             "surfaces": [asdict(surface) for surface in self.surfaces],
-            "albedo": fingerprint(self._surfaces.albedo),
-            "bounces": self._surfaces.bounces,
             "occluders": [asdict(occluder) for occluder in self.occluders],
-            "compress": self._surfaces.compress,
             "scale": self.scale,
         }
 

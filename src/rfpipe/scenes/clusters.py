@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -45,13 +45,15 @@ class ClusterTree:
     depth: NDArray[np.int64]
     corners: NDArray[np.float64]
 
-    @property
+    @cached_property
     def radius(self) -> NDArray[np.float64]:
         """Half the diagonal of what bounds each cluster, float64 (clusters,)."""
-        radius: NDArray[np.float64] = (
-            np.linalg.norm(self.corners[:, -1] - self.corners[:, 0], axis=1) / 2
-        )
-        return radius
+        return np.asarray(np.linalg.norm(self.corners[:, -1] - self.corners[:, 0], axis=1) / 2)
+
+    @cached_property
+    def centre(self) -> NDArray[np.float64]:
+        """Centre of what bounds each cluster, float64 (clusters, 3)."""
+        return np.asarray(self.corners.mean(1))
 
     def roots(self, depth: int) -> NDArray[np.int64]:
         """Clusters of one depth, and the leaves above it: together they hold every point."""
@@ -163,8 +165,6 @@ def cluster_pairs(
     """
     one, two = trees
     tests = _visibility_tests(one, two, occluders, between, facing)
-    radius = (one.radius, two.radius)
-    centre = (one.corners.mean(1), two.corners.mean(1))
     roots = (one.roots(depth), two.roots(depth))
     a, b = (grid.ravel() for grid in np.meshgrid(*roots, indexing="ij"))
     root_a, root_b = (
@@ -173,8 +173,8 @@ def cluster_pairs(
     done: list[tuple[NDArray[np.int64], ...]] = []
     while len(a):
         visibility = _visibility(a, b, tests)
-        gap = np.linalg.norm(centre[0][a] - centre[1][b], axis=1) - radius[0][a] - radius[1][b]
-        larger = np.maximum(radius[0][a], radius[1][b])
+        gap = np.linalg.norm(one.centre[a] - two.centre[b], axis=1) - one.radius[a] - two.radius[b]
+        larger = np.maximum(one.radius[a], two.radius[b])
         smooth = (visibility == VISIBLE) & (
             gap >= np.maximum(separation * 2 * larger, least_distance)
         )
@@ -184,7 +184,7 @@ def cluster_pairs(
 
         open_ = ~kept & (visibility != HIDDEN)
         a, b, root_a, root_b = a[open_], b[open_], root_a[open_], root_b[open_]
-        cut_a = ~leaf_a[open_] & (leaf_b[open_] | (radius[0][a] >= radius[1][b]))
+        cut_a = ~leaf_a[open_] & (leaf_b[open_] | (one.radius[a] >= two.radius[b]))
         a = np.stack([np.where(cut_a, one.child[a] + side, a) for side in (0, 1)], 1).ravel()
         b = np.stack([np.where(cut_a, b, two.child[b] + side) for side in (0, 1)], 1).ravel()
         root_a, root_b = np.repeat(root_a, 2), np.repeat(root_b, 2)
@@ -204,30 +204,21 @@ def _visibility_tests(
 ) -> list[_Test]:
     """List what may hide clusters (n,) of two trees from each other, as tests of them."""
 
-    def behind(
-        affine: tuple[NDArray[np.float64], NDArray[np.float64]],
-        a: NDArray[np.int64],
-        b: NDArray[np.int64],
-    ) -> NDArray[np.int8]:
-        return classify(affine[0][a], affine[1][b])
+    def behind(occluder: Occluder) -> _Test:
+        first, second = occluder.coordinates(one.corners), occluder.coordinates(two.corners)
+        return lambda a, b: classify(first[a], second[b])
 
-    centres, radii = (one.corners.mean(1), two.corners.mean(1)), (one.radius, two.radius)
+    def behind_sphere(sphere: Sphere) -> _Test:
+        return lambda a, b: classify_between(
+            sphere, one.centre[a], two.centre[b], np.maximum(one.radius[a], two.radius[b])
+        )
 
-    def behind_sphere(
-        sphere: Sphere, a: NDArray[np.int64], b: NDArray[np.int64]
-    ) -> NDArray[np.int8]:
-        larger = np.maximum(radii[0][a], radii[1][b])
-        return classify_between(sphere, centres[0][a], centres[1][b], larger)
+    def turned_away(sphere: Sphere) -> _Test:
+        return lambda a, b: classify_facing(sphere, one.centre[a], one.radius[a], two.corners[b])
 
-    def turned_away(sphere: Sphere, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int8]:
-        return classify_facing(sphere, centres[0][a], radii[0][a], two.corners[b])
-
-    tests: list[_Test] = [
-        partial(behind, (occluder.coordinates(one.corners), occluder.coordinates(two.corners)))
-        for occluder in occluders
-    ]
-    tests += [] if between is None else [partial(behind_sphere, between)]
-    tests += [] if facing is None else [partial(turned_away, facing)]
+    tests = [behind(occluder) for occluder in occluders]
+    tests += [] if between is None else [behind_sphere(between)]
+    tests += [] if facing is None else [turned_away(facing)]
     return tests
 
 

@@ -8,7 +8,6 @@ next to the edge between planes and along the borders of shadows, small blocks k
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -21,7 +20,7 @@ from rfpipe.scenes.kernels import apply_blocks, fill_blocks
 from rfpipe.scenes.occluders import END_TOLERANCE
 from rfpipe.scenes.spheres import GRAZING
 
-__all__ = ["TOLERANCE", "CompressedFormFactors"]
+__all__ = ["TOLERANCE", "CompressedBlock"]
 
 # Relative error (Frobenius) of a smooth block; about what storing factors as float32 costs.
 TOLERANCE = 3e-7
@@ -31,33 +30,11 @@ _SHARE_DEPTH = 4  # depth of the trees at which the work is shared out: 16 share
 _CHUNK_ENTRIES = 2**24  # entries that blocks filled together may have
 
 
-class CompressedFormFactors:
-    """G as a hierarchical matrix; sums run in the same order whatever the number of threads.
+class CompressedBlock:
+    """G between two surfaces as a hierarchical matrix.
 
-    Parameters
-    ----------
-    pairs
-        The facing surfaces.
+    Sums run in the same order whatever the number of threads, to about float32's precision.
     """
-
-    def __init__(self, pairs: Sequence[FacingPair]) -> None:
-        self._blocks = tuple(_PairBlocks(pair) for pair in pairs)
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the stored factors and entries."""
-        return sum(block.data.nbytes for block in self._blocks)
-
-    def apply(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Multiply G with columns (N, K), float64 in and out, to about float32's precision."""
-        out = np.zeros_like(columns)
-        for block in self._blocks:
-            block.add_to(out, columns)
-        return out
-
-
-class _PairBlocks:
-    """The blocks of G between two surfaces."""
 
     def __init__(self, pair: FacingPair) -> None:
         one, two = (
@@ -89,6 +66,11 @@ class _PairBlocks:
             for roots in (clusters.first_root, clusters.second_root)
         )
         self._fill(pair, (one.order, two.order), clusters.smooth)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the stored factors and entries."""
+        return self.data.nbytes
 
     def _fill(
         self,
@@ -147,25 +129,23 @@ class _PairBlocks:
         self.offset = np.cumsum(lengths) - lengths
 
     def add_to(self, out: NDArray[np.float64], columns: NDArray[np.float64]) -> None:
-        """Add these blocks of G times columns (N, K) to out (N, K)."""
+        """Add this block of G, and its transpose, times columns (N, K) to out (N, K)."""
         for transposed in (False, True):
-            here, there = self.pixels[::-1] if transposed else self.pixels
-            x = columns[there].astype(np.float32)
-            y = np.zeros((len(here), columns.shape[1]))
+            self._add_side(out, columns, transposed)
 
-            def multiply(
-                chosen: NDArray[np.int64],
-                transposed: bool = transposed,
-                x: NDArray[np.float32] = x,
-                y: NDArray[np.float64] = y,
-            ) -> None:
-                apply_blocks(
-                    chosen, transposed, self.ranges, self.rank, self.offset, self.data, x, y
-                )
+    def _add_side(
+        self, out: NDArray[np.float64], columns: NDArray[np.float64], transposed: bool
+    ) -> None:
+        here, there = self.pixels[::-1] if transposed else self.pixels
+        x = columns[there].astype(np.float32)
+        y = np.zeros((len(here), columns.shape[1]))
 
-            with ThreadPoolExecutor(_threads()) as pool:
-                list(pool.map(multiply, self.shares[transposed]))
-            out[here] += y
+        def multiply(chosen: NDArray[np.int64]) -> None:
+            apply_blocks(chosen, transposed, self.ranges, self.rank, self.offset, self.data, x, y)
+
+        with ThreadPoolExecutor(_threads()) as pool:
+            list(pool.map(multiply, self.shares[transposed]))
+        out[here] += y
 
 
 def _threads() -> int:

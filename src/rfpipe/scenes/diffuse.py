@@ -7,24 +7,25 @@ f``: direct light, second bounce, third bounce. The matrix is symmetric.
 
 from __future__ import annotations
 
+import math
+from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.provenance import fingerprint
+from rfpipe.scenes.base import Scene, apply_in_batches
 from rfpipe.scenes.facing import facing_pairs
-from rfpipe.scenes.formfactors import DenseFormFactors, FormFactors, form_factors
+from rfpipe.scenes.formfactors import FormFactors, form_factors
 from rfpipe.scenes.geometry import Points
 from rfpipe.scenes.occluders import Occluder
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
-__all__ = ["DENSE_POINTS", "DiffuseSurfaces", "Patches", "require_channel", "require_few"]
+__all__ = ["DENSE_POINTS", "DiffuseScene", "DiffuseSurfaces", "Patches"]
 
 DENSE_POINTS = 8192  # above which a dense matrix is refused: it would take over half a gigabyte
 
@@ -32,6 +33,8 @@ DENSE_POINTS = 8192  # above which a dense matrix is refused: it would take over
 @dataclass(frozen=True)
 class Patches:
     """Neighbouring points taken together, for light that comes from afar and varies slowly.
+
+    The form factors between points are those of their patches.
 
     Parameters
     ----------
@@ -43,37 +46,6 @@ class Patches:
 
     points: Points
     of_point: NDArray[np.int64]
-
-    def spread(self, factors: FormFactors) -> FormFactors:
-        """The form factors between the finer points: those of their patches."""
-        return _SpreadFormFactors(factors, self.of_point, len(self.points.areas))
-
-
-class _SpreadFormFactors:
-    """G between points, each as it is between the points' patches."""
-
-    def __init__(self, factors: FormFactors, patch: NDArray[np.int64], patches: int) -> None:
-        self._factors = factors
-        self._patch = patch
-        self._patches = patches
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the patches' form factors."""
-        return self._factors.nbytes
-
-    @cached_property
-    def _sums(self) -> csr_array[np.float64]:
-        """The matrix (patches, N) that adds up the points of each patch."""
-        from scipy.sparse import csr_array
-
-        points = np.arange(len(self._patch))
-        ones = np.ones(len(points))
-        return csr_array((ones, (self._patch, points)), shape=(self._patches, len(points)))
-
-    def apply(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Multiply G with columns (N, K), float64 in and out."""
-        return self._factors.apply(np.asarray(self._sums @ columns))[self._patch]
 
 
 class DiffuseSurfaces:
@@ -129,9 +101,15 @@ class DiffuseSurfaces:
     @cached_property
     def form_factors(self) -> FormFactors:
         """The operator G, built when it is first used."""
-        points = self.points if self.patches is None else self.patches.points
-        factors = form_factors(points, self.occluders, compress=self.compress)
-        return factors if self.patches is None else self.patches.spread(factors)
+        points, of_point = self._meshed
+        return form_factors(points, self.occluders, compress=self.compress, of_point=of_point)
+
+    @property
+    def _meshed(self) -> tuple[Points, NDArray[np.int64] | None]:
+        """The points between which G is taken, and which of them stands for each point."""
+        if self.patches is None:
+            return self.points, None
+        return self.patches.points, self.patches.of_point
 
     def radiosity(self, flux: NDArray[np.float64]) -> NDArray[np.float64]:
         """Light that leaves the points under flux (N, B) on them: float64 (N, B, C)."""
@@ -161,32 +139,94 @@ class DiffuseSurfaces:
 
     def _dense_form_factors(self) -> NDArray[np.float64]:
         """G with every entry, (N, N)."""
-        points = self.points if self.patches is None else self.patches.points
+        points, of_point = self._meshed
         geometry = np.zeros((len(points.areas), len(points.areas)))
-        for first, second, block in DenseFormFactors(facing_pairs(points, self.occluders)).blocks:
-            geometry[np.ix_(first, second)] = block
+        for pair in facing_pairs(points, self.occluders):
+            first, second = pair.indices
+            geometry[np.ix_(first, second)] = block = pair.block()
             geometry[np.ix_(second, first)] = block.T
-        if self.patches is None:
-            return geometry
-        return geometry[np.ix_(self.patches.of_point, self.patches.of_point)]
+        return geometry if of_point is None else geometry[np.ix_(of_point, of_point)]
 
 
-def require_few(count: int, what: str) -> None:
-    """Refuse a dense matrix that would be too large.
+class DiffuseScene(Scene):
+    """A scene whose light is that between `DiffuseSurfaces`.
 
-    Raises
-    ------
-    InputError
-        Above `DENSE_POINTS`.
+    Attributes
+    ----------
+    name : str
+        What the scene is called in its description.
     """
-    if count > DENSE_POINTS:
-        raise InputError(
-            f"a dense matrix of {count} {what} would take {8e-9 * count**2:.1f} GB; dense() is for "
-            f"at most {DENSE_POINTS} {what}, apply() for any number"
+
+    name: str
+    _surfaces: DiffuseSurfaces
+
+    @abstractmethod
+    def _radiance(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Radiance (M, B, C) of patterns (N, B)."""
+
+    @abstractmethod
+    def _matrix(self, channel: int) -> NDArray[np.float64]:
+        """The matrix (M, N) of one channel."""
+
+    @property
+    def _rays(self) -> int:
+        """Number of the camera's rays."""
+        return math.prod(self.camera_shape)
+
+    @property
+    def albedo(self) -> NDArray[np.float32]:
+        """Albedo (*camera_shape, C) in [0, 1) that the camera sees, float32; 0 of an occluder."""
+        seen = self._surfaces.albedo[: self._rays]
+        return seen.reshape(*self.camera_shape, self.channels).astype(np.float32)
+
+    def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
+        """Radiance under projected patterns.
+
+        A pattern's radiance doesn't depend on the patterns beside it, see `apply_in_batches`.
+
+        Parameters
+        ----------
+        patterns
+            (B, N) or (B, *projector_shape): weights of the rays, in image order.
+
+        Returns
+        -------
+        float32 (B, M, C)
+            In units in which direct light is albedo x mean(A) / A, times the light's strength.
+
+        Raises
+        ------
+        InputError
+            If the patterns don't have N rays each.
+        """
+        return apply_in_batches(
+            self._radiance, patterns, self.projector_shape, self.channels, self._rays
         )
 
+    def dense(self, channel: int = 0) -> NDArray[np.float64]:
+        """The whole matrix (M, N) of one channel; exactly symmetric, of a coaxial scene.
 
-def require_channel(channel: int, channels: int) -> None:
-    """Refuse a colour channel that doesn't exist, by an InputError."""
-    if not 0 <= channel < channels:
-        raise InputError(f"channel {channel}: expected 0 to {channels - 1}")
+        Raises
+        ------
+        InputError
+            Above `DENSE_POINTS` rays or points of surfaces, or for a channel that doesn't exist.
+        """
+        count = max(self._rays, len(self._surfaces.albedo))
+        if count > DENSE_POINTS:
+            raise InputError(
+                f"a dense matrix of {count} rays or points would take {8e-9 * count**2:.1f} GB; "
+                f"dense() is for at most {DENSE_POINTS}, apply() for any number"
+            )
+        if not 0 <= channel < self.channels:
+            raise InputError(f"channel {channel}: expected 0 to {self.channels - 1}")
+        return self._matrix(channel)
+
+    def describe(self) -> dict[str, Any]:
+        """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+        return {
+            "scene": self.name,
+            "channels": self.channels,
+            "albedo": fingerprint(self._surfaces.albedo),
+            "bounces": self._surfaces.bounces,
+            "compress": self._surfaces.compress,
+        }

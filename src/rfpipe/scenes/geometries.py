@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.geometry import Plane, Sphere, Surface
+from rfpipe.scenes.geometry import Plane, Sphere, Surface, Vector
 
 __all__ = ["GEOMETRIES"]
-
-Vector = tuple[float, float, float]
 
 _FARTHEST = (0.0, 0.0, 3.0)  # point on the axis where the planes of a crease or corner meet
 _CORNER_DIRECTIONS = {

@@ -13,12 +13,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.scenes.base import CoaxialScene, apply_in_batches
-from rfpipe.scenes.diffuse import DiffuseSurfaces, require_channel, require_few
+from rfpipe.scenes.base import CoaxialScene
+from rfpipe.scenes.diffuse import DiffuseScene, DiffuseSurfaces
 from rfpipe.scenes.panels import Panel, TexelGrid
 from rfpipe.scenes.textures import surface_albedo
 from rfpipe.scenes.views import DISTANCE, ViewArray, sightings
@@ -32,7 +31,7 @@ _PARTS = 3  # of a pixel along either side, each seen along a ray of its own
 _PATCH = 2  # texels along either side of a patch that indirect light takes for one
 
 
-class LightFieldScene(CoaxialScene):
+class LightFieldScene(CoaxialScene, DiffuseScene):
     """Panels with texels, seen and lit by an array of views.
 
     Only texels that some ray sees take part: light that falls elsewhere is lost.
@@ -71,8 +70,6 @@ class LightFieldScene(CoaxialScene):
         compress: bool | None = None,
         name: str = "light field",
     ) -> None:
-        if channels not in (1, 3):
-            raise InputError(f"channels {channels}: expected 1 (grey) or 3 (RGB)")
         super().__init__(views.ray_shape, channels)
         self.views = views
         self.panels = tuple(panels)
@@ -80,7 +77,7 @@ class LightFieldScene(CoaxialScene):
         grid = TexelGrid(panels, DISTANCE * views.pitch)
         seen = sightings(views, grid, _PARTS)
         texels = np.unique(seen.texels.indices).astype(np.int64)
-        self._rays = seen.texels[:, texels]
+        self._seen = seen.texels[:, texels]
         self._scale = float(seen.footprint.mean()) / views.count
         albedo = np.concatenate(
             [
@@ -104,83 +101,35 @@ class LightFieldScene(CoaxialScene):
     @property
     def albedo(self) -> NDArray[np.float32]:
         """Mean albedo seen by each ray, float32 (*shape, C), in [0, 1)."""
-        albedo = np.asarray(self._rays @ self._surfaces.albedo)
+        albedo = np.asarray(self._seen @ self._surfaces.albedo)
         return albedo.reshape(*self.shape, self.channels).astype(np.float32)
 
     @cached_property
     def _texels(self) -> csr_array[np.float64]:
         """The transpose of the rays' matrix, which spreads their light onto the texels."""
-        return self._rays.T.tocsr()
-
-    def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
-        """Radiance under projected patterns.
-
-        A pattern's radiance doesn't depend on the patterns beside it, see `apply_in_batches`.
-
-        Parameters
-        ----------
-        patterns
-            (B, N) or (B, *shape): weights of the rays, in order of the views.
-
-        Returns
-        -------
-        float32 (B, N, C)
-            In units in which a surface that all views light, each pixel its mean area, has its
-            albedo as the radiance of direct light.
-
-        Raises
-        ------
-        InputError
-            If the patterns don't have N rays each.
-        """
-        return apply_in_batches(self._radiance, patterns, self.shape, self.channels)
+        return self._seen.T.tocsr()
 
     def _radiance(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Radiance (N, B, C) of patterns (N, B)."""
         leaving = self._surfaces.radiosity(np.asarray(self._texels @ weights))
         leaving *= self._scale
-        radiance = np.asarray(self._rays @ leaving.reshape(len(leaving), -1))
+        radiance = np.asarray(self._seen @ leaving.reshape(len(leaving), -1))
         return radiance.reshape(*weights.shape, -1)
 
-    def dense(self, channel: int = 0) -> NDArray[np.float64]:
-        """The whole matrix of one channel, exactly symmetric.
-
-        Parameters
-        ----------
-        channel
-            Colour channel, from 0.
-
-        Returns
-        -------
-        float64 (N, N)
-
-        Raises
-        ------
-        InputError
-            Above `rfpipe.scenes.diffuse.DENSE_POINTS` rays or texels, or for a channel that
-            doesn't exist.
-        """
-        rays, texels = self._rays.shape
-        require_few(rays, "rays")
-        require_few(texels, "texels")
-        require_channel(channel, self.channels)
-        half = np.asarray(self._rays @ self._surfaces.dense(channel))
-        transport: NDArray[np.float64] = self._scale * np.asarray(self._rays @ half.T)
+    def _matrix(self, channel: int) -> NDArray[np.float64]:
+        """The whole matrix (N, N) of one channel."""
+        half = np.asarray(self._seen @ self._surfaces.dense(channel))
+        transport: NDArray[np.float64] = self._scale * np.asarray(self._seen @ half.T)
         return (transport + transport.T) / 2  # products round
 
     def describe(self) -> dict[str, Any]:
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
-        surfaces = self._surfaces
         return {
-            "scene": self.name,
+            **super().describe(),
             "views": asdict(self.views),
             "distance": DISTANCE,
             "parts": _PARTS,
             "patch": _PATCH,
-            "channels": self.channels,
             "panels": [asdict(panel) for panel in self.panels],
-            "albedo": fingerprint(surfaces.albedo),
-            "rays": fingerprint([self._rays.indptr, self._rays.indices, self._rays.data]),
-            "bounces": surfaces.bounces,
-            "compress": surfaces.compress,
+            "rays": fingerprint([self._seen.indptr, self._seen.indices, self._seen.data]),
         }

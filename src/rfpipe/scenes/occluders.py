@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.scenes.pinhole import Vector
 
 __all__ = ["END_TOLERANCE", "HIDDEN", "MIXED", "VISIBLE", "Occluder", "blocked", "classify"]
-
-Vector = tuple[float, float, float]
 
 # Fraction of a segment at either end in which it can't be blocked: a surface that touches an
 # occluder isn't hidden by it where they touch.

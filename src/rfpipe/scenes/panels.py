@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.scenes.diffuse import Patches
-from rfpipe.scenes.geometry import Plane, Points
+from rfpipe.scenes.geometry import Plane, Points, Vector
 from rfpipe.scenes.occluders import Occluder
 
 __all__ = ["Panel", "TexelGrid"]
-
-Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.provenance import fingerprint
-from rfpipe.scenes.base import CoaxialScene, apply_in_batches
-from rfpipe.scenes.diffuse import DiffuseSurfaces, require_channel, require_few
+from rfpipe.scenes.base import CoaxialScene
+from rfpipe.scenes.diffuse import DiffuseScene, DiffuseSurfaces
 from rfpipe.scenes.formfactors import FormFactors
 from rfpipe.scenes.geometry import SurfacePoints
 from rfpipe.scenes.occluders import Occluder, blocked
@@ -25,7 +24,7 @@ from rfpipe.scenes.occluders import Occluder, blocked
 __all__ = ["RadiosityScene"]
 
 
-class RadiosityScene(CoaxialScene):
+class RadiosityScene(CoaxialScene, DiffuseScene):
     """Diffuse surfaces, their albedo and black occluders, seen by a coaxial rig.
 
     Parameters
@@ -87,11 +86,6 @@ class RadiosityScene(CoaxialScene):
         )
 
     @property
-    def albedo(self) -> NDArray[np.float32]:
-        """Albedo (H, W, C) in [0, 1), float32; 0 where the rig sees an occluder."""
-        return self._surfaces.albedo.reshape(*self.shape, self.channels).astype(np.float32)
-
-    @property
     def occluders(self) -> tuple[Occluder, ...]:
         """What blocks light between points and the rig's own view."""
         return self._surfaces.occluders
@@ -101,53 +95,14 @@ class RadiosityScene(CoaxialScene):
         """The operator G, built when it is first used."""
         return self._surfaces.form_factors
 
-    def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
-        """Radiance under projected patterns.
-
-        A pattern's radiance doesn't depend on the patterns beside it, see `apply_in_batches`.
-
-        Parameters
-        ----------
-        patterns
-            (B, N) or (B, H, W): weights of the rays, in image order.
-
-        Returns
-        -------
-        float32 (B, N, C)
-            In units in which direct light is light x albedo x mean(A) / A.
-
-        Raises
-        ------
-        InputError
-            If the patterns don't have N rays each.
-        """
-        return apply_in_batches(self._radiance, patterns, self.shape, self.channels)
-
     def _radiance(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Radiance (N, B, C) of patterns (N, B)."""
         total = self._surfaces.radiosity(weights)
         total *= self.points.mean_area * self.light
         return total
 
-    def dense(self, channel: int = 0) -> NDArray[np.float64]:
-        """The whole matrix of one channel, exact and exactly symmetric.
-
-        Parameters
-        ----------
-        channel
-            Colour channel, from 0.
-
-        Returns
-        -------
-        float64 (N, N)
-
-        Raises
-        ------
-        InputError
-            Above `rfpipe.scenes.diffuse.DENSE_POINTS` rays, or for a channel that doesn't exist.
-        """
-        require_few(len(self.points.areas), "rays")
-        require_channel(channel, self.channels)
+    def _matrix(self, channel: int) -> NDArray[np.float64]:
+        """The whole matrix (N, N) of one channel, exact."""
         transport = self._surfaces.dense(channel)
         transport *= self.points.mean_area * self.light
         return transport
@@ -156,14 +111,10 @@ class RadiosityScene(CoaxialScene):
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
         sphere = self.points.sphere
         return {
-            "scene": self.name,
+            **super().describe(),
             "shape": list(self.shape),
-            "channels": self.channels,
             "planes": [asdict(plane) for plane in self.points.planes],
-            "albedo": fingerprint(self._surfaces.albedo),
-            "bounces": self._surfaces.bounces,
             "occluders": [asdict(occluder) for occluder in self.occluders],
-            "compress": self._surfaces.compress,
             **({} if sphere is None else {"sphere": asdict(sphere)}),
             **({} if self.light == 1 else {"light": self.light}),
         }

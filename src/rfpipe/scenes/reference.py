@@ -16,7 +16,7 @@ from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.pinhole import Pinhole
 from rfpipe.scenes.radiosity import RadiosityScene
 from rfpipe.scenes.room import room_panels
-from rfpipe.scenes.textures import surface_albedo
+from rfpipe.scenes.textures import require_kinds, surface_albedo
 from rfpipe.scenes.views import ViewArray
 
 __all__ = ["REFERENCE_SCENES", "aside_scene", "planes_scene", "reference_scene", "room_scene"]
@@ -78,7 +78,7 @@ def planes_scene(
         For an unknown geometry or surface, a number of surfaces that doesn't fit the geometry, or
         settings out of range.
     """
-    facing = _checked(geometry, surfaces, channels)
+    facing = _checked(geometry, surfaces)
     points = surface_points(shape, facing)
     pages = _pages(surfaces, points.shape, channels, seed).reshape(len(facing), -1, channels)
     albedo = pages[points.surface, np.arange(len(points.surface))]
@@ -128,7 +128,7 @@ def aside_scene(
     InputError
         As for `planes_scene`; and if the projector stands behind a surface.
     """
-    facing = _checked(geometry, surfaces, channels)
+    facing = _checked(geometry, surfaces)
     camera = Pinhole(shape)
     pages = _pages(surfaces, shape, channels, seed)
 
@@ -151,18 +151,12 @@ def aside_scene(
     )
 
 
-def _checked(geometry: str, surfaces: Sequence[str], channels: int) -> tuple[Surface, ...]:
+def _checked(geometry: str, surfaces: Sequence[str]) -> tuple[Surface, ...]:
     """Return the surfaces of a geometry; raise InputError where the settings don't fit it."""
     if geometry not in GEOMETRIES:
         raise InputError(f"geometry {geometry!r}: expected one of {', '.join(GEOMETRIES)}")
     facing = GEOMETRIES[geometry]
-    if len(surfaces) != len(facing) or not set(surfaces) <= {"white", "texture"}:
-        raise InputError(
-            f"surfaces {tuple(surfaces)} of geometry {geometry!r}: expected {len(facing)} "
-            f"({', '.join(surface.name for surface in facing)}), each 'white' or 'texture'"
-        )
-    if channels not in (1, 3):
-        raise InputError(f"channels {channels}: expected 1 (grey) or 3 (RGB)")
+    require_kinds(surfaces, geometry, [surface.name for surface in facing])
     return facing
 
 

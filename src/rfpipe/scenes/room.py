@@ -11,16 +11,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rfpipe.errors import InputError
 from rfpipe.scenes.panels import Panel
+from rfpipe.scenes.pinhole import Vector
+from rfpipe.scenes.textures import require_kinds
 from rfpipe.scenes.views import DISTANCE
 
 __all__ = ["ROOM_SURFACES", "room_panels"]
 
 ROOM_SURFACES = ("left wall", "right wall", "floor")
 """The surfaces of the room that may be white or textured; all others are textured."""
-
-Vector = tuple[float, float, float]
 
 # The room stands in a frame of its own: x to the right, y down, z away, and its origin where the
 # views look; these look down at it. Lengths in scene units, angles in degrees.
@@ -56,22 +55,17 @@ def room_panels(surfaces: Sequence[str]) -> tuple[Panel, ...]:
     InputError
         For another number of surfaces, or an unknown one.
     """
-    if len(surfaces) != len(ROOM_SURFACES) or not set(surfaces) <= {"white", "texture"}:
-        raise InputError(
-            f"surfaces {tuple(surfaces)} of geometry 'room': expected {len(ROOM_SURFACES)} "
-            f"({', '.join(ROOM_SURFACES)}), each 'white' or 'texture'"
-        )
+    require_kinds(surfaces, "room", ROOM_SURFACES)
     left, right, floor = surfaces
     middle = _FLOOR + 0.1 - _WALL  # a little of the walls goes below the floor: no gap
+    below = (0, _FLOOR, _CORNER - _WALL + 0.1)
     return (
-        _upright("left wall", (0, middle, _CORNER), (_WALL, _WALL), 45, left, encloses=True),
-        _upright("right wall", (0, middle, _CORNER), (_WALL, _WALL), -45, right, encloses=True),
-        _level(
-            "floor", (0, _FLOOR, _CORNER - _WALL + 0.1), (_WALL, _WALL), 0, floor, encloses=True
-        ),
+        _panel("left wall", (0, middle, _CORNER), (_WALL, _WALL), 45, left, encloses=True),
+        _panel("right wall", (0, middle, _CORNER), (_WALL, _WALL), -45, right, encloses=True),
+        _panel("floor", below, (_WALL, _WALL), 0, floor, lies=True, encloses=True),
         *_box("box", (-0.28, _FLOOR, 0.02), side=0.42, height=0.5, turned=32),
-        _upright("poster", (0.42, _FLOOR - 0.3, -0.12), (0.26, 0.3), -20, "texture"),
-        _level("card", (-0.38, -0.42, -0.1), (0.22, 0.15), 15, "texture"),
+        _panel("poster", (0.42, _FLOOR - 0.3, -0.12), (0.26, 0.3), -20, "texture"),
+        _panel("card", (-0.38, -0.42, -0.1), (0.22, 0.15), 15, "texture", lies=True),
     )
 
 
@@ -85,49 +79,30 @@ def _box(
     for angle in (turned, turned - 90, turned + 90, turned + 180):
         sine, cosine = np.sin(np.radians(angle)), np.cos(np.radians(angle))
         centre = (x + half * float(sine), y - height / 2, z - half * float(cosine))
-        sides.append(_upright(name, centre, (half, height / 2), angle, "texture"))
-    return (*sides, _level(name, (x, y - height, z), (half, half), turned, "texture"))
-
-
-def _upright(
-    name: str,
-    centre: Vector,
-    half: tuple[float, float],
-    turned: float,
-    surface: str,
-    *,
-    encloses: bool = False,
-) -> Panel:
-    """A panel that stands: half its width and height; 0 faces the views, 90 faces right."""
-    sine, cosine = np.sin(np.radians(turned)), np.cos(np.radians(turned))
-    across = (half[0] * float(cosine), 0.0, half[0] * float(sine))
-    return _panel(name, centre, across, (0.0, half[1], 0.0), surface, encloses)
-
-
-def _level(
-    name: str,
-    centre: Vector,
-    half: tuple[float, float],
-    turned: float,
-    surface: str,
-    *,
-    encloses: bool = False,
-) -> Panel:
-    """A panel that lies and faces up: half its width and depth."""
-    sine, cosine = np.sin(np.radians(turned)), np.cos(np.radians(turned))
-    across = (half[0] * float(cosine), 0.0, half[0] * float(sine))
-    nearer = (half[1] * float(sine), 0.0, -half[1] * float(cosine))
-    return _panel(name, centre, across, nearer, surface, encloses)
+        sides.append(_panel(name, centre, (half, height / 2), angle, "texture"))
+    lid = _panel(name, (x, y - height, z), (half, half), turned, "texture", lies=True)
+    return (*sides, lid)
 
 
 def _panel(
-    name: str, centre: Vector, edge_u: Vector, edge_v: Vector, surface: str, encloses: bool
+    name: str,
+    centre: Vector,
+    half: tuple[float, float],
+    turned: float,
+    surface: str,
+    *,
+    lies: bool = False,
+    encloses: bool = False,
 ) -> Panel:
-    """A panel of the room as the views see it, looking down."""
+    """A panel as the views see it, looking down: half its width, and its height or depth.
+
+    One that stands faces the views turned by 0 degrees, and right by 90; one that lies faces up.
+    """
+    sine, cosine = (float(f(np.radians(turned))) for f in (np.sin, np.cos))
+    across = _seen((half[0] * cosine, 0.0, half[0] * sine))
+    down = _seen((half[1] * sine, 0.0, -half[1] * cosine) if lies else (0.0, half[1], 0.0))
     x, y, z = _seen(centre)
-    return Panel(
-        name, (x, y, z + DISTANCE), _seen(edge_u), _seen(edge_v), surface, _TINTS[name], encloses
-    )
+    return Panel(name, (x, y, z + DISTANCE), across, down, surface, _TINTS[name], encloses)
 
 
 def _seen(vector: Vector) -> Vector:

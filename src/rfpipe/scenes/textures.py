@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.errors import InputError
 from rfpipe.provenance import generator
 
-__all__ = ["INK", "PAPER", "TINTS", "WHITE", "printed_page", "surface_albedo"]
+__all__ = ["INK", "PAPER", "TINTS", "WHITE", "printed_page", "require_kinds", "surface_albedo"]
 
 WHITE = 0.8
 PAPER = 0.85
@@ -22,6 +25,15 @@ _LETTER_HEIGHT = 7
 _LEADING = 9  # from one line of text to the next
 _LETTER_WIDTHS = (4, 6)  # bounds, inclusive
 _WORD_LENGTHS = (2, 7)  # letters
+
+
+def require_kinds(surfaces: Sequence[str], geometry: str, names: Sequence[str]) -> None:
+    """Raise InputError where the kinds of surfaces don't fit those that a geometry names."""
+    if len(surfaces) != len(names) or not set(surfaces) <= {"white", "texture"}:
+        raise InputError(
+            f"surfaces {tuple(surfaces)} of geometry {geometry!r}: expected {len(names)} "
+            f"({', '.join(names)}), each 'white' or 'texture'"
+        )
 
 
 def printed_page(shape: tuple[int, int], seed: int, page: int = 0) -> NDArray[np.bool_]:
@@ -41,18 +53,20 @@ def printed_page(shape: tuple[int, int], seed: int, page: int = 0) -> NDArray[np
     ndarray of bool, (H, W)
         True where there is ink.
     """
-    height, width = shape
     random = generator(seed, page)
-    ink = np.zeros(shape, dtype=np.bool_)
-    for top in range(int(random.integers(-_LETTER_HEIGHT, 1)), height, _LEADING):
-        left = int(random.integers(-_LETTER_WIDTHS[1], 1))
+    # a page with margins, so wide that no word that begins within it goes beyond
+    margin, word = _LETTER_HEIGHT, _WORD_LENGTHS[1] * (_LETTER_WIDTHS[1] + 1)
+    height, width = shape[0] + margin, shape[1] + margin
+    ink = np.zeros((height + margin, width + word), dtype=np.bool_)
+    for top in range(margin + int(random.integers(-_LETTER_HEIGHT, 1)), height, _LEADING):
+        left = margin + int(random.integers(-_LETTER_WIDTHS[1], 1))
         while left < width:
             for _ in range(random.integers(_WORD_LENGTHS[0], _WORD_LENGTHS[1] + 1)):
                 letter = _letter(random)
-                _print(ink, letter, top, left)
+                ink[top : top + _LETTER_HEIGHT, left : left + letter.shape[1]] |= letter
                 left += letter.shape[1] + 1
             left += int(random.integers(1, 4))
-    return ink
+    return ink[margin:height, margin:width]
 
 
 def _letter(random: np.random.Generator) -> NDArray[np.bool_]:
@@ -70,17 +84,6 @@ def _letter(random: np.random.Generator) -> NDArray[np.bool_]:
         else:
             letter[rows, slant if stroke == 4 else slant[::-1]] = True
     return letter
-
-
-def _print(page: NDArray[np.bool_], letter: NDArray[np.bool_], top: int, left: int) -> None:
-    """Add a letter to a page, cut at the page's edges."""
-    height, width = page.shape
-    rows = slice(max(top, 0), min(top + letter.shape[0], height))
-    columns = slice(max(left, 0), min(left + letter.shape[1], width))
-    if rows.start < rows.stop and columns.start < columns.stop:
-        page[rows, columns] |= letter[
-            rows.start - top : rows.stop - top, columns.start - left : columns.stop - left
-        ]
 
 
 def surface_albedo(
@@ -113,7 +116,14 @@ def surface_albedo(
     -------
     float64 (H, W, C)
         Between 0 and 1.
+
+    Raises
+    ------
+    InputError
+        For another number of channels.
     """
+    if channels not in (1, 3):
+        raise InputError(f"channels {channels}: expected 1 (grey) or 3 (RGB)")
     grey = np.full(shape, WHITE)
     if kind == "texture":
         grey = np.where(printed_page(shape, seed, surface), INK, PAPER)

@@ -11,7 +11,7 @@ from rfpipe.config.scenes import SceneSettings
 from rfpipe.scenes.base import Scene, SceneKind
 from rfpipe.scenes.kinds.diffuse import Diffuse, SurfaceName
 from rfpipe.scenes.occluders import Occluder
-from rfpipe.scenes.pinhole import Pinhole
+from rfpipe.scenes.pinhole import Pinhole, Vector
 from rfpipe.scenes.reference import aside_scene, planes_scene
 
 __all__ = [
@@ -30,8 +30,6 @@ __all__ = [
     "Wedge120",
     "WedgeOptions",
 ]
-
-Vector = tuple[float, float, float]
 
 _ALBEDO = "white: albedo 0.8; texture: text-like strokes of albedo 0.15 and 0.85."
 
@@ -53,10 +51,12 @@ class OccluderOptions(Settings):
 
     @model_validator(mode="after")
     def _spans_a_parallelogram(self) -> Self:
-        (a, b, c), (d, e, f) = self.edge_u, self.edge_v
-        if (b * f - c * e, c * d - a * f, a * e - b * d) == (0, 0, 0):
-            raise ValueError("edge_u and edge_v should span a parallelogram, but they are parallel")
+        self.occluder()
         return self
+
+    def occluder(self) -> Occluder:
+        """Return it; raise InputError where the edges are parallel."""
+        return Occluder(self.centre, self.edge_u, self.edge_v)
 
 
 class ProjectorOptions(Settings):
@@ -156,7 +156,7 @@ class _Surfaces(SceneKind):
             "shape": options.shape,
             "channels": options.channels,
             "bounces": options.bounces,
-            "occluders": [Occluder(**dict(occluder)) for occluder in options.occluders],
+            "occluders": [each.occluder() for each in options.occluders],
             "seed": options.seed,
             "compress": many_patterns or None,
         }
