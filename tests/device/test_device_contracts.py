@@ -10,8 +10,9 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.rigs import DeviceRig, ProjectorLayout
+from rfpipe.rigs.geometry import centred_corners, tilted_corners
 from rfpipe.rigs.matrices import as_pattern_operator
-from rfpipe.rigs.optics import OpticalPath, centred_corners, tilted_corners
+from rfpipe.rigs.optics import OpticalPath
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
 
 SENSOR = CameraModel(exposures=(1 / 64, 1 / 16))

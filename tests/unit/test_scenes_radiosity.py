@@ -216,7 +216,7 @@ def test_compressed_scene_agrees_with_its_matrix():
     scene = textured((30, 33), occluders=(PLATE,), compress=True)
     patterns = random_patterns(3, 990) < 0.1
     radiance = scene.apply(patterns)
-    (block,) = scene.form_factors.blocks
+    (block,) = scene._surfaces.form_factors.blocks
     assert isinstance(block, compression.CompressedBlock)
     for channel in range(3):
         assert radiance[..., channel] == pytest.approx(patterns @ scene.dense(channel), rel=1e-5)

@@ -14,7 +14,6 @@ from rfpipe.rigs.geometry import (
     Quadrilateral,
     apply_homography,
     homography,
-    layout_within,
     pixel_middles,
 )
 from rfpipe.rigs.layout import ProjectorLayout
@@ -99,7 +98,7 @@ def layout_of_views(
     CaptureError
         When a ray has no projector pixel.
     """
-    layout = layout_within(corners, (len(corners), *shape), display_shape)
+    layout = ProjectorLayout.within(corners, (len(corners), *shape), display_shape)
     unlit = np.count_nonzero(layout.pixels_of_ray == 0)
     if unlit:
         raise CaptureError(

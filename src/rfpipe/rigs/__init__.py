@@ -5,7 +5,6 @@ from rfpipe.rigs.base import (
     DRIFT_KEY,
     FLOODLIT_KEY,
     WARM_UP_KEY,
-    PatternOperator,
     Rig,
 )
 from rfpipe.rigs.device_rig import DeviceRig
@@ -13,7 +12,7 @@ from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.operator import OperatorRig
 from rfpipe.rigs.remote import RemoteRig
-from rfpipe.rigs.simulated import LitScene, SimulatedRig
+from rfpipe.rigs.simulated import SimulatedRig
 
 __all__ = [
     "BLACK_LEVEL_KEY",
@@ -22,9 +21,7 @@ __all__ = [
     "WARM_UP_KEY",
     "Camera",
     "DeviceRig",
-    "LitScene",
     "OperatorRig",
-    "PatternOperator",
     "Projector",
     "ProjectorLayout",
     "RemoteRig",

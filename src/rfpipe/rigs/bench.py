@@ -26,11 +26,13 @@ from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.display import VirtualDisplay, memory_display
-from rfpipe.rigs.optics import OpticalPath, centred_corners, tilted_corners
+from rfpipe.rigs.geometry import centred_corners, tilted_corners
+from rfpipe.rigs.optics import OpticalPath
 from rfpipe.rigs.pylon import PylonCamera
-from rfpipe.rigs.settings import camera_settings, sensor_of, window_settings
+from rfpipe.rigs.settings import calibration_of, sensor_of
 from rfpipe.rigs.window import WindowProjector
 from rfpipe.rigs.xvfb import xvfb
+from rfpipe.scenes import scene_from_config
 
 if TYPE_CHECKING:
     from rfpipe.config import BenchConfig, RigConfig, SceneSettings
@@ -95,7 +97,7 @@ class BenchProjector(WindowProjector):
     def __init__(self, display_shape: tuple[int, int], **settings: Any) -> None:
         with ExitStack() as stack:
             self.display = stack.enter_context(_display(display_shape))
-            super().__init__(self.display.name, **settings)
+            super().__init__(**{**settings, "display": self.display.name})
             self._server = stack.pop_all()
 
     def close(self) -> None:
@@ -113,7 +115,7 @@ class BenchCamera(PylonCamera):
     sensor : CameraModel
         What the rig believes of the camera; its exposures are set, its noise is not used.
     settings
-        As `PylonCamera` has them, without serial, shape, offset and nodes.
+        As `PylonCamera` has them; serial, shape and nodes are the bench's.
 
     Raises
     ------
@@ -129,19 +131,17 @@ class BenchCamera(PylonCamera):
         self._folder = Path(tempfile.mkdtemp(prefix="rfpipe-bench-"))
         (self._folder / "pictures").mkdir()
         self._put(np.zeros(scenery.path.camera_shape, np.uint16))
-        nodes = {
-            "TestImageSelector": "Off",
-            "ImageFilename": str(self._folder / "pictures"),
-            "ImageFileMode": "On",
+        own = {
+            "serial": EMULATED_SERIAL,
+            "shape": scenery.path.camera_shape,
+            "nodes": {
+                "TestImageSelector": "Off",
+                "ImageFilename": str(self._folder / "pictures"),
+                "ImageFileMode": "On",
+            },
         }
         try:
-            super().__init__(
-                sensor,
-                serial=EMULATED_SERIAL,
-                shape=scenery.path.camera_shape,
-                nodes=nodes,
-                **settings,
-            )
+            super().__init__(sensor, **{**settings, **own})
         except CaptureError as error:
             self._clear()
             raise CaptureError(
@@ -212,7 +212,10 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
     """
     bench = config.bench
     assert bench is not None
-    projector = BenchProjector(bench.display_shape, **window_settings(config))
+    window = config.projector.arguments()
+    if window["response"] is None:
+        window["response"] = calibration_of(config).projector_response
+    projector = BenchProjector(bench.display_shape, **window)
     try:
         true = sensor_from_config(bench.camera or config.sensor)
         assert isinstance(true, CameraModel)
@@ -220,13 +223,13 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
         light = bench.projector_black + (1 - bench.projector_black) * codes
         scenery = Scenery(
             projector.display,
-            config.projector.arguments()["offset"],
+            window["offset"],
             optical_path(bench, projector.shape),
             light.astype(np.float32),
             true,
             config.seed,
         )
-        return projector, BenchCamera(scenery, sensor_of(config), **camera_settings(config))
+        return projector, BenchCamera(scenery, sensor_of(config), **config.camera.arguments())
     except BaseException:
         projector.close()
         raise
@@ -246,8 +249,6 @@ def _display(shape: tuple[int, int]) -> AbstractContextManager[VirtualDisplay]:
 
 def optical_path(bench: BenchConfig, projector_shape: tuple[int, int]) -> OpticalPath:
     """Return the light's way on a bench."""
-    from rfpipe.scenes import scene_from_config
-
     scene = scene_from_config(bench.scene)
     shape = scene.projector_shape
     views = bench.scene.view_grid
@@ -265,8 +266,6 @@ def optical_path(bench: BenchConfig, projector_shape: tuple[int, int]) -> Optica
 
 def _direct_light(config: SceneSettings) -> Float:
     """Return the radiance (N, C) that each view sees of its own direct light."""
-    from rfpipe.scenes import scene_from_config
-
     if "bounces" not in type(config).model_fields:
         raise ConfigError(
             f"bench.scene is of kind {config.kind}, which doesn't tell direct light by an option "
@@ -276,8 +275,4 @@ def _direct_light(config: SceneSettings) -> Float:
     domain = RayDomain(scene.projector_shape)
     light = np.repeat(np.eye(domain.views, dtype=np.float32), domain.rays_per_image, axis=1)
     images = np.asarray(scene.apply(light))
-    own = light.astype(bool)
-    direct = np.empty(images.shape[1:], np.float32)
-    for view in range(domain.views):
-        direct[own[view]] = images[view, own[view]]
-    return direct
+    return np.asarray(images[light == 1])  # view by view, as the rays are ordered

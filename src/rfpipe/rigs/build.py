@@ -11,6 +11,7 @@ from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.settings import calibration_of, sensor_of
+from rfpipe.rigs.simulated import SimulatedRig
 
 if TYPE_CHECKING:
     from rfpipe.config import RigConfig
@@ -39,7 +40,15 @@ def rig_from_config(config: RigConfig) -> Rig:
         rig: Rig = config.rig.make(sensor=config.sensor and sensor_of(config))
         return rig
     if config.kind == "simulated":
-        return _simulated(config)
+        from rfpipe.scenes import scene_from_config
+
+        assert config.scene is not None
+        return SimulatedRig(
+            scene_from_config(config.scene),
+            sensor_from_config(config.sensor),
+            config.seed,
+            config.seconds_per_pattern,
+        )
     calibration = calibration_of(config)
     projector, camera = devices_from_config(config)
     try:
@@ -79,16 +88,3 @@ def devices_from_config(config: RigConfig) -> tuple[Projector, Camera]:
         projector.close()
         raise
     return projector, camera
-
-
-def _simulated(config: RigConfig) -> Rig:
-    from rfpipe.rigs.simulated import SimulatedRig
-    from rfpipe.scenes import scene_from_config
-
-    assert config.scene is not None
-    return SimulatedRig(
-        scene_from_config(config.scene),
-        sensor_from_config(config.sensor),
-        config.seed,
-        config.seconds_per_pattern,
-    )

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.rigs.layout import DARK, ProjectorLayout
 
 __all__ = [
     "Quadrilateral",
     "apply_homography",
+    "centred_corners",
     "homography",
-    "layout_within",
     "lie_within",
     "pixel_middles",
     "rectangle",
+    "tilted_corners",
 ]
 
 Double = NDArray[np.float64]
@@ -82,27 +82,66 @@ def homography(shape: tuple[int, ...], corners: Quadrilateral) -> Double:
     return matrix
 
 
-def layout_within(
-    corners: Sequence[Quadrilateral], shape: tuple[int, ...], display_shape: tuple[int, int]
-) -> ProjectorLayout:
-    """Return the layout of rectified views: a pixel belongs to the ray that its middle lies on.
+def centred_corners(
+    shape: tuple[int, ...], picture_shape: tuple[int, int], views: tuple[int, int] = (1, 1)
+) -> list[Quadrilateral]:
+    """Return the corners of views side by side in the middle, each ray a square of whole pixels.
 
     Parameters
     ----------
-    corners : sequence of Quadrilateral
-        Of each view on the projector.
     shape : tuple of int
         The ray domain.
-    display_shape : (int, int)
-        Of the projector in pixels.
+    picture_shape : (int, int)
+        Height and width in pixels.
+    views : (int, int)
+        Rows and columns of views.
+
+    Raises
+    ------
+    InputError
+        When a ray doesn't get a pixel.
     """
-    rays = np.full(display_shape, DARK, np.int32)
-    middles = pixel_middles(display_shape)
+    image = RayDomain(shape).image_shape
+    height, width = (extent * count for extent, count in zip(image, views, strict=True))
+    side = min(picture_shape[0] // height, picture_shape[1] // width)
+    if side < 1:
+        raise InputError(
+            f"bench: {height} x {width} rays don't fit into a display of {picture_shape} pixels"
+        )
+    top, left = (picture_shape[0] - side * height) // 2, (picture_shape[1] - side * width) // 2
+    size = side * image[1], side * image[0]
+    return _rectangles(views, (left, top), size, size)
+
+
+def tilted_corners(
+    shape: tuple[int, ...], picture_shape: tuple[int, int], views: tuple[int, int] = (1, 1)
+) -> list[Quadrilateral]:
+    """Return the corners of views in cells side by side, turned and distorted a little.
+
+    Parameters as `centred_corners`; the rays keep their aspect.
+    """
     height, width = RayDomain(shape).image_shape
-    for view, quad in enumerate(corners):
-        # a grid's edges fall on whole numbers, which must not depend on rounding
-        place = apply_homography(np.linalg.inv(homography(shape, quad)), middles).round(9)
-        inside = lie_within(place, (height, width))
-        x, y = np.floor(place[inside]).astype(np.int32).T
-        rays[inside] = (view * height + y) * width + x
-    return ProjectorLayout(shape, rays)
+    cell = picture_shape[1] / views[1], picture_shape[0] / views[0]
+    side = 0.9 * min(cell[0] / width, cell[1] / height)
+    size = side * width, side * height
+    first = (cell[0] - size[0]) / 2, (cell[1] - size[1]) / 2
+    moved = [np.array(upright) + _TILT * size for upright in _rectangles(views, first, cell, size)]
+    return [[(float(x), float(y)) for x, y in corners] for corners in moved]
+
+
+_TILT = np.array([(0.020, -0.010), (0.012, 0.018), (-0.016, 0.012), (-0.024, -0.020)])
+"""How far corners are moved, in fractions of the width and the height: less than the margin."""
+
+
+def _rectangles(
+    views: tuple[int, int],
+    first: tuple[float, float],
+    step: tuple[float, float],
+    size: tuple[float, float],
+) -> list[Quadrilateral]:
+    """Corners of rectangles in rows and columns, row by row; (x, y) of all else."""
+    return [
+        rectangle(first[0] + column * step[0], first[1] + row * step[1], *size)
+        for row in range(views[0])
+        for column in range(views[1])
+    ]

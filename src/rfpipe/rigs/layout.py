@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
 from typing import Any, Self
@@ -13,6 +13,14 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain, ray_shape
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
+from rfpipe.rigs.geometry import (
+    Quadrilateral,
+    apply_homography,
+    centred_corners,
+    homography,
+    lie_within,
+    pixel_middles,
+)
 
 __all__ = ["DARK", "ProjectorLayout"]
 
@@ -85,15 +93,36 @@ class ProjectorLayout:
                 f"layout: {domain_shape} rays don't fit into a picture of {display_shape} pixels; "
                 "a ray needs at least one pixel"
             )
-        rays = np.arange(prod(domain_shape), dtype=np.int32).reshape(domain_shape)
-        picture = np.full(display_shape, DARK, np.int32)
-        top, left = (
-            (extent - side * rays) // 2
-            for extent, rays in zip(display_shape, domain_shape, strict=True)
-        )
-        height, width = (side * extent for extent in domain_shape)
-        picture[top : top + height, left : left + width] = rays.repeat(side, 0).repeat(side, 1)
-        return cls(tuple(domain_shape), picture)
+        return cls.within(centred_corners(domain_shape, display_shape), domain_shape, display_shape)
+
+    @classmethod
+    def within(
+        cls,
+        corners: Sequence[Quadrilateral],
+        shape: tuple[int, ...],
+        display_shape: tuple[int, int],
+    ) -> Self:
+        """Return the layout of rectified views: a pixel shows the ray that its middle lies on.
+
+        Parameters
+        ----------
+        corners : sequence of Quadrilateral
+            Of each view on the projector.
+        shape : tuple of int
+            The ray domain.
+        display_shape : (int, int)
+            Of the projector in pixels.
+        """
+        rays = np.full(display_shape, DARK, np.int32)
+        middles = pixel_middles(display_shape)
+        height, width = RayDomain(shape).image_shape
+        for view, quad in enumerate(corners):
+            # a grid's edges fall on whole numbers, which must not depend on rounding
+            place = apply_homography(np.linalg.inv(homography(shape, quad)), middles).round(9)
+            inside = lie_within(place, (height, width))
+            x, y = np.floor(place[inside]).astype(np.int32).T
+            rays[inside] = (view * height + y) * width + x
+        return cls(shape, rays)
 
     @property
     def display_shape(self) -> tuple[int, int]:

@@ -17,16 +17,14 @@ from rfpipe.rigs.geometry import (
     Quadrilateral,
     apply_homography,
     homography,
-    layout_within,
     lie_within,
-    rectangle,
 )
-from rfpipe.rigs.layout import DARK
+from rfpipe.rigs.layout import DARK, ProjectorLayout
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["OpticalPath", "centred_corners", "tilted_corners"]
+__all__ = ["OpticalPath"]
 
 Float = NDArray[np.float32]
 Double = NDArray[np.floating[Any]]
@@ -84,16 +82,15 @@ class OpticalPath:
         self._ambient = np.float32(ambient)
         self._to_projector = [homography(shape, corners) for corners in projector_corners]
         self._to_camera = [homography(shape, corners) for corners in camera_corners]
-        self.layout = layout_within(projector_corners, shape, projector_shape)
+        self.layout = ProjectorLayout.within(projector_corners, shape, projector_shape)
         self._rays = self.layout.ray_of_pixel.ravel()
         self._lit = self._rays != DARK
-        pixels = self.layout.pixels_of_ray
-        if not pixels.all():
+        self._pixels = self.layout.pixels_of_ray
+        if not self._pixels.all():
             raise InputError(
-                f"bench: {np.count_nonzero(pixels == 0)} of {prod(shape)} rays have no projector "
-                f"pixel; {projector_shape} pixels are too few, or the corners lie outside"
+                f"bench: {np.count_nonzero(self._pixels == 0)} of {prod(shape)} rays have no "
+                f"projector pixel; {projector_shape} pixels are too few, or the corners lie outside"
             )
-        self._pixels = pixels
         self._direct = None if direct is None else np.asarray(direct, np.float32)
         self._seen = self._sampling()
 
@@ -173,66 +170,3 @@ class OpticalPath:
             extent = (width, prod(self.projector_shape))
             rows.append(csr_array((weights, (pixel[inside], v * columns + u)), shape=extent))
         return csr_array(vstack(rows, "csr"))
-
-
-def centred_corners(
-    shape: tuple[int, ...], picture_shape: tuple[int, int], views: tuple[int, int] = (1, 1)
-) -> list[Quadrilateral]:
-    """Return the corners of views side by side in the middle, each ray a square of whole pixels.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        The ray domain.
-    picture_shape : (int, int)
-        Height and width in pixels.
-    views : (int, int)
-        Rows and columns of views.
-
-    Raises
-    ------
-    InputError
-        When a ray doesn't get a pixel.
-    """
-    image = RayDomain(shape).image_shape
-    height, width = (extent * count for extent, count in zip(image, views, strict=True))
-    side = min(picture_shape[0] // height, picture_shape[1] // width)
-    if side < 1:
-        raise InputError(
-            f"bench: {height} x {width} rays don't fit into a display of {picture_shape} pixels"
-        )
-    top, left = (picture_shape[0] - side * height) // 2, (picture_shape[1] - side * width) // 2
-    tall, wide = side * image[0], side * image[1]
-    return [
-        rectangle(left + column * wide, top + row * tall, wide, tall)
-        for row in range(views[0])
-        for column in range(views[1])
-    ]
-
-
-def tilted_corners(
-    shape: tuple[int, ...], picture_shape: tuple[int, int], views: tuple[int, int] = (1, 1)
-) -> list[Quadrilateral]:
-    """Return the corners of views in cells side by side, turned and distorted a little.
-
-    Parameters as `centred_corners`; the rays keep their aspect.
-    """
-    cell_height, cell_width = (
-        extent / count for extent, count in zip(picture_shape, views, strict=True)
-    )
-    height, width = RayDomain(shape).image_shape
-    side = 0.9 * min(cell_height / height, cell_width / width)
-    tall, wide = side * height, side * width
-    corners: list[Quadrilateral] = []
-    for row in range(views[0]):
-        for column in range(views[1]):
-            left = (column + 0.5) * cell_width - wide / 2
-            top = (row + 0.5) * cell_height - tall / 2
-            upright = np.array(rectangle(left, top, wide, tall))
-            moved = upright + _TILT * (wide, tall)
-            corners.append([(float(x), float(y)) for x, y in moved])
-    return corners
-
-
-_TILT = np.array([(0.020, -0.010), (0.012, 0.018), (-0.016, 0.012), (-0.024, -0.020)])
-"""How far corners are moved, in fractions of the width and the height: less than the margin."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -16,7 +15,7 @@ from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.devices import Closing
 from rfpipe.rigs.pylon_options import PylonOptions
-from rfpipe.rigs.pylon_setup import CameraSetup, Value, load_pylon, said
+from rfpipe.rigs.pylon_setup import CameraSetup, load_pylon, said
 
 __all__ = ["PylonCamera"]
 
@@ -36,24 +35,9 @@ class PylonCamera(Closing):
     ----------
     sensor : CameraModel
         Exposures, bits and mosaic, which choose the pixel format, and what is known of the noise.
-    serial : str, optional
-        Serial number; None takes the only camera connected.
-    shape : (int, int), optional
-        Height and width of the frames; None takes the whole sensor.
-    offset : (int, int)
-        Rows and columns from the sensor's upper left corner.
-    gain_db : float
-        Gain in decibels.
-    timeout_seconds : float
-        Time until a frame counts as lost, beyond its exposure time.
-    retries : int
-        How often a failed frame is taken again.
-    reconnects : int
-        How often a lost camera is looked for.
-    reconnect_seconds : float
-        Wait before each of these attempts.
-    nodes : mapping of str to plain value, optional
-        Further settings, as the camera's manual names them; made last, and must exist.
+    options
+        As `PylonOptions` has them, by name, the same where they aren't given; the pixel format is
+        the sensor's.
 
     Attributes
     ----------
@@ -69,29 +53,16 @@ class PylonCamera(Closing):
 
     Options = PylonOptions
 
-    def __init__(
-        self,
-        sensor: CameraModel,
-        serial: str | None = None,
-        shape: tuple[int, int] | None = None,
-        offset: tuple[int, int] = (0, 0),
-        gain_db: float = 0.0,
-        timeout_seconds: float = 2.0,
-        retries: int = 3,
-        reconnects: int = 5,
-        reconnect_seconds: float = 2.0,
-        nodes: Mapping[str, Value] | None = None,
-    ) -> None:
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
+        if unknown := options.keys() - PylonOptions.model_fields:
+            raise TypeError(f"a Basler camera has no options {', '.join(sorted(unknown))}")
         self.sensor = sensor
         self.channels = 1 if sensor.bayer is None else 3
         self.statistics = {"frames": 0, "failed": 0, "timed_out": 0, "reconnected": 0}
-        self._serial = serial
-        self._setup = CameraSetup(sensor, shape, offset, gain_db, dict(nodes or {}))
+        self._options = PylonOptions.model_construct(**options)  # the camera knows its own ranges
+        self._setup = CameraSetup(sensor, self._options)
+        self._serial = self._options.serial
         self._model = ""
-        self._timeout_seconds = timeout_seconds
-        self._retries = retries
-        self._reconnects = reconnects
-        self._reconnect_seconds = reconnect_seconds
         self._lock = threading.Lock()
         self._closed = False
         self._pylon, self._genicam = load_pylon()
@@ -130,8 +101,8 @@ class PylonCamera(Closing):
         """Take one frame, again where it fails."""
         if self._closed:
             raise CaptureError("the camera is closed; open it anew")
-        problem = ""
-        for attempt in range(self._retries + 1):
+        problem, attempts = "", self._options.retries + 1
+        for attempt in range(attempts):
             try:
                 if self._camera is None or self._camera.IsCameraDeviceRemoved():
                     self._reconnect("it was disconnected")
@@ -145,11 +116,11 @@ class PylonCamera(Closing):
                 self._reconnect(problem)
             _log.warning(
                 "camera %s, exposure %g s, attempt %d of %d: %s",
-                self._serial, exposure, attempt + 1, self._retries + 1, problem,
+                self._serial, exposure, attempt + 1, attempts, problem,
             )  # fmt: skip
         raise CaptureError(
-            f"camera {self._serial}: no good frame of {exposure:g} s in {self._retries + 1} "
-            f"attempts; the last: {problem}. Check its cable and the load of its port (packet "
+            f"camera {self._serial}: no good frame of {exposure:g} s in {attempts} attempts; "
+            f"the last: {problem}. Check its cable and the load of its port (packet "
             "size, USB hub), or raise camera.timeout_seconds or camera.retries"
         )
 
@@ -157,7 +128,7 @@ class PylonCamera(Closing):
         """Take one frame; return it, or None and what is wrong."""
         pylon = self._pylon
         self._setup.set_exposure(self._camera, exposure)
-        patience = round(1000 * (exposure + self._timeout_seconds))
+        patience = round(1000 * (exposure + self._options.timeout_seconds))
         waiting = self._camera.WaitForFrameTriggerReady(patience, pylon.TimeoutHandling_Return)
         if not waiting:
             self.statistics["timed_out"] += 1
@@ -228,14 +199,14 @@ class PylonCamera(Closing):
         """Find the camera again."""
         _log.warning("camera %s was lost: %s", self._serial, reason)
         problem = reason
-        for attempt in range(self._reconnects):
+        for attempt in range(self._options.reconnects):
             self._drop()
-            time.sleep(self._reconnect_seconds)
+            time.sleep(self._options.reconnect_seconds)
             try:
                 shape = self._open()
             except CaptureError as error:
                 problem = str(error)
-                _log.warning("attempt %d of %d: %s", attempt + 1, self._reconnects, error)
+                _log.warning("attempt %d of %d: %s", attempt + 1, self._options.reconnects, error)
                 continue
             if shape != self.shape:
                 raise CaptureError(
@@ -247,7 +218,7 @@ class PylonCamera(Closing):
             return
         raise CaptureError(
             f"camera {self._serial} was lost ({reason}) and not found again in "
-            f"{self._reconnects} attempts; the last: {problem}. Check its power, cable and "
+            f"{self._options.reconnects} attempts; the last: {problem}. Check its power, cable and "
             "network, and that no other program took it"
         )
 

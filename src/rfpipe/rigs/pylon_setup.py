@@ -6,13 +6,14 @@ import math
 import re
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
+from rfpipe.rigs.pylon_options import PylonOptions
 
-__all__ = ["CameraSetup", "Value", "load_pylon", "said"]
+__all__ = ["CameraSetup", "load_pylon", "said"]
 
 Value: TypeAlias = bool | int | float | str
 """Of a camera's setting."""
@@ -53,14 +54,9 @@ class CameraSetup:
     ----------
     sensor : CameraModel
         Its bits and mosaic choose the pixel format.
-    shape : (int, int) or None
-        Height and width of the frames; None takes the whole sensor.
-    offset : (int, int)
-        Rows and columns from the sensor's upper left corner.
-    gain_db : float
-        Gain in decibels.
-    nodes : dict of str to plain value
-        Further settings by their names in the camera's manual; made last, and must exist.
+    options : PylonOptions
+        Place and size of the frames, gain, and further settings (nodes), which are made last, and
+        must exist.
 
     Raises
     ------
@@ -69,10 +65,7 @@ class CameraSetup:
     """
 
     sensor: CameraModel
-    shape: tuple[int, int] | None = None
-    offset: tuple[int, int] = (0, 0)
-    gain_db: float = 0.0
-    nodes: dict[str, Value] = field(default_factory=dict)
+    options: PylonOptions
 
     def __post_init__(self) -> None:
         if self.sensor.bits not in (8, 10, 12, 16):
@@ -90,9 +83,9 @@ class CameraSetup:
         """Plain data for fingerprints and manifests."""
         return {
             "pixel_format": self.pixel_format,
-            "offset": list(self.offset),
-            "gain_db": self.gain_db,
-            "nodes": dict(sorted(self.nodes.items())),
+            "offset": list(self.options.offset),
+            "gain_db": self.options.gain_db,
+            "nodes": dict(sorted(self.options.nodes.items())),
         }
 
     def apply(self, camera: Any) -> tuple[int, int]:
@@ -127,7 +120,7 @@ class CameraSetup:
         _set(camera, "TriggerSelector", "FrameStart")
         _set(camera, "TriggerSource", "Software")
         self._set_gain(camera)
-        for name, value in self.nodes.items():
+        for name, value in self.options.nodes.items():
             _set(camera, name, value)
         return shape
 
@@ -158,11 +151,11 @@ class CameraSetup:
 
     def _set_region(self, camera: Any) -> tuple[int, int]:
         """Choose the part of the sensor."""
-        offsets = dict(zip(("OffsetY", "OffsetX"), self.offset, strict=True))
+        offsets = dict(zip(("OffsetY", "OffsetX"), self.options.offset, strict=True))
         for name in offsets:
             if _is_writable(getattr(camera, name)):
                 _set(camera, name, 0)  # or the extents are limited by the last offset
-        height, width = self.shape or (int(camera.Height.Max), int(camera.Width.Max))
+        height, width = self.options.shape or (int(camera.Height.Max), int(camera.Width.Max))
         _set(camera, "Height", height)
         _set(camera, "Width", width)
         for name, value in offsets.items():
@@ -172,8 +165,8 @@ class CameraSetup:
 
     def _set_gain(self, camera: Any) -> None:
         if _is_writable(camera.Gain):
-            _set(camera, "Gain", float(self.gain_db))
-        elif self.gain_db == 0:
+            _set(camera, "Gain", float(self.options.gain_db))
+        elif self.options.gain_db == 0:
             _set(camera, "GainRaw", int(camera.GainRaw.Min))
         else:
             raise CaptureError(

@@ -12,7 +12,7 @@ from rfpipe.rigs.calibrated import Calibration, load_calibration
 if TYPE_CHECKING:
     from rfpipe.config import RigConfig
 
-__all__ = ["calibration_of", "camera_settings", "sensor_of", "window_settings"]
+__all__ = ["calibration_of", "sensor_of"]
 
 
 def sensor_of(config: RigConfig) -> CameraModel:
@@ -30,22 +30,6 @@ def sensor_of(config: RigConfig) -> CameraModel:
             f"calibration {config.calibration}: its numbers of the camera don't fit the settings "
             f"of sensor: {error}. Calibrate again"
         ) from error
-
-
-def window_settings(config: RigConfig) -> dict[str, Any]:
-    """Return how a bench opens the projector's window, on a display of its own."""
-    settings = config.projector.arguments()
-    del settings["display"]
-    if settings["response"] is None:
-        settings["response"] = calibration_of(config).projector_response
-    return settings
-
-
-def camera_settings(config: RigConfig) -> dict[str, Any]:
-    """Return how frames are taken of a bench's camera."""
-    names = "gain_db", "timeout_seconds", "retries", "reconnects", "reconnect_seconds"
-    options = config.camera.arguments()
-    return {name: options[name] for name in names}
 
 
 def calibration_of(config: RigConfig) -> Calibration:

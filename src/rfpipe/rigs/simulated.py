@@ -2,28 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rfpipe.photometry import Sensor
-from rfpipe.rigs.base import PatternOperator
 from rfpipe.rigs.operator import OperatorRig
 
-__all__ = ["LitScene", "SimulatedRig"]
+if TYPE_CHECKING:
+    from rfpipe.scenes import Scene
 
-
-class LitScene(PatternOperator, Protocol):
-    """A scene's light transport between two ray domains."""
-
-    @property
-    def camera_shape(self) -> tuple[int, ...]:
-        """Shape of the camera's ray domain, see `rfpipe.blocks.RayDomain`."""
-
-    @property
-    def projector_shape(self) -> tuple[int, ...]:
-        """Shape of the projector's ray domain."""
-
-    def describe(self) -> dict[str, Any]:
-        """Plain data: all that shapes the transport."""
+__all__ = ["SimulatedRig"]
 
 
 class SimulatedRig(OperatorRig):
@@ -31,8 +18,8 @@ class SimulatedRig(OperatorRig):
 
     Parameters
     ----------
-    scene : LitScene
-        Such as one of `rfpipe.scenes`.
+    scene : Scene
+        One of `rfpipe.scenes`, or your own.
     sensor : Sensor or None
         The camera; None captures exact radiance.
     seed : int
@@ -45,7 +32,7 @@ class SimulatedRig(OperatorRig):
 
     def __init__(
         self,
-        scene: LitScene,
+        scene: Scene,
         sensor: Sensor | None = None,
         seed: int = 0,
         seconds_per_pattern: float = 2.0,

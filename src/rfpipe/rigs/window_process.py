@@ -138,26 +138,22 @@ def fitting_shape(
     """Return the window's height and width: as asked for, or all of the monitor from `offset`."""
     if screen >= len(monitors):
         raise WindowError(f"there is no monitor {screen}; this display has {len(monitors)}")
-    height, width = monitors[screen]
-    shape = shape or (height - offset[0], width - offset[1])
-    if min(shape) < 1 or any(
-        start + extent > limit
-        for start, extent, limit in zip(offset, shape, (height, width), strict=True)
-    ):
+    monitor = monitors[screen]
+    height, width = shape or (monitor[0] - offset[0], monitor[1] - offset[1])
+    lower, right = offset[0] + height, offset[1] + width
+    if min(height, width) < 1 or lower > monitor[0] or right > monitor[1]:
         raise WindowError(
-            f"a picture of {shape} pixels at {offset} doesn't fit on monitor {screen}, "
-            f"{(height, width)}"
+            f"a picture of {(height, width)} pixels at {tuple(offset)} doesn't fit on monitor "
+            f"{screen}, {monitor}"
         )
-    return shape
+    return height, width
 
 
-def open_window(
-    display: str, screen: int, offset: tuple[int, int], shape: tuple[int, int] | None
-) -> Window | MemoryWindow:
+def open_window(display: str, **settings: Any) -> Window | MemoryWindow:
     """Open a window on the display of that name."""
     if display.startswith(MEMORY):
-        return MemoryWindow(Path(display.removeprefix(MEMORY)), screen, offset, shape)
-    return Window(screen, offset, shape)
+        return MemoryWindow(Path(display.removeprefix(MEMORY)), **settings)
+    return Window(**settings)
 
 
 def serve(window: Window | MemoryWindow, pictures: IO[bytes], answer: Any) -> None:
@@ -200,15 +196,8 @@ def main() -> None:
         answers.flush()
 
     settings = json.loads(sys.argv[1])
-    shape = settings["shape"]
     try:
-        window = open_window(
-            os.environ.get("DISPLAY", ""),
-            settings["screen"],
-            tuple(settings["offset"]),
-            None if shape is None else tuple(shape),
-        )
-        serve(window, sys.stdin.buffer, answer)
+        serve(open_window(os.environ.get("DISPLAY", ""), **settings), sys.stdin.buffer, answer)
     except WindowError as error:
         answer({"error": str(error)})
         sys.exit(1)

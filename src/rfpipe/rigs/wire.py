@@ -12,16 +12,18 @@ import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from math import prod
-from typing import Any, TypeGuard
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError
 
 from rfpipe.errors import TransferError
 
 __all__ = ["MEDIA_TYPE", "decode_patterns", "encode_patterns", "pack", "unpack"]
 
 Float = NDArray[np.float32]
+_Model = TypeVar("_Model", bound=BaseModel)
 
 MEDIA_TYPE = "application/octet-stream"
 
@@ -30,7 +32,6 @@ _PREFIX = struct.Struct("<4sI")
 _MOST_HEADER_BYTES = 2**20
 _MOST_ARRAYS = 4096
 _MOST_AXES = 8
-_DTYPES = ("|b1", "|u1", "<u2", "<i4", "<i8", "<f4", "<f8")
 _LABELS = ((255, np.uint8), (2**16 - 1, np.uint16))
 
 
@@ -88,27 +89,26 @@ def unpack(message: bytes, most_bytes: int) -> tuple[dict[str, Any], dict[str, N
         When the message is no such one, is cut off, longer than it says, too large or altered.
     """
     facts, start = _header(message)
-    entries = facts.pop("arrays", None)
-    if not isinstance(entries, list) or len(entries) > _MOST_ARRAYS:
-        raise TransferError(f"the message's header must list up to {_MOST_ARRAYS} arrays")
+    entries = _parsed(_Header, facts, "the message's header").arrays
+    del facts["arrays"]
     arrays: dict[str, NDArray[Any]] = {}
     view = memoryview(message)
     for entry in entries:
-        name, dtype, shape, length = _checked_entry(entry)
+        name, dtype, shape = entry.name, np.dtype(entry.dtype), tuple(entry.shape)
         if name in arrays:
             raise TransferError(f"the message holds two arrays {name!r}")
         expected = prod(shape) * dtype.itemsize
         most_bytes -= expected
         if most_bytes < 0:
             raise TransferError(f"array {name!r} of shape {shape} is larger than allowed")
-        content = view[start : start + length]
-        start += length
-        if len(content) < length:
+        content = view[start : start + entry.bytes]
+        start += entry.bytes
+        if len(content) < entry.bytes:
             raise TransferError(f"the message ends within array {name!r}")
-        plain = _inflated(content, expected, name) if entry.get("deflate") is True else content
+        plain = _inflated(content, expected, name) if entry.deflate else content
         if len(plain) != expected:
             raise TransferError(f"array {name!r} has {len(plain)} bytes; expected {expected}")
-        if hashlib.sha256(plain).hexdigest() != entry.get("sha256"):
+        if hashlib.sha256(plain).hexdigest() != entry.sha256:
             raise TransferError(f"array {name!r} doesn't match its digest: it was altered")
         arrays[name] = np.frombuffer(plain, dtype).reshape(shape)
     if start != len(message):
@@ -157,17 +157,17 @@ def decode_patterns(
         that aren't a list of 1 to 8 integers in [0, 2**32) each. Weights are the rig's to check.
     """
     facts, arrays = unpack(message, 4 * most * prod(projector_shape))
-    shape = facts.get("shape")
-    if not _is_extents(shape) or tuple(shape[1:]) != projector_shape or not 1 <= shape[0] <= most:
+    sent = _parsed(_Patterns, facts, "the message's header")
+    shape = tuple(sent.shape)
+    if shape[1:] != projector_shape or not 1 <= shape[0] <= most or len(sent.keys) != shape[0]:
         raise TransferError(
-            f"patterns have the shape {_brief(shape)}; this rig shows (1 to {most}, "
-            f"{', '.join(map(str, projector_shape))})"
+            f"patterns have the shape {shape} and {len(sent.keys)} keys; this rig shows (1 to "
+            f"{most}, {', '.join(map(str, projector_shape))}), a key each"
         )
-    array = arrays.get("patterns")
-    if array is None or len(arrays) > 1:
+    if list(arrays) != ["patterns"]:
         raise TransferError("the message must hold the one array 'patterns'")
-    patterns = _expanded(facts.get("patterns"), array, tuple(shape))
-    return patterns, _checked_keys(facts.get("keys"), shape[0])
+    keys = [tuple(key) for key in sent.keys]
+    return _expanded(sent.patterns, arrays["patterns"], shape), keys
 
 
 def _header(message: bytes) -> tuple[dict[str, Any], int]:
@@ -193,31 +193,45 @@ def _no_constant(name: str) -> float:
     raise ValueError(f"it holds {name}")
 
 
-def _checked_entry(entry: Any) -> tuple[str, np.dtype[Any], tuple[int, ...], int]:
-    """Return name, dtype, shape and bytes in the message of an array."""
-    if not isinstance(entry, dict):
-        raise TransferError("each array must be described by a JSON object")
-    name, dtype, shape, length = (entry.get(key) for key in ("name", "dtype", "shape", "bytes"))
-    if (
-        not isinstance(name, str)
-        or dtype not in _DTYPES
-        or not _is_extents(shape)
-        or not _is_count(length)
-    ):
+_Count = Annotated[int, Field(strict=True, ge=0, lt=2**40)]
+_Extents = Annotated[list[_Count], Field(max_length=_MOST_AXES)]
+_KeyPart = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
+_Key = Annotated[list[_KeyPart], Field(min_length=1, max_length=_MOST_AXES)]
+
+
+class _Entry(BaseModel):
+    """What the header says of an array."""
+
+    name: str
+    dtype: Literal["|b1", "|u1", "<u2", "<i4", "<i8", "<f4", "<f8"]
+    shape: _Extents
+    bytes: _Count
+    sha256: str
+    deflate: bool = False
+
+
+class _Header(BaseModel):
+    arrays: Annotated[list[_Entry], Field(max_length=_MOST_ARRAYS)]
+
+
+class _Patterns(BaseModel):
+    """What the header says of patterns."""
+
+    patterns: Literal["labels", "bits", "levels", "weights"]
+    shape: _Extents
+    keys: Annotated[list[_Key], Field(max_length=_MOST_ARRAYS)]
+
+
+def _parsed(model: type[_Model], facts: dict[str, Any], name: str) -> _Model:
+    """Return facts as a model has them, or say what is wrong with the first that isn't so."""
+    try:
+        return model.model_validate(facts)
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[0]
+        place = ".".join(map(str, wrong["loc"]))
         raise TransferError(
-            f"array {_brief(name)} of dtype {_brief(dtype)}, shape {_brief(shape)} and "
-            f"{_brief(length)} bytes is none; expected a dtype of {', '.join(_DTYPES)}, a list of "
-            "extents and a length"
-        )
-    return name, np.dtype(dtype), tuple(shape), length
-
-
-def _is_count(value: Any) -> TypeGuard[int]:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**40
-
-
-def _is_extents(value: Any) -> TypeGuard[list[int]]:
-    return isinstance(value, list) and len(value) <= _MOST_AXES and all(map(_is_count, value))
+            f"{name}: {place} is {_brief(wrong['input'])}: {wrong['msg']}"
+        ) from None
 
 
 def _brief(value: Any) -> str:
@@ -255,7 +269,7 @@ def _compact(patterns: Float) -> tuple[str, NDArray[Any]]:
     return "bits", np.packbits(lit.reshape(count, -1), axis=1)
 
 
-def _expanded(kind: Any, array: NDArray[Any], shape: tuple[int, ...]) -> Float:
+def _expanded(kind: str, array: NDArray[Any], shape: tuple[int, ...]) -> Float:
     """Return the patterns that `_compact` told of."""
     count, rays = shape[0], prod(shape[1:])
     expected = {
@@ -264,8 +278,6 @@ def _expanded(kind: Any, array: NDArray[Any], shape: tuple[int, ...]) -> Float:
         "levels": (("|u1",), shape),
         "weights": (("<f4",), shape),
     }
-    if not isinstance(kind, str) or kind not in expected:
-        raise TransferError(f"patterns are {_brief(kind)}; expected {', '.join(expected)}")
     dtypes, form = expected[kind]
     if array.dtype.str not in dtypes or array.shape != form:
         raise TransferError(
@@ -287,18 +299,3 @@ def _expanded(kind: Any, array: NDArray[Any], shape: tuple[int, ...]) -> Float:
 
 def _of_levels(levels: NDArray[np.uint8]) -> Float:
     return np.asarray(np.divide(levels, 255, dtype=np.float32))
-
-
-def _checked_keys(keys: Any, count: int) -> list[tuple[int, ...]]:
-    if not isinstance(keys, list) or len(keys) != count:
-        raise TransferError(f"{count} patterns need a list of as many keys")
-    for key in keys:
-        if (
-            not isinstance(key, list)
-            or not 1 <= len(key) <= _MOST_AXES
-            or not all(_is_count(part) and part < 2**32 for part in key)
-        ):
-            raise TransferError(
-                f"the key {_brief(key)} is none; expected 1 to {_MOST_AXES} integers in [0, 2**32)"
-            )
-    return [tuple(key) for key in keys]

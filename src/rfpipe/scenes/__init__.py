@@ -1,10 +1,10 @@
 """Simulated scenes: the ground-truth transport that a rig of the simulation captures."""
 
 from rfpipe.scenes.aside import AsideScene
-from rfpipe.scenes.base import CoaxialScene, Scene, SceneKind, apply_in_batches
+from rfpipe.scenes.base import CoaxialScene, Scene, apply_in_batches
 from rfpipe.scenes.build import scene_from_config
 from rfpipe.scenes.geometries import GEOMETRIES
-from rfpipe.scenes.geometry import Plane, Sphere, SurfacePoints, surface_points
+from rfpipe.scenes.geometry import Plane, surface_points
 from rfpipe.scenes.hard import DenseScene, hard_cases
 from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
@@ -40,9 +40,6 @@ __all__ = [
     "Plane",
     "RadiosityScene",
     "Scene",
-    "SceneKind",
-    "Sphere",
-    "SurfacePoints",
     "apply_in_batches",
     "aside_scene",
     "hard_cases",

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,12 @@ class ClusterTree:
         """Clusters of one depth, and the leaves above it: together they hold every point."""
         chosen = (self.depth == depth) | ((self.depth < depth) & (self.child < 0))
         return np.flatnonzero(chosen)
+
+    def shares(self, clusters: NDArray[np.int64], depth: int) -> list[NDArray[np.int64]]:
+        """Where clusters (n,) stand that are under the same root of a depth, for each of these."""
+        roots = np.sort(self.start[self.roots(depth)])
+        number = np.searchsorted(roots, self.start[clusters], "right")
+        return [np.flatnonzero(number == each) for each in np.unique(number)]
 
     @classmethod
     def of_surface(
@@ -116,15 +123,11 @@ class ClusterPairs:
         int64 (n,): cluster of either tree.
     smooth
         bool (n,): far apart and wholly visible, so that G is smooth there; the others are small.
-    first_root, second_root
-        int64 (n,): which of the trees' roots at the depth asked for the clusters stand under.
     """
 
     first: NDArray[np.int64]
     second: NDArray[np.int64]
     smooth: NDArray[np.bool_]
-    first_root: NDArray[np.int64]
-    second_root: NDArray[np.int64]
 
 
 def cluster_pairs(
@@ -165,12 +168,9 @@ def cluster_pairs(
     """
     one, two = trees
     tests = _visibility_tests(one, two, occluders, between, facing)
-    roots = (one.roots(depth), two.roots(depth))
-    a, b = (grid.ravel() for grid in np.meshgrid(*roots, indexing="ij"))
-    root_a, root_b = (
-        grid.ravel() for grid in np.meshgrid(*map(np.arange, map(len, roots)), indexing="ij")
-    )
-    done: list[tuple[NDArray[np.int64], ...]] = []
+    roots = np.meshgrid(one.roots(depth), two.roots(depth), indexing="ij")
+    a, b = (grid.ravel() for grid in roots)
+    done: list[tuple[NDArray[Any], ...]] = []
     while len(a):
         visibility = _visibility(a, b, tests)
         gap = np.linalg.norm(one.centre[a] - two.centre[b], axis=1) - one.radius[a] - two.radius[b]
@@ -180,16 +180,14 @@ def cluster_pairs(
         )
         leaf_a, leaf_b = one.child[a] < 0, two.child[b] < 0
         kept = (smooth | (leaf_a & leaf_b)) & (visibility != HIDDEN)
-        done.append(tuple(x[kept] for x in (a, b, smooth.astype(np.int64), root_a, root_b)))
+        done.append((a[kept], b[kept], smooth[kept]))
 
         open_ = ~kept & (visibility != HIDDEN)
-        a, b, root_a, root_b = a[open_], b[open_], root_a[open_], root_b[open_]
+        a, b = a[open_], b[open_]
         cut_a = ~leaf_a[open_] & (leaf_b[open_] | (one.radius[a] >= two.radius[b]))
         a = np.stack([np.where(cut_a, one.child[a] + side, a) for side in (0, 1)], 1).ravel()
         b = np.stack([np.where(cut_a, b, two.child[b] + side) for side in (0, 1)], 1).ravel()
-        root_a, root_b = np.repeat(root_a, 2), np.repeat(root_b, 2)
-    a, b, far, root_a, root_b = (np.concatenate(part) for part in zip(*done, strict=True))
-    return ClusterPairs(a, b, far.astype(np.bool_), root_a, root_b)
+    return ClusterPairs(*(np.concatenate(part) for part in zip(*done, strict=True)))
 
 
 _Test = Callable[[NDArray[np.int64], NDArray[np.int64]], NDArray[np.int8]]

@@ -61,9 +61,9 @@ class CompressedBlock:
             axis=1,
         )
         # Blocks of a share write to rows of their own.
-        self.shares = tuple(
-            [np.flatnonzero(roots == root) for root in range(roots.max(initial=-1) + 1)]
-            for roots in (clusters.first_root, clusters.second_root)
+        self.shares = (
+            one.shares(clusters.first, _SHARE_DEPTH),
+            two.shares(clusters.second, _SHARE_DEPTH),
         )
         self._fill(pair, (one.order, two.order), clusters.smooth)
 

@@ -265,6 +265,8 @@ class Sight:
         Where the rays come from.
     parts
         Of a pixel along either side, each with a ray.
+    rays
+        float64 (n, 3): as long as to distance 1 from the pinhole.
     surface
         int64 (n,): the surface that each ray meets first, -1 where it meets none.
     positions, normals
@@ -275,6 +277,7 @@ class Sight:
 
     pinhole: Pinhole
     parts: int
+    rays: NDArray[np.float64]
     surface: NDArray[np.int64]
     positions: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -285,8 +288,7 @@ class Sight:
 
         Of the part to the right and the one below, on the tangent plane; scene units.
         """
-        rays = self.pinhole.rays(self.parts)[chosen]
-        points, normals = self.positions[chosen], self.normals[chosen]
+        rays, points, normals = self.rays[chosen], self.positions[chosen], self.normals[chosen]
         depth = (points - self.pinhole.origin) @ self.pinhole.axes[2]
         steps = self.pinhole.axes[:2] * self.pinhole.pitch / self.parts  # on the image plane
         # a ray that turns by a step meets the tangent plane so much farther on
@@ -324,4 +326,4 @@ def sight_of(pinhole: Pinhole, surfaces: Sequence[Visible], parts: int = 1) -> S
             cosine[on] = np.maximum(cosine[on], np.sqrt(pitch * depth[on] / (2 * each.radius)))
     cosine[missed] = 1
     areas = solid_angle * squared_length * depth**2 / cosine
-    return Sight(pinhole, parts, surface, positions, normals, areas)
+    return Sight(pinhole, parts, rays, surface, positions, normals, areas)

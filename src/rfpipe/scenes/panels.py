@@ -63,11 +63,11 @@ class Panel:
     def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
         """Depths at which rays (N, 3) meet its front or its back, infinite where they don't."""
         here = self.occluder.coordinates(origin)
-        way = self.occluder.coordinates(np.asarray(self.centre) + rays)
+        sunk, *along = self.occluder.coordinates(np.asarray(self.centre) + rays).T
         with np.errstate(divide="ignore", invalid="ignore"):  # rays within the panel's plane
-            depth = -here[0] / way[:, 0]
-            place = here[1:] + depth[:, None] * way[:, 1:]
-            hit = (depth > 0) & (np.abs(place) <= 1).all(axis=1)
+            depth = -here[0] / sunk
+            u, v = (start + depth * part for start, part in zip(here[1:], along, strict=True))
+            hit = (depth > 0) & (np.abs(u) <= 1) & (np.abs(v) <= 1)
         return np.where(hit, depth, np.inf)
 
 

@@ -99,17 +99,18 @@ class Pinhole:
 
         In pixels from its upper left corner; NaN for points that aren't ahead.
         """
-        right, down, ahead = ((points - self.origin) @ self.axes.T).T
-        depth = np.where(ahead > 0, ahead, np.nan)
-        place = np.stack([down, right], axis=-1) / depth[:, None]
-        return place / self.pitch + np.array(self.shape) / 2
+        return self._place(points)[0] / self.pitch + np.array(self.shape) / 2
 
     def project_moves(self, points: Double, moves: Double) -> Double:
         """Find how far small moves (n, k, 3) of points (n, 3) go in the picture, (n, k, 2)."""
-        right, down, ahead = ((points - self.origin) @ self.axes.T).T
-        depth = np.where(ahead > 0, ahead, np.nan)
-        place = np.stack([down, right], axis=-1) / depth[:, None]
+        place, depth = self._place(points)
         turned = moves @ self.axes.T
         steps = turned[..., [1, 0]] - place[:, None] * turned[..., 2:]
         moved: Double = steps / (depth[:, None, None] * self.pitch)
         return moved
+
+    def _place(self, points: Double) -> tuple[Double, Double]:
+        """Points' places at distance 1, down and right (n, 2), and their depths (n,), or NaN."""
+        right, down, ahead = ((points - self.origin) @ self.axes.T).T
+        depth = np.where(ahead > 0, ahead, np.nan)
+        return np.stack([down, right], axis=-1) / depth[:, None], depth

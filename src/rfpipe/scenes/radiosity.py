@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from rfpipe.errors import InputError
 from rfpipe.scenes.base import CoaxialScene
 from rfpipe.scenes.diffuse import DiffuseScene, DiffuseSurfaces
-from rfpipe.scenes.formfactors import FormFactors
 from rfpipe.scenes.geometry import SurfacePoints
 from rfpipe.scenes.occluders import Occluder, blocked
 
@@ -89,11 +88,6 @@ class RadiosityScene(CoaxialScene, DiffuseScene):
     def occluders(self) -> tuple[Occluder, ...]:
         """What blocks light between points and the rig's own view."""
         return self._surfaces.occluders
-
-    @property
-    def form_factors(self) -> FormFactors:
-        """The operator G, built when it is first used."""
-        return self._surfaces.form_factors
 
     def _radiance(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Radiance (N, B, C) of patterns (N, B)."""

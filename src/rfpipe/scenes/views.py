@@ -147,11 +147,12 @@ def sightings(views: ViewArray, grid: TexelGrid, samples: int) -> Sightings:
                 f"pixel ({row}, {column}) of view {view} sees nothing, or the back of a panel; "
                 "give the views a smaller span"
             )
-        place, width = np.empty((2, len(sight.surface), 2))
+        moves = sight.moves(np.arange(len(is_front)))
+        place, width = np.empty((2, len(is_front), 2))
         for index, panel in enumerate(grid.panels):
             on = sight.surface == index
             place[on] = panel.occluder.coordinates(sight.positions[on])[:, 1:]
-            sides = panel.occluder.coordinates(np.asarray(panel.centre) + sight.moves(on))
+            sides = panel.occluder.coordinates(np.asarray(panel.centre) + moves[on])
             width[on] = np.sqrt((sides[..., 1:] ** 2).sum(axis=1))
         texel, share = grid.overlaps(sight.surface, place, width)
         starts = np.arange(0, texel.size + 1, texel.size // pixels)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -39,3 +39,8 @@ class Diffuse(SceneSettings):
                 f"({', '.join(self.surfaces)})"
             )
         return self
+
+    def arguments(self) -> dict[str, Any]:
+        """Return what every scene of diffuse surfaces is made with, by name."""
+        names = "surfaces", "shape", "channels", "bounces", "seed"
+        return {name: getattr(self, name) for name in names}

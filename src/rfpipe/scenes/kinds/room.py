@@ -42,12 +42,8 @@ class Room(SceneKind):
     def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:
         """Furnish the room."""
         return room_scene(
-            options.surfaces,
-            options.shape,
+            **options.arguments(),
             views=options.views,
             span_degrees=options.span_degrees,
-            channels=options.channels,
-            bounces=options.bounces,
-            seed=options.seed,
             compress=many_patterns or None,
         )

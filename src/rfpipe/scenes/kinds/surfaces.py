@@ -150,21 +150,15 @@ class _Surfaces(SceneKind):
     @classmethod
     def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:
         """Put up the surfaces."""
-        room: dict[str, Any] = {
-            "geometry": cls.geometry,
-            "surfaces": options.surfaces,
-            "shape": options.shape,
-            "channels": options.channels,
-            "bounces": options.bounces,
+        room = options.arguments() | {
             "occluders": [each.occluder() for each in options.occluders],
-            "seed": options.seed,
             "compress": many_patterns or None,
         }
         if options.projector is None:
-            return planes_scene(**room)
+            return planes_scene(cls.geometry, **room)
         placed = options.projector
         projector = Pinhole(options.ray_shape, placed.position, placed.look_at)
-        return aside_scene(**room, projector=projector)
+        return aside_scene(cls.geometry, **room, projector=projector)
 
 
 class Plane(_Surfaces):
