@@ -48,7 +48,7 @@ def stage(name, work):
 
 
 def files():
-    from rfpipe.stages.plan import AcquisitionFolder
+    from rfpipe.stages.folder import AcquisitionFolder
 
     return AcquisitionFolder(folder)
 
@@ -148,6 +148,10 @@ def test_the_code_of_a_stage_is_all_that_a_run_of_it_loads(copy: Workflow, tmp_p
         assert shaping <= set(stage_modules(name, *chosen)), name
     assert "rfpipe.stages.capturing.drift" in loaded["stages.merge"]
     assert not loaded["stages.merge"] & {"rfpipe.rigs", "rfpipe.methods.symmetric.method"}
+    of_merge = stage_modules("stages.merge", MERGED_WITH)
+    assert not [
+        name for name in of_merge if name.startswith(("rfpipe.transport", "rfpipe.methods"))
+    ]
     assert capture  # has no code that counts
 
 

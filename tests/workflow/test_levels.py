@@ -10,8 +10,9 @@ from tests.workflow.stagewise import CAMERA, CODE, SHAPE, Acquisition, contents,
 
 from rfpipe.errors import LockedError
 from rfpipe.stages import capture, levels
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.plan import Plan
 from rfpipe.store import StoreLock
 
 STAGES = ("schedule", "merge", "normalize", "refine", "assemble")

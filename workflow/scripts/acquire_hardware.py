@@ -4,7 +4,8 @@ from pathlib import Path
 from rfpipe.stages import hardware, levels
 from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.plan import Plan
 
 params = snakemake.params
 start(snakemake.log[0])

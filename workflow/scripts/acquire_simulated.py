@@ -8,7 +8,8 @@ from rfpipe.scenes import scene_from_config
 from rfpipe.stages import capture, levels
 from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.plan import Plan
 
 params = snakemake.params
 start(snakemake.log[0])

@@ -19,8 +19,8 @@ from rfpipe.stages.capturing.sensors import write_sensor
 from rfpipe.stages.capturing.shown import Keys, reference_patterns
 from rfpipe.stages.capturing.warm_up import seconds_since_capture, warm_up
 from rfpipe.stages.capturing.watch import watch_of
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import REFERENCE, AcquisitionFolder
 from rfpipe.stages.results import standing_manifest
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import bytes_on_disk, write_manifest

@@ -17,7 +17,8 @@ from rfpipe.stages import capture
 from rfpipe.stages.aside import differing
 from rfpipe.stages.capture import frame_settings
 from rfpipe.stages.capturing.sensors import SENSOR
-from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, Plan
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
+from rfpipe.stages.plan import Plan
 from rfpipe.store import FrameStore, open_arrays
 
 __all__ = ["BegunRig", "begun_rig", "check_rig", "run"]

@@ -17,9 +17,10 @@ from typing import Any
 from rfpipe.photometry.normalize import Mode
 from rfpipe.stages import assemble, merge, normalize, refine, schedule
 from rfpipe.stages.capturing.sensors import read_sensor
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.plan import Plan
 from rfpipe.store import StoreLock
 from rfpipe.units import NumberFormat
 

@@ -14,8 +14,8 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.slices import leaf_levels, line_patterns
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.references import read_floodlit
-from rfpipe.stages.plan import AcquisitionFolder
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.store import read_manifest
 from rfpipe.transport import Transport, open_transport
@@ -222,10 +222,10 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     """
     from rfpipe.scenes import relighting_patterns, scene_from_config, scene_patterns
 
-    store, manifest = folder / "relight.zarr", folder / "relight.json"
+    manifest = folder / "relight.json"
     acquired = read_manifest(folder / "transport.json")
     made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
-    if accept_bundle(store, manifest, made_from):
+    if accept_bundle(manifest, made_from):
         return
     transport = open_transport(folder / "transport.zarr")
     if scene.is_captured:
@@ -249,4 +249,4 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         "options": acquired["options"],
         "units": RADIANCE_UNIT,
     }
-    write_bundle(store, manifest, made_from, arrays, facts)
+    write_bundle(manifest, made_from, arrays, facts)

@@ -129,6 +129,10 @@ class ArrayBundle:
             ) from cause
         return array
 
+    def read_all(self) -> dict[str, NDArray[Any]]:
+        """Read all arrays, by name; errors as `read`."""
+        return {name: self.read(name) for name in self.names}
+
     @property
     def nbytes_stored(self) -> int:
         """Bytes on disk."""

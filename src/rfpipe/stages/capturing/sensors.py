@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rfpipe.photometry import Sensor, sensor_from_description
-from rfpipe.stages.plan import AcquisitionFolder, advice_on_damage
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.results import bundle_entry
 from rfpipe.store import open_arrays, write_arrays
 
@@ -36,9 +36,5 @@ def read_sensor(folder: AcquisitionFolder) -> Sensor:
         When what it left is damaged.
     """
     captured = folder.read_manifest(0, "capture")
-    arrays = None
-    if SENSOR in captured:
-        bundle = folder.bundle(0, "capture", SENSOR)
-        with advice_on_damage(folder.manifest(0, "capture")):
-            arrays = {name: bundle.read(name) for name in bundle.names}
+    arrays = folder.read(0, "capture", SENSOR)[0] if SENSOR in captured else None
     return sensor_from_description(captured["rig"]["sensor"], arrays)

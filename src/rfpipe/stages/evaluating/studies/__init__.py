@@ -59,9 +59,8 @@ def run(name: str, config: Config, manifest: Path, code: str) -> None:
     code : str
         Fingerprint of the code behind the stage.
     """
-    store = manifest.with_suffix(".zarr")
     made_from = fingerprint({"study": name, "config": config, "code": code})
-    if accept_bundle(store, manifest, made_from):
+    if accept_bundle(manifest, made_from):
         return
     rows, arrays = run_study(name, config)
     facts = {
@@ -70,7 +69,7 @@ def run(name: str, config: Config, manifest: Path, code: str) -> None:
         "rows": [{key: _plain(value) for key, value in row.items()} for row in rows],
         "units": RADIANCE_UNIT,
     }
-    write_bundle(store, manifest, made_from, arrays, facts)
+    write_bundle(manifest, made_from, arrays, facts)
 
 
 def _plain(value: Any) -> Any:
