@@ -159,7 +159,7 @@ class _MergeRun:
                 merged = _divided(merged, self.gains[start:stop])
             total.add(merged)
             images = np.stack([merged.radiance, merged.variance], axis=1)
-            digests += self._images.write(start, images)
+            digests += self._images.write_items(start, images)
         return first, digests, total
 
     @property

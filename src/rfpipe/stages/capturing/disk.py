@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import logging
-import shutil
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from rfpipe.errors import StoreError
 from rfpipe.photometry import Sensor
+from rfpipe.store.files import free_bytes
 from rfpipe.units import RADIANCE
 
 __all__ = [
     "DiskNeed",
-    "Imaging",
     "check_level",
     "check_run",
-    "free_bytes",
 ]
 
 # A file takes whole blocks of its file system.
@@ -29,22 +26,6 @@ _BLOCK_BYTES = 4096
 # store, in the level's own store and in the transport.
 _PIECES = 2
 _log = logging.getLogger(__name__)
-
-
-class Imaging(Protocol):
-    """A rig, as far as the size of its pictures goes."""
-
-    @property
-    def camera_shape(self) -> tuple[int, ...]:
-        """As that of `rfpipe.rigs.Rig`."""
-
-    @property
-    def channels(self) -> int:
-        """As that of `rfpipe.rigs.Rig`."""
-
-    @property
-    def sensor(self) -> Sensor:
-        """As that of `rfpipe.rigs.Rig`."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +47,21 @@ class DiskNeed:
     rest: int
 
     @classmethod
-    def of(cls, rig: Imaging, to_capture: int, patterns: int) -> DiskNeed:
+    def of(
+        cls,
+        sensor: Sensor,
+        camera_shape: tuple[int, ...],
+        channels: int,
+        to_capture: int,
+        patterns: int,
+    ) -> DiskNeed:
         """Return that of some brackets still to be captured, and of patterns to be merged."""
-        bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
-        image = prod(rig.camera_shape) * rig.channels
+        bracket = prod(sensor.frame_shape(camera_shape, channels))
+        image = prod(camera_shape) * channels
         radiance = np.dtype(RADIANCE).itemsize
         sums = 2 * np.dtype(np.float64).itemsize
         return cls(
-            raw=to_capture * (bracket * rig.sensor.frame_dtype.itemsize + _BLOCK_BYTES),
+            raw=to_capture * (bracket * sensor.frame_dtype.itemsize + _BLOCK_BYTES),
             merged=patterns * (2 * image * radiance + _BLOCK_BYTES),
             rest=image * (_PIECES * patterns * radiance + sums),
         )
@@ -136,13 +124,6 @@ def check_run(need: DiskNeed, patterns: int, folder: Path, *, keep_raw: bool = T
             "level that doesn't fit. %s",
             folder, need, _shown(free), _advice(keep_raw),
         )  # fmt: skip
-
-
-def free_bytes(folder: Path) -> int:
-    """Return the bytes free on the file system of a folder, which needn't exist yet."""
-    while not folder.exists():
-        folder = folder.parent
-    return shutil.disk_usage(folder).free
 
 
 def _advice(keep_raw: bool) -> str:

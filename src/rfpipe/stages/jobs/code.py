@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from rfpipe.plugins import METHODS, SCENES, path_of
+from rfpipe.plugins import path_of
 from rfpipe.provenance import import_fingerprint, imported_sources
 
 __all__ = [
@@ -12,8 +12,7 @@ __all__ = [
     "MERGED_WITH",
     "SHAPELESS",
     "acquisition_code",
-    "method_module",
-    "scene_module",
+    "module_of",
     "stage_code",
     "stage_modules",
 ]
@@ -77,11 +76,9 @@ def stage_modules(stage: str, *chosen: str) -> list[str]:
     return list(imported_sources(f"rfpipe.{stage}", *chosen, choosing=CHOOSING, without=SHAPELESS))
 
 
-def method_module(name: str) -> str:
-    """Module, or Python file, of a method by its name or path, to give to `stage_code`."""
-    return path_of(METHODS, name).rpartition(":")[0]
+def module_of(group: str, name: str) -> str:
+    """Module, or Python file, of what a name or path stands for, to give to `stage_code`.
 
-
-def scene_module(kind: str) -> str:
-    """Module, or Python file, of a kind of scene by its name or path, as `method_module`."""
-    return path_of(SCENES, kind).rpartition(":")[0]
+    `group` is one of those in `rfpipe.plugins`.
+    """
+    return path_of(group, name).rpartition(":")[0]
