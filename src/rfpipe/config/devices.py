@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Literal, Self
 
-from pydantic import Field, SerializeAsAny, model_validator
+from pydantic import Field, NonNegativeFloat, SerializeAsAny, model_validator
 
-from rfpipe.config.base import Extent, Settings
+from rfpipe.config.base import Extent, Gamma, Settings, Share, group_of
 from rfpipe.config.calibration import CalibrationConfig, Quadrilateral
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
@@ -54,20 +54,15 @@ class BenchConfig(Settings):
         description="The camera's true numbers, to be found by calibration; its exposures aren't "
         "used. null: those of sensor.",
     )
-    projector_gamma: float = Field(
-        2.2,
-        gt=0,
-        le=5,
-        description="Exponent g of the projector, light ~ code^g, above 0 and at most 5.",
+    projector_gamma: Gamma = Field(
+        2.2, description="Exponent g of the projector, light ~ code^g, above 0 and at most 5."
     )
-    projector_black: float = Field(
+    projector_black: Share = Field(
         0.0,
-        ge=0,
-        lt=1,
         description="Light of a pixel at code 0 as a fraction of that at 255, from 0 to below 1.",
     )
-    ambient: float = Field(
-        0.0, ge=0, description="Radiance of other light in every camera pixel, at least 0."
+    ambient: NonNegativeFloat = Field(
+        0.0, description="Radiance of other light in every camera pixel, at least 0."
     )
 
     @model_validator(mode="after")
@@ -126,9 +121,7 @@ class RigConfig(Settings):
         min_length=1,
         description="Folder of the rig's calibration, relative to where rfpipe runs, or null.",
     )
-    calibrate: CalibrationConfig = Field(
-        default_factory=CalibrationConfig, description="How the rig is calibrated."
-    )
+    calibrate: CalibrationConfig = group_of(CalibrationConfig)
     bench: BenchConfig | None = Field(
         None,
         description="The optical bench in software, in place of display, scene and camera; null "

@@ -166,11 +166,6 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
     found = sweep_option(config, scene, method)
     table = pd.DataFrame(found.times).to_csv(index=False, lineterminator="\n")
     write_atomically(times, table.encode())
-    facts = {
-        "stage": "sweep",
-        "scene": scene,
-        "method": method,
-        "rows": found.rows,
-        "units": RADIANCE_UNIT,
-    }
+    about = {"stage": "sweep", "scene": scene, "method": method}
+    facts = {**about, "rows": found.rows, "units": RADIANCE_UNIT}
     write_bundle(manifest, made_from, {"relit": found.relit}, facts)
