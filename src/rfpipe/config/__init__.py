@@ -6,6 +6,7 @@
 from rfpipe.config.calibration import CalibrationConfig
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.devices import BenchConfig, RigConfig
+from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
 from rfpipe.config.files import (
     default_yaml,
     json_schema,
@@ -21,9 +22,12 @@ __all__ = [
     "BenchConfig",
     "CalibrationConfig",
     "CameraConfig",
+    "CameraDriver",
     "Config",
     "NumberFormat",
+    "ProjectorDriver",
     "RigConfig",
+    "RigDriver",
     "SceneSettings",
     "StorageConfig",
     "default_yaml",

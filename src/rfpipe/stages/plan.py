@@ -54,11 +54,6 @@ class Plan:
         self.options = options_of(self.method, **(options or {}))
         self._carried: tuple[int, Any] | None = None
 
-    @classmethod
-    def of(cls, settings: Config, scene: str, name: str) -> Plan:
-        """Return the plan of one of a run's acquisitions."""
-        return cls(**plan_of(settings, scene, name))
-
     @property
     def n_levels(self) -> int:
         """Number of levels; raises InputError where the method doesn't fit the rays."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rfpipe.photometry import ExactSensor, Sensor
 from rfpipe.stages.capturing.disk import DiskNeed
 from rfpipe.stages.capturing.drift import item_count
-from rfpipe.stages.plan import Plan
+from rfpipe.stages.plan import Plan, plan_of
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
@@ -73,7 +73,7 @@ def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
     """
     found = []
     for scene, name in settings.acquisitions:
-        plan = Plan.of(settings, scene, name)
+        plan = Plan(**plan_of(settings, scene, name))
         of_method = plan.method.expected_patterns, plan.method.most_patterns
         needs = (
             _need(settings, sensor, plan, patterns(plan.camera, plan.projector, plan.options))
