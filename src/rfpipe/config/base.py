@@ -20,6 +20,7 @@ __all__ = [
     "SectionsOf",
     "Settings",
     "Share",
+    "Text",
     "ViewCount",
     "group_of",
 ]
@@ -28,6 +29,7 @@ Extent = Annotated[int, Field(ge=1, le=4096)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Gamma = Annotated[float, Field(gt=0, le=5)]
 Share = Annotated[float, Field(ge=0, lt=1)]
+Text = Annotated[str, Field(min_length=1)]
 ViewCount = Annotated[int, Field(ge=1, le=16)]
 
 
@@ -116,9 +118,8 @@ class MethodSettings(Described):
     group: ClassVar[str] = plugins.METHODS
     key: ClassVar[str] = "method"
 
-    method: str | None = Field(
+    method: Text | None = Field(
         None,
-        min_length=1,
         description="The method's name, or a class of your own as module:Class or file.py:Class; "
         "null where the section is called by the method's name.",
     )

@@ -7,8 +7,8 @@ from typing import Literal, Self
 
 from pydantic import Field, NonNegativeFloat, SerializeAsAny, model_validator
 
-from rfpipe.config.base import Extent, Gamma, Settings, Share, group_of
-from rfpipe.config.calibration import CalibrationConfig, Quadrilateral
+from rfpipe.config.base import Extent, Gamma, Settings, Share, Text, group_of
+from rfpipe.config.calibration import CalibrationConfig, Corners
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
 from rfpipe.config.scenes import SceneSettings
@@ -32,17 +32,15 @@ class BenchConfig(Settings):
     display_shape: tuple[Extent, Extent] = Field(
         (288, 320), description="Height and width of the display in pixels, 1 to 4096 each."
     )
-    projector_corners: tuple[Quadrilateral, ...] | None = Field(
+    projector_corners: Corners | None = Field(
         None,
-        min_length=1,
         description="Where the projector lights the scene, for each view: (x, y) of the upper "
         "left, upper right, lower right and lower left corner of the rays, in pixels from the "
         "picture's upper left corner, x to the right, y downwards. null: in the middle, each ray "
         "a square of as many whole pixels as fit.",
     )
-    camera_corners: tuple[Quadrilateral, ...] | None = Field(
+    camera_corners: Corners | None = Field(
         None,
-        min_length=1,
         description="The same on the camera. null: in the middle, over nine tenths of the "
         "picture, turned and distorted a little.",
     )
@@ -116,9 +114,8 @@ class RigConfig(Settings):
         description="The sensor: its exposures, and what is known of its noise. A calibration's "
         "numbers take the place of these. null: exact radiance, of a simulated rig only.",
     )
-    calibration: str | None = Field(
+    calibration: Text | None = Field(
         None,
-        min_length=1,
         description="Folder of the rig's calibration, relative to where rfpipe runs, or null.",
     )
     calibrate: CalibrationConfig = group_of(CalibrationConfig)

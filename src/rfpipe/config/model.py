@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from rfpipe.config.base import Extent, MethodSettings, SectionsOf, Settings, group_of
+from rfpipe.config.base import Extent, MethodSettings, SectionsOf, Settings, Text, group_of
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
@@ -48,9 +48,8 @@ class CaptureConfig(Settings):
         pattern=r"^https?://[^\s/]+/?$",
         description="Address of the acquisition server, such as http://127.0.0.1:8750.",
     )
-    token_file: str | None = Field(
+    token_file: Text | None = Field(
         None,
-        min_length=1,
         description="File with the server's token, readable by its owner alone, or null for the "
         "environment variable RFPIPE_TOKEN.",
     )
@@ -175,9 +174,7 @@ class StorageConfig(Settings):
 class ReportConfig(Settings):
     """What the report shows."""
 
-    title: str = Field(
-        "Light transport of five scenes", min_length=1, description="The report's title."
-    )
+    title: Text = Field("Light transport of five scenes", description="The report's title.")
     trials: dict[SectionName, tuple[float, ...]] = Field(
         default_factory=dict,
         description="For the plot of speed against error, by method: values of the option by which "
@@ -240,17 +237,15 @@ class Config(Settings):
         "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
         "to each image's energy, for the colours that a mosaic loses).",
     )
-    rig_file: str | None = Field(
+    rig_file: Text | None = Field(
         None,
-        min_length=1,
         description="Settings of the rig that 'snakemake calibrate' calibrates, a YAML file, or "
         "null; its setting calibration names the folder.",
     )
     storage: StorageConfig = group_of(StorageConfig)
     resources: ResourcesConfig = group_of(ResourcesConfig)
-    notify: str | None = Field(
+    notify: Text | None = Field(
         None,
-        min_length=1,
         description="Command to run when a run has ended or failed, such as a script that sends a "
         "message, or null for none. It finds RFPIPE_STATUS (done or failed) and RFPIPE_LOG in its "
         "environment.",

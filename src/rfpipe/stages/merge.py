@@ -19,7 +19,7 @@ from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.merging.raw import RawFrames
 from rfpipe.stages.merging.references import REFERENCES, learn_references, read_merger
-from rfpipe.stages.results import bundle_entry, intact_bundle, standing_manifest
+from rfpipe.stages.results import intact_bundle, standing_manifest
 from rfpipe.store import (
     FrameStore,
     ItemWriter,
@@ -239,7 +239,7 @@ def _merge(
             for first, digests, of_run in workers.results(work, runs(count, image_shape)):
                 images.enter(first, digests)
                 total.join(of_run)
-            digest = images.digest()
+            entry = images.entry()
     samples = count * int(np.prod(image_shape))
     if total.saturated:
         _log.warning(
@@ -252,12 +252,10 @@ def _merge(
     write_arrays(sums, arrays, {"fingerprint": made_from, "units": RADIANCE_UNIT})
     return {
         "patterns": count,
-        "digest": digest,
-        "dtype": np.dtype(RADIANCE).str,
-        "shape": list(shape),
+        **entry,
         "saturated": total.saturated,
         "samples": samples,
-        SUMS: bundle_entry(open_arrays(sums)),
+        SUMS: open_arrays(sums).entry(),
     }
 
 

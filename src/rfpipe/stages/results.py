@@ -18,7 +18,7 @@ from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.provenance import versions
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest, write_arrays, write_manifest
 
-__all__ = ["accept_bundle", "bundle_entry", "intact_bundle", "standing_manifest", "write_bundle"]
+__all__ = ["accept_bundle", "intact_bundle", "standing_manifest", "write_bundle"]
 
 _log = logging.getLogger(__name__)
 
@@ -112,18 +112,7 @@ def write_bundle(
     _write_manifest(manifest, open_arrays(store))
 
 
-def bundle_entry(bundle: ArrayBundle) -> dict[str, Any]:
-    """Describe a bundle for a manifest: its digest, and dtype and shape of its arrays."""
-    return {
-        "digest": bundle.digest,
-        "arrays": {
-            name: {"dtype": bundle.dtype(name).str, "shape": list(bundle.shape(name))}
-            for name in bundle.names
-        },
-    }
-
-
 def _write_manifest(manifest: Path, bundle: ArrayBundle) -> None:
     held = bundle.attributes
     made = {name: held[name] for name in ("fingerprint", "versions")}
-    write_manifest(manifest, {**held["facts"], **bundle_entry(bundle), **made})
+    write_manifest(manifest, {**held["facts"], **bundle.entry(), **made})

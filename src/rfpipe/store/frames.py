@@ -15,7 +15,6 @@ from rfpipe.errors import InputError, IntegrityError, StaleStoreError, StoreErro
 from rfpipe.store.chunks import (
     METADATA,
     Compression,
-    compression_for,
     damaged_metadata,
     read_attributes,
 )
@@ -154,14 +153,7 @@ class FrameStore:
         lock.acquire()
         try:
             if not (path / METADATA).exists():
-                make_item_array(
-                    path,
-                    shape,
-                    wanted,
-                    header,
-                    items_per_chunk=items_per_chunk,
-                    compression=compression or compression_for(wanted),
-                )
+                make_item_array(path, shape, wanted, header, items_per_chunk, compression)
             store = cls(path)
             store._refuse_other(shape, wanted, fingerprint)
             if not store.dropped:
@@ -338,6 +330,10 @@ class FrameStore:
         header = canonical_json([self.dtype.str, list(self.shape)], str(self.path))
         items = "".join(self._digests[item] for item in range(self.shape[0]))
         return digest_of(header, items.encode())
+
+    def entry(self) -> dict[str, Any]:
+        """Describe a complete store for a manifest: digest, dtype and shape; errors as `digest`."""
+        return {"digest": self.digest(), "dtype": self.dtype.str, "shape": list(self.shape)}
 
     def close(self) -> None:
         """Bring the journal to the disk and release the lock; a second time does nothing."""

@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, StaleStoreError
-from rfpipe.store.chunks import DAMAGE, METADATA, Compression, layout, read_attributes
+from rfpipe.store.chunks import (
+    DAMAGE,
+    METADATA,
+    Compression,
+    compression_for,
+    layout,
+    read_attributes,
+)
 from rfpipe.store.codec import ChunkFiles
 from rfpipe.store.files import digest_of, hidden_sibling, remove_tree, storage_errors
 
@@ -145,9 +152,8 @@ def make_item_array(
     shape: tuple[int, ...],
     dtype: np.dtype[Any],
     attributes: dict[str, Any],
-    *,
     items_per_chunk: int,
-    compression: Compression,
+    compression: Compression | None,
 ) -> None:
     """Make an empty array, complete or absent.
 
@@ -174,6 +180,6 @@ def make_item_array(
             chunks=(items_per_chunk, *shape[1:]),
             dtype=dtype,
             attributes=attributes,
-            **layout(compression),
+            **layout(compression or compression_for(dtype)),
         )
         new.rename(path)

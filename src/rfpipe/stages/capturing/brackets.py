@@ -127,12 +127,7 @@ class Brackets:
 
     def entry(self, frames: FrameStore) -> dict[str, Any]:
         """Return what a manifest says of the store."""
-        return {
-            "digest": frames.digest(),
-            "dtype": frames.dtype.str,
-            "shape": list(frames.shape),
-            "fingerprint": self.made_for,
-        }
+        return {**frames.entry(), "fingerprint": self.made_for}
 
     def _checked(self, block: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
         """Refuse what is no bracket before it is entered as captured."""

@@ -18,6 +18,7 @@ __all__ = [
     "DiskNeed",
     "check_level",
     "check_run",
+    "shown_bytes",
 ]
 
 # A file takes whole blocks of its file system.
@@ -73,8 +74,8 @@ class DiskNeed:
 
     def __str__(self) -> str:
         return (
-            f"{_shown(self.total)} (raw exposures {_shown(self.raw)}, merged images "
-            f"{_shown(self.merged)}, the rest {_shown(self.rest)})"
+            f"{shown_bytes(self.total)} (raw exposures {shown_bytes(self.raw)}, merged images "
+            f"{shown_bytes(self.merged)}, the rest {shown_bytes(self.rest)})"
         )
 
 
@@ -103,11 +104,11 @@ def check_level(
     if need.total - present > free:
         raise StoreError(
             f"{folder}: the capture of {name} isn't begun: it and what is made of it take up to "
-            f"{need}, of which {_shown(present)} are there already; {_shown(free)} are free on "
-            f"this file system. {_advice(keep_raw)}, or choose the method's options for "
+            f"{need}, of which {shown_bytes(present)} are there already; {shown_bytes(free)} are "
+            f"free on this file system. {_advice(keep_raw)}, or choose the method's options for "
             "fewer patterns; then run again: what is captured is kept"
         )
-    _log.info("%s: takes up to %s; %s are free", name, need, _shown(free))
+    _log.info("%s: takes up to %s; %s are free", name, need, shown_bytes(free))
 
 
 def check_run(need: DiskNeed, patterns: int, folder: Path, *, keep_raw: bool = True) -> None:
@@ -122,7 +123,7 @@ def check_run(need: DiskNeed, patterns: int, folder: Path, *, keep_raw: bool = T
         _log.warning(
             "%s: all levels may take up to %s, but %s are free. The run will stop before the "
             "level that doesn't fit. %s",
-            folder, need, _shown(free), _advice(keep_raw),
+            folder, need, shown_bytes(free), _advice(keep_raw),
         )  # fmt: skip
 
 
@@ -131,5 +132,9 @@ def _advice(keep_raw: bool) -> str:
     return f"Make room, put the results on another disk{drop}"
 
 
-def _shown(count: int) -> str:
-    return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
+def shown_bytes(count: int) -> str:
+    """Show a number of bytes to three digits, such as ``629 MB``."""
+    for unit, scale in (("TB", 1e12), ("GB", 1e9)):
+        if count >= scale:
+            return f"{count / scale:.3g} {unit}"
+    return f"{count / 1e6:.3g} MB"

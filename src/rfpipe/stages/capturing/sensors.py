@@ -6,7 +6,6 @@ from typing import Any
 
 from rfpipe.photometry import Sensor, sensor_from_description
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.results import bundle_entry
 from rfpipe.store import open_arrays, write_arrays
 
 __all__ = ["SENSOR", "read_sensor", "write_sensor"]
@@ -22,7 +21,7 @@ def write_sensor(folder: AcquisitionFolder, sensor: Sensor) -> dict[str, Any]:
         return {}
     store = folder.store(0, SENSOR)
     write_arrays(store, arrays(), {"sensor": sensor.describe()})
-    return {SENSOR: bundle_entry(open_arrays(store))}
+    return {SENSOR: open_arrays(store).entry()}
 
 
 def read_sensor(folder: AcquisitionFolder) -> Sensor:

@@ -16,7 +16,7 @@ from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import Merger
 from rfpipe.stages.merging.raw import RawFrames
-from rfpipe.stages.results import bundle_entry, intact_bundle
+from rfpipe.stages.results import intact_bundle
 from rfpipe.store import open_arrays, write_arrays
 
 __all__ = ["REFERENCES", "learn_references", "read_floodlit", "read_merger"]
@@ -78,7 +78,7 @@ def learn_references(
         raw.must_be_unchanged(bundle.attributes["made_of"], made_of)
     found = bundle.read_all(), bundle.attributes
     merger = _merger_of(*found, sensor, settings["saturation_fraction"])
-    return merger, {**bundle_entry(bundle), **bundle.attributes["counted"]}
+    return merger, {**bundle.entry(), **bundle.attributes["counted"]}
 
 
 def read_merger(sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float) -> Merger:
