@@ -17,17 +17,18 @@ __all__ = [
     "stage_modules",
 ]
 
-CHOOSING = ("rfpipe", "rfpipe.plugins")
+CHOOSING = ("rfpipe",)
 """Modules that import one of many by name; the one that is chosen counts, the others don't."""
 
 SHAPELESS = (
     "rfpipe.config",
     "rfpipe.errors",
+    "rfpipe.plugins",
     "rfpipe.stages.jobs.job",
     "rfpipe.stages.jobs.progress",
 )
-"""Modules that shape no result: they say what happens, or check settings whose values a stage is
-given and made from."""
+"""Modules that shape no result: they say what happens, check settings whose values a stage is given
+and made from, or find what is named, which counts itself."""
 
 MERGED_WITH = "rfpipe.stages.capturing.sensors"
 """What finds the sensor, with which `rfpipe.stages.merge.run` is called."""
