@@ -21,8 +21,9 @@ from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, merge, normalize
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.plan import Plan
 from rfpipe.stages.results import write_bundle
 from rfpipe.store import FrameStore
 
@@ -51,8 +52,8 @@ def captured(folder: AcquisitionFolder, shape: tuple[int, int], patterns: int) -
         lit = generator(1, level).integers(0, count, shape).astype(np.int32)
         shown = Schedule(level, shape, count, lit, complete=True).digest()
         facts = {"patterns": count, "complete": True, "shape": shape, "shown": shown}
-        store, manifest = folder.store(level, "schedule"), folder.manifest(level, "schedule")
-        write_bundle(store, manifest, "by hand", {"pattern_of_ray": lit}, facts)
+        manifest = folder.manifest(level, "schedule")
+        write_bundle(manifest, "by hand", {"pattern_of_ray": lit}, facts)
         capture.run(rig, folder, level, references=(8, 64))
         run_merge(rig, folder, level, Resources())
     return rig

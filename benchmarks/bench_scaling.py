@@ -167,8 +167,9 @@ def acquire(config: Any, name: str, shape: tuple[int, int]) -> dict[str, Any]:
     from rfpipe.rigs import SimulatedRig
     from rfpipe.scenes import scene_from_config
     from rfpipe.stages import assemble, capture, merge, normalize, refine, schedule
+    from rfpipe.stages.folder import AcquisitionFolder
     from rfpipe.stages.jobs.workers import Resources
-    from rfpipe.stages.plan import AcquisitionFolder, Plan
+    from rfpipe.stages.plan import Plan
     from rfpipe.store import bytes_on_disk
 
     clock = Clock()

@@ -40,7 +40,7 @@ _IMPORT = re.compile(
 _FOR_TYPES_ALONE = re.compile(
     r"^([ \t]*)if (?:\w+\.)?TYPE_CHECKING:[^\n]*\n(?:\1[ \t]+[^\n]*\n|[ \t]*\n)+", re.MULTILINE
 )
-_IMPORTS_BY_NAME = "import_module("
+_IMPORTS_BY_NAME = re.compile(r"\bimport_module\(")  # which this line is no case of
 _DOTTED_NAME = re.compile(r"""["'](\w+(?:\.\w+)+)["']""")
 
 
@@ -287,7 +287,7 @@ def _scanned(path: Path) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
 def _scan(path: Path, *_status: int) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
     content = path.read_bytes()
     text = content.decode(errors="replace")
-    by_name = tuple(_DOTTED_NAME.findall(text)) if _IMPORTS_BY_NAME in text else ()
+    by_name = tuple(_DOTTED_NAME.findall(text)) if _IMPORTS_BY_NAME.search(text) else ()
     text = _FOR_TYPES_ALONE.sub("", text.replace("\\\n", " "))
     return _digest(content), tuple(_imports(text)), by_name
 

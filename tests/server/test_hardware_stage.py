@@ -15,7 +15,8 @@ from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.stages import assemble, hardware, merge, normalize, refine, relight, schedule
 from rfpipe.stages.capturing.sensors import read_sensor
 from rfpipe.stages.evaluating.evaluate import errors_table
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.plan import Plan
 from rfpipe.store import open_arrays
 from rfpipe.transport import open_transport
 

@@ -58,8 +58,8 @@ def test_the_command_says_what_does_not_fit(
     assert result.output.count("dual") == 5
     assert "One after the other: 10 h" in result.output
     assert "may not fit" not in result.output
-    from rfpipe.stages.capturing import disk
+    from rfpipe.store import files
 
-    monkeypatch.setattr(disk, "free_bytes", lambda _folder: 10)
+    monkeypatch.setattr(files, "free_bytes", lambda _folder: 10)
     result = runner.invoke(app, ["plan", str(config)])
     assert "may not fit" in result.output

@@ -94,8 +94,8 @@ def test_items_of_another_writer_count_once_they_are_entered(tmp_path: Path) -> 
     path = tmp_path / "s"
     with FrameStore.create(path, SHAPE, COUNTS, "abc", {}, items_per_chunk=2) as store:
         writer = ItemWriter(path, "abc")
-        digests = writer.write(2, frames[2:4])
-        last = writer.write(6, frames[6:])
+        digests = writer.write_items(2, frames[2:4])
+        last = writer.write_items(6, frames[6:])
         assert not store.done.any()
         assert not FrameStore.open(path).done.any()
         store.enter(2, digests)

@@ -13,8 +13,9 @@ from rfpipe.photometry import CameraModel, Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import assemble, capture, merge, normalize, refine, schedule
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.plan import Plan
 from rfpipe.transport import open_transport
 
 SHAPE = (4, 5)

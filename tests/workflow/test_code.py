@@ -13,11 +13,11 @@ from tests.workflow.harness import DUAL, TINY, Workflow
 
 import rfpipe
 from rfpipe.methods import method_names
+from rfpipe.plugins import METHODS, SCENES
 from rfpipe.stages.jobs.code import (
     MERGED_WITH,
     SHAPELESS,
-    method_module,
-    scene_module,
+    module_of,
     stage_modules,
 )
 from rfpipe.store import read_manifest
@@ -48,7 +48,7 @@ def stage(name, work):
 
 
 def files():
-    from rfpipe.stages.plan import AcquisitionFolder
+    from rfpipe.stages.folder import AcquisitionFolder
 
     return AcquisitionFolder(folder)
 
@@ -135,19 +135,23 @@ def test_the_code_of_a_stage_is_all_that_a_run_of_it_loads(copy: Workflow, tmp_p
     loaded = {name: set(modules) for name, modules in json.loads(ended.stdout).items()}
     capture = loaded.pop("stages.capture")
     assert len(loaded) == 10
-    symmetric = method_module("symmetric")
+    symmetric = module_of(METHODS, "symmetric")
     for name, modules in loaded.items():
         chosen = [MERGED_WITH if name == "stages.merge" else symmetric]
         shaping = {module for module in modules if not is_shapeless(module)}
         if name in ("report", "stages.evaluating.studies"):  # speak of all methods
-            chosen = [method_module(method) for method in method_names()]
+            chosen = [module_of(METHODS, method) for method in method_names()]
             # loaded to check the settings of scenes, whose pictures these don't make
             shaping = {module for module in shaping if not module.startswith(KINDS)}
         if name in ("stages.relight", "stages.evaluating.sweep"):
-            chosen.append(scene_module("wedge"))
+            chosen.append(module_of(SCENES, "wedge"))
         assert shaping <= set(stage_modules(name, *chosen)), name
     assert "rfpipe.stages.capturing.drift" in loaded["stages.merge"]
     assert not loaded["stages.merge"] & {"rfpipe.rigs", "rfpipe.methods.symmetric.method"}
+    of_merge = stage_modules("stages.merge", MERGED_WITH)
+    assert not [
+        name for name in of_merge if name.startswith(("rfpipe.transport", "rfpipe.methods"))
+    ]
     assert capture  # has no code that counts
 
 
@@ -156,8 +160,8 @@ def is_shapeless(module: str) -> bool:
 
 
 def test_every_method_counts_for_itself_alone() -> None:
-    of_dual = set(stage_modules("stages.refine", method_module("dual")))
-    of_symmetric = set(stage_modules("stages.refine", method_module("symmetric")))
+    of_dual = set(stage_modules("stages.refine", module_of(METHODS, "dual")))
+    of_symmetric = set(stage_modules("stages.refine", module_of(METHODS, "symmetric")))
     assert "rfpipe.methods.dual" in of_dual - of_symmetric
     assert "rfpipe.methods.symmetric.rank_k" in of_symmetric - of_dual
     for shaping in ("provenance", "patterns", "blocks", "stages.merge", "store.journal"):

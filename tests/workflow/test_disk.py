@@ -42,7 +42,7 @@ def acquisition(folder: Path, **settings: Any) -> Acquisition:
     return found
 
 
-NEED = DiskNeed.of(matrix_rig(noise=CAMERA), 2 + 2 + RAYS, RAYS)
+NEED = DiskNeed.of(CAMERA, SHAPE, 1, 2 + 2 + RAYS, RAYS)
 
 
 def test_the_estimate_bounds_what_a_level_takes(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_only_what_is_missing_counts(tmp_path: Path, disk: Disk) -> None:
     with pytest.raises(KeyboardInterrupt):
         mine.capture(0, batch_patterns=1)
     mine.rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
-    rest = DiskNeed.of(mine.rig, RAYS - 7, RAYS)
+    rest = DiskNeed.of(CAMERA, SHAPE, 1, RAYS - 7, RAYS)
     disk(rest.total - 1)
     with pytest.raises(StoreError, match="isn't begun"):
         mine.capture(0)

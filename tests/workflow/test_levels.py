@@ -10,8 +10,9 @@ from tests.workflow.stagewise import CAMERA, CODE, SHAPE, Acquisition, contents,
 
 from rfpipe.errors import LockedError
 from rfpipe.stages import capture, levels
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.plan import Plan
 from rfpipe.store import StoreLock
 
 STAGES = ("schedule", "merge", "normalize", "refine", "assemble")
@@ -24,8 +25,9 @@ def acquire(path: Path, method: str = "symmetric") -> AcquisitionFolder:
         Plan(method, method, SHAPE, SHAPE, 1),
         folder,
         "matrix",
-        partial(capture.run, matrix_rig(noise=CAMERA), references=(2, 2)),
+        partial(capture.run, matrix_rig(noise=CAMERA)),
         code=dict.fromkeys(STAGES, CODE),
+        capture_options={"references": (2, 2)},
         merge_options={"saturation_fraction": 0.98, "mask_defects": True},
         normalization="per_channel",
         number_format="float32",

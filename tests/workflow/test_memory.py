@@ -19,7 +19,8 @@ from rfpipe.photometry import CameraModel, counts
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, merge, normalize
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.plan import Plan
 from rfpipe.stages.results import write_bundle
 from rfpipe.stages.jobs.workers import Resources
 
@@ -35,7 +36,7 @@ for level, patterns in enumerate((1, count)):
     lit = generator(1, level).integers(0, patterns, shape).astype(np.int32)
     schedule = Schedule(level, shape, patterns, lit, complete=True)
     write_bundle(
-        folder.store(level, "schedule"), folder.manifest(level, "schedule"), "by hand",
+        folder.manifest(level, "schedule"), "by hand",
         {"pattern_of_ray": lit},
         {"patterns": patterns, "complete": True, "shape": shape, "shown": schedule.digest()},
     )

@@ -232,8 +232,8 @@ def test_the_sum_of_a_level_is_that_of_its_images(tmp_path: Path) -> None:
     acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
     acquisition.level(0)
     acquisition.level(1)
-    with merge.merged_frames(acquisition.folder, 1) as merged:
-        radiance, variance = merged.read(0, 4)
+    with acquisition.folder.frames(1, "merge") as frames:
+        radiance, variance = merge.MergedFrames(frames).read(0, 4)
     total = merge.read_level_sum(acquisition.folder, 1)
     np.testing.assert_array_equal(total.radiance, radiance.sum(axis=0, dtype=np.float64))
     np.testing.assert_array_equal(total.variance, variance.sum(axis=0, dtype=np.float64))

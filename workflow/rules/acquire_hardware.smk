@@ -23,9 +23,6 @@ rule acquire_hardware:
         rig_patience=str(SETTINGS.capture.patience_seconds),
     params:
         plan=plan,
-        stages=STAGES,
-        capture=CAPTURE,
-        expected_patterns=expected,
-        code=stages_code,
+        stages=stages,
     script:
         "../scripts/acquire_hardware.py"

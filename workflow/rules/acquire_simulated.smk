@@ -14,13 +14,12 @@ rule acquire_simulated:
         cluster=SETTINGS.resources.cluster or "",
     params:
         plan=plan,
-        stages=STAGES,
-        capture=CAPTURE,
-        expected_patterns=expected,
-        code=stages_code,
+        stages=stages,
         scene=scene_settings,
         camera=SETTINGS.camera and plain(SETTINGS.camera),
-        seed=SETTINGS.seed,
-        seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
+        rig={
+            "seed": SETTINGS.seed,
+            "seconds_per_pattern": SETTINGS.capture.seconds_per_pattern,
+        },
     script:
         "../scripts/acquire_simulated.py"

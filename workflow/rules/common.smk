@@ -2,15 +2,11 @@
 
 from rfpipe.config import load_config, parse_config
 from rfpipe.methods import method_names
+from rfpipe.plugins import METHODS, SCENES
 from rfpipe.stages.evaluating.sweep import is_swept
-from rfpipe.stages.jobs.code import (
-    acquisition_code,
-    method_module,
-    scene_module,
-    stage_code,
-)
+from rfpipe.stages.jobs.code import acquisition_code, module_of, stage_code
 from rfpipe.stages.jobs.notify import notify
-from rfpipe.stages.plan import Plan, plan_of
+from rfpipe.stages.plan import plan_of
 
 if len(workflow.configfiles) == 1:
     load_config(workflow.configfiles[0])  # finds keys that stand twice, too
@@ -38,23 +34,6 @@ SHAPING = SETTINGS.model_dump(
     },
 )
 
-# How any rig captures a level.
-CAPTURE = {
-    "references": [SETTINGS.capture.black_frames, SETTINGS.capture.floodlit_frames],
-    "batch_patterns": SETTINGS.capture.batch_patterns,
-    "drift_patterns": SETTINGS.capture.drift_patterns,
-    "keep_raw": SETTINGS.capture.keep_raw,
-    "warm_up_minutes": SETTINGS.capture.warm_up_minutes,
-    "when_patterns_change": SETTINGS.capture.when_patterns_change,
-}
-
-# What the other stages of an acquisition do.
-STAGES = {
-    "merge_options": {**plain(SETTINGS.merge), "keep_raw": SETTINGS.capture.keep_raw},
-    "normalization": SETTINGS.normalization,
-    "number_format": SETTINGS.storage.number_format,
-}
-
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
 
 
@@ -74,9 +53,26 @@ def plan(wildcards):
     return plan_of(SETTINGS, wildcards.scene, wildcards.method)
 
 
-def stages_code(wildcards):
-    """Fingerprints of the code: Snakemake sees no change inside the library."""
-    return acquisition_code(method_module(plan(wildcards)["method"]))
+def stages(wildcards):
+    """What the stages of an acquisition do, before any rig, and the code that they do it with.
+
+    Snakemake sees no change of code inside the library.
+    """
+    capture = SETTINGS.capture
+    return {
+        "capture_options": {
+            "references": [capture.black_frames, capture.floodlit_frames],
+            "batch_patterns": capture.batch_patterns,
+            "drift_patterns": capture.drift_patterns,
+            "keep_raw": capture.keep_raw,
+            "warm_up_minutes": capture.warm_up_minutes,
+            "when_patterns_change": capture.when_patterns_change,
+        },
+        "merge_options": {**plain(SETTINGS.merge), "keep_raw": capture.keep_raw},
+        "normalization": SETTINGS.normalization,
+        "number_format": SETTINGS.storage.number_format,
+        "code": acquisition_code(module_of(METHODS, plan(wildcards)["method"])),
+    }
 
 
 def every_acquisition(name):
@@ -95,12 +91,6 @@ def every_sweep(name):
     ]
 
 
-def expected(wildcards):
-    """Patterns that an acquisition may take, to estimate the disk space."""
-    about = Plan(**plan(wildcards))
-    return about.method.expected_patterns(about.camera, about.projector, about.options)
-
-
 def sweep_settings(wildcards):
     """The settings of one scene and method's sweep."""
     section = SETTINGS.methods_of(wildcards.scene)[wildcards.method]
@@ -114,19 +104,22 @@ def sweep_settings(wildcards):
 
 def relight_code(wildcards):
     """Fingerprint of the code of the relighting beside what is true of a scene."""
-    return stage_code("stages.relight", scene_module(scene_settings(wildcards)["kind"]))
+    return stage_code(
+        "stages.relight", module_of(SCENES, scene_settings(wildcards)["kind"])
+    )
 
 
 def sweep_code(wildcards):
     """Fingerprint of the code of a method's sweep."""
-    scene = scene_module(scene_settings(wildcards)["kind"])
-    method = method_module(plan(wildcards)["method"])
+    scene = module_of(SCENES, scene_settings(wildcards)["kind"])
+    method = module_of(METHODS, plan(wildcards)["method"])
     return stage_code("stages.evaluating.sweep", method, scene)
 
 
 def study_code(wildcards):
     """Fingerprint of the code of the studies, which compare methods."""
-    return stage_code("stages.evaluating.studies", *map(method_module, method_names()))
+    methods = [module_of(METHODS, name) for name in method_names()]
+    return stage_code("stages.evaluating.studies", *methods)
 
 
 def report_code(wildcards):
@@ -135,8 +128,8 @@ def report_code(wildcards):
         plan_of(SETTINGS, scene, name)["method"]
         for scene, name in SETTINGS.acquisitions
     }
-    methods = map(method_module, acquired.union(method_names()))
-    return stage_code("report", *sorted(set(methods)))
+    methods = {module_of(METHODS, name) for name in acquired.union(method_names())}
+    return stage_code("report", *sorted(methods))
 
 
 def study_settings(wildcards):

@@ -2,9 +2,10 @@ from functools import partial
 from pathlib import Path
 
 from rfpipe.stages import hardware, levels
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.plan import Plan
 
 params = snakemake.params
 start(snakemake.log[0])
@@ -20,11 +21,7 @@ levels.run(
         url=snakemake.resources.rig_url,
         token_file=snakemake.resources.rig_token_file or None,
         patience_seconds=float(snakemake.resources.rig_patience),
-        **params.capture,
-        expected_patterns=params.expected_patterns,
-        resources=resources.here,
     ),
     **params.stages,
-    code=params.code,
     resources=resources,
 )

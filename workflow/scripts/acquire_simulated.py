@@ -6,9 +6,10 @@ from rfpipe.photometry import sensor_from_config
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
 from rfpipe.stages import capture, levels
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.plan import Plan
 
 params = snakemake.params
 start(snakemake.log[0])
@@ -16,22 +17,14 @@ resources = Resources.of_job(snakemake)
 rig = SimulatedRig(
     scene_from_config(SceneSettings.model_validate(params.scene)),
     sensor_from_config(CameraConfig(**params.camera) if params.camera else None),
-    params.seed,
-    params.seconds_per_pattern,
-    resources.threads,
+    **params.rig,
+    threads=resources.threads,
 )
 levels.run(
     Plan(**params.plan),
     AcquisitionFolder(Path(snakemake.output[0]).parent, believing=True),
     snakemake.wildcards.scene,
-    partial(
-        capture.run,
-        rig,
-        **params.capture,
-        expected_patterns=params.expected_patterns,
-        resources=resources.here,
-    ),
+    partial(capture.run, rig),
     **params.stages,
-    code=params.code,
     resources=resources,
 )

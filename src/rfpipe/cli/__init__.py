@@ -85,8 +85,8 @@ def plan(
     from rfpipe.cli.plan import table
     from rfpipe.config import load_config
     from rfpipe.photometry import sensor_from_config
-    from rfpipe.stages.capturing.disk import free_bytes
     from rfpipe.stages.capturing.forecast import forecast
+    from rfpipe.store.files import free_bytes
 
     settings = load_config(config)
     found = forecast(settings, sensor_from_config(settings.camera))

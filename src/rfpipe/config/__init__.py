@@ -3,12 +3,9 @@
 ``python -m rfpipe.config`` writes the default files and the JSON schemas from the models.
 """
 
-from rfpipe.config.base import MethodSettings
 from rfpipe.config.calibration import CalibrationConfig
-from rfpipe.config.devices import (
-    BenchConfig,
-    RigConfig,
-)
+from rfpipe.config.camera import CameraConfig
+from rfpipe.config.devices import BenchConfig, RigConfig
 from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
 from rfpipe.config.files import (
     default_yaml,
@@ -18,17 +15,7 @@ from rfpipe.config.files import (
     parse_config,
     parse_rig_config,
 )
-from rfpipe.config.model import (
-    CameraConfig,
-    CaptureConfig,
-    Config,
-    MergeConfig,
-    Normalization,
-    NumberFormat,
-    ReportConfig,
-    ResourcesConfig,
-    StorageConfig,
-)
+from rfpipe.config.model import Config, NumberFormat, StorageConfig
 from rfpipe.config.scenes import SceneSettings
 
 __all__ = [
@@ -36,15 +23,9 @@ __all__ = [
     "CalibrationConfig",
     "CameraConfig",
     "CameraDriver",
-    "CaptureConfig",
     "Config",
-    "MergeConfig",
-    "MethodSettings",
-    "Normalization",
     "NumberFormat",
     "ProjectorDriver",
-    "ReportConfig",
-    "ResourcesConfig",
     "RigConfig",
     "RigDriver",
     "SceneSettings",

@@ -15,14 +15,21 @@ __all__ = [
     "Described",
     "Extent",
     "Fraction",
+    "Gamma",
     "MethodSettings",
     "SectionsOf",
     "Settings",
+    "Share",
+    "Text",
     "ViewCount",
+    "group_of",
 ]
 
 Extent = Annotated[int, Field(ge=1, le=4096)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
+Gamma = Annotated[float, Field(gt=0, le=5)]
+Share = Annotated[float, Field(ge=0, lt=1)]
+Text = Annotated[str, Field(min_length=1)]
 ViewCount = Annotated[int, Field(ge=1, le=16)]
 
 
@@ -39,6 +46,11 @@ class Settings(BaseModel):
         if isinstance(value, bool) and name and cls.model_fields[name].annotation is not bool:
             raise ValueError("should not be true or false")
         return value
+
+
+def group_of(model: type[Settings]) -> Any:
+    """Return a field that is a group of settings, said by its model's docstring; all defaults."""
+    return Field(default_factory=model, description=str(model.__doc__).partition("\n")[0])
 
 
 class Described(Settings):
@@ -106,9 +118,8 @@ class MethodSettings(Described):
     group: ClassVar[str] = plugins.METHODS
     key: ClassVar[str] = "method"
 
-    method: str | None = Field(
+    method: Text | None = Field(
         None,
-        min_length=1,
         description="The method's name, or a class of your own as module:Class or file.py:Class; "
         "null where the section is called by the method's name.",
     )

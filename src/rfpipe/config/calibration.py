@@ -8,10 +8,11 @@ from pydantic import Field, model_validator
 
 from rfpipe.config.base import Fraction, Settings, ViewCount
 
-__all__ = ["CalibrationConfig", "Quadrilateral"]
+__all__ = ["CalibrationConfig", "Corners"]
 
 Point = tuple[float, float]
 Quadrilateral = tuple[Point, Point, Point, Point]
+Corners = Annotated[tuple[Quadrilateral, ...], Field(min_length=1)]
 Count = Annotated[int, Field(ge=2, le=1000)]
 
 
@@ -54,9 +55,8 @@ class CalibrationConfig(Settings):
         description="Rows and columns of an array of mirrors, found in the camera's picture, 1 to "
         "16 each; null for a single view over the whole projector.",
     )
-    corners: tuple[Quadrilateral, ...] | None = Field(
+    corners: Corners | None = Field(
         None,
-        min_length=1,
         description="Where the views lie, instead of finding them: (x, y) of upper left, upper "
         "right, lower right and lower left corner of each, in projector pixels from the picture's "
         "upper left corner. null: found, or the middle of the projector.",

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Literal, Self
 
-from pydantic import Field, SerializeAsAny, model_validator
+from pydantic import Field, NonNegativeFloat, SerializeAsAny, model_validator
 
-from rfpipe.config.base import Extent, Settings
-from rfpipe.config.calibration import CalibrationConfig, Quadrilateral
+from rfpipe.config.base import Extent, Gamma, Settings, Share, Text, group_of
+from rfpipe.config.calibration import CalibrationConfig, Corners
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
 from rfpipe.config.scenes import SceneSettings
@@ -32,17 +32,15 @@ class BenchConfig(Settings):
     display_shape: tuple[Extent, Extent] = Field(
         (288, 320), description="Height and width of the display in pixels, 1 to 4096 each."
     )
-    projector_corners: tuple[Quadrilateral, ...] | None = Field(
+    projector_corners: Corners | None = Field(
         None,
-        min_length=1,
         description="Where the projector lights the scene, for each view: (x, y) of the upper "
         "left, upper right, lower right and lower left corner of the rays, in pixels from the "
         "picture's upper left corner, x to the right, y downwards. null: in the middle, each ray "
         "a square of as many whole pixels as fit.",
     )
-    camera_corners: tuple[Quadrilateral, ...] | None = Field(
+    camera_corners: Corners | None = Field(
         None,
-        min_length=1,
         description="The same on the camera. null: in the middle, over nine tenths of the "
         "picture, turned and distorted a little.",
     )
@@ -54,20 +52,15 @@ class BenchConfig(Settings):
         description="The camera's true numbers, to be found by calibration; its exposures aren't "
         "used. null: those of sensor.",
     )
-    projector_gamma: float = Field(
-        2.2,
-        gt=0,
-        le=5,
-        description="Exponent g of the projector, light ~ code^g, above 0 and at most 5.",
+    projector_gamma: Gamma = Field(
+        2.2, description="Exponent g of the projector, light ~ code^g, above 0 and at most 5."
     )
-    projector_black: float = Field(
+    projector_black: Share = Field(
         0.0,
-        ge=0,
-        lt=1,
         description="Light of a pixel at code 0 as a fraction of that at 255, from 0 to below 1.",
     )
-    ambient: float = Field(
-        0.0, ge=0, description="Radiance of other light in every camera pixel, at least 0."
+    ambient: NonNegativeFloat = Field(
+        0.0, description="Radiance of other light in every camera pixel, at least 0."
     )
 
     @model_validator(mode="after")
@@ -121,14 +114,11 @@ class RigConfig(Settings):
         description="The sensor: its exposures, and what is known of its noise. A calibration's "
         "numbers take the place of these. null: exact radiance, of a simulated rig only.",
     )
-    calibration: str | None = Field(
+    calibration: Text | None = Field(
         None,
-        min_length=1,
         description="Folder of the rig's calibration, relative to where rfpipe runs, or null.",
     )
-    calibrate: CalibrationConfig = Field(
-        default_factory=CalibrationConfig, description="How the rig is calibrated."
-    )
+    calibrate: CalibrationConfig = group_of(CalibrationConfig)
     bench: BenchConfig | None = Field(
         None,
         description="The optical bench in software, in place of display, scene and camera; null "

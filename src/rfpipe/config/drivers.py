@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field, SerializeAsAny, ValidationError, model_v
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from rfpipe import plugins
-from rfpipe.config.base import Settings
+from rfpipe.config.base import Settings, Text
 from rfpipe.config.sections import parse_sections
 from rfpipe.errors import InputError
 
@@ -34,7 +34,7 @@ class DeviceDriver(Settings):
 
     group: ClassVar[str]
 
-    driver: str = Field(min_length=1, description="The driver.")
+    driver: Text = Field(description="The driver.")
     options: SerializeAsAny[Settings] = Field(
         default_factory=FreeOptions, description="The driver's options."
     )
@@ -112,9 +112,8 @@ class ProjectorDriver(DeviceDriver):
 
     group: ClassVar[str] = plugins.PROJECTORS
 
-    driver: str = Field(
+    driver: Text = Field(
         "window",
-        min_length=1,
         description="window: a full-screen window on a display; or a driver of your own, as "
         "module:Class or file.py:Class.",
     )
@@ -125,9 +124,8 @@ class CameraDriver(DeviceDriver):
 
     group: ClassVar[str] = plugins.CAMERAS
 
-    driver: str = Field(
+    driver: Text = Field(
         "pylon",
-        min_length=1,
         description="pylon: a Basler camera; or a driver of your own, as module:Class or "
         "file.py:Class.",
     )
@@ -138,8 +136,7 @@ class RigDriver(DeviceDriver):
 
     group: ClassVar[str] = plugins.RIGS
 
-    driver: str = Field(
-        min_length=1,
+    driver: Text = Field(
         description="A rig of your own, as module:Class or file.py:Class: a class that follows "
         "rfpipe.rigs.Rig.",
     )

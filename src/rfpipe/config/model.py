@@ -10,13 +10,12 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from rfpipe.config.base import Extent, MethodSettings, SectionsOf, Settings
+from rfpipe.config.base import Extent, MethodSettings, SectionsOf, Settings, Text, group_of
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
 
 __all__ = [
-    "CameraConfig",
     "CaptureConfig",
     "Config",
     "MergeConfig",
@@ -30,6 +29,7 @@ __all__ = [
 Normalization = Literal["none", "per_channel", "total_energy"]
 NumberFormat = Literal["float32", "uint16", "uint8"]
 
+Batch = Annotated[int, Field(ge=1, le=1024)]
 SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 
 # Those of the default run, in the order of its report.
@@ -48,9 +48,8 @@ class CaptureConfig(Settings):
         pattern=r"^https?://[^\s/]+/?$",
         description="Address of the acquisition server, such as http://127.0.0.1:8750.",
     )
-    token_file: str | None = Field(
+    token_file: Text | None = Field(
         None,
-        min_length=1,
         description="File with the server's token, readable by its owner alone, or null for the "
         "environment variable RFPIPE_TOKEN.",
     )
@@ -68,18 +67,16 @@ class CaptureConfig(Settings):
         description="Time that a real rig takes for a pattern's bracket, in seconds, above 0 and "
         "at most 3600; the simulation doesn't wait, reports count with it.",
     )
-    black_frames: int = Field(
-        8, ge=1, le=1024, description="Brackets of the all-off pattern, averaged: 1 to 1024."
+    black_frames: Batch = Field(
+        8, description="Brackets of the all-off pattern, averaged: 1 to 1024."
     )
-    floodlit_frames: int = Field(
+    floodlit_frames: Batch = Field(
         64,
-        ge=1,
-        le=1024,
         description="Brackets of the all-on pattern, averaged: 1 to 1024. A level's images are "
         "scaled to them, so that they set the noise of the direct light.",
     )
-    batch_patterns: int = Field(
-        16, ge=1, le=1024, description="Patterns captured and stored at a time, 1 to 1024."
+    batch_patterns: Batch = Field(
+        16, description="Patterns captured and stored at a time, 1 to 1024."
     )
     keep_raw: bool = Field(
         True,
@@ -177,9 +174,7 @@ class StorageConfig(Settings):
 class ReportConfig(Settings):
     """What the report shows."""
 
-    title: str = Field(
-        "Light transport of five scenes", min_length=1, description="The report's title."
-    )
+    title: Text = Field("Light transport of five scenes", description="The report's title.")
     trials: dict[SectionName, tuple[float, ...]] = Field(
         default_factory=dict,
         description="For the plot of speed against error, by method: values of the option by which "
@@ -234,38 +229,28 @@ class Config(Settings):
         default_factory=CameraConfig,
         description="The simulated camera, or null for exact radiance.",
     )
-    capture: CaptureConfig = Field(
-        default_factory=CaptureConfig, description="How patterns are shown and pictures taken."
-    )
-    merge: MergeConfig = Field(
-        default_factory=MergeConfig, description="How a bracket becomes a radiance image."
-    )
+    capture: CaptureConfig = group_of(CaptureConfig)
+    merge: MergeConfig = group_of(MergeConfig)
     normalization: Normalization = Field(
         "per_channel",
         description="Scaling of a level's images to add up to the floodlit image [B.2]: none, "
         "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
         "to each image's energy, for the colours that a mosaic loses).",
     )
-    rig_file: str | None = Field(
+    rig_file: Text | None = Field(
         None,
-        min_length=1,
         description="Settings of the rig that 'snakemake calibrate' calibrates, a YAML file, or "
         "null; its setting calibration names the folder.",
     )
-    storage: StorageConfig = Field(
-        default_factory=StorageConfig, description="How the transport is stored."
-    )
-    resources: ResourcesConfig = Field(
-        default_factory=ResourcesConfig, description="What a job may use; no result depends on it."
-    )
-    notify: str | None = Field(
+    storage: StorageConfig = group_of(StorageConfig)
+    resources: ResourcesConfig = group_of(ResourcesConfig)
+    notify: Text | None = Field(
         None,
-        min_length=1,
         description="Command to run when a run has ended or failed, such as a script that sends a "
         "message, or null for none. It finds RFPIPE_STATUS (done or failed) and RFPIPE_LOG in its "
         "environment.",
     )
-    report: ReportConfig = Field(default_factory=ReportConfig, description="What the report shows.")
+    report: ReportConfig = group_of(ReportConfig)
 
     def methods_of(self, scene: str) -> dict[str, MethodSettings]:
         """Methods to acquire a scene with, and their options: its own, or those of the run."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, ModelWrapValidatorHandler, field_validator, model_validator
 
 from rfpipe import plugins
-from rfpipe.config.base import Described, Extent, MethodSettings, SectionsOf
+from rfpipe.config.base import Described, Extent, MethodSettings, SectionsOf, Text
 from rfpipe.config.sections import no_list, parse_described
 
 __all__ = ["SceneSettings"]
@@ -27,8 +27,7 @@ class SceneSettings(Described):
     key: ClassVar[str] = "kind"
     is_captured: ClassVar[bool] = False
 
-    kind: str = Field(
-        min_length=1,
+    kind: Text = Field(
         description="What kind of scene it is: one that 'rfpipe scenes' lists with its options, or "
         "a class of your own as module:Class or file.py:Class.",
     )

@@ -53,8 +53,8 @@ def _describe_drivers(
     """Say what options a driver has, by the names that are installed."""
     rules = []
     for name in plugins.names(model.group):
-        then = {"properties": {"options": _defined(schema, model.options_model(name))}}
-        rules.append({"if": {"properties": {"driver": {"const": name}}}, "then": then})
+        options = _defined(schema, model.options_model(name))
+        rules.append(_rule("driver", name, {"properties": {"options": options}}))
     node["properties"]["options"] = {"type": "object", "description": "The driver's options."}
     if rules:
         node["allOf"] = rules
@@ -69,17 +69,16 @@ def _defined(schema: dict[str, Any], model: type[Settings]) -> dict[str, Any]:
     return {"$ref": _REFERENCE.format(model=model.__name__)}
 
 
+def _rule(key: str, name: str, then: dict[str, Any]) -> dict[str, Any]:
+    """Say what holds where a key has a value."""
+    return {"if": {"properties": {key: {"const": name}}}, "then": then}
+
+
 def _choose(schema: dict[str, Any], node: dict[str, Any], model: type[Described]) -> None:
     """Say what a section holds by the name that it says: any installed one, or a path."""
     installed = plugins.names(model.group)
     key = node["properties"][model.key]
-    rules = [
-        {
-            "if": {"properties": {model.key: {"const": name}}},
-            "then": _defined(schema, model.model_of(name)),
-        }
-        for name in installed
-    ]
+    rules = [_rule(model.key, name, _defined(schema, model.model_of(name))) for name in installed]
     said = {"anyOf": [{"enum": list(installed)}, {"pattern": ":"}]}
     node.clear()
     node |= {
@@ -93,14 +92,12 @@ def _choose(schema: dict[str, Any], node: dict[str, Any], model: type[Described]
 
 def _describe(schema: dict[str, Any], node: dict[str, Any], mark: SectionsOf) -> None:
     """Say what sections there may be, by the names that are installed."""
-    sections: dict[str, Any] = {}
-    for name in plugins.names(mark.model.group):
-        sections[name] = _defined(schema, mark.model.model_of(name))
+    installed = plugins.names(mark.model.group)
+    sections = {name: _defined(schema, mark.model.model_of(name)) for name in installed}
     if mark.partial:
         sections = {name: {"anyOf": [it, {"type": "null"}]} for name, it in sections.items()}
     own = {"type": "object", "required": [mark.model.key]}
-    groups = [node, *node.get("anyOf", [])]
-    for group in groups:
+    for group in (node, *node.get("anyOf", [])):
         if group.get("type") == "object":
             group.pop("patternProperties", None)
             group |= {"properties": sections, "additionalProperties": own}

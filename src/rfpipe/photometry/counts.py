@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.photometry.demosaic import BAYER_PATTERNS, demosaic
+from rfpipe.photometry.demosaic import demosaic
 from rfpipe.photometry.hdr import ROUNDS, UNKNOWN_DEVIATION, merge_bracket
 from rfpipe.photometry.sensor import Merged, MergeOptions, check_black, check_frames, check_shape
 from rfpipe.units import COUNTS, RADIANCE
@@ -52,28 +52,16 @@ class CameraNumbers:
     response_gamma: float = 1.0
 
     def __post_init__(self) -> None:
-        ascending = all(a < b for a, b in zip(self.exposures, self.exposures[1:], strict=False))
-        checks = {
-            "exposures": (bool(self.exposures) and self.exposures[0] > 0 and ascending, "ascend"),
-            "electrons_per_radiance": (self.electrons_per_radiance > 0, "be above 0"),
-            "full_well_electrons": (self.full_well_electrons > 0, "be above 0"),
-            "read_noise_electrons": (self.read_noise_electrons >= 0, "be at least 0"),
-            "dark_current_electrons": (self.dark_current_electrons >= 0, "be at least 0"),
-            "bits": (1 <= self.bits <= 16, "be 1 to 16"),
-            "black_level_counts": (
-                0 <= self.black_level_counts < self.white_level,
-                f"be at least 0 and below full scale, {self.white_level}",
-            ),
-            "psf_sigma": (self.psf_sigma >= 0, "be at least 0"),
-            "vignetting": (0 <= self.vignetting < 1, "be in [0, 1)"),
-            "flare": (0 <= self.flare < 1, "be in [0, 1)"),
-            "bayer": (self.bayer in (None, *BAYER_PATTERNS), f"be None or in {BAYER_PATTERNS}"),
-            "response_gamma": (self.response_gamma > 0, "be above 0"),
-        }
-        for name, (is_right, expected) in checks.items():
-            value = getattr(self, name)
-            if not is_right or (isinstance(value, float) and not np.isfinite(value)):
-                raise InputError(f"camera: {name} is {value}; it must {expected}")
+        from pydantic import ValidationError
+
+        from rfpipe.config.camera import CameraConfig
+        from rfpipe.config.problems import explained
+
+        settings = {field.name: getattr(self, field.name) for field in fields(self)}
+        try:
+            CameraConfig.model_validate(settings)
+        except ValidationError as error:
+            raise InputError(f"camera: {explained(CameraConfig, error, settings)[0]}") from None
 
     @property
     def white_level(self) -> int:

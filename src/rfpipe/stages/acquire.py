@@ -145,11 +145,12 @@ def acquire(
         saturation_fraction=saturation_fraction,
         mask_defects=mask_defects,
     )
-    shown = 0
+    shown = saturated = 0
     for _ in range(n_levels):
         schedule = chosen.schedule(state)
         shown += schedule.count
         merged, level_sum = session.capture(schedule)
+        saturated += level_sum.saturated
         gain = normalize_level(
             schedule,
             level_sum,
@@ -160,12 +161,12 @@ def acquire(
         )
         state = chosen.refine(state, NormalizedImages(schedule, merged, gain))
         if progress:
-            log_estimate(state.rows, getattr(asked, "target_error", None))
+            log_estimate(state.rows, asked)
     masked = masked_rays(session.merger.floodlit_variance)
     transport = fill_from_transpose(chosen.transport(state), masked)
     processing = perf_counter() - began - session.capture_seconds
     return AcquisitionResult(
-        transport, shown, session.capture_seconds, processing, session.saturated, masked
+        transport, shown, session.capture_seconds, processing, saturated, masked
     )
 
 
@@ -178,7 +179,6 @@ class _Session:
         self.rig = rig
         self.progress = progress
         self.capture_seconds = 0.0
-        self.saturated = 0
         off, on = references
         self.merger = Merger.from_references(
             rig.sensor, self._reference(off, 0, off), self._reference(off, off, off + on), **merging
@@ -207,7 +207,6 @@ class _Session:
                     merged = self.merger.merge(frames, first)
                     run.add(merged)
                     radiance[first:last], variance[first:last] = merged.radiance, merged.variance
-                    self.saturated += merged.saturated
                     bar.update(last - first)
                 total.join(run)
         return ImagesInMemory(radiance, variance), total

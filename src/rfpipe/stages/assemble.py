@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from rfpipe.provenance import fingerprint, versions
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.images import masked_rays
 from rfpipe.stages.merging.references import REFERENCES, read_floodlit
-from rfpipe.stages.plan import AcquisitionFolder, Plan, restore_state
+from rfpipe.stages.plan import Plan
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.filling import fill_from_transpose
@@ -54,7 +55,7 @@ def run(
         }
     )
     masked = masked_rays(read_floodlit(folder)[1])
-    state = restore_state(plan, folder, n_levels)
+    state = plan.state_before(folder, n_levels)
     transport = fill_from_transpose(plan.method.transport(state), masked)
     about: dict[str, Any] = {"scene": scene, "method": plan.name, "fingerprint": made_from}
     store = manifest.with_suffix(".zarr")

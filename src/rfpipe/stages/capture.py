@@ -19,8 +19,8 @@ from rfpipe.stages.capturing.sensors import write_sensor
 from rfpipe.stages.capturing.shown import Keys, reference_patterns
 from rfpipe.stages.capturing.warm_up import seconds_since_capture, warm_up
 from rfpipe.stages.capturing.watch import watch_of
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import REFERENCE, AcquisitionFolder
 from rfpipe.stages.results import standing_manifest
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import bytes_on_disk, write_manifest
@@ -111,13 +111,14 @@ def run(
         settle(part.path, part.made_for, part.shown, when_patterns_change)
     to_capture = sum(part.count_missing() for part in parts)
     if to_capture:
+        camera = rig.sensor, tuple(rig.camera_shape), rig.channels
         if level == 0 and expected_patterns:
             brackets = sum(counts) + keep_raw * expected_patterns
-            need = DiskNeed.of(rig, brackets, expected_patterns)
+            need = DiskNeed.of(*camera, brackets, expected_patterns)
             check_run(need, expected_patterns, folder.path, keep_raw=keep_raw)
         merged = folder.store(level, "merge")  # of a capture before: replaced
         present = bytes_on_disk(merged) if merged.exists() else 0
-        need = DiskNeed.of(rig, to_capture, schedule.count)
+        need = DiskNeed.of(*camera, to_capture, schedule.count)
         check_level(f"level {level}", need, folder.path, present, keep_raw=keep_raw)
         if 0 < 60 * warm_up_minutes < seconds_since_capture(folder.path):
             warm_up(rig, warm_up_minutes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,8 @@ from rfpipe.stages import capture
 from rfpipe.stages.aside import differing
 from rfpipe.stages.capture import frame_settings
 from rfpipe.stages.capturing.sensors import SENSOR
-from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, Plan
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
+from rfpipe.stages.plan import Plan
 from rfpipe.store import FrameStore, open_arrays
 
 __all__ = ["BegunRig", "begun_rig", "check_rig", "run"]
@@ -100,16 +102,15 @@ def begun_rig(
             if not frames.done.any():
                 return None
             described = frames.attributes["rig"]
-        arrays = None
-        if folder.store(0, SENSOR).exists():
-            bundle = open_arrays(folder.store(0, SENSOR))
-            arrays = {name: bundle.read(name) for name in bundle.names}
+        store = folder.store(0, SENSOR)
+        arrays = open_arrays(store).read_all() if store.exists() else None
         sensor = sensor_from_description(described["sensor"], arrays)
     except (StoreError, InputError, KeyError):
         return None  # the rig itself will say, and whoever reads the frames
     return BegunRig(plan, described, sensor, connect)
 
 
+@dataclass
 class BegunRig:
     """The rig of frames that are on disk, which is connected to only for more of them.
 
@@ -123,21 +124,16 @@ class BegunRig:
         Returns the rig.
     """
 
-    seconds_per_pattern = 0.0
+    plan: InitVar[Plan]
+    described: dict[str, Any]
+    sensor: Sensor
+    connect: Callable[[], RemoteRig]
+    seconds_per_pattern: float = field(default=0.0, init=False)
 
-    def __init__(
-        self,
-        plan: Plan,
-        described: dict[str, Any],
-        sensor: Sensor,
-        connect: Callable[[], RemoteRig],
-    ) -> None:
+    def __post_init__(self, plan: Plan) -> None:
         self.camera_shape = plan.camera.shape
         self.projector_shape = plan.projector.shape
         self.channels = plan.channels
-        self.sensor = sensor
-        self._described = described
-        self._connect = connect
         self._rig: RemoteRig | None = None
 
     def capture(
@@ -151,19 +147,19 @@ class BegunRig:
             Also when the rig is another than at the beginning.
         """
         if self._rig is None:
-            self._rig = self._connect()
+            self._rig = self.connect()
             described = frame_settings(self._rig)
-            if described != self._described:
+            if described != self.described:
                 raise CaptureError(
                     f"{self._rig.url}: the rig is not that of the patterns captured before ("
-                    f"{differing(self._described, described)}). Serve it with those settings, or "
+                    f"{differing(self.described, described)}). Serve it with those settings, or "
                     "remove the acquisition's folder to begin anew"
                 )
         return self._rig.capture(patterns, keys)
 
     def describe(self) -> dict[str, Any]:
         """Return the description at the beginning."""
-        return self._described
+        return self.described
 
     def close(self) -> None:
         """Give the rig back, if it was needed."""

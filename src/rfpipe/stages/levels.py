@@ -17,9 +17,10 @@ from typing import Any
 from rfpipe.photometry.normalize import Mode
 from rfpipe.stages import assemble, merge, normalize, refine, schedule
 from rfpipe.stages.capturing.sensors import read_sensor
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import AcquisitionFolder, Plan
+from rfpipe.stages.plan import Plan
 from rfpipe.store import StoreLock
 from rfpipe.units import NumberFormat
 
@@ -30,9 +31,10 @@ def run(
     plan: Plan,
     folder: AcquisitionFolder,
     scene: str,
-    capture: Callable[[AcquisitionFolder, int], None],
+    capture: Callable[..., None],
     *,
     code: Mapping[str, str],
+    capture_options: Mapping[str, Any],
     merge_options: Mapping[str, Any],
     normalization: Mode,
     number_format: NumberFormat,
@@ -47,12 +49,12 @@ def run(
     scene : str
         Name, kept with the transport.
     capture : callable
-        ``capture(folder, level)`` is the stage `rfpipe.stages.capture.run` or
-        `rfpipe.stages.hardware.run` with its rig and options.
+        ``capture(folder, level, **options)`` is the stage `rfpipe.stages.capture.run` or
+        `rfpipe.stages.hardware.run` with its rig.
     code : mapping of str to str
         As `rfpipe.stages.jobs.code.acquisition_code`.
-    merge_options : mapping
-        Keyword arguments of `rfpipe.stages.merge.run`.
+    capture_options, merge_options : mapping
+        Keyword arguments of `rfpipe.stages.capture.run` and `rfpipe.stages.merge.run`.
     normalization : {"none", "per_channel", "total_energy"}
     number_format : {"float32", "uint16", "uint8"}
         Of the stored transport.
@@ -66,13 +68,17 @@ def run(
     RfpipeError
         As the stages; what is done is kept.
     """
+    expected = plan.method.expected_patterns(plan.camera, plan.projector, plan.options)
 
     def refined(level: int) -> None:
         plan.carry(level + 1, refine.run(plan, folder, level, code["refine"], resources))
 
     stages: dict[str, Callable[[int], None]] = {
         "schedule": lambda level: schedule.run(plan, folder, level, code["schedule"]),
-        "capture": lambda level: capture(folder, level),
+        "capture": lambda level: capture(
+            folder, level,
+            **capture_options, expected_patterns=expected, resources=resources.here,
+        ),
         "merge": lambda level: merge.run(
             read_sensor(folder), folder, level,
             **merge_options, code=code["merge"], resources=resources,

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,12 +14,12 @@ from numpy.typing import NDArray
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.capturing.drift import DRIFT, measure
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, advice_on_damage
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.merging.raw import RawFrames
 from rfpipe.stages.merging.references import REFERENCES, learn_references, read_merger
-from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, advice_on_damage
-from rfpipe.stages.results import bundle_entry, intact_bundle, standing_manifest
+from rfpipe.stages.results import intact_bundle, standing_manifest
 from rfpipe.store import (
     FrameStore,
     ItemWriter,
@@ -34,7 +32,7 @@ from rfpipe.store import (
 )
 from rfpipe.units import RADIANCE, RADIANCE_UNIT
 
-__all__ = ["SUMS", "MergedFrames", "merged_frames", "read_level_sum", "run"]
+__all__ = ["SUMS", "MergedFrames", "read_level_sum", "run"]
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
@@ -99,7 +97,6 @@ def run(
         "saturation_fraction": saturation_fraction,
         "mask_defects": mask_defects,
     }
-    references: dict[str, Any]
     if level == 0:
         merger, references = learn_references(sensor, folder, settings, code, resources)
     else:
@@ -121,7 +118,7 @@ def run(
     if facts is None:
         # A merge is quick beside its capture, so that one that was interrupted starts anew.
         FrameStore.discard(store)
-        gains, drift = _drift(merger, folder, level, divide_out_drift)
+        gains, drift = _drift(merger, folder, level, captured, divide_out_drift)
         facts = {
             "stage": "merge",
             "level": level,
@@ -151,18 +148,19 @@ class _MergeRun:
     made_from: str
     chunk: int
 
-    def __call__(self, first: int, last: int) -> _Run:
-        run = _Run(first, [], LevelSum.zero(self.merger.floodlit.shape), 0)
+    def __call__(self, first: int, last: int) -> tuple[int, list[str], LevelSum]:
+        """Merge a run; return its first pattern, and the digests and the sum of its images."""
+        digests: list[str] = []
+        total = LevelSum.zero(self.merger.floodlit.shape)
         for start in range(first, last, self.chunk):
             stop = min(start + self.chunk, last)
             merged = self.merger.merge(self._frames.read(start, stop), start)
             if self.gains is not None:
                 merged = _divided(merged, self.gains[start:stop])
-            run.total.add(merged)
+            total.add(merged)
             images = np.stack([merged.radiance, merged.variance], axis=1)
-            run.digests.extend(self._images.write(start, images))
-            run.saturated += merged.saturated
-        return run
+            digests += self._images.write_items(start, images)
+        return first, digests, total
 
     @property
     def bytes_in_hand(self) -> int:
@@ -186,21 +184,14 @@ class _MergeRun:
         return ItemWriter(self.merged, self.made_from)
 
 
-@dataclass
-class _Run:
-    """What the merge of a run of patterns returns."""
-
-    first: int
-    digests: list[str]
-    total: LevelSum
-    saturated: int
-
-
 def _drift(
-    merger: Merger, folder: AcquisitionFolder, level: int, divide_out: bool
+    merger: Merger,
+    folder: AcquisitionFolder,
+    level: int,
+    captured: dict[str, Any],
+    divide_out: bool,
 ) -> tuple[Double | None, dict[str, Any]]:
     """Report what a drift watch saw: return gains (patterns, C) to divide by, and facts."""
-    captured = folder.read_manifest(level, "capture")
     if DRIFT not in captured:
         return None, {}
     every = captured[DRIFT]["every"]
@@ -229,54 +220,42 @@ def _merge(
 ) -> dict[str, Any]:
     image_shape = merger.floodlit.shape
     store = folder.store(level, "merge")
+    chunk = chunk_patterns(image_shape)
+    total = LevelSum.zero(image_shape)
     with folder.frames(level, "capture") as frames:
         count = frames.shape[0]
-    shape = (count, 2, *image_shape)  # radiance, variance
-    merger = replace(merger, options=replace(merger.options, brackets=count))
-    total = LevelSum.zero(image_shape)
-    saturated = 0
-    # a cluster's workers have working folders of their own
-    captured = folder.store(level, "capture").absolute()
-    chunk = chunk_patterns(image_shape)
-    work = _MergeRun(merger, gains, captured, store.absolute(), made_from, chunk)
-    with (
-        FrameStore.create(
-            store,
-            shape,
-            RADIANCE,
-            made_from,
-            {"axis 1": ["radiance", "variance"], "units": RADIANCE_UNIT},
-            items_per_chunk=chunk,
-        ) as images,
-        advice_on_damage(folder.manifest(level, "capture")),
-        resources.workers(work.bytes_in_hand) as workers,
-    ):
-        for run in workers.results(work, runs(count, image_shape)):
-            images.enter(run.first, run.digests)
-            total.join(run.total)
-            saturated += run.saturated
-        digest = images.digest()
+        shape = (count, 2, *image_shape)
+        about = {"axis 1": ["radiance", "variance"], "units": RADIANCE_UNIT}
+        merger = replace(merger, options=replace(merger.options, brackets=count))
+        # a cluster's workers have working folders of their own
+        captured, merged = frames.path.absolute(), store.absolute()
+        work = _MergeRun(merger, gains, captured, merged, made_from, chunk)
+        with (
+            FrameStore.create(
+                store, shape, RADIANCE, made_from, about, items_per_chunk=chunk
+            ) as images,
+            resources.workers(work.bytes_in_hand) as workers,
+        ):
+            for first, digests, of_run in workers.results(work, runs(count, image_shape)):
+                images.enter(first, digests)
+                total.join(of_run)
+            entry = images.entry()
     samples = count * int(np.prod(image_shape))
-    if saturated:
+    if total.saturated:
         _log.warning(
             "level %d: %d of %d samples are saturated in every exposure; their radiance is a "
             "lower bound. Add a shorter exposure",
-            level, saturated, samples,
+            level, total.saturated, samples,
         )  # fmt: skip
     sums = folder.store(level, SUMS)
-    write_arrays(
-        sums,
-        {"radiance": total.radiance, "variance": total.variance},
-        {"fingerprint": made_from, "units": RADIANCE_UNIT},
-    )
+    arrays = {"radiance": total.radiance, "variance": total.variance}
+    write_arrays(sums, arrays, {"fingerprint": made_from, "units": RADIANCE_UNIT})
     return {
         "patterns": count,
-        "digest": digest,
-        "dtype": np.dtype(RADIANCE).str,
-        "shape": list(shape),
-        "saturated": saturated,
+        **entry,
+        "saturated": total.saturated,
         "samples": samples,
-        SUMS: bundle_entry(open_arrays(sums)),
+        SUMS: open_arrays(sums).entry(),
     }
 
 
@@ -288,10 +267,12 @@ def _kept(
     Raises StaleStoreError where there are none and the frames to make them from were dropped.
     """
     raw = RawFrames(folder, level, "capture")
-    facts = _manifest_of(folder.store(level, "merge"))
-    if facts is None:
+    copy = folder.store(level, "merge") / _COPY
+    if not copy.exists():
         raw.must_be_there("there are no merged images of them")
         return None
+    with advice_on_damage(copy):
+        facts = read_manifest(copy)
     if facts["fingerprint"] != made_from:
         if not raw.dropped:
             return None
@@ -301,15 +282,6 @@ def _kept(
         return None
     _log.info("%s: made from the same things before; kept", folder.store(level, "merge"))
     return facts
-
-
-def _manifest_of(store: Path) -> dict[str, Any] | None:
-    """Return the manifest that lies in a store of merged images, if it is complete."""
-    copy = store / _COPY
-    if not copy.exists():
-        return None
-    with advice_on_damage(copy):
-        return read_manifest(copy)
 
 
 def _is_intact(folder: AcquisitionFolder, level: int, facts: dict[str, Any]) -> bool:
@@ -334,9 +306,8 @@ def _drop_raw(folder: AcquisitionFolder, level: int) -> None:
 
 def read_level_sum(folder: AcquisitionFolder, level: int) -> LevelSum:
     """Read the sum of a level's images and of their variance."""
-    bundle = folder.bundle(level, "merge", SUMS)
-    with advice_on_damage(folder.manifest(level, "merge")):
-        return LevelSum(bundle.read("radiance"), bundle.read("variance"))
+    arrays, _ = folder.read(level, "merge", SUMS)
+    return LevelSum(arrays["radiance"], arrays["variance"])
 
 
 @dataclass(frozen=True)
@@ -349,10 +320,3 @@ class MergedFrames:
         """Return radiance and variance of patterns ``first:last``."""
         images = self.frames.read(first, min(last, self.frames.shape[0]))
         return images[:, 0], images[:, 1]
-
-
-@contextmanager
-def merged_frames(folder: AcquisitionFolder, level: int) -> Iterator[MergedFrames]:
-    """Open the merged images of a level."""
-    with folder.frames(level, "merge") as frames:
-        yield MergedFrames(frames)

@@ -6,10 +6,11 @@ import numpy as np
 
 from rfpipe.photometry.normalize import Mode, Normalization
 from rfpipe.provenance import fingerprint
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merge import SUMS, read_level_sum
 from rfpipe.stages.merging.images import known_light, normalize_level
 from rfpipe.stages.merging.references import REFERENCES, read_floodlit
-from rfpipe.stages.plan import AcquisitionFolder, Plan, advice_on_damage, restore_state
+from rfpipe.stages.plan import Plan
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.schedule import read_schedule
 
@@ -31,7 +32,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     code : str
         Fingerprint of the code behind the stage.
     """
-    store, manifest = folder.store(level, "normalize"), folder.manifest(level, "normalize")
+    manifest = folder.manifest(level, "normalize")
     planned = folder.read_manifest(level, "schedule")
     made_of = {
         "merge": folder.read_manifest(level, "merge")[SUMS]["digest"],
@@ -43,17 +44,14 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     }
     # What is known already counts only where the level leaves rays dark.
     if not planned["complete"] and mode != "none":
-        made_of |= {
-            "plan": plan.describe(),
-            "refine": folder.refined_above(level),
-        }
+        made_of |= {"plan": plan.describe(), "refine": folder.refined_above(level)}
     made_from = fingerprint(made_of)
-    if accept_bundle(store, manifest, made_from, believing=folder.believing):
+    if accept_bundle(manifest, made_from, believing=folder.believing):
         return
     schedule = read_schedule(folder, level)
     known = None
     if "refine" in made_of:
-        known = known_light(plan.method, restore_state(plan, folder, level), schedule)
+        known = known_light(plan.method, plan.state_before(folder, level), schedule)
     found = normalize_level(
         schedule,
         read_level_sum(folder, level),
@@ -70,7 +68,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
         "covered_fraction": float(np.mean(found.covered)),
     }
     arrays = {"gain": found.gain, "covered": found.covered}
-    write_bundle(store, manifest, made_from, arrays, facts)
+    write_bundle(manifest, made_from, arrays, facts)
 
 
 def read_normalization(folder: AcquisitionFolder, level: int) -> Normalization:
@@ -81,7 +79,5 @@ def read_normalization(folder: AcquisitionFolder, level: int) -> Normalization:
     StoreError, IntegrityError
         When they are missing or damaged.
     """
-    bundle = folder.bundle(level, "normalize")
-    mode: Mode = bundle.attributes["facts"]["mode"]
-    with advice_on_damage(folder.manifest(level, "normalize")):
-        return Normalization(bundle.read("gain"), bundle.read("covered"), mode)
+    arrays, attributes = folder.read(level, "normalize")
+    return Normalization(arrays["gain"], arrays["covered"], attributes["facts"]["mode"])

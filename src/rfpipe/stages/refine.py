@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from rfpipe.provenance import fingerprint
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.merge import merged_frames
+from rfpipe.stages.merge import MergedFrames
 from rfpipe.stages.merging.images import NormalizedImages
 from rfpipe.stages.normalize import read_normalization
-from rfpipe.stages.plan import AcquisitionFolder, Plan, restore_state
+from rfpipe.stages.plan import Plan
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.units import RADIANCE_UNIT
@@ -42,8 +43,7 @@ def run(
     State or None
         The method's state after the level; None where what the level added stands there already.
     """
-    resources = resources or Resources()
-    store, manifest = folder.store(level, "refine"), folder.manifest(level, "refine")
+    manifest = folder.manifest(level, "refine")
     planned = folder.read_manifest(level, "schedule")
     made_from = fingerprint(
         {
@@ -55,15 +55,14 @@ def run(
             "code": code,
         }
     )
-    if accept_bundle(store, manifest, made_from, believing=folder.believing):
+    if accept_bundle(manifest, made_from, believing=folder.believing):
         return None
-    state = restore_state(plan, folder, level)
-    with merged_frames(folder, level) as merged:
-        images = NormalizedImages(
-            read_schedule(folder, level), merged, read_normalization(folder, level)
-        )
-        state = plan.method.refine(state, images, resources.data_bytes)
-    log_estimate(state.rows, plan.target_error)
+    state = plan.state_before(folder, level)
+    schedule, factors = read_schedule(folder, level), read_normalization(folder, level)
+    with folder.frames(level, "merge") as merged:
+        images = NormalizedImages(schedule, MergedFrames(merged), factors)
+        state = plan.method.refine(state, images, (resources or Resources()).data_bytes)
+    log_estimate(state.rows, plan.options)
     pack = plan.method.pack(state)
     facts = {
         "stage": "refine",
@@ -72,5 +71,5 @@ def run(
         "patterns": planned["patterns"],
         "units": RADIANCE_UNIT,
     }
-    write_bundle(store, manifest, made_from, pack.arrays, facts, state=dict(pack.attributes))
+    write_bundle(manifest, made_from, pack.arrays, facts, state=dict(pack.attributes))
     return state

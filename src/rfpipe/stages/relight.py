@@ -14,8 +14,8 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.slices import leaf_levels, line_patterns
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.references import read_floodlit
-from rfpipe.stages.plan import AcquisitionFolder
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.store import read_manifest
 from rfpipe.transport import Transport, open_transport
@@ -106,17 +106,12 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
         )
     truth_of = partial(images_of, scene)
     patterns = np.stack(list(scene_patterns(scene).values()))
-    every = np.concatenate([patterns, np.ones((1, *lit), np.float32)])
-    relit, truth = transport.relight_batch(every), truth_of(every)
     details = _between_views if RayDomain(lit).is_stack else _within_image
     return {
-        "patterns": patterns,
-        "relit": relit[:-1],
-        "truth": truth[:-1],
-        "floodlit_relit": relit[-1],
-        "floodlit_truth": truth[-1],
+        **_relit(transport, patterns),
+        "truth": truth_of(patterns),
+        "floodlit_truth": truth_of(np.ones((1, *lit), np.float32))[0],
         "albedo": scene.albedo,
-        "levels_relit": _at_each_level(transport, patterns[0]),
         **details(transport, truth_of),
     }
 
@@ -139,22 +134,22 @@ def relit_of_captured(transport: Transport, floodlit: Float) -> dict[str, NDArra
     """
     from rfpipe.scenes import relighting_patterns
 
-    shape = transport.projector_shape
-    patterns = np.stack(list(relighting_patterns(shape).values()))
-    relit = transport.relight_batch(np.concatenate([patterns, np.ones((1, *shape), np.float32)]))
+    patterns = np.stack(list(relighting_patterns(transport.projector_shape).values()))
+    return {**_relit(transport, patterns), "floodlit_captured": floodlit}
+
+
+def _relit(transport: Transport, patterns: Float) -> dict[str, NDArray[Any]]:
+    """Relight by the reference patterns, and by the first with the transport cut at each level."""
+    n_levels = 1 + max((int(entry["level"]) for entry in transport.level_rows), default=0)
+    floodlight = np.ones((1, *transport.projector_shape), np.float32)
+    relit = transport.relight_batch(np.concatenate([patterns, floodlight]))
+    cut = [transport.truncate(level).relight(patterns[0]) for level in range(n_levels)]
     return {
         "patterns": patterns,
         "relit": relit[:-1],
         "floodlit_relit": relit[-1],
-        "floodlit_captured": floodlit,
-        "levels_relit": _at_each_level(transport, patterns[0]),
+        "levels_relit": np.stack(cut),
     }
-
-
-def _at_each_level(transport: Transport, pattern: Float) -> Float:
-    """Relight by the transport truncated at each level, (L, *camera_shape, C)."""
-    n_levels = 1 + max((int(entry["level"]) for entry in transport.level_rows), default=0)
-    return np.stack([transport.truncate(level).relight(pattern) for level in range(n_levels)])
 
 
 def _between_views(
@@ -222,10 +217,10 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     """
     from rfpipe.scenes import relighting_patterns, scene_from_config, scene_patterns
 
-    store, manifest = folder / "relight.zarr", folder / "relight.json"
+    manifest = folder / "relight.json"
     acquired = read_manifest(folder / "transport.json")
     made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
-    if accept_bundle(store, manifest, made_from):
+    if accept_bundle(manifest, made_from):
         return
     transport = open_transport(folder / "transport.zarr")
     if scene.is_captured:
@@ -249,4 +244,4 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         "options": acquired["options"],
         "units": RADIANCE_UNIT,
     }
-    write_bundle(store, manifest, made_from, arrays, facts)
+    write_bundle(manifest, made_from, arrays, facts)

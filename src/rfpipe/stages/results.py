@@ -18,7 +18,7 @@ from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.provenance import versions
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest, write_arrays, write_manifest
 
-__all__ = ["accept_bundle", "bundle_entry", "intact_bundle", "standing_manifest", "write_bundle"]
+__all__ = ["accept_bundle", "intact_bundle", "standing_manifest", "write_bundle"]
 
 _log = logging.getLogger(__name__)
 
@@ -41,15 +41,13 @@ def standing_manifest(manifest: Path, fingerprint: str) -> dict[str, Any] | None
     return None
 
 
-def accept_bundle(
-    store: Path, manifest: Path, fingerprint: str, *, believing: bool = False
-) -> bool:
+def accept_bundle(manifest: Path, fingerprint: str, *, believing: bool = False) -> bool:
     """Write the manifest of a bundle that was made from the same things, if there is one.
 
     Parameters
     ----------
-    store, manifest : Path
-        As for `write_bundle`.
+    manifest : Path
+        The bundle lies beside it.
     fingerprint : str
         Of all that the stage would make it from.
     believing : bool
@@ -62,11 +60,11 @@ def accept_bundle(
     """
     if believing and standing_manifest(manifest, fingerprint):
         return True
-    bundle = intact_bundle(store, fingerprint)
+    bundle = intact_bundle(manifest.with_suffix(".zarr"), fingerprint)
     if bundle is None:
         return False
-    write_manifest(manifest, _manifest(bundle))
-    _log.info("%s: made from the same things before; kept", store)
+    _write_manifest(manifest, bundle)
+    _log.info("%s: made from the same things before; kept", bundle.path)
     return True
 
 
@@ -79,8 +77,7 @@ def intact_bundle(store: Path, fingerprint: str | None) -> ArrayBundle | None:
         bundle = open_arrays(store)
         if fingerprint not in (None, bundle.attributes.get("fingerprint")):
             return None
-        for name in bundle.names:
-            bundle.read(name)
+        bundle.read_all()
     except IntegrityError as error:
         _log.warning("made anew, since it is damaged: %s", error)
         return None
@@ -90,18 +87,17 @@ def intact_bundle(store: Path, fingerprint: str | None) -> ArrayBundle | None:
 
 
 def write_bundle(
-    store: Path,
     manifest: Path,
     fingerprint: str,
     arrays: Mapping[str, NDArray[Any]],
     facts: dict[str, Any],
     **more: Any,
 ) -> None:
-    """Write a bundle of arrays and its manifest.
+    """Write a bundle of arrays and, beside it, its manifest.
 
     Parameters
     ----------
-    store, manifest : Path
+    manifest : Path
     fingerprint : str
         Of all that it is made from.
     arrays : mapping of str to ndarray
@@ -110,30 +106,13 @@ def write_bundle(
     **more
         Plain data for the store alone.
     """
-    write_arrays(
-        store,
-        arrays,
-        {"fingerprint": fingerprint, "facts": facts, "versions": versions(), **more},
-    )
-    write_manifest(manifest, _manifest(open_arrays(store)))
+    store = manifest.with_suffix(".zarr")
+    about = {"fingerprint": fingerprint, "facts": facts, "versions": versions(), **more}
+    write_arrays(store, arrays, about)
+    _write_manifest(manifest, open_arrays(store))
 
 
-def bundle_entry(bundle: ArrayBundle) -> dict[str, Any]:
-    """Describe a bundle for a manifest: its digest, and dtype and shape of its arrays."""
-    return {
-        "digest": bundle.digest,
-        "arrays": {
-            name: {"dtype": bundle.dtype(name).str, "shape": list(bundle.shape(name))}
-            for name in bundle.names
-        },
-    }
-
-
-def _manifest(bundle: ArrayBundle) -> dict[str, Any]:
+def _write_manifest(manifest: Path, bundle: ArrayBundle) -> None:
     held = bundle.attributes
-    return {
-        **held["facts"],
-        **bundle_entry(bundle),
-        "fingerprint": held["fingerprint"],
-        "versions": held["versions"],
-    }
+    made = {name: held[name] for name in ("fingerprint", "versions")}
+    write_manifest(manifest, {**held["facts"], **bundle.entry(), **made})

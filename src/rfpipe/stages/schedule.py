@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from numpy.typing import NDArray
-
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.plan import AcquisitionFolder, Plan, advice_on_damage, restore_state
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.plan import Plan
 from rfpipe.stages.results import accept_bundle, write_bundle
 
 __all__ = ["read_schedule", "run"]
@@ -29,22 +28,15 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
     code : str
         Fingerprint of the code behind the stage.
     """
-    store, manifest = folder.store(level, "schedule"), folder.manifest(level, "schedule")
+    manifest = folder.manifest(level, "schedule")
     made_from = fingerprint(
-        {
-            "plan": plan.describe(),
-            "refine": folder.refined_above(level),
-            "code": code,
-        }
+        {"plan": plan.describe(), "refine": folder.refined_above(level), "code": code}
     )
-    if accept_bundle(store, manifest, made_from, believing=folder.believing):
+    if accept_bundle(manifest, made_from, believing=folder.believing):
         return
-    schedule = plan.method.schedule(restore_state(plan, folder, level))
-    arrays: dict[str, NDArray[Any]] = {}
-    if schedule.weights is not None:
-        arrays["weights"] = schedule.weights
-    if schedule.pattern_of_ray is not None:
-        arrays["pattern_of_ray"] = schedule.pattern_of_ray
+    schedule = plan.method.schedule(plan.state_before(folder, level))
+    held = {"weights": schedule.weights, "pattern_of_ray": schedule.pattern_of_ray}
+    arrays = {name: array for name, array in held.items() if array is not None}
     facts = {
         "stage": "schedule",
         "level": level,
@@ -54,7 +46,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
         "shape": list(schedule.shape),
         "units": _UNITS if schedule.weights is None else _WEIGHT_UNITS,
     }
-    write_bundle(store, manifest, made_from, arrays, facts)
+    write_bundle(manifest, made_from, arrays, facts)
 
 
 def read_schedule(folder: AcquisitionFolder, level: int) -> Schedule:
@@ -65,10 +57,9 @@ def read_schedule(folder: AcquisitionFolder, level: int) -> Schedule:
     StoreError, IntegrityError
         When it is missing or damaged.
     """
-    bundle = folder.bundle(level, "schedule")
-    with advice_on_damage(folder.manifest(level, "schedule")):
-        arrays = {name: bundle.read(name) for name in bundle.names}
-    facts = bundle.attributes["facts"]
+    arrays: dict[str, Any]
+    arrays, attributes = folder.read(level, "schedule")
+    facts = attributes["facts"]
     return Schedule(
         level, tuple(facts["shape"]), facts["patterns"], complete=facts["complete"], **arrays
     )

@@ -129,6 +129,18 @@ class ArrayBundle:
             ) from cause
         return array
 
+    def read_all(self) -> dict[str, NDArray[Any]]:
+        """Read all arrays, by name; errors as `read`."""
+        return {name: self.read(name) for name in self.names}
+
+    def entry(self) -> dict[str, Any]:
+        """Describe the bundle for a manifest: its digest, and dtype and shape of its arrays."""
+        arrays = {
+            name: {"dtype": entry["dtype"], "shape": entry["shape"]}
+            for name, entry in self._entries.items()
+        }
+        return {"digest": self.digest, "arrays": arrays}
+
     @property
     def nbytes_stored(self) -> int:
         """Bytes on disk."""

@@ -37,6 +37,7 @@ class ChunkFiles:
 
     Attributes
     ----------
+    path : Path
     shape : tuple of int
     dtype : numpy.dtype
     items_per_chunk : int
@@ -48,7 +49,7 @@ class ChunkFiles:
     """
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self.path = path
         with storage_errors(path / METADATA, "reading"):
             content = (path / METADATA).read_bytes()
         try:
@@ -71,7 +72,7 @@ class ChunkFiles:
 
     def file(self, chunk: int) -> Path:
         """File of a chunk."""
-        return self._path / ".".join(["c", str(chunk), *("0" for _ in self.shape[1:])])
+        return self.path / ".".join(["c", str(chunk), *("0" for _ in self.shape[1:])])
 
     def read(self, chunk: int, out: NDArray[Any]) -> None:
         """Read the first items of a chunk into a contiguous array.

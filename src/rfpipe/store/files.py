@@ -21,6 +21,7 @@ __all__ = [
     "bytes_on_disk",
     "canonical_json",
     "digest_of",
+    "free_bytes",
     "hidden_sibling",
     "plain",
     "remove_tree",
@@ -103,8 +104,8 @@ def storage_errors(path: Path, action: str, needed_bytes: int = 0) -> Iterator[N
         reason = error.strerror or str(error)
         if error.errno in _FULL:
             advice = (
-                f"{needed_bytes:,} bytes needed, {_free_bytes(path)}; make room and run again: "
-                "it goes on where it stopped"
+                f"{needed_bytes:,} bytes needed, {free_bytes(path.parent):,} bytes free on its "
+                "file system; make room and run again: it goes on where it stopped"
             )
         elif error.errno in _FORBIDDEN:
             advice = (
@@ -164,10 +165,8 @@ def bytes_on_disk(path: Path) -> int:
     return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
 
 
-def _free_bytes(path: Path) -> str:
-    for folder in path.parents:
-        try:
-            return f"{shutil.disk_usage(folder).free:,} bytes free on its file system"
-        except OSError:
-            continue
-    return "free bytes unknown"
+def free_bytes(folder: Path) -> int:
+    """Return the bytes free on the file system of a folder, which needn't exist yet."""
+    while not folder.exists():
+        folder = folder.parent
+    return shutil.disk_usage(folder).free

@@ -15,7 +15,6 @@ from rfpipe.errors import InputError, IntegrityError, StaleStoreError, StoreErro
 from rfpipe.store.chunks import (
     METADATA,
     Compression,
-    compression_for,
     damaged_metadata,
     read_attributes,
 )
@@ -26,7 +25,7 @@ from rfpipe.store.files import (
     remove_tree,
     write_atomically,
 )
-from rfpipe.store.items import DROPPED, KIND, ItemArray, item_digests, make_item_array, missing_runs
+from rfpipe.store.items import DROPPED, KIND, ItemArray, make_item_array
 from rfpipe.store.journal import JournalWriter, journal_bytes, read_journal
 from rfpipe.store.lock import StoreLock
 
@@ -154,14 +153,7 @@ class FrameStore:
         lock.acquire()
         try:
             if not (path / METADATA).exists():
-                make_item_array(
-                    path,
-                    shape,
-                    wanted,
-                    header,
-                    items_per_chunk=items_per_chunk,
-                    compression=compression or compression_for(wanted),
-                )
+                make_item_array(path, shape, wanted, header, items_per_chunk, compression)
             store = cls(path)
             store._refuse_other(shape, wanted, fingerprint)
             if not store.dropped:
@@ -222,7 +214,16 @@ class FrameStore:
             Cut the runs to at most so many items, rounded down to whole chunks but at least
             one; None leaves them whole.
         """
-        return missing_runs(self.done, longest, self.items_per_chunk)
+        edges = np.flatnonzero(np.diff(~self.done, prepend=False, append=False))
+        runs = [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+        if longest is None:
+            return runs
+        step = max(1, longest // self.items_per_chunk) * self.items_per_chunk
+        return [
+            (first, min(first + step, stop))
+            for start, stop in runs
+            for first in range(start, stop, step)
+        ]
 
     def write(self, start: int, block: NDArray[Any]) -> None:
         """Store items, then enter them in the journal.
@@ -243,12 +244,15 @@ class FrameStore:
             full: all that is in the journal stays.
         """
         stop = start + len(block)
-        self._check_block(start, stop, block)
-        if start < stop:
-            block = np.ascontiguousarray(block)
-            digests = item_digests(block)
-            self._array.write(start, block)
-            self.enter(start, digests)
+        self._open_journal()
+        self._check_range(start, stop)
+        taken = next((item for item in range(start, stop) if item in self._digests), None)
+        if taken is not None:
+            raise StoreError(
+                f"{self.path}: item {taken} is captured already; write the runs that missing() "
+                "gives, or discard the store to start anew"
+            )
+        self.enter(start, self._array.write_items(start, block))
 
     def enter(self, start: int, digests: Sequence[str]) -> None:
         """Enter items that an `ItemWriter` wrote in the journal.
@@ -299,12 +303,13 @@ class FrameStore:
                 f"{self.path}: its {self.shape[0]} items were dropped once they had been used; "
                 "remove it and run the stage that writes it again"
             )
-        block = self._array.read(start, stop, self._digests)
+        block = self._array.read_items(start, stop, self._digests)
         if block is None:
             item = next(iter(self._array.damaged(start, stop, self._digests)), start)
+            file = self._array.file(item // self.items_per_chunk)
             raise IntegrityError(
-                f"{self._array.chunk_file(item)}: item {item} is missing, truncated or altered; "
-                f"expected the digest {self._digests[item]} of {_JOURNAL}. Run the stage that "
+                f"{file}: item {item} is missing, truncated or altered; expected the "
+                f"digest {self._digests[item]} of {_JOURNAL}. Run the stage that "
                 f"writes {self.path} again: it checks every item and makes the damaged ones anew"
             )
         return block
@@ -325,6 +330,10 @@ class FrameStore:
         header = canonical_json([self.dtype.str, list(self.shape)], str(self.path))
         items = "".join(self._digests[item] for item in range(self.shape[0]))
         return digest_of(header, items.encode())
+
+    def entry(self) -> dict[str, Any]:
+        """Describe a complete store for a manifest: digest, dtype and shape; errors as `digest`."""
+        return {"digest": self.digest(), "dtype": self.dtype.str, "shape": list(self.shape)}
 
     def close(self) -> None:
         """Bring the journal to the disk and release the lock; a second time does nothing."""
@@ -353,17 +362,6 @@ class FrameStore:
             raise InputError(
                 f"{self.path}: items {start} to {stop} asked for; expected a range within 0 to "
                 f"{self.shape[0]}"
-            )
-
-    def _check_block(self, start: int, stop: int, block: NDArray[Any]) -> None:
-        self._open_journal()
-        self._check_range(start, stop)
-        self._array.check(start, block)
-        taken = next((item for item in range(start, stop) if item in self._digests), None)
-        if taken is not None:
-            raise StoreError(
-                f"{self.path}: item {taken} is captured already; write the runs that missing() "
-                "gives, or discard the store to start anew"
             )
 
     def _refuse_other(self, shape: tuple[int, ...], dtype: np.dtype[Any], fingerprint: str) -> None:

@@ -10,19 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, StaleStoreError
-from rfpipe.store.chunks import DAMAGE, METADATA, Compression, layout, read_attributes
+from rfpipe.store.chunks import (
+    DAMAGE,
+    METADATA,
+    Compression,
+    compression_for,
+    layout,
+    read_attributes,
+)
 from rfpipe.store.codec import ChunkFiles
 from rfpipe.store.files import digest_of, hidden_sibling, remove_tree, storage_errors
 
-__all__ = [
-    "DROPPED",
-    "KIND",
-    "ItemArray",
-    "ItemWriter",
-    "item_digests",
-    "make_item_array",
-    "missing_runs",
-]
+__all__ = ["DROPPED", "KIND", "ItemArray", "ItemWriter", "make_item_array"]
 
 KIND = "frames"
 """What the stores of items call themselves."""
@@ -31,50 +30,38 @@ DROPPED = "dropped.json"
 """Says, in a store's folder, that its items were removed on purpose; see `rfpipe.store.drop`."""
 
 
-class ItemArray:
-    """An array whose first axis counts items; threads may share it.
+class ItemArray(ChunkFiles):
+    """An array whose first axis counts items; threads may share it."""
 
-    Parameters
-    ----------
-    path
-        Its folder.
+    def write_items(self, start: int, block: NDArray[Any]) -> list[str]:
+        """Store the items from `start` on; return their digests.
 
-    Raises
-    ------
-    IntegrityError
-        When its metadata are damaged.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._files = ChunkFiles(path)
-        self.shape = self._files.shape
-        self.dtype = self._files.dtype
-        self.items_per_chunk = self._files.items_per_chunk
-
-    def check(self, start: int, block: NDArray[Any]) -> None:
-        """Raise InputError unless a block fits and is of whole chunks."""
+        Raises
+        ------
+        InputError
+            When the block doesn't fit, or isn't of whole chunks.
+        StoreError
+            When the disk is full.
+        """
         stop, step = start + len(block), self.items_per_chunk
         if block.shape[1:] != self.shape[1:] or block.dtype != self.dtype:
             raise InputError(
-                f"{self._path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
+                f"{self.path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
                 f"(items, {', '.join(map(str, self.shape[1:]))})"
             )
         if start % step or (stop % step and stop != self.shape[0]):
             raise InputError(
-                f"{self._path}: items {start} to {stop} aren't whole chunks of {step}; write the "
+                f"{self.path}: items {start} to {stop} aren't whole chunks of {step}; write the "
                 "runs that missing() gives"
             )
-
-    def write(self, start: int, block: NDArray[Any]) -> None:
-        """Store the items from `start` on; whole chunks."""
-        action = f"writing items {start} to {start + len(block) - 1}"
-        step = self.items_per_chunk
-        with storage_errors(self._path, action, block.nbytes):
+        block = np.ascontiguousarray(block)
+        digests = _digests(block)
+        with storage_errors(self.path, f"writing items {start} to {stop - 1}", block.nbytes):
             for first in range(0, len(block), step):
-                self._files.write((start + first) // step, block[first : first + step])
+                self.write((start + first) // step, block[first : first + step])
+        return digests
 
-    def read(self, start: int, stop: int, digests: Mapping[int, str]) -> NDArray[Any] | None:
+    def read_items(self, start: int, stop: int, digests: Mapping[int, str]) -> NDArray[Any] | None:
         """Items [start, stop), or None when one isn't what its digest says."""
         block = np.empty((stop - start, *self.shape[1:]), self.dtype)
         step = self.items_per_chunk
@@ -82,20 +69,20 @@ class ItemArray:
             for first in self._chunk_starts(start, stop):
                 last = min(first + step, stop)
                 if first >= start:
-                    self._files.read(first // step, block[first - start : last - start])
+                    self.read(first // step, block[first - start : last - start])
                 else:
                     part = np.empty((last - first, *self.shape[1:]), self.dtype)
-                    self._files.read(first // step, part)
+                    self.read(first // step, part)
                     block[: last - start] = part[start - first :]
         except DAMAGE:
             return None
-        if item_digests(block) != [digests[item] for item in range(start, stop)]:
+        if _digests(block) != [digests[item] for item in range(start, stop)]:
             return None
         return block
 
     def files(self) -> list[Path]:
         """Files of all chunks that are there."""
-        return sorted(self._path.glob("c.*"))
+        return sorted(self.path.glob("c.*"))
 
     def damaged(self, start: int, stop: int, digests: Mapping[int, str]) -> list[int]:
         """Those of the items [start, stop) in `digests` that can't be read as they were written."""
@@ -103,13 +90,9 @@ class ItemArray:
         for first in self._chunk_starts(start, stop):
             chunk = range(max(start, first), min(stop, first + self.items_per_chunk))
             items = [item for item in chunk if item in digests]
-            if len(items) < len(chunk) or self.read(chunk.start, chunk.stop, digests) is None:
-                damaged += [i for i in items if self.read(i, i + 1, digests) is None]
+            if len(items) < len(chunk) or self.read_items(chunk.start, chunk.stop, digests) is None:
+                damaged += [i for i in items if self.read_items(i, i + 1, digests) is None]
         return damaged
-
-    def chunk_file(self, item: int) -> Path:
-        """File that holds an item."""
-        return self._files.file(item // self.items_per_chunk)
 
     def whole_chunks(self, digests: Mapping[int, str]) -> dict[int, str]:
         """Keep what covers chunks wholly, since they are written whole."""
@@ -127,11 +110,10 @@ class ItemArray:
         return range(start - start % step, stop, step)
 
 
-class ItemWriter:
-    """Writes items into a store whose lock and journal the caller, or another process, holds.
+class ItemWriter(ItemArray):
+    """An array whose lock and journal the caller, or another process, holds.
 
     The holder enters what was written by `FrameStore.enter`; until then it counts as missing.
-    Threads may share it.
 
     Parameters
     ----------
@@ -157,44 +139,12 @@ class ItemWriter:
                 f"{path}: made with another configuration (fingerprint {found} instead of "
                 f"{fingerprint}); run the stage that writes it again"
             )
-        self._array = ItemArray(path)
-
-    def write(self, start: int, block: NDArray[Any]) -> list[str]:
-        """Store the items from `start` on; return their digests.
-
-        Raises
-        ------
-        InputError
-            When the block doesn't fit, or isn't of whole chunks.
-        StoreError
-            When the disk is full.
-        """
-        self._array.check(start, block)
-        block = np.ascontiguousarray(block)
-        digests = item_digests(block)
-        self._array.write(start, block)
-        return digests
+        super().__init__(path)
 
 
-def item_digests(block: NDArray[Any]) -> list[str]:
+def _digests(block: NDArray[Any]) -> list[str]:
     """Digest of each item's bytes in a C-ordered block."""
     return [digest_of(item) for item in block]
-
-
-def missing_runs(
-    done: NDArray[np.bool_], longest: int | None, items_per_chunk: int
-) -> list[tuple[int, int]]:
-    """List the runs [start, stop) of items that aren't done; see `FrameStore.missing`."""
-    edges = np.flatnonzero(np.diff(~done, prepend=False, append=False))
-    runs = [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
-    if longest is None:
-        return runs
-    step = max(1, longest // items_per_chunk) * items_per_chunk
-    return [
-        (first, min(first + step, stop))
-        for start, stop in runs
-        for first in range(start, stop, step)
-    ]
 
 
 def make_item_array(
@@ -202,9 +152,8 @@ def make_item_array(
     shape: tuple[int, ...],
     dtype: np.dtype[Any],
     attributes: dict[str, Any],
-    *,
     items_per_chunk: int,
-    compression: Compression,
+    compression: Compression | None,
 ) -> None:
     """Make an empty array, complete or absent.
 
@@ -231,6 +180,6 @@ def make_item_array(
             chunks=(items_per_chunk, *shape[1:]),
             dtype=dtype,
             attributes=attributes,
-            **layout(compression),
+            **layout(compression or compression_for(dtype)),
         )
         new.rename(path)

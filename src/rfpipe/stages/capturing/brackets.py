@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -73,21 +72,18 @@ class Brackets:
         with FrameStore.open(self.path) as frames:
             return self.count - int(np.count_nonzero(frames.done))
 
-    @contextmanager
-    def opened(self) -> Iterator[FrameStore]:
+    def opened(self) -> FrameStore:
         """Open the store for writing; make it where there is none."""
         sensor = self.rig.sensor
-        shape = tuple(sensor.frame_shape(self.rig.camera_shape, self.rig.channels))
-        with FrameStore.create(
+        return FrameStore.create(
             self.path,
-            (self.count, *shape),
+            (self.count, *sensor.frame_shape(self.rig.camera_shape, self.rig.channels)),
             sensor.frame_dtype,
             self.made_for,
             self.shown,
             # a twelfth more bytes than by zstd, written and read in half the time
             compression="lz4",
-        ) as frames:
-            yield frames
+        )
 
     def capture(self, batch: int, watch: Watch | None = None) -> dict[str, Any]:
         """Capture the items that are missing; return the store's entry for the manifest.
@@ -131,12 +127,7 @@ class Brackets:
 
     def entry(self, frames: FrameStore) -> dict[str, Any]:
         """Return what a manifest says of the store."""
-        return {
-            "digest": frames.digest(),
-            "dtype": frames.dtype.str,
-            "shape": list(frames.shape),
-            "fingerprint": self.made_for,
-        }
+        return {**frames.entry(), "fingerprint": self.made_for}
 
     def _checked(self, block: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
         """Refuse what is no bracket before it is entered as captured."""

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import logging
-import shutil
 from dataclasses import dataclass
 from math import prod
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from rfpipe.errors import StoreError
 from rfpipe.photometry import Sensor
+from rfpipe.store.files import free_bytes
 from rfpipe.units import RADIANCE
 
 __all__ = [
     "DiskNeed",
-    "Imaging",
     "check_level",
     "check_run",
-    "free_bytes",
+    "shown_bytes",
 ]
 
 # A file takes whole blocks of its file system.
@@ -29,22 +27,6 @@ _BLOCK_BYTES = 4096
 # store, in the level's own store and in the transport.
 _PIECES = 2
 _log = logging.getLogger(__name__)
-
-
-class Imaging(Protocol):
-    """A rig, as far as the size of its pictures goes."""
-
-    @property
-    def camera_shape(self) -> tuple[int, ...]:
-        """As that of `rfpipe.rigs.Rig`."""
-
-    @property
-    def channels(self) -> int:
-        """As that of `rfpipe.rigs.Rig`."""
-
-    @property
-    def sensor(self) -> Sensor:
-        """As that of `rfpipe.rigs.Rig`."""
 
 
 @dataclass(frozen=True)
@@ -66,14 +48,21 @@ class DiskNeed:
     rest: int
 
     @classmethod
-    def of(cls, rig: Imaging, to_capture: int, patterns: int) -> DiskNeed:
+    def of(
+        cls,
+        sensor: Sensor,
+        camera_shape: tuple[int, ...],
+        channels: int,
+        to_capture: int,
+        patterns: int,
+    ) -> DiskNeed:
         """Return that of some brackets still to be captured, and of patterns to be merged."""
-        bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
-        image = prod(rig.camera_shape) * rig.channels
+        bracket = prod(sensor.frame_shape(camera_shape, channels))
+        image = prod(camera_shape) * channels
         radiance = np.dtype(RADIANCE).itemsize
         sums = 2 * np.dtype(np.float64).itemsize
         return cls(
-            raw=to_capture * (bracket * rig.sensor.frame_dtype.itemsize + _BLOCK_BYTES),
+            raw=to_capture * (bracket * sensor.frame_dtype.itemsize + _BLOCK_BYTES),
             merged=patterns * (2 * image * radiance + _BLOCK_BYTES),
             rest=image * (_PIECES * patterns * radiance + sums),
         )
@@ -85,8 +74,8 @@ class DiskNeed:
 
     def __str__(self) -> str:
         return (
-            f"{_shown(self.total)} (raw exposures {_shown(self.raw)}, merged images "
-            f"{_shown(self.merged)}, the rest {_shown(self.rest)})"
+            f"{shown_bytes(self.total)} (raw exposures {shown_bytes(self.raw)}, merged images "
+            f"{shown_bytes(self.merged)}, the rest {shown_bytes(self.rest)})"
         )
 
 
@@ -115,11 +104,11 @@ def check_level(
     if need.total - present > free:
         raise StoreError(
             f"{folder}: the capture of {name} isn't begun: it and what is made of it take up to "
-            f"{need}, of which {_shown(present)} are there already; {_shown(free)} are free on "
-            f"this file system. {_advice(keep_raw)}, or choose the method's options for "
+            f"{need}, of which {shown_bytes(present)} are there already; {shown_bytes(free)} are "
+            f"free on this file system. {_advice(keep_raw)}, or choose the method's options for "
             "fewer patterns; then run again: what is captured is kept"
         )
-    _log.info("%s: takes up to %s; %s are free", name, need, _shown(free))
+    _log.info("%s: takes up to %s; %s are free", name, need, shown_bytes(free))
 
 
 def check_run(need: DiskNeed, patterns: int, folder: Path, *, keep_raw: bool = True) -> None:
@@ -134,15 +123,8 @@ def check_run(need: DiskNeed, patterns: int, folder: Path, *, keep_raw: bool = T
         _log.warning(
             "%s: all levels may take up to %s, but %s are free. The run will stop before the "
             "level that doesn't fit. %s",
-            folder, need, _shown(free), _advice(keep_raw),
+            folder, need, shown_bytes(free), _advice(keep_raw),
         )  # fmt: skip
-
-
-def free_bytes(folder: Path) -> int:
-    """Return the bytes free on the file system of a folder, which needn't exist yet."""
-    while not folder.exists():
-        folder = folder.parent
-    return shutil.disk_usage(folder).free
 
 
 def _advice(keep_raw: bool) -> str:
@@ -150,5 +132,9 @@ def _advice(keep_raw: bool) -> str:
     return f"Make room, put the results on another disk{drop}"
 
 
-def _shown(count: int) -> str:
-    return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
+def shown_bytes(count: int) -> str:
+    """Show a number of bytes to three digits, such as ``629 MB``."""
+    for unit, scale in (("TB", 1e12), ("GB", 1e9)):
+        if count >= scale:
+            return f"{count / scale:.3g} {unit}"
+    return f"{count / 1e6:.3g} MB"

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rfpipe.photometry import ExactSensor, Sensor
 from rfpipe.stages.capturing.disk import DiskNeed
 from rfpipe.stages.capturing.drift import item_count
-from rfpipe.stages.plan import Plan
+from rfpipe.stages.plan import Plan, plan_of
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
@@ -57,13 +57,6 @@ class Forecast:
     most: Need
 
 
-@dataclass(frozen=True)
-class _Camera:
-    camera_shape: tuple[int, ...]
-    channels: int
-    sensor: Sensor
-
-
 def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
     """Tell what each acquisition of a run will take; nothing is shown or written.
 
@@ -80,24 +73,24 @@ def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
     """
     found = []
     for scene, name in settings.acquisitions:
-        plan = Plan.of(settings, scene, name)
-        camera = _Camera(plan.camera.shape, plan.channels, sensor)
-        rays = plan.camera, plan.projector
+        plan = Plan(**plan_of(settings, scene, name))
+        of_method = plan.method.expected_patterns, plan.method.most_patterns
         needs = (
-            _need(settings, camera, patterns(*rays, plan.options))
-            for patterns in (plan.method.expected_patterns, plan.method.most_patterns)
+            _need(settings, sensor, plan, patterns(plan.camera, plan.projector, plan.options))
+            for patterns in of_method
         )
         found.append(Forecast(scene, name, plan.projector.size, plan.n_levels, *needs))
     return found
 
 
-def _need(settings: Config, camera: _Camera, patterns: int) -> Need:
+def _need(settings: Config, sensor: Sensor, plan: Plan, patterns: int) -> Need:
     capture = settings.capture
     references = capture.black_frames + capture.floodlit_frames
-    if isinstance(camera.sensor, ExactSensor):
+    if isinstance(sensor, ExactSensor):
         references = 2
     looks = item_count(patterns, capture.drift_patterns) if capture.drift_patterns else 0
     brackets = patterns + references + looks
     seconds = 60 * capture.warm_up_minutes + brackets * capture.seconds_per_pattern
     kept = references + looks + capture.keep_raw * patterns
-    return Need(patterns, seconds, DiskNeed.of(camera, kept, patterns))
+    disk = DiskNeed.of(sensor, plan.camera.shape, plan.channels, kept, patterns)
+    return Need(patterns, seconds, disk)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rfpipe.photometry import Sensor, sensor_from_description
-from rfpipe.stages.plan import AcquisitionFolder, advice_on_damage
-from rfpipe.stages.results import bundle_entry
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.store import open_arrays, write_arrays
 
 __all__ = ["SENSOR", "read_sensor", "write_sensor"]
@@ -22,7 +21,7 @@ def write_sensor(folder: AcquisitionFolder, sensor: Sensor) -> dict[str, Any]:
         return {}
     store = folder.store(0, SENSOR)
     write_arrays(store, arrays(), {"sensor": sensor.describe()})
-    return {SENSOR: bundle_entry(open_arrays(store))}
+    return {SENSOR: open_arrays(store).entry()}
 
 
 def read_sensor(folder: AcquisitionFolder) -> Sensor:
@@ -36,9 +35,5 @@ def read_sensor(folder: AcquisitionFolder) -> Sensor:
         When what it left is damaged.
     """
     captured = folder.read_manifest(0, "capture")
-    arrays = None
-    if SENSOR in captured:
-        bundle = folder.bundle(0, "capture", SENSOR)
-        with advice_on_damage(folder.manifest(0, "capture")):
-            arrays = {name: bundle.read(name) for name in bundle.names}
+    arrays = folder.read(0, "capture", SENSOR)[0] if SENSOR in captured else None
     return sensor_from_description(captured["rig"]["sensor"], arrays)

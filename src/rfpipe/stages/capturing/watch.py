@@ -16,9 +16,9 @@ from rfpipe.stages.aside import settle
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.drift import DRIFT, item_count, item_due, look
 from rfpipe.stages.capturing.shown import Keys
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.merger import Merger
 from rfpipe.stages.merging.references import read_merger
-from rfpipe.stages.plan import AcquisitionFolder
 from rfpipe.store import FrameStore
 
 __all__ = ["DriftWatch", "watch_of"]

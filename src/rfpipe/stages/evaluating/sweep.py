@@ -147,7 +147,7 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
     """
     import pandas as pd
 
-    store, times, manifest = (folder / f"sweep.{suffix}" for suffix in ("zarr", "csv", "json"))
+    times, manifest = folder / "sweep.csv", folder / "sweep.json"
     section = config.methods_of(scene)[method]
     made_from = fingerprint(
         {
@@ -161,16 +161,11 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
             "code": code,
         }
     )
-    if times.exists() and accept_bundle(store, manifest, made_from):
+    if times.exists() and accept_bundle(manifest, made_from):
         return
     found = sweep_option(config, scene, method)
     table = pd.DataFrame(found.times).to_csv(index=False, lineterminator="\n")
     write_atomically(times, table.encode())
-    facts = {
-        "stage": "sweep",
-        "scene": scene,
-        "method": method,
-        "rows": found.rows,
-        "units": RADIANCE_UNIT,
-    }
-    write_bundle(store, manifest, made_from, {"relit": found.relit}, facts)
+    about = {"stage": "sweep", "scene": scene, "method": method}
+    facts = {**about, "rows": found.rows, "units": RADIANCE_UNIT}
+    write_bundle(manifest, made_from, {"relit": found.relit}, facts)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from rfpipe.plugins import METHODS, SCENES, path_of
+from rfpipe.plugins import path_of
 from rfpipe.provenance import import_fingerprint, imported_sources
 
 __all__ = [
@@ -12,23 +12,23 @@ __all__ = [
     "MERGED_WITH",
     "SHAPELESS",
     "acquisition_code",
-    "method_module",
-    "scene_module",
+    "module_of",
     "stage_code",
     "stage_modules",
 ]
 
-CHOOSING = ("rfpipe", "rfpipe.plugins")
+CHOOSING = ("rfpipe",)
 """Modules that import one of many by name; the one that is chosen counts, the others don't."""
 
 SHAPELESS = (
     "rfpipe.config",
     "rfpipe.errors",
+    "rfpipe.plugins",
     "rfpipe.stages.jobs.job",
     "rfpipe.stages.jobs.progress",
 )
-"""Modules that shape no result: they say what happens, or check settings whose values a stage is
-given and made from."""
+"""Modules that shape no result: they say what happens, check settings whose values a stage is given
+and made from, or find what is named, which counts itself."""
 
 MERGED_WITH = "rfpipe.stages.capturing.sensors"
 """What finds the sensor, with which `rfpipe.stages.merge.run` is called."""
@@ -77,11 +77,9 @@ def stage_modules(stage: str, *chosen: str) -> list[str]:
     return list(imported_sources(f"rfpipe.{stage}", *chosen, choosing=CHOOSING, without=SHAPELESS))
 
 
-def method_module(name: str) -> str:
-    """Module, or Python file, of a method by its name or path, to give to `stage_code`."""
-    return path_of(METHODS, name).rpartition(":")[0]
+def module_of(group: str, name: str) -> str:
+    """Module, or Python file, of what a name or path stands for, to give to `stage_code`.
 
-
-def scene_module(kind: str) -> str:
-    """Module, or Python file, of a kind of scene by its name or path, as `method_module`."""
-    return path_of(SCENES, kind).rpartition(":")[0]
+    `group` is one of those in `rfpipe.plugins`.
+    """
+    return path_of(group, name).rpartition(":")[0]

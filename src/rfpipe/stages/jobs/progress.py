@@ -66,21 +66,20 @@ class Progress:
             _log.info("%s: %d patterns in %s", self._name, patterns, _time(seconds))
 
 
-def log_estimate(
-    level_rows: Sequence[Mapping[str, Any]], target_error: float | None = None
-) -> None:
+def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> None:
     """Log the error that a method estimated after the last of its levels, if it did.
 
     Parameters
     ----------
     level_rows : sequence of dict
         Of the levels so far, as `rfpipe.transport.Transport.level_rows`.
-    target_error : float, optional
-        The error asked for, a fraction like the estimate.
+    options : Options
+        The method's; its ``target_error``, where it has one, is the error asked for.
     """
     found = estimates(level_rows)
     if found and found[-1]["level"] == level_rows[-1]["level"]:
         last = found[-1]
+        target_error = getattr(options, "target_error", None)
         _log.info(
             "level %d: estimated error %.2f %% after %d patterns%s",
             last["level"],

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Protocol, TypeVar
 
 __all__ = ["Resources", "Workers"]
@@ -83,16 +82,13 @@ class Resources:
             return
         with ThreadPoolExecutor(count) as pool:
             try:
-                yield Workers(partial(_to_threads, pool), _AHEAD * count)
+                yield Workers(
+                    lambda work: lambda first, last: pool.submit(work, first, last),
+                    _AHEAD * count,
+                )
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise
-
-
-def _to_threads(
-    pool: ThreadPoolExecutor, work: Work[Result]
-) -> Callable[[int, int], Promise[Result]]:
-    return lambda first, last: pool.submit(work, first, last)
 
 
 class Promise(Protocol[Result_co]):

@@ -48,17 +48,21 @@ def runs(count: int, image_shape: tuple[int, ...]) -> list[tuple[int, int]]:
     return [(first, min(first + step, count)) for first in range(0, count, step)]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class LevelSum:
     """Sum of images and of their variance, added up one by one in float64.
 
     Attributes
     ----------
     radiance, variance : ndarray of float64, shape (*camera_shape, C)
+    count, saturated : int
+        Images, and their samples that were saturated in every exposure.
     """
 
     radiance: Double
     variance: Double
+    count: int = 0
+    saturated: int = 0
 
     @classmethod
     def zero(cls, image_shape: tuple[int, ...]) -> LevelSum:
@@ -70,11 +74,15 @@ class LevelSum:
         for radiance, variance in zip(merged.radiance, merged.variance, strict=True):
             np.add(self.radiance, radiance, out=self.radiance)
             np.add(self.variance, variance, out=self.variance)
+        self.count += len(merged.radiance)
+        self.saturated += merged.saturated
 
     def join(self, later: LevelSum) -> None:
         """Add the sum of a later run."""
         np.add(self.radiance, later.radiance, out=self.radiance)
         np.add(self.variance, later.variance, out=self.variance)
+        self.count += later.count
+        self.saturated += later.saturated
 
 
 @dataclass(frozen=True)
@@ -147,16 +155,13 @@ class Merger:
         nothing = np.zeros(0, np.float32)
         merger = cls(sensor, dark.mean.astype(np.float32), options, defects, nothing, nothing)
         total: LevelSum | None = None
-        count = saturated = samples = 0
         for frames in chain([first], batches):
-            merged = merger.merge(frames, count)
+            merged = merger.merge(frames, total.count if total else 0)
             total = total or LevelSum.zero(merged.radiance.shape[1:])
             total.add(merged)
-            count += len(frames)
-            saturated += merged.saturated
-            samples += frames[:, 0].size
         assert total is not None
-        _check_saturation(saturated / samples, sensor)
+        count = total.count
+        _check_saturation(total.saturated / (count * first[0, 0].size), sensor)
         if is_camera:
             known = np.isfinite(total.variance)
             radiance, variance = total.radiance[known], total.variance[known]

@@ -9,7 +9,7 @@ from typing import Any
 
 from rfpipe.errors import StaleStoreError
 from rfpipe.stages.aside import differing
-from rfpipe.stages.plan import AcquisitionFolder
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.store import FrameStore
 
 __all__ = ["RawFrames"]

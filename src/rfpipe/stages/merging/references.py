@@ -12,19 +12,22 @@ from numpy.typing import NDArray
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.photometry.sensor import MergeOptions, Sensor
 from rfpipe.provenance import fingerprint
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import Merger
 from rfpipe.stages.merging.raw import RawFrames
-from rfpipe.stages.plan import REFERENCE, AcquisitionFolder, advice_on_damage
-from rfpipe.stages.results import bundle_entry, intact_bundle
-from rfpipe.store import ArrayBundle, open_arrays, write_arrays
+from rfpipe.stages.results import intact_bundle
+from rfpipe.store import open_arrays, write_arrays
 
 __all__ = ["REFERENCES", "learn_references", "read_floodlit", "read_merger"]
 
 Float = NDArray[np.float32]
+Arrays = dict[str, NDArray[Any]]
 
 REFERENCES = "merged_reference"
 """Their store, and their key in the merge's manifest of level 0."""
+
+_HELD = ("black", "floodlit", "floodlit_variance")
 
 
 def learn_references(
@@ -67,36 +70,35 @@ def learn_references(
     bundle = intact_bundle(store, None if raw.dropped else made_from)
     if bundle is None:
         raw.must_be_there("what was learnt from them is missing or damaged")
-        merger = _learn(sensor, folder, settings, resources)
-        counted = {name: captured[name] for name in ("black_frames", "floodlit_frames")}
-        _write(merger, store, counted, made_of, made_from)
+        arrays, counted = _learn(sensor, folder, settings, resources)
+        about = {"fingerprint": made_from, "made_of": made_of, "counted": counted}
+        write_arrays(store, arrays, about)
         bundle = open_arrays(store)
-    else:
-        if bundle.attributes["fingerprint"] != made_from:
-            raw.must_be_unchanged(bundle.attributes["made_of"], made_of)
-        merger = _merger_of(bundle, sensor, settings["saturation_fraction"])
-    return merger, {**bundle_entry(bundle), **bundle.attributes["counted"]}
+    elif bundle.attributes["fingerprint"] != made_from:
+        raw.must_be_unchanged(bundle.attributes["made_of"], made_of)
+    found = bundle.read_all(), bundle.attributes
+    merger = _merger_of(*found, sensor, settings["saturation_fraction"])
+    return merger, {**bundle.entry(), **bundle.attributes["counted"]}
 
 
 def read_merger(sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float) -> Merger:
     """Read what level 0 learnt."""
-    bundle = folder.bundle(0, "merge", REFERENCES)
-    with advice_on_damage(folder.manifest(0, "merge")):
-        return _merger_of(bundle, sensor, saturation_fraction)
+    return _merger_of(*folder.read(0, "merge", REFERENCES), sensor, saturation_fraction)
 
 
 def read_floodlit(folder: AcquisitionFolder) -> tuple[Float, Float]:
     """Read the floodlit image that level 0 measured, and its variance: (*camera_shape, C)."""
-    bundle = folder.bundle(0, "merge", REFERENCES)
-    with advice_on_damage(folder.manifest(0, "merge")):
-        return bundle.read("floodlit"), bundle.read("floodlit_variance")
+    arrays, _ = folder.read(0, "merge", REFERENCES)
+    return arrays["floodlit"], arrays["floodlit_variance"]
 
 
 def _learn(
     sensor: Sensor, folder: AcquisitionFolder, settings: dict[str, Any], resources: Resources
-) -> Merger:
+) -> tuple[Arrays, dict[str, int]]:
+    """Return the arrays of what the brackets tell, and what was counted."""
     captured = folder.read_manifest(0, "capture")[REFERENCE]
-    off, on = captured["black_frames"], captured["floodlit_frames"]
+    counted = {name: captured[name] for name in ("black_frames", "floodlit_frames")}
+    off, on = counted.values()
     with folder.frames(0, "capture", REFERENCE) as frames:
         bracket = prod(frames.shape[1:]) * frames.dtype.itemsize
         with resources.here.workers(bracket) as workers:
@@ -104,35 +106,27 @@ def _learn(
             def read(first: int, last: int) -> Iterator[NDArray[Any]]:
                 return workers.results(frames.read, [(i, i + 1) for i in range(first, last)])
 
-            return Merger.from_references(
+            merger = Merger.from_references(
                 sensor,
                 read(0, off),
                 read(off, off + on),
                 settings["saturation_fraction"],
                 settings["mask_defects"],
             )
-
-
-def _write(
-    merger: Merger, store: Any, counted: dict[str, int], made_of: dict[str, Any], made_from: str
-) -> None:
-    arrays: dict[str, NDArray[Any]] = {
-        "black": merger.black,
-        "floodlit": merger.floodlit,
-        "floodlit_variance": merger.floodlit_variance,
-    }
+    arrays: Arrays = {name: getattr(merger, name) for name in _HELD}
     if merger.defects is not None:
         arrays["defects"] = merger.defects.mask
-        counted = counted | {"hot": merger.defects.hot, "dead": merger.defects.dead}
-    attributes = {"fingerprint": made_from, "made_of": made_of, "counted": counted}
-    write_arrays(store, arrays, attributes)
+        counted |= {"hot": merger.defects.hot, "dead": merger.defects.dead}
+    return arrays, counted
 
 
-def _merger_of(bundle: ArrayBundle, sensor: Sensor, saturation_fraction: float) -> Merger:
-    counted = bundle.attributes["counted"]
+def _merger_of(
+    arrays: Arrays, attributes: dict[str, Any], sensor: Sensor, saturation_fraction: float
+) -> Merger:
+    counted = attributes["counted"]
     defects = None
-    if "defects" in bundle.names:
-        defects = DefectMap(bundle.read("defects"), counted["hot"], counted["dead"])
+    if "defects" in arrays:
+        defects = DefectMap(arrays["defects"], counted["hot"], counted["dead"])
     options = MergeOptions(counted["black_frames"], saturation_fraction)
-    black, *floodlit = (bundle.read(n) for n in ("black", "floodlit", "floodlit_variance"))
-    return Merger(sensor, black, options, defects, *floodlit)
+    held = {name: arrays[name] for name in _HELD}
+    return Merger(sensor, options=options, defects=defects, **held)

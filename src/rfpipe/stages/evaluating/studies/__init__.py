@@ -31,19 +31,16 @@ def run_study(name: str, config: Config) -> tuple[list[dict[str, Any]], dict[str
     InputError
         If there is no such study.
     """
-    if name == "resolution":
-        from rfpipe.stages.evaluating.studies.resolution import resolution_study
+    if name not in STUDIES:
+        raise InputError(f"study {name!r}: expected one of {', '.join(STUDIES)}")
+    from rfpipe.stages.evaluating.studies import mosaic, resolution, stability
 
-        return resolution_study(config), {}
-    if name == "stability":
-        from rfpipe.stages.evaluating.studies.stability import stability_study
-
-        return stability_study(config), {}
-    if name == "mosaic":
-        from rfpipe.stages.evaluating.studies.mosaic import mosaic_study
-
-        return mosaic_study(config)
-    raise InputError(f"study {name!r}: expected one of {', '.join(STUDIES)}")
+    of_name = {
+        "resolution": resolution.resolution_study,
+        "stability": stability.stability_study,
+        "mosaic": mosaic.mosaic_study,
+    }
+    return of_name[name](config)
 
 
 def run(name: str, config: Config, manifest: Path, code: str) -> None:
@@ -59,18 +56,13 @@ def run(name: str, config: Config, manifest: Path, code: str) -> None:
     code : str
         Fingerprint of the code behind the stage.
     """
-    store = manifest.with_suffix(".zarr")
     made_from = fingerprint({"study": name, "config": config, "code": code})
-    if accept_bundle(store, manifest, made_from):
+    if accept_bundle(manifest, made_from):
         return
     rows, arrays = run_study(name, config)
-    facts = {
-        "stage": "study",
-        "study": name,
-        "rows": [{key: _plain(value) for key, value in row.items()} for row in rows],
-        "units": RADIANCE_UNIT,
-    }
-    write_bundle(store, manifest, made_from, arrays, facts)
+    rows = [{key: _plain(value) for key, value in row.items()} for row in rows]
+    facts = {"stage": "study", "study": name, "rows": rows, "units": RADIANCE_UNIT}
+    write_bundle(manifest, made_from, arrays, facts)
 
 
 def _plain(value: Any) -> Any:

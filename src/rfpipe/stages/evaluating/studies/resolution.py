@@ -15,16 +15,18 @@ if TYPE_CHECKING:
 __all__ = ["resolution_study"]
 
 
-def resolution_study(config: Config) -> list[dict[str, Any]]:
+def resolution_study(config: Config) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Acquire scene IV in grey at each of ``report.resolutions`` squared, exact radiance.
 
     Brute force takes one pattern a ray and is computed, not run.
 
     Returns
     -------
-    list of dict
+    rows : list of dict
         ``method``, ``side`` in pixels, ``rays``, ``patterns``, and ``rms_total``: the relative
         error of the scene relit with the vertical bar (NaN for brute force).
+    arrays : dict
+        Empty.
     """
     from rfpipe.rigs import SimulatedRig
     from rfpipe.stages.acquire import acquire
@@ -45,4 +47,4 @@ def resolution_study(config: Config) -> list[dict[str, Any]]:
             result = acquire(rig, progress=False, **asked)
             error = relative_rms(result.transport.relight(bar), truth)
             rows.append({"method": name, **row, "patterns": result.patterns, "rms_total": error})
-    return rows
+    return rows, {}

@@ -24,13 +24,15 @@ _AS_DARK_AS_IT_IS = ("photon_starved",)
 """Cases that the camera isn't exposed for: they are hard for being dark."""
 
 
-def stability_study(config: Config) -> list[dict[str, Any]]:
+def stability_study(config: Config) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     """Acquire every hard case with both methods from exact radiance, and through the camera.
 
     Returns
     -------
-    list of dict
+    rows : list of dict
         See `stability_row`.
+    arrays : dict
+        Empty.
     """
     from rfpipe.config import CameraConfig
 
@@ -42,7 +44,7 @@ def stability_study(config: Config) -> list[dict[str, Any]]:
         rows.append(stability_row(name, scene, "symmetric", None, config))
         rows.append(stability_row(name, scene, "symmetric", camera, config))
         rows.append(stability_row(name, scene, "dual", None, config))
-    return rows
+    return rows, {}
 
 
 def _exposed_for(scene: CoaxialScene, camera: CameraConfig) -> CameraConfig:

@@ -1,0 +1,105 @@
+"""Where the stages of one acquisition leave their stores and manifests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from rfpipe.errors import IntegrityError
+from rfpipe.store import FrameStore, open_arrays, read_manifest
+
+__all__ = ["REFERENCE", "AcquisitionFolder", "advice_on_damage"]
+
+REFERENCE = "reference"
+"""The all-off and all-on brackets, taken with level 0: their store and their manifest's key."""
+
+
+@dataclass(frozen=True)
+class AcquisitionFolder:
+    """Where the manifests and stores of one acquisition lie.
+
+    Parameters
+    ----------
+    path : Path
+        ``results/{scene}/{method}``.
+    believing : bool
+        Whether a stage believes its own manifest where one stands there, rather than check every
+        byte of its store.
+    """
+
+    path: Path
+    believing: bool = False
+
+    def manifest(self, level: int, stage: str) -> Path:
+        """Manifest of a stage of a level; its existence says that the stage is complete."""
+        return self.path / f"L{level:02d}" / f"{stage}.json"
+
+    def store(self, level: int, stage: str) -> Path:
+        """Store that the manifest is about."""
+        return self.manifest(level, stage).with_suffix(".zarr")
+
+    def read_manifest(self, level: int, stage: str) -> dict[str, Any]:
+        """Read the manifest of a stage of a level; see `rfpipe.store.read_manifest`."""
+        return read_manifest(self.manifest(level, stage))
+
+    def refined_above(self, level: int) -> list[str]:
+        """Digests of what the levels above a level found: all that its schedule rests on."""
+        return [self.read_manifest(above, "refine")["digest"] for above in range(level)]
+
+    def read(
+        self, level: int, stage: str, part: str | None = None
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Read what a stage wrote, checked against its manifest: arrays and attributes.
+
+        Parameters
+        ----------
+        level : int
+        stage : str
+        part : str, optional
+            A second store that the stage's manifest describes under this key.
+
+        Raises
+        ------
+        StoreError
+            When manifest or store are missing.
+        IntegrityError
+            When they are damaged, or don't belong together.
+        """
+        manifest = self.manifest(level, stage)
+        expected = read_manifest(manifest)
+        with advice_on_damage(manifest):
+            bundle = open_arrays(self.store(level, part or stage))
+            _check_digest(bundle.path, bundle.digest, expected[part] if part else expected)
+            return bundle.read_all(), bundle.attributes
+
+    @contextmanager
+    def frames(self, level: int, stage: str, part: str | None = None) -> Iterator[FrameStore]:
+        """Open the frames that a stage wrote, checked against its manifest; as `read`."""
+        manifest = self.manifest(level, stage)
+        expected = read_manifest(manifest)
+        path = self.store(level, part or stage)
+        with advice_on_damage(manifest), FrameStore.open(path) as frames:
+            _check_digest(path, frames.digest(), expected[part] if part else expected)
+            yield frames
+
+
+@contextmanager
+def advice_on_damage(manifest: Path) -> Iterator[None]:
+    """Say how to make a damaged store again: its stage runs when its manifest is missing."""
+    try:
+        yield
+    except IntegrityError as error:
+        raise IntegrityError(f"{error}. To do so, remove {manifest} and run again") from error
+
+
+def _check_digest(path: Path, found: str, expected: dict[str, Any]) -> None:
+    if found != expected["digest"]:
+        raise IntegrityError(
+            f"{path}: has the digest {found}; its manifest says {expected['digest']}. Run the "
+            "stage that writes it again"
+        )
