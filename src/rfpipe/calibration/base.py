@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.rigs.devices import Camera, Projector, bracket_of
 
-__all__ = ["Findings", "Standing", "Verdict", "camera_model", "take", "uniform"]
+__all__ = ["Findings", "Measured", "Standing", "Verdict", "camera_model", "take", "uniform"]
 
 Float = NDArray[np.float32]
 Standing = Literal["good", "poor", "unknown"]
@@ -55,6 +55,23 @@ class Findings:
     verdict: Verdict
     facts: dict[str, Any] = field(default_factory=dict)
     arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+
+class Measured:
+    """What a step measured, a dataclass: its arrays are stored, its other fields are facts."""
+
+    def findings(self, verdict: Verdict, **facts: Any) -> Findings:
+        """Return the step's findings, with facts beside its own."""
+        found = {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
+        arrays = {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+        own = {name: value for name, value in found.items() if name not in arrays}
+        return Findings(verdict, own | facts, arrays)
+
+    @classmethod
+    def of(cls, findings: Findings) -> Self:
+        """Return what was measured, from its findings."""
+        found = findings.facts | findings.arrays
+        return cls(**{each.name: found[each.name] for each in fields(cls)})  # type: ignore[arg-type]
 
 
 def uniform(projector: Projector, weight: float) -> Float:
