@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
+from rfpipe.photometry import CameraModel
 from rfpipe.rigs.devices import Camera, Projector, bracket_of
 
 __all__ = ["Findings", "Measured", "Standing", "Verdict", "camera_model", "take", "uniform"]
@@ -91,22 +92,18 @@ def take(projector: Projector, camera: Camera, pictures: Iterable[Float]) -> Ite
         yield bracket_of(projector, camera, picture, f"calibration picture {index}")
 
 
-def camera_model(camera: Camera, numbers: dict[str, Any] | None = None) -> Any:
-    """Return the camera's model, with measured numbers in place of its own.
+def camera_model(camera: Camera) -> CameraModel:
+    """Return the camera's own model.
 
     Raises
     ------
     CaptureError
         When the camera has no noise model that could be calibrated.
     """
-    from dataclasses import replace
-
-    from rfpipe.photometry import CameraModel
-
     sensor = camera.sensor
     if not isinstance(sensor, CameraModel):
         raise CaptureError(
             f"a camera with a {type(sensor).__name__} has no noise to calibrate; expected counts "
             "of a CameraModel"
         )
-    return replace(sensor, **(numbers or {}))
+    return sensor

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -91,8 +91,7 @@ class Bench:
     @property
     def model(self) -> CameraModel:
         """The camera with the numbers found so far."""
-        model: CameraModel = camera_model(self.camera, camera_numbers(self.found))
-        return model
+        return replace(camera_model(self.camera), **camera_numbers(self.found))
 
     @property
     def lit(self) -> Projector:
