@@ -33,7 +33,7 @@ def correspondence_of(bench: Bench, period: int = 16, steps: int = 6) -> Corresp
     sensor, shape = bench.camera.sensor, bench.projector.shape
     dark = measure_dark(take_dark(bench.projector, bench.camera, 4), sensor.exposures)
     pictures = structured_light(shape, period, steps)
-    images = take_radiance(bench.projector, bench.camera, sensor, dark.black, 4, pictures)
+    images = take_radiance(bench.projector, bench.camera, sensor, dark, pictures)
     return measure_correspondence(images, shape, period, steps)
 
 
@@ -72,7 +72,7 @@ def test_the_correspondence_is_found_within_a_tenth_of_a_pixel(changes: dict) ->
     assert smooth < 0.05
     findings = correspondence_findings(found)
     assert findings.verdict.standing == "good"
-    again = Correspondence.from_arrays(findings.arrays)
+    again = Correspondence.of(findings)
     assert np.array_equal(again.valid, found.valid)
     assert again.projector_shape == (144, 160)
 

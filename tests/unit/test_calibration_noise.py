@@ -57,9 +57,9 @@ def test_dark_frames_tell_black_level_current_and_hot_pixels() -> None:
     frames[:, :, 5, 7] += 300
     dark = measure_dark(frames, camera.exposures)
     gain = camera.electrons_per_count
-    assert dark.black_level == pytest.approx(64, abs=5 * dark.black_level_error)
+    assert dark.black_level_counts == pytest.approx(64, abs=5 * dark.black_level_error)
     assert dark.black_level_error < 0.02
-    assert dark.current * gain == pytest.approx(40, abs=5 * dark.current_error * gain)
+    assert dark.current_counts_per_s * gain == pytest.approx(40, abs=5 * dark.current_error * gain)
     assert dark.hot.sum() == 1
     assert dark.hot[5, 7, 0]
     read = (CAMERA.read_noise_electrons / gain) ** 2 + 1 / 12
@@ -84,7 +84,7 @@ def test_dark_frames_that_are_cut_off_hot_or_lit_are_said_to_be() -> None:
 
 def test_one_exposure_has_no_dark_current() -> None:
     camera = replace(CAMERA, exposures=(0.25,))
-    assert dark_of(camera).current == 0
+    assert dark_of(camera).current_counts_per_s == 0
 
 
 def test_dark_frames_must_be_two() -> None:

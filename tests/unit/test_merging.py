@@ -87,9 +87,9 @@ def ways(merge: Any, frames: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> lis
     for name in (PLAIN, COMPILED):
         method: Callable[..., Any] = getattr(merge, name)
 
-        def said(given: np.ndarray, name: str = name, method: Callable[..., Any] = method) -> Any:
+        def said(*given: Any, name: str = name, method: Callable[..., Any] = method) -> Any:
             used.append(name)
-            return method(given)
+            return method(*given)
 
         monkeypatch.setattr(merge, name, said)
     for _ in range(3):

@@ -185,22 +185,21 @@ def test_a_noiseless_camera_still_has_a_variance() -> None:
 def test_wrong_frames_are_refused() -> None:
     image = flat(0.1, (4, 5, 3))
     off, bracket = black(CAMERA, image), CAMERA.expose(image, 0, (0, 0))[None]
-    options = MergeOptions(first_index=32)
     with pytest.raises(CaptureError, match=r"pattern 32: frames have the shape \(1, 2, 4, 5, 3\)"):
-        CAMERA.merge(bracket[:, :2], off, options)
+        CAMERA.merging(off)(bracket[:, :2], 32)
     with pytest.raises(CaptureError, match=r"pattern 32: brackets have the shape \(4, 4, 4, 3\)"):
-        CAMERA.merge(bracket[:, :, :, :4], off, options)
+        CAMERA.merging(off)(bracket[:, :, :, :4], 32)
     with pytest.raises(CaptureError, match="dtype float64"):
-        CAMERA.merge(bracket.astype(float), off, options)
+        CAMERA.merging(off)(bracket.astype(float), 32)
     wild = np.repeat(bracket, 2, axis=0)
     wild[1, 2, 3, 4, 0] = 5000
     with pytest.raises(
         CaptureError, match=r"pattern 33 holds 5000 counts at exposure 2, pixel \(3, 4, 0\).* 4095"
     ):
-        CAMERA.merge(wild, off, options)
+        CAMERA.merging(off)(wild, 32)
     off[0, 0, 0, 0] = np.nan
     with pytest.raises(CaptureError, match="all-off frames hold NaN"):
-        CAMERA.merge(bracket, off, options)
+        CAMERA.merge(bracket, off)
 
 
 @pytest.mark.parametrize("value", [np.nan, -np.inf, -0.5])
@@ -208,7 +207,7 @@ def test_impossible_float_frames_are_named(value: float) -> None:
     frames = np.ones((3, 1, 4, 5, 3), np.float32)
     frames[1, 0, 2, 3, 1] = value
     with pytest.raises(CaptureError, match=rf"pattern 33 holds {value} at pixel \(0, 2, 3, 1\)"):
-        ExactSensor().merge(frames, np.zeros(frames.shape[1:]), MergeOptions(first_index=32))
+        ExactSensor().merging(np.zeros(frames.shape[1:]))(frames, 32)
 
 
 def test_exact_sensor_returns_the_radiance() -> None:

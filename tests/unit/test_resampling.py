@@ -17,7 +17,7 @@ from rfpipe.photometry import (
     sensor_from_description,
 )
 from rfpipe.photometry.checks import check_floodlit
-from rfpipe.photometry.demosaic import BAYER_PATTERNS, demosaic, demosaic_matrices
+from rfpipe.photometry.demosaic import BAYER_PATTERNS, demosaic, filled_in
 from rfpipe.photometry.resampling import applied, normalised
 from rfpipe.stages.merging.merger import Merger
 
@@ -93,7 +93,8 @@ def test_merge_is_merge_then_resampling() -> None:
 def test_matrices_demosaic_as_the_images_do(pattern: str) -> None:
     mosaic = np.random.default_rng(3).random(CAMERA_SHAPE, np.float32)
     filled, _ = demosaic(mosaic, mosaic, pattern)
-    for channel, matrix in enumerate(demosaic_matrices(CAMERA_SHAPE, pattern)):
+    pixels = csr_array(np.eye(mosaic.size, dtype=np.float32))
+    for channel, matrix in enumerate(filled_in(pixels, CAMERA_SHAPE, pattern)):
         image = (matrix @ mosaic.ravel()).reshape(CAMERA_SHAPE)
         assert image == pytest.approx(filled[..., channel], abs=1e-6)
 

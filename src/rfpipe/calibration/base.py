@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
+from rfpipe.photometry import CameraModel
 from rfpipe.rigs.devices import Camera, Projector, bracket_of
 
-__all__ = ["Findings", "Standing", "Verdict", "camera_model", "take", "uniform"]
+__all__ = ["Findings", "Measured", "Standing", "Verdict", "camera_model", "take", "uniform"]
 
 Float = NDArray[np.float32]
 Standing = Literal["good", "poor", "unknown"]
@@ -57,6 +58,23 @@ class Findings:
     arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
 
 
+class Measured:
+    """What a step measured, a dataclass: its arrays are stored, its other fields are facts."""
+
+    def findings(self, verdict: Verdict, **facts: Any) -> Findings:
+        """Return the step's findings, with facts beside its own."""
+        found = {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
+        arrays = {name: value for name, value in found.items() if isinstance(value, np.ndarray)}
+        own = {name: value for name, value in found.items() if name not in arrays}
+        return Findings(verdict, own | facts, arrays)
+
+    @classmethod
+    def of(cls, findings: Findings) -> Self:
+        """Return what was measured, from its findings."""
+        found = findings.facts | findings.arrays
+        return cls(**{each.name: found[each.name] for each in fields(cls)})  # type: ignore[arg-type]
+
+
 def uniform(projector: Projector, weight: float) -> Float:
     """Return a picture of one weight everywhere."""
     return np.full(projector.shape, weight, np.float32)
@@ -74,22 +92,18 @@ def take(projector: Projector, camera: Camera, pictures: Iterable[Float]) -> Ite
         yield bracket_of(projector, camera, picture, f"calibration picture {index}")
 
 
-def camera_model(camera: Camera, numbers: dict[str, Any] | None = None) -> Any:
-    """Return the camera's model, with measured numbers in place of its own.
+def camera_model(camera: Camera) -> CameraModel:
+    """Return the camera's own model.
 
     Raises
     ------
     CaptureError
         When the camera has no noise model that could be calibrated.
     """
-    from dataclasses import replace
-
-    from rfpipe.photometry import CameraModel
-
     sensor = camera.sensor
     if not isinstance(sensor, CameraModel):
         raise CaptureError(
             f"a camera with a {type(sensor).__name__} has no noise to calibrate; expected counts "
             "of a CameraModel"
         )
-    return replace(sensor, **(numbers or {}))
+    return sensor

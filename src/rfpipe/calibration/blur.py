@@ -53,19 +53,18 @@ def fit_blur(correspondence: Correspondence, maps: Sequence[SmoothMap]) -> tuple
     """
     shape = correspondence.valid.shape
     points = pixel_middles(shape)
-    measured = np.stack([correspondence.x, correspondence.y], axis=-1)
     squares = []
     for to_projector in maps:
         right, down = np.array([0.5, 0]), np.array([0, 0.5])
         ahead = to_projector(points + right) - to_projector(points - right)
         below = to_projector(points + down) - to_projector(points - down)
         step = np.sqrt(np.square(ahead) + np.square(below))
-        distance = np.linalg.norm(measured - to_projector(points), axis=-1)
+        distance = np.linalg.norm(correspondence.points - to_projector(points), axis=-1)
         own = correspondence.valid & (distance < NEAR * step.max(axis=-1))
         for axis, contrast in enumerate(correspondence.contrast):
             chosen = own & (contrast > 0)
             extents = np.stack([ahead[chosen, axis], below[chosen, axis], np.ones(chosen.sum())])
-            period = float(correspondence.period)
+            period = float(correspondence.period_pixels)
             sharp = np.sinc(extents / period).prod(axis=0)
             coarse = np.sinc(extents / (COARSER * period)).prod(axis=0)
             lost = np.log(sharp / coarse / contrast[chosen])

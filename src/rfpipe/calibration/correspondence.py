@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.base import Findings, Verdict, take
+from rfpipe.calibration.base import Findings, Measured, Verdict, take
 from rfpipe.calibration.codes import AxisCode
+from rfpipe.calibration.dark import Dark
 from rfpipe.photometry import CameraModel, MergeOptions
 from rfpipe.rigs.devices import Camera, Projector
 
@@ -30,59 +30,40 @@ WANTED = 0.1
 """Standard error in projector pixels up to which single camera pixels are sharp."""
 
 
-_MEASURED = ("x", "y", "error", "modulation", "contrast")
-
-
 @dataclass(frozen=True, eq=False)
-class Correspondence:
+class Correspondence(Measured):
     """Where on the projector each camera pixel looks; pixels from its upper left corner.
 
     Attributes
     ----------
-    x, y : ndarray of float64, shape (Hc, Wc)
+    x, y : ndarray of float32, shape (Hc, Wc)
         To the right and downwards; a projector pixel's middle lies at halves. Means nothing where
         not valid.
-    error : ndarray of float64, shape (Hc, Wc)
+    error : ndarray of float32, shape (Hc, Wc)
         Standard error by the noise, the larger of both axes.
-    modulation : ndarray of float64, shape (Hc, Wc)
+    modulation : ndarray of float32, shape (Hc, Wc)
         The sinusoids' amplitude over its noise, the smaller of both axes.
-    contrast : ndarray of float64, shape (2, Hc, Wc)
+    contrast : ndarray of float32, shape (2, Hc, Wc)
         Of stripes of one period over those of two, along x and along y; see `Decoded`.
     valid : ndarray of bool, shape (Hc, Wc)
     projector_shape : (int, int)
-    period : int
+    period_pixels : int
         Of the stripes, in projector pixels.
     """
 
-    x: Double
-    y: Double
-    error: Double
-    modulation: Double
-    contrast: Double
+    x: Float
+    y: Float
+    error: Float
+    modulation: Float
+    contrast: Float
     valid: NDArray[np.bool_]
     projector_shape: tuple[int, int]
-    period: int
+    period_pixels: int
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what `from_arrays` needs, to be stored."""
-        return {
-            **{name: getattr(self, name).astype(np.float32) for name in _MEASURED},
-            "valid": self.valid,
-            "period": np.array(self.period, np.int32),
-            "projector_shape": np.array(self.projector_shape, np.int32),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[Any]]) -> Correspondence:
-        """Return the correspondence whose `arrays` these are."""
-        height, width = map(int, arrays["projector_shape"])
-        measured = {name: arrays[name].astype(np.float64) for name in _MEASURED}
-        return cls(
-            **measured,
-            valid=arrays["valid"],
-            projector_shape=(height, width),
-            period=int(arrays["period"]),
-        )
+    @property
+    def points(self) -> Double:
+        """Where the pixels look, as (x, y), float64 (Hc, Wc, 2)."""
+        return np.stack([self.x, self.y], axis=-1, dtype=np.float64)
 
 
 def structured_light(shape: tuple[int, int], period: int, steps: int) -> Iterator[Float]:
@@ -104,12 +85,11 @@ def take_radiance(
     projector: Projector,
     camera: Camera,
     model: CameraModel,
-    black: NDArray[Any],
-    black_count: int,
+    dark: Dark,
     pictures: Iterable[Float],
 ) -> Iterator[tuple[Float, Float]]:
     """Show pictures; yield merged radiance and variance of each, (Hc, Wc, C)."""
-    merge = model.merging(black, MergeOptions(black_count))
+    merge = model.merging(dark.black, MergeOptions(dark.frames))
     for frames in take(projector, camera, pictures):
         merged = merge(frames[None])
         yield merged.radiance[0], merged.variance[0]
@@ -140,12 +120,13 @@ def measure_correspondence(
         ]
         decoded.append(code.decode(*(np.stack(part) for part in zip(*grey, strict=True))))
     x, y = decoded
+    error, modulation = np.maximum(x.error, y.error), np.minimum(x.modulation, y.modulation)
     return Correspondence(
-        x.coordinate,
-        y.coordinate,
-        np.maximum(x.error, y.error),
-        np.minimum(x.modulation, y.modulation),
-        np.stack([x.contrast, y.contrast]),
+        x.coordinate.astype(np.float32),
+        y.coordinate.astype(np.float32),
+        error.astype(np.float32),
+        modulation.astype(np.float32),
+        np.stack([x.contrast, y.contrast], dtype=np.float32, casting="same_kind"),
         x.valid & y.valid,
         shape,
         period,
@@ -157,19 +138,12 @@ def correspondence_findings(correspondence: Correspondence) -> Findings:
     valid = correspondence.valid
     share = float(valid.mean())
     error = float(np.median(correspondence.error[valid])) if valid.any() else None
-    facts = {
-        "valid_pixels": int(valid.sum()),
-        "valid_share": share,
-        "median_error_pixels": error,
-        "period_pixels": correspondence.period,
-        "projector_shape": list(correspondence.projector_shape),
-    }
     if valid.sum() < LEAST_PIXELS or error is None:
         verdict = Verdict(
             "poor",
             f"Only {int(valid.sum())} camera pixels see the projector's stripes. Check focus, that "
             "the camera sees what the projector lights, and the exposures; or make the stripes "
-            f"wider than {correspondence.period} pixels a period.",
+            f"wider than {correspondence.period_pixels} pixels a period.",
         )
     elif error > WANTED:
         verdict = Verdict(
@@ -183,4 +157,9 @@ def correspondence_findings(correspondence: Correspondence) -> Findings:
             f"{share:.0%} of the camera's pixels are decoded, with a noise of {error:.3f} "
             "projector pixels.",
         )
-    return Findings(verdict, facts, correspondence.arrays())
+    return correspondence.findings(
+        verdict,
+        valid_pixels=int(valid.sum()),
+        valid_share=share,
+        median_error_pixels=error,
+    )

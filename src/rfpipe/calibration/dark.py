@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.base import Findings, Verdict, take, uniform
+from rfpipe.calibration.base import Findings, Measured, Verdict, take, uniform
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.defects import DarkFrames, find_hot
 from rfpipe.rigs.devices import Camera, Projector
@@ -24,12 +24,12 @@ MOST_HOT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Dark:
+class Dark(Measured):
     """What the camera counts without light; counts, unless said otherwise.
 
     Attributes
     ----------
-    count : int
+    frames : int
         Brackets measured.
     black : ndarray of float32, shape (E, ...)
         Their mean.
@@ -37,21 +37,21 @@ class Dark:
         Median over photosites of that mean.
     variance : ndarray of float64, shape (E,)
         Median over photosites of the variance between frames, made unbiased.
-    black_level, black_level_error : float
+    black_level_counts, black_level_error : float
         At an exposure time of zero.
-    current, current_error : float
-        Counts a second; of dark current, and of whatever light is left under the all-off picture.
+    current_counts_per_s, current_error : float
+        Of dark current, and of whatever light is left under the all-off picture.
     hot : ndarray of bool, shape (...)
         Photosites with an outlying black level or noise.
     """
 
-    count: int
+    frames: int
     black: NDArray[np.float32]
     level: Double
     variance: Double
-    black_level: float
+    black_level_counts: float
     black_level_error: float
-    current: float
+    current_counts_per_s: float
     current_error: float
     hot: NDArray[np.bool_]
 
@@ -116,48 +116,41 @@ def measure_dark(brackets: Iterable[NDArray[Any]], exposures: Sequence[float]) -
 def dark_findings(dark: Dark, exposures: Sequence[float], white_level: int) -> Findings:
     """Return the step's findings, with a verdict on clipping, hot pixels and stray light."""
     hot = float(dark.hot.mean())
-    deepest = dark.black_level - 4 * float(np.sqrt(dark.variance.max()))
-    glow = float(dark.level.max() - dark.black_level)
+    deepest = dark.black_level_counts - 4 * float(np.sqrt(dark.variance.max()))
+    glow = float(dark.level.max() - dark.black_level_counts)
     faults = []
     if deepest < 0 and dark.variance.max() > 0:
         faults.append(
-            f"The black level, {dark.black_level:.1f} counts, is less than four times the noise "
-            f"({np.sqrt(dark.variance.max()):.2f}) above zero: darkness is cut off and biased. "
-            "Raise the camera's black level."
+            f"The black level, {dark.black_level_counts:.1f} counts, is less than four times the "
+            f"noise ({np.sqrt(dark.variance.max()):.2f}) above zero: darkness is cut off and "
+            "biased. Raise the camera's black level."
         )
     if hot > MOST_HOT:
         faults.append(
             f"{hot:.2%} of the photosites are hot, more than {MOST_HOT:.1%}: cool the camera or "
             "use shorter exposures."
         )
-    if glow > 0.05 * (white_level - dark.black_level):
+    if glow > 0.05 * (white_level - dark.black_level_counts):
         faults.append(
             f"The all-off picture reaches {glow:.0f} counts at {max(exposures):.3g} s: dim the "
             "room's light, or cover the projector's stray light."
         )
     text = (
-        f"Black level {dark.black_level:.2f} counts; {int(dark.hot.sum())} hot photosites "
+        f"Black level {dark.black_level_counts:.2f} counts; {int(dark.hot.sum())} hot photosites "
         f"({hot:.3%}), which are left out."
     )
-    facts = {
-        "frames": dark.count,
-        "exposures_s": list(exposures),
-        "black_level_counts": dark.black_level,
-        "black_level_error": dark.black_level_error,
-        "current_counts_per_s": dark.current,
-        "current_error": dark.current_error,
-        "level_counts": dark.level.tolist(),
-        "variance_counts2": dark.variance.tolist(),
-        "hot_photosites": int(dark.hot.sum()),
-    }
-    return Findings(Verdict.of(faults, text), facts, {"black": dark.black, "hot": dark.hot})
+    return dark.findings(
+        Verdict.of(faults, text),
+        exposures_s=list(exposures),
+        level_counts=dark.level.tolist(),
+        variance_counts2=dark.variance.tolist(),
+        hot_photosites=int(dark.hot.sum()),
+    )
 
 
 def _line(x: Double, y: Double, error: Double) -> tuple[tuple[float, float], Double]:
     """Fit y = a + b x; return (a, b) and their covariance. One point has no slope."""
     if len(x) == 1:
         return (float(y[0]), 0.0), np.diag([error[0] ** 2, 0.0])
-    design = np.stack([np.ones_like(x), x], axis=1) / error[:, None]
-    covariance = np.asarray(np.linalg.inv(design.T @ design), np.float64)
-    intercept, slope = covariance @ design.T @ (y / error)
-    return (float(intercept), float(slope)), covariance
+    (slope, intercept), covariance = np.polyfit(x, y, 1, w=1 / error, cov="unscaled")
+    return (float(intercept), float(slope)), covariance[::-1, ::-1]

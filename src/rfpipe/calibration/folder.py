@@ -160,7 +160,7 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> Calibratio
         None if rays is None else ProjectorLayout.from_arrays(rays),
         None if rays is None else Resampling.from_arrays(rays),
         camera_numbers(found),
-        found["light"].arrays["projector_response"],
+        found["light"].arrays["light"],
         found["dark"].arrays["black"],
         found["dark"].arrays["hot"],
         {

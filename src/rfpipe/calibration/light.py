@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.base import Findings, Float, Verdict
+from rfpipe.calibration.base import Findings, Float, Measured, Verdict
 from rfpipe.errors import CaptureError
 from rfpipe.rigs.devices import Projector
 from rfpipe.rigs.window import STEPS, code_table
@@ -27,7 +27,7 @@ SIGNIFICANCE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
-class LightCurve:
+class LightCurve(Measured):
     """Light of the projector's codes, as a fraction of that of the last one.
 
     Attributes
@@ -161,16 +161,8 @@ def light_findings(curve: LightCurve, tolerance: float) -> Findings:
         f"{usable} steps of light; half the light is code {middle:.0f}; the lamp drifted by "
         f"{curve.drift:+.2%}."
     )
-    facts = {
-        "drift": curve.drift,
-        "pixels": curve.pixels,
-        "largest_error": float(curve.error.max()),
-        "code_of_half_light": middle,
-    }
-    arrays = {
-        "light_codes": curve.codes,
-        "light_measured": curve.measured,
-        "light_error": curve.error,
-        "projector_response": curve.light,
-    }
-    return Findings(Verdict.of(faults, text), facts, arrays)
+    return curve.findings(
+        Verdict.of(faults, text),
+        largest_error=float(curve.error.max()),
+        code_of_half_light=middle,
+    )

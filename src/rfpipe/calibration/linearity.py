@@ -94,7 +94,7 @@ def measure_linearity(
     -------
     Linearity
     """
-    span = white_level - dark.black_level
+    span = white_level - dark.black_level_counts
     good = ~dark.hot
     edges = np.geomspace(FLOOR, TOP, BINS + 1)
     pairs = len(exposures) - 1
@@ -110,7 +110,7 @@ def measure_linearity(
             long[k] += np.bincount(index, signal[k + 1][inside], BINS)
             # shot noise of an unknown gain is at most that of one electron a count; half a count
             # of rounding and the black level's own noise come on top
-            own = dark.variance[k] * (1 + 1 / dark.count) + 1 / 12 + np.maximum(signal[k], 0)
+            own = dark.variance[k] * (1 + 1 / dark.frames) + 1 / 12 + np.maximum(signal[k], 0)
             noise[k] += np.bincount(index, own[inside] * ratio**2, BINS)
             count[k] += np.bincount(index, minlength=BINS)
     there = long > 0
@@ -174,8 +174,7 @@ def _power(response: Response) -> tuple[float, float]:
     if middle.sum() < 3:
         raise CaptureError("the recovered response has no levels between black and saturated")
     level, light = response.level[middle], response.exposure[middle]
-    design = np.stack([np.log(level), np.ones_like(level)], axis=1)
     # the scale is free: full scale is where the solver knows least
-    (gamma, scale), *_ = np.linalg.lstsq(design, np.log(light), rcond=None)
+    gamma, scale = np.polyfit(np.log(level), np.log(light), 1)
     misfit = light / np.exp(scale) - level**gamma
     return float(gamma), float(np.sqrt(np.mean(misfit**2)))

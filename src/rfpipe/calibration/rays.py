@@ -178,7 +178,7 @@ def fit_rays(
     leak = np.asarray(abs(mixing).sum(axis=1)) - np.abs(own) + np.abs(1 - own) * seen
     return RayFit(
         replace(layout, ray_of_pixel=ray_of_pixel),
-        Resampling(layout.shape, camera_shape, normalised(matrix)),
+        Resampling(layout.shape, camera_shape, matrix),
         np.where(seen, leak, 0),
         np.sqrt(np.asarray(matrix.power(2).sum(axis=1))),
         np.asarray(shares.sum(axis=0)),
@@ -272,11 +272,8 @@ def _local(normal: csr_array[Any], patch: NDArray[np.int64], ridge: float) -> Do
 
 
 def _pruned(matrix: csr_array[Any]) -> csr_array[Any]:
-    """Drop a row's smallest weights."""
+    """Drop a row's smallest weights, and scale the others to sum to 1."""
     largest = abs(matrix).max(axis=1).toarray().ravel()
     least = LEAST_WEIGHT * np.repeat(largest, np.diff(matrix.indptr))
     matrix.data[np.abs(matrix.data) < least] = 0
-    matrix.eliminate_zeros()
-    sums = np.asarray(matrix.sum(axis=1))
-    matrix.data /= np.repeat(np.where(sums, sums, 1), np.diff(matrix.indptr))
-    return matrix
+    return normalised(matrix)

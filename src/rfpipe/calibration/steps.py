@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -31,7 +31,7 @@ from rfpipe.calibration.linearity import (
     measure_linearity,
     power_law,
 )
-from rfpipe.calibration.mapping import SmoothMap, fit_map, inner
+from rfpipe.calibration.mapping import SmoothMap
 from rfpipe.calibration.rays import RayFit, fit_rays
 from rfpipe.calibration.symmetry import measure_symmetry, symmetry_findings, take_symmetry
 from rfpipe.calibration.transfer import (
@@ -40,12 +40,11 @@ from rfpipe.calibration.transfer import (
     take_levels,
     transfer_facts,
 )
-from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
+from rfpipe.calibration.views import find_views, layout_of_views, map_of_pixels, maps_of_views
 from rfpipe.config import CalibrationConfig
 from rfpipe.photometry import CameraModel, ResampledSensor, Resampling
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
-from rfpipe.rigs.geometry import pixel_middles
 from rfpipe.rigs.layout import ProjectorLayout
 
 __all__ = ["STEPS", "Bench", "Step", "camera_numbers", "steps_of"]
@@ -87,36 +86,23 @@ class Bench:
     @property
     def dark(self) -> Dark:
         """What the dark step found."""
-        facts, arrays = self.found["dark"].facts, self.found["dark"].arrays
-        return Dark(
-            facts["frames"],
-            arrays["black"],
-            np.array(facts["level_counts"]),
-            np.array(facts["variance_counts2"]),
-            facts["black_level_counts"],
-            facts["black_level_error"],
-            facts["current_counts_per_s"],
-            facts["current_error"],
-            arrays["hot"],
-        )
+        return Dark.of(self.found["dark"])
 
     @property
     def model(self) -> CameraModel:
         """The camera with the numbers found so far."""
-        model: CameraModel = camera_model(self.camera, camera_numbers(self.found))
-        return model
+        return replace(camera_model(self.camera), **camera_numbers(self.found))
 
     @property
     def lit(self) -> Projector:
         """The projector in linear light."""
-        return LinearProjector(self.projector, self.found["light"].arrays["projector_response"])
+        return LinearProjector(self.projector, self.found["light"].arrays["light"])
 
     def radiance(
         self, projector: Projector, pictures: Iterable[Float]
     ) -> Iterator[tuple[Float, Float]]:
         """Show pictures; yield merged radiance and variance of each."""
-        dark = self.dark
-        return take_radiance(projector, self.camera, self.model, dark.black, dark.count, pictures)
+        return take_radiance(projector, self.camera, self.model, self.dark, pictures)
 
 
 @dataclass(frozen=True)
@@ -195,16 +181,13 @@ def _correspondence(bench: Bench) -> Findings:
 
 def _rays(bench: Bench) -> Findings:
     settings, display = bench.settings, bench.projector.shape
-    found = Correspondence.from_arrays(bench.found["correspondence"].arrays)
-    points = pixel_middles(bench.camera.shape)
+    found = Correspondence.of(bench.found["correspondence"])
     corners = settings.corners
     if settings.views is not None and corners is None:
         corners = tuple(find_views(found, settings.views))  # type: ignore[arg-type]
     if corners is None:
         layout = ProjectorLayout.grid(display, bench.rays or display)
-        there = np.stack([found.x, found.y], axis=-1)
-        valid = found.valid
-        maps = [fit_map(points[valid], there[valid], inner(valid)[valid])]
+        maps = [map_of_pixels(found, found.valid)]
     else:
         layout = layout_of_views(corners, bench.rays or _rays_a_view(corners), display)
         maps = maps_of_views(found, corners)
@@ -280,13 +263,10 @@ def steps_of(settings: CalibrationConfig) -> list[Step]:
 
 def _rays_a_view(corners: Iterable[Any]) -> tuple[int, int]:
     """Return as many rays a view as the smallest view has projector pixels a side."""
-    sides = []
-    for quad in corners:
-        upper_left, upper_right, lower_right, lower_left = np.array(quad)
-        tall = min(np.hypot(*(lower_left - upper_left)), np.hypot(*(lower_right - upper_right)))
-        wide = min(np.hypot(*(upper_right - upper_left)), np.hypot(*(lower_right - lower_left)))
-        sides.append((tall, wide))
-    tall, wide = np.min(sides, axis=0)
+    outlines = np.array(corners)
+    # of each view the upper, right, lower and left side
+    sides = np.linalg.norm(np.roll(outlines, -1, axis=1) - outlines, axis=-1)
+    wide, tall = sides.reshape(-1, 2).min(axis=0)
     return max(1, int(tall)), max(1, int(wide))
 
 

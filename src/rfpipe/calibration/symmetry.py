@@ -15,7 +15,7 @@ from rfpipe.photometry import MergeOptions
 from rfpipe.provenance import generator
 from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY, Rig
 
-__all__ = ["SCALES", "Scale", "Symmetry", "measure_symmetry", "random_signs", "symmetry_findings",
+__all__ = ["Scale", "Symmetry", "measure_symmetry", "random_signs", "symmetry_findings",
            "take_symmetry"]  # fmt: skip
 
 Double = NDArray[np.float64]
@@ -73,15 +73,14 @@ def random_signs(shape: tuple[int, ...], side: int, count: int, seed: int) -> Do
 
 def take_symmetry(
     rig: Rig, count: int, black_count: int, seed: int = 0
-) -> tuple[Double, Double, dict[int, tuple[Double, Double, Double]]]:
+) -> tuple[Double, Double, list[_Pictures]]:
     """Take what `measure_symmetry` needs.
 
     Returns
     -------
     floodlit, variance : ndarray of float64, shape (N, C)
-    patterns : dict
-        For each side of patches: signs (count, N), radiance and variance (count, N, C) under the
-        pattern that is 1 where the sign is, else 0.
+    pictures : list
+        For each side of patches, from single rays on.
     """
     shape = rig.projector_shape
 
@@ -102,19 +101,20 @@ def take_symmetry(
         total = total + rig.capture(off, [(BLACK_LEVEL_KEY, index)])[0].astype(np.float64)
     black = np.asarray(total / black_count, np.float32)
     merge = rig.sensor.merging(black, MergeOptions(black_count))
-    on, spread = merged(np.ones((black_count, *shape), np.float32), FLOODLIT_KEY)
-    patterns = {}
+    on, noise = merged(np.ones((black_count, *shape), np.float32), FLOODLIT_KEY)
+    floodlit, variance = on.mean(axis=0), noise.mean(axis=0) / black_count
+    pictures = []
     for side in SCALES:
         if side > 1 and side * 2 > max(RayDomain(shape).image_shape):
             continue
         signs = random_signs(shape, side, count, seed)
-        patterns[side] = (signs.reshape(count, -1), *merged((signs > 0).astype(np.float32), side))
-    return on.mean(axis=0), spread.mean(axis=0) / black_count, patterns
+        radiance, spread = merged((signs > 0).astype(np.float32), side)
+        of_signs = 2 * radiance - floodlit, 4 * spread + variance
+        pictures.append(_Pictures(side, signs.reshape(count, -1), *of_signs, radiance, spread))
+    return floodlit, variance, pictures
 
 
-def measure_symmetry(
-    floodlit: Double, variance: Double, patterns: dict[int, tuple[Double, Double, Double]]
-) -> Symmetry:
+def measure_symmetry(floodlit: Double, variance: Double, pictures: list[_Pictures]) -> Symmetry:
     """Measure asymmetry from pictures under random patterns.
 
     Parameters as `take_symmetry` returns.
@@ -132,10 +132,7 @@ def measure_symmetry(
     photography stores ``T - K / 2``, so that a picture under ``p = (1 + s1) / 2`` is off by
     ``K p / 2``. The noise's own share of the mean squares is subtracted.
     """
-    fine, *_ = pictures = [
-        _Pictures(side, signs, 2 * radiance - floodlit, 4 * spread + variance, radiance, spread)
-        for side, (signs, radiance, spread) in sorted(patterns.items())
-    ]
+    fine = pictures[0]
     if min(len(one.signs) for one in pictures) < 2:
         raise CaptureError("one pattern of patches of a size makes no pair; expected 2 or more")
     ahead = np.einsum("in,nc->ic", fine.signs, floodlit)
@@ -146,7 +143,10 @@ def measure_symmetry(
 
 @dataclass(frozen=True, eq=False)
 class _Pictures:
-    """Pictures under random signs of one size of patches, (count, N, C)."""
+    """Pictures of random signs (count, N) of one size of patches, and their noise, (count, N, C).
+
+    Radiance and spread are those under the pattern that is 1 where the sign is, else 0.
+    """
 
     side: int
     signs: Double

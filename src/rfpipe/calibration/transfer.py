@@ -144,13 +144,13 @@ def measure_transfer(
     exposures and levels are sorted by their mean signal into bins; the mean difference of a bin is
     subtracted, so that a lamp that flickers between the two pictures adds no noise.
     """
-    span = white_level - dark.black_level
+    span = white_level - dark.black_level_counts
     times = np.asarray(exposures, float)
     edges = _edges(span)
     total = Bins.none(len(edges) - 1)
     fine = Bins.none(PHASES * total.pairs.size)
     counts = np.zeros(white_level + 1, np.int64)
-    current = dark.current * times
+    current = dark.current_counts_per_s * times
     good = ~dark.hot
     for frames in levels:
         if len(frames) < 2:
@@ -162,7 +162,7 @@ def measure_transfer(
             light, finer = _pooled(pair, raw < SAFE * white_level, times)
             for k in range(len(times)):
                 # a photosite's own, fixed differences between them averaging to zero
-                glow = dark.black[k][good] - dark.black_level
+                glow = dark.black[k][good] - dark.black_level_counts
                 signal = pair[:, k].mean(axis=0)
                 total = total.plus(
                     _binned(pair[:, k], signal + glow, _bin_of(signal, edges), len(total.pairs))
@@ -178,7 +178,7 @@ def measure_transfer(
     # longer exposures have to tell the signal
     total = total.replaced_by(fine.averaged(PHASES), total.variance < HIDDEN)
     total = replace(total, steps=_steps(total.signal, response, span))
-    used = _usable(total, _limit(saturation, dark.black_level, response, span))
+    used = _usable(total, _limit(saturation, dark.black_level_counts, response, span))
     if used.sum() < 2:
         raise CaptureError(
             "the flat pictures hold no light between darkness and saturation; check projector and "
@@ -198,7 +198,7 @@ def transfer_facts(transfer: Transfer, dark: Dark) -> Findings:
         "read_noise_electrons": fit.read_noise,
         "read_noise_error": fit.read_noise_error,
         "full_well_electrons": transfer.full_well,
-        "dark_current_electrons": max(0.0, dark.current * fit.gain),
+        "dark_current_electrons": max(0.0, dark.current_counts_per_s * fit.gain),
         "dark_current_error": dark.current_error * fit.gain,
         "saturation_counts": transfer.saturation,
         "saturated": transfer.saturated,
@@ -259,7 +259,7 @@ def _linear(
     """Return the signal of counts (2, E, n), in linear counts."""
     if response is None:
         return np.asarray(raw - dark.black[:, good].astype(np.float64))
-    return np.asarray(span * response.linearise((raw - dark.black_level) / span))
+    return np.asarray(span * response.linearise((raw - dark.black_level_counts) / span))
 
 
 def _pooled(
@@ -339,7 +339,7 @@ def _usable(bins: Bins, limit: float) -> NDArray[np.bool_]:
 
 def _dark_bins(dark: Dark, current: Double) -> Bins:
     """Return the dark frames as bins of next to no signal."""
-    pairs = np.full(len(current), float((dark.count - 1) * (~dark.hot).sum()))
+    pairs = np.full(len(current), float((dark.frames - 1) * (~dark.hot).sum()))
     variance = np.maximum(dark.variance, 0)
     return Bins(
         pairs, pairs * current, pairs * variance, pairs * 3 * variance**2, np.ones_like(pairs)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from rfpipe.rigs.geometry import (
 )
 from rfpipe.rigs.layout import ProjectorLayout
 
-__all__ = ["find_views", "layout_of_views", "maps_of_views"]
+__all__ = ["find_views", "layout_of_views", "map_of_pixels", "maps_of_views"]
 
 Double = NDArray[np.float64]
 
@@ -64,10 +65,7 @@ def find_views(correspondence: Correspondence, views: tuple[int, int]) -> list[Q
             f"picture; expected {views[0]} x {views[1]}. Leave dark gaps between the mirrors' "
             "pictures, or give the views' corners in the settings"
         )
-    quads = []
-    for part in largest:
-        inside = parts == part
-        quads.append(_corners(np.stack([correspondence.x[inside], correspondence.y[inside]], -1)))
+    quads = [_corners(correspondence.points[parts == part]) for part in largest]
     middle = np.array([np.mean(quad, axis=0) for quad in quads])
     rows = np.argsort(middle[:, 1], kind="stable").reshape(views)
     ordered = [row[np.argsort(middle[row, 0], kind="stable")] for row in rows]
@@ -112,30 +110,32 @@ def maps_of_views(
     correspondence: Correspondence, corners: Sequence[Quadrilateral]
 ) -> list[SmoothMap]:
     """Fit the map from camera to projector of each view, to the pixels that look into it."""
-    points = pixel_middles(correspondence.valid.shape)
-    there = np.stack([correspondence.x, correspondence.y], axis=-1)
     maps = []
     for quad in corners:
-        place = apply_homography(np.linalg.inv(homography((1, 1), quad)), there)
+        place = apply_homography(np.linalg.inv(homography((1, 1), quad)), correspondence.points)
         inside = correspondence.valid & ((place >= 0) & (place <= 1)).all(axis=-1)
-        maps.append(fit_map(points[inside], there[inside], inner(inside)[inside]))
+        maps.append(map_of_pixels(correspondence, inside))
     return maps
+
+
+def map_of_pixels(correspondence: Correspondence, inside: NDArray[np.bool_]) -> SmoothMap:
+    """Fit the map from camera to projector to some of the camera's pixels."""
+    here, there = pixel_middles(inside.shape), correspondence.points
+    return fit_map(here[inside], there[inside], inner(inside)[inside])
 
 
 def _connected(correspondence: Correspondence) -> NDArray[np.bool_]:
     """Return the valid pixels without those next to a jump of the projector's coordinates."""
     inside = correspondence.valid.copy()
+    maps: list[NDArray[Any]] = [correspondence.points, correspondence.valid, inside]
     for axis in (0, 1):
-        step = np.hypot(np.diff(correspondence.x, axis=axis), np.diff(correspondence.y, axis=axis))
-        both = np.moveaxis(correspondence.valid, axis, 0)
-        both = np.moveaxis(both[1:] & both[:-1], 0, axis)
-        if not both.any():
-            continue
-        jump = both & (step > JUMP * max(float(np.median(step[both])), 1e-6))
-        cut = np.moveaxis(inside, axis, 0)
-        ahead = np.moveaxis(jump, axis, 0)
-        cut[1:] &= ~ahead
-        cut[:-1] &= ~ahead
+        points, valid, cut = (np.moveaxis(array, axis, 0) for array in maps)
+        step = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+        both = valid[1:] & valid[:-1]
+        if both.any():
+            jump = both & (step > JUMP * max(float(np.median(step[both])), 1e-6))
+            cut[1:] &= ~jump
+            cut[:-1] &= ~jump
     return inside
 
 

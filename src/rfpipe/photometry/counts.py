@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -91,7 +91,6 @@ class CountsMerge:
         black = np.asarray(black, np.float32)
         check_black(black, len(camera.exposures))
         self._camera = camera
-        self._options = options
         self._shape = black.shape
         self._collection = [
             camera.electrons_per_radiance * exposure for exposure in camera.exposures
@@ -118,21 +117,17 @@ class CountsMerge:
             When frames have the wrong shape, dtype or range; names the pattern.
         """
         frames = np.asarray(frames)
-        options = replace(self._options, first_index=first_index)
-        check_shape(frames, self._shape, options)
-        check_frames(frames, self._camera.white_level, options)
-        is_compiled = self._known >= COMPILED_AFTER
+        check_shape(frames, self._shape, first_index)
+        check_frames(frames, self._camera.white_level, first_index)
+        merge = self._by_kernel if self._known >= COMPILED_AFTER else self._by_numpy
         self._known += frames.size
-        radiance, variance, saturated = (
-            self._by_kernel(frames) if is_compiled else self._by_numpy(frames)
-        )
+        radiance, variance = np.empty((2, len(frames), *self._shape[1:]), RADIANCE)
+        saturated = merge(frames, radiance, variance)
         if self._camera.bayer is None:
             return Merged(radiance, variance, saturated)
         return Merged(*demosaic(radiance, variance, self._camera.bayer), saturated)
 
-    def _by_numpy(self, frames: NDArray[Any]) -> tuple[Float, Float, int]:
-        shape = (len(frames), *self._shape[1:])
-        radiance, variance = np.empty(shape, RADIANCE), np.empty(shape, RADIANCE)
+    def _by_numpy(self, frames: NDArray[Any], radiance: Float, variance: Float) -> int:
         saturated = 0
         for index, bracket in enumerate(frames):
             if self._is_linear:
@@ -146,16 +141,14 @@ class CountsMerge:
                 electrons, bracket < self._usable_below, self._collection, noise, self._full_scale
             )
             saturated += lost
-        return radiance, variance, saturated
+        return saturated
 
-    def _by_kernel(self, frames: NDArray[Any]) -> tuple[Float, Float, int]:
+    def _by_kernel(self, frames: NDArray[Any], radiance: Float, variance: Float) -> int:
         from rfpipe.photometry.kernels import merge_counts
 
         count, exposures = frames.shape[:2]
         flat = (count, exposures, -1)
         none = np.zeros(0, np.float32)
-        shape = (count, *self._shape[1:])
-        radiance, variance = np.empty(shape, RADIANCE), np.empty(shape, RADIANCE)
         saturated = merge_counts(
             np.ascontiguousarray(frames, COUNTS).reshape(flat),
             self._background.reshape(flat[1:]),
@@ -170,7 +163,7 @@ class CountsMerge:
             radiance.reshape(count, -1),
             variance.reshape(count, -1),
         )
-        return radiance, variance, int(saturated)
+        return int(saturated)
 
 
 def electrons_of_counts(camera: CameraNumbers, options: MergeOptions) -> Float:

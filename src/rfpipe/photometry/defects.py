@@ -52,18 +52,12 @@ class DarkFrames:
     ----------
     count : int
         Brackets seen.
-    dtype : numpy.dtype
-        Theirs.
-    shape : tuple of int
-        (E, ...), theirs.
     least, most : ndarray, shape (E, ...)
-        The smallest and the largest value of each sample.
+        The smallest and the largest value of each sample, in the brackets' dtype.
     """
 
     def __init__(self) -> None:
         self.count = 0
-        self.dtype: np.dtype[Any] = np.dtype(np.float64)
-        self.shape: tuple[int, ...] = ()
         self._first = self._total = self._squares = np.zeros(0)
         self.least: NDArray[Any] = np.zeros(0)
         self.most: NDArray[Any] = np.zeros(0)
@@ -79,9 +73,8 @@ class DarkFrames:
         """Take brackets (B, E, ...) into account."""
         for bracket in frames:
             if not self.count:
-                self.dtype, self.shape = bracket.dtype, bracket.shape
                 self._first = bracket.astype(np.float64)
-                self._total, self._squares = np.zeros(self.shape), np.zeros(self.shape)
+                self._total, self._squares = np.zeros((2, *bracket.shape))
                 self.least = self.most = bracket
             self._total += bracket
             # about the first one, so that a high black level doesn't drown its noise
@@ -131,12 +124,12 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
     noise of any other and is none of these, whatever its neighbours see. Where the converter's
     steps hide that noise a constant count says nothing, and no pixel is called dead.
     """
-    if len(dark.shape) < 3 or dark.shape != floodlit_frames.shape:
+    if dark.least.ndim < 3 or dark.least.shape != floodlit_frames.shape:
         raise CaptureError(
-            f"all-off frames {dark.shape} and floodlit frames {floodlit_frames.shape} don't belong "
-            "together; expected both to be (exposures, ...)"
+            f"all-off frames {dark.least.shape} and floodlit frames {floodlit_frames.shape} don't "
+            "belong together; expected both to be (exposures, ...)"
         )
-    hot = _hot(dark, _rounding(dark.dtype, floodlit_frames) / np.sqrt(dark.count))
+    hot = find_hot(dark, floodlit_frames)
     dead = _constant(dark, floodlit_frames)
     has_channels = len(sensor.frame_shape((2, 2), 3)) == 4
     if not has_channels:
@@ -151,23 +144,21 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
     return DefectMap(mask, int(hot_pixels.sum()), int((dead_pixels & ~hot_pixels).sum()))
 
 
-def find_hot(dark: DarkFrames) -> Mask:
-    """Find the photosites with an outlying black level or noise, from dark frames of counts.
+def find_hot(dark: DarkFrames, floodlit_frames: NDArray[Any] | None = None) -> Mask:
+    """Find the photosites with an outlying black level or noise.
 
     Parameters
     ----------
     dark : DarkFrames
-        Of uint16 counts.
+    floodlit_frames : ndarray, optional
+        What the rounding of float32 frames is relative to; counts don't need it.
 
     Returns
     -------
     ndarray of bool, shape of a frame
     """
-    return _hot(dark, _rounding(dark.dtype, np.zeros(1)) / np.sqrt(dark.count))
-
-
-def _hot(dark: DarkFrames, floor: float) -> Mask:
-    """Return the hot photosites; the mean of dark frames is no more certain than `floor`."""
+    # the mean of dark frames is no more certain than their rounding
+    floor = _rounding(dark.least.dtype, floodlit_frames) / np.sqrt(dark.count)
     count, black = dark.count, dark.mean
     variance = dark.variance if count > 1 else None
     hot = np.zeros(black.shape[1:], bool)
@@ -185,7 +176,7 @@ def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
     # a black level at the converter's lower end cuts the noise off
     constant &= ~((dark.least == 0) & (np.median(dark.least) == 0))
     stuck: Mask = np.asarray(constant.all(axis=0))
-    if dark.count < 2 or dark.dtype.kind != "u":
+    if dark.count < 2 or dark.least.dtype.kind != "u":
         return np.zeros_like(stuck)
     chance = log(constant[0].size)
     for variance in dark.variance:
@@ -197,9 +188,9 @@ def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
     return stuck if chance < -(SIGNIFICANCE**2) / 2 else np.zeros_like(stuck)
 
 
-def _rounding(dtype: np.dtype[Any], floodlit_frames: NDArray[Any]) -> float:
+def _rounding(dtype: np.dtype[Any], floodlit_frames: NDArray[Any] | None) -> float:
     """Return a frame's rounding as standard deviation: of counts, or of float32 at full scale."""
-    if dtype.kind == "u":
+    if dtype.kind == "u" or floodlit_frames is None:
         return float(1 / np.sqrt(12))
     largest = float(np.abs(floodlit_frames).max(initial=0))
     return float(np.finfo(np.float32).eps) * largest

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,16 +13,16 @@ from rfpipe.errors import InputError
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["BAYER_PATTERNS", "check_mosaic", "demosaic", "demosaic_matrices", "mosaic"]
+__all__ = ["BAYER_PATTERNS", "check_mosaic", "demosaic", "filled_in", "mosaic"]
 
 Float = NDArray[np.float32]
 
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Colours of the photosites (0, 0), (0, 1), (1, 0), (1, 1)."""
 
-_GREEN = (1.0, 0.25, 0.0)
-_RED_AND_BLUE = (1.0, 0.5, 0.25)
-"""Bilinear weights of a pixel's own photosite, of its direct neighbours and its diagonal ones."""
+_DIRECT, _DIAGONAL = (0.5, 0.25, 0.5), (0.25, 0.0, 0.25)
+"""Bilinear weights in red, green and blue of a pixel's direct and of its diagonal neighbours that
+have the colour; its own photosite has a weight of 1."""
 
 
 def check_mosaic(camera_shape: tuple[int, ...], channels: int) -> None:
@@ -38,11 +38,10 @@ def check_mosaic(camera_shape: tuple[int, ...], channels: int) -> None:
 
 def mosaic(image: Float, pattern: str) -> Float:
     """Sample an image (*camera_shape, 3) at each photosite's own colour, (*camera_shape)."""
-    sampled = np.empty(image.shape[:-1], image.dtype)
-    for position, colour in enumerate(pattern):
-        y, x = divmod(position, 2)
-        sampled[..., y::2, x::2] = image[..., y::2, x::2, "RGB".index(colour)]
-    return sampled
+    colour = _sampled(image.shape[-3:-1], pattern).argmax(axis=0)
+    return np.take_along_axis(image, np.broadcast_to(colour, image.shape[:-1])[..., None], -1)[
+        ..., 0
+    ]
 
 
 def demosaic(radiance: Float, variance: Float, pattern: str) -> tuple[Float, Float]:
@@ -69,72 +68,73 @@ def demosaic(radiance: Float, variance: Float, pattern: str) -> tuple[Float, Flo
     colour-demosaicing, which it agrees with elsewhere, doubles them instead: red comes out 2.25
     times too bright in a corner.
     """
-    shape = radiance.shape[-2:]
-    planes = demosaic_matrices(shape, pattern), _squares(shape, pattern)
-    colour, spread = (
-        _filled(image, matrices)
-        for image, matrices in zip((radiance, variance), planes, strict=True)
-    )
-    return colour, spread
+    return _filled(radiance, pattern, 1), _filled(variance, pattern, 2)
 
 
-@lru_cache(maxsize=2)
-def demosaic_matrices(shape: tuple[int, ...], pattern: str) -> tuple[csr_array[Any], ...]:
-    """Return `demosaic` of one view as matrices, one for each colour.
+def _filled(samples: Float, pattern: str, power: int) -> Float:
+    """Interpolate samples (..., H, W), with a power of the weights."""
+    views = np.asarray(samples, np.float32).reshape(-1, *samples.shape[-2:])
+    filled = np.empty((*views.shape, 3), np.float32)
+    weights = _sampled(views.shape[1:], pattern), _DIRECT, _DIAGONAL
+    for channel, (own, direct, diagonal) in enumerate(zip(*weights, strict=True)):
+        for view, result in zip(views, filled, strict=True):
+            around = np.pad(np.where(own, view, np.float32(0)), 1, mode="reflect")
+            # a border pixel's two neighbours are one: their weights add up before they're raised
+            around[[0, -1]] *= 2**power - 1
+            around[:, [0, -1]] *= 2**power - 1
+            vertical = around[:-2] + around[2:]
+            colour = around[1:-1, :-2] + around[1:-1, 2:]
+            colour += vertical[:, 1:-1]
+            colour *= direct**power
+            colour += around[1:-1, 1:-1]
+            if diagonal:
+                colour += diagonal**power * (vertical[:, :-2] + vertical[:, 2:])
+            result[..., channel] = colour
+    return filled.reshape(*samples.shape, 3)
+
+
+def filled_in(matrix: csr_array[Any], shape: tuple[int, int], pattern: str) -> list[csr_array[Any]]:
+    """Return what weighs pixels as what weighs the photosites that `demosaic` fills them from.
 
     Parameters
     ----------
-    shape : tuple of int
+    matrix : csr_array of float32, shape (n, H W)
+    shape : (int, int)
         Height and width, at least 2 each.
     pattern : str
         One of `BAYER_PATTERNS`.
 
     Returns
     -------
-    tuple of 3 csr_array of float32, shape (H W, H W)
-        From photosites to pixels; rows sum to 1.
+    list of 3 csr_array of float32, shape (n, H W)
+        For red, green and blue.
     """
-    colours = np.empty(shape, "<U1")
-    for position, colour in enumerate(pattern):
-        y, x = divmod(position, 2)
-        colours[y::2, x::2] = colour
-    return tuple(_filling(colours, colour) for colour in "RGB")
-
-
-@lru_cache(maxsize=2)
-def _squares(shape: tuple[int, ...], pattern: str) -> tuple[csr_array[Any], ...]:
-    """Return `demosaic_matrices` with squared weights, for the variance."""
-    return tuple(matrix.power(2) for matrix in demosaic_matrices(shape, pattern))
-
-
-def _filled(image: Float, matrices: tuple[csr_array[Any], ...]) -> Float:
-    """Apply a matrix for each colour to images (..., H, W)."""
-    views = np.asarray(image, np.float32).reshape(-1, matrices[0].shape[1])
-    colour = np.empty((*views.shape, 3), np.float32)
-    for view, filled in zip(views, colour, strict=True):
-        for channel, matrix in enumerate(matrices):
-            filled[:, channel] = matrix @ view
-    return colour.reshape(*image.shape, 3)
-
-
-def _filling(colours: NDArray[np.str_], colour: str) -> csr_array[Any]:
-    """Return the interpolation of one colour as a matrix."""
     from scipy.sparse import coo_array
 
-    height, width = colours.shape
-    targets, sources, weights = [], [], []
-    for dy in (-1, 0, 1):
-        for dx in (-1, 0, 1):
-            away = abs(dy) + abs(dx)
-            weight = _GREEN[away] if colour == "G" else _RED_AND_BLUE[away]
-            # mirrored about the border pixel, which then counts twice
-            rows = np.pad(np.arange(height), 1, mode="reflect")[1 + dy :][:height]
-            columns = np.pad(np.arange(width), 1, mode="reflect")[1 + dx :][:width]
-            sampled = colours[np.ix_(rows, columns)].ravel() == colour
-            sources.append((rows[:, None] * width + columns).ravel()[sampled])
-            targets.append(np.flatnonzero(sampled))
-            weights.append(np.full(len(targets[-1]), weight, np.float32))
-    at = np.concatenate(targets), np.concatenate(sources)
-    matrix = coo_array((np.concatenate(weights), at), shape=(colours.size, colours.size)).tocsr()
-    matrix.eliminate_zeros()
-    return matrix
+    weighed = matrix.tocoo()
+    pixel = np.divmod(weighed.col, shape[1])
+    found = []
+    for own, direct, diagonal in zip(_sampled(shape, pattern), _DIRECT, _DIAGONAL, strict=True):
+        parts = []
+        for step in product((-1, 0, 1), repeat=2):
+            # mirrored about the border pixel
+            y, x = (
+                extent - 1 - np.abs(extent - 1 - np.abs(at + by))
+                for at, by, extent in zip(pixel, step, shape, strict=True)
+            )
+            source = y * shape[1] + x
+            weight = np.float32((1, direct, diagonal)[np.count_nonzero(step)])
+            used = own.ravel()[source] & (weight > 0)
+            parts.append((weight * weighed.data[used], weighed.row[used], source[used]))
+        values, rows, columns = map(np.concatenate, zip(*parts, strict=True))
+        found.append(coo_array((values, (rows, columns)), shape=matrix.shape).tocsr())
+    return found
+
+
+def _sampled(shape: tuple[int, ...], pattern: str) -> NDArray[np.bool_]:
+    """Return whether a photosite has the colour red, green or blue, (3, H, W)."""
+    sampled = np.zeros((3, *shape), bool)
+    for position, colour in enumerate(pattern):
+        y, x = divmod(position, 2)
+        sampled["RGB".index(colour), y::2, x::2] = True
+    return sampled

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import ray_shape
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.photometry.demosaic import demosaic_matrices
+from rfpipe.photometry.demosaic import filled_in
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
 from rfpipe.provenance import fingerprint
 from rfpipe.units import RADIANCE
@@ -304,8 +304,7 @@ class ResampledSensor(Sensor):
         matrix = self.resampling.matrix
         if self.sensor.bayer is None:
             return [matrix]
-        filled = demosaic_matrices(self.resampling.camera_shape, self.sensor.bayer)
-        return [(matrix @ colour).tocsr() for colour in filled]
+        return filled_in(matrix, self.resampling.camera_shape, self.sensor.bayer)
 
     @cached_property
     def squares(self) -> list[csr_array[Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
 
@@ -66,8 +66,6 @@ class MergeOptions:
         Counts at or above this fraction of full scale are saturated and not used, in (0, 1].
     response : Response, optional
         A recovered response, used in place of the camera's nominal one.
-    first_index : int
-        Index of the batch's first pattern, for error messages.
     brackets : int
         Brackets to come, where that is known: for many, a compiled merge is loaded at once.
     """
@@ -75,7 +73,6 @@ class MergeOptions:
     black_count: int = 1
     saturation_fraction: float = 0.98
     response: Response | None = None
-    first_index: int = 0
     brackets: int = 0
 
     def __post_init__(self) -> None:
@@ -126,8 +123,7 @@ class Sensor(Protocol):
         Raises CaptureError where a frame can't be one of this sensor's: names the pattern and the
         pixel.
         """
-        options = options or MergeOptions()
-        return self.merging(black, options)(frames, options.first_index)
+        return self.merging(black, options)(frames)
 
     def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:
         """Return `merge` for many brackets, all that depends on `black` alone worked out once.
@@ -164,30 +160,27 @@ class ExactSensor(Sensor):
         """Return the radiance as the only frame of a bracket, float32 (1, *camera_shape, C)."""
         return check_light(radiance, key)[None]
 
-    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:
+    def merging(self, black: NDArray[Any], options: MergeOptions | None = None) -> BracketMerge:  # noqa: ARG002
         """Return what subtracts the all-off frame; the variance is zero."""
         check_black(np.asarray(black), 1)
-        return partial(_subtracted, np.asarray(black), options or MergeOptions())
+        return partial(_subtracted, np.asarray(black))
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""
         return {"kind": "exact"}
 
 
-def _subtracted(
-    black: NDArray[Any], options: MergeOptions, frames: NDArray[Any], first_index: int = 0
-) -> Merged:
+def _subtracted(black: NDArray[Any], frames: NDArray[Any], first_index: int = 0) -> Merged:
     """Merge brackets of one exact exposure."""
     frames = np.asarray(frames)
-    options = replace(options, first_index=first_index)
-    check_shape(frames, black.shape, options)
-    for index, frame in enumerate(frames):
-        _check_values(frame, f"pattern {first_index + index}")
+    check_shape(frames, black.shape, first_index)
+    for index, frame in enumerate(frames, first_index):
+        _check_values(frame, f"pattern {index}")
     radiance = np.subtract(frames[:, 0], black[0], dtype=RADIANCE)
     return Merged(radiance, np.zeros_like(radiance), 0)
 
 
-def check_frames(frames: NDArray[Any], white_level: int, options: MergeOptions) -> None:
+def check_frames(frames: NDArray[Any], white_level: int, first_index: int) -> None:
     """Raise CaptureError unless the frames hold counts from 0 to `white_level`."""
     if frames.dtype.kind != "u":
         raise CaptureError(
@@ -196,7 +189,7 @@ def check_frames(frames: NDArray[Any], white_level: int, options: MergeOptions) 
     if frames.size and int(frames.max()) > white_level:
         where = np.unravel_index(int(frames.argmax()), frames.shape)
         raise CaptureError(
-            f"pattern {options.first_index + int(where[0])} holds {frames[where]} counts at "
+            f"pattern {first_index + int(where[0])} holds {frames[where]} counts at "
             f"exposure {int(where[1])}, {place(where[2:])}; this camera's full scale is "
             f"{white_level}: check its bits"
         )
@@ -213,16 +206,16 @@ def check_black(black: NDArray[Any], exposures: int) -> None:
         raise CaptureError("the all-off frames hold NaN or infinity; take them again")
 
 
-def check_shape(frames: NDArray[Any], bracket: tuple[int, ...], options: MergeOptions) -> None:
+def check_shape(frames: NDArray[Any], bracket: tuple[int, ...], first_index: int) -> None:
     """Raise CaptureError unless the brackets (B, E, ...) have the shape of the all-off one."""
     if frames.ndim != 1 + len(bracket) or frames.shape[1] != bracket[0]:
         raise CaptureError(
-            f"pattern {options.first_index}: frames have the shape {frames.shape}; expected "
+            f"pattern {first_index}: frames have the shape {frames.shape}; expected "
             f"(patterns, {bracket[0]} exposures, *camera_shape[, channels])"
         )
     if frames.shape[1:] != bracket:
         raise CaptureError(
-            f"pattern {options.first_index}: brackets have the shape {frames.shape[1:]}, the "
+            f"pattern {first_index}: brackets have the shape {frames.shape[1:]}, the "
             f"all-off one {bracket}; all must be of one camera and setting"
         )
 

@@ -182,15 +182,15 @@ def _linearity(findings: Findings) -> Figure:
 def _light(findings: Findings) -> Figure:
     """Draw the projector's response."""
     arrays = findings.arrays
-    codes, measured = arrays["light_codes"], arrays["light_measured"]
-    response, every = arrays["projector_response"], np.arange(256)
+    codes, measured = arrays["codes"], arrays["measured"]
+    response, every = arrays["light"], np.arange(256)
     figure, (left, right) = _plots(
         ("code", "light, fraction of code 255"), ("code", "less gamma 2.2, %")
     )
     left.plot(every, response, **_FIT)
     left.plot(codes, measured, color=_BLUE, **_DOTS)
     right.plot(every, 100 * (response - (every / 255) ** 2.2), **_FIT)
-    _measured(right, codes, measured - (codes / 255) ** 2.2, arrays["light_error"], scale=100)
+    _measured(right, codes, measured - (codes / 255) ** 2.2, arrays["error"], scale=100)
     return figure
 
 

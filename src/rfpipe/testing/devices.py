@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import closing
 from functools import partial
 from typing import Any
 
@@ -16,7 +15,7 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import Camera, Projector
-from rfpipe.testing.checks import require
+from rfpipe.testing.checks import require, require_equal_descriptions, require_raises
 
 __all__ = ["CameraContract", "ProjectorContract"]
 
@@ -46,20 +45,20 @@ class ProjectorContract:
 
     def test_shape(self) -> None:
         """A display has a height and a width."""
-        with self._projector() as projector:
+        with closing(self.make_projector()) as projector:
             shape = projector.shape
             require(len(shape) == 2 and min(shape) > 0, f"shape is {shape}")
 
     def test_shows_pixel_by_pixel(self) -> None:
         """Every pixel gives the light of its weight, and no other does."""
-        with self._projector() as projector:
+        with closing(self.make_projector()) as projector:
             for name, picture in _pictures(projector.shape).items():
                 projector.show(picture)
                 self._require_shown(projector, picture, name)
 
     def test_keeps_no_hold_of_the_picture(self) -> None:
         """What is done to the array afterwards doesn't change the light."""
-        with self._projector() as projector:
+        with closing(self.make_projector()) as projector:
             picture = _pictures(projector.shape)["noise"]
             given = picture.copy()
             projector.show(given)
@@ -68,7 +67,7 @@ class ProjectorContract:
 
     def test_takes_any_memory_layout(self) -> None:
         """Pictures may be transposed, strided or read-only."""
-        with self._projector() as projector:
+        with closing(self.make_projector()) as projector:
             picture = _pictures(projector.shape)["noise"]
             strided = np.repeat(picture, 2, axis=1)[:, ::2]
             frozen = picture.copy()
@@ -79,14 +78,14 @@ class ProjectorContract:
 
     def test_is_called_from_any_thread(self) -> None:
         """Pictures may come from threads other than that which opened the projector."""
-        with self._projector() as projector:
+        with closing(self.make_projector()) as projector:
             for name, picture in _pictures(projector.shape).items():
                 _in_a_thread(partial(projector.show, picture))
                 self._require_shown(projector, picture, f"{name}, from another thread")
 
     def test_rejects_what_cannot_be_shown(self) -> None:
         """Wrong shapes, weights outside [0, 1] and NaN are InputErrors, and show nothing."""
-        with self._projector() as projector:
+        with closing(self.make_projector()) as projector:
             height, width = projector.shape
             picture = _pictures(projector.shape)["noise"]
             projector.show(picture)
@@ -99,32 +98,24 @@ class ProjectorContract:
                 ("a negative weight", np.full_like(picture, -0.5)),
                 ("NaN", one_wrong),
             ):
-                _require_raises(InputError, partial(projector.show, wrong), f"shows {name}")
+                require_raises(
+                    InputError, partial(projector.show, wrong), f"the projector shows {name}"
+                )
             self._require_shown(projector, picture, "the picture before")
 
     def test_describes_itself(self) -> None:
         """`describe` gives plain data, the same for equal projectors."""
-        described = []
-        for _ in range(2):
-            with self._projector() as device:
-                described.append(json.dumps(device.describe(), sort_keys=True))
-        require(described[0] == described[1], f"equal projectors differ: {described}")
+        require_equal_descriptions(lambda: closing(self.make_projector()))
 
     def test_closes(self) -> None:
         """Closing twice is no error; a closed projector raises CaptureError."""
-        with self._projector() as projector:
+        with closing(self.make_projector()) as projector:
             picture = _pictures(projector.shape)["noise"]
             projector.close()
             projector.close()
-            _require_raises(CaptureError, partial(projector.show, picture), "shows while closed")
-
-    @contextmanager
-    def _projector(self) -> Iterator[Projector]:
-        projector = self.make_projector()
-        try:
-            yield projector
-        finally:
-            projector.close()
+            require_raises(
+                CaptureError, partial(projector.show, picture), "the projector shows while closed"
+            )
 
     def _require_shown(self, projector: Projector, picture: Float, name: str) -> None:
         light = self.read_back(projector)
@@ -160,7 +151,7 @@ class CameraContract:
 
     def test_shapes(self) -> None:
         """Frames have a height and a width, merged images 1 or 3 channels."""
-        with self._camera() as camera:
+        with closing(self.make_camera()) as camera:
             require(len(camera.shape) == 2 and min(camera.shape) > 0, f"shape is {camera.shape}")
             require(camera.channels in (1, 3), f"channels is {camera.channels}, not 1 or 3")
             exposures = camera.sensor.exposures
@@ -168,7 +159,7 @@ class CameraContract:
 
     def test_brackets(self) -> None:
         """Brackets have the sensor's shape and dtype, and counts that its bits can hold."""
-        with self._camera() as camera:
+        with closing(self.make_camera()) as camera:
             sensor = camera.sensor
             expected = sensor.frame_shape(camera.shape, camera.channels)
             for _ in range(3):
@@ -187,14 +178,14 @@ class CameraContract:
 
     def test_longer_exposures_are_not_darker(self) -> None:
         """The exposures of a bracket come in their order."""
-        with self._camera() as camera:
+        with closing(self.make_camera()) as camera:
             means = camera.expose().reshape(len(camera.sensor.exposures), -1).mean(axis=1)
             steps = np.diff(means) >= -self.steadiness * means[:-1]
             require(bool(steps.all()), f"mean counts of ascending exposures: {means}")
 
     def test_is_steady(self) -> None:
         """Two brackets of one thing are alike: no frame is an old or a foreign one."""
-        with self._camera() as camera:
+        with closing(self.make_camera()) as camera:
             first, second = (
                 camera.expose().reshape(len(camera.sensor.exposures), -1).mean(axis=1)
                 for _ in range(2)
@@ -204,7 +195,7 @@ class CameraContract:
 
     def test_keeps_no_hold_of_its_frames(self) -> None:
         """A bracket doesn't change when the next one is taken."""
-        with self._camera() as camera:
+        with closing(self.make_camera()) as camera:
             frames = camera.expose()
             before = frames.copy()
             camera.expose()
@@ -212,7 +203,7 @@ class CameraContract:
 
     def test_merges(self) -> None:
         """The sensor merges what the camera takes."""
-        with self._camera() as camera:
+        with closing(self.make_camera()) as camera:
             frames = camera.expose()
             merged = camera.sensor.merge(frames[None], np.zeros(frames.shape, np.float32))
             expected = (1, *camera.shape, camera.channels)
@@ -221,33 +212,21 @@ class CameraContract:
 
     def test_is_called_from_any_thread(self) -> None:
         """Brackets may be asked for by threads other than that which opened the camera."""
-        with self._camera() as camera:
+        with closing(self.make_camera()) as camera:
             frames = _in_a_thread(camera.expose)
             expected = camera.sensor.frame_shape(camera.shape, camera.channels)
             require(frames.shape == expected, f"from another thread: {frames.shape}")
 
     def test_describes_itself(self) -> None:
         """`describe` gives plain data, the same for equal cameras."""
-        described = []
-        for _ in range(2):
-            with self._camera() as device:
-                described.append(json.dumps(device.describe(), sort_keys=True))
-        require(described[0] == described[1], f"equal cameras differ: {described}")
+        require_equal_descriptions(lambda: closing(self.make_camera()))
 
     def test_closes(self) -> None:
         """Closing twice is no error; a closed camera raises CaptureError."""
-        with self._camera() as camera:
+        with closing(self.make_camera()) as camera:
             camera.close()
             camera.close()
-            _require_raises(CaptureError, camera.expose, "exposes while closed")
-
-    @contextmanager
-    def _camera(self) -> Iterator[Camera]:
-        camera = self.make_camera()
-        try:
-            yield camera
-        finally:
-            camera.close()
+            require_raises(CaptureError, camera.expose, "the camera exposes while closed")
 
 
 def _pictures(shape: tuple[int, int]) -> dict[str, Float]:
@@ -269,11 +248,3 @@ def _pictures(shape: tuple[int, int]) -> dict[str, Float]:
 def _in_a_thread(call: Callable[[], Any]) -> Any:
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(call).result()
-
-
-def _require_raises(kind: type[Exception], call: Callable[[], Any], what: str) -> None:
-    try:
-        call()
-    except kind:
-        return
-    raise AssertionError(f"the device {what} without raising {kind.__name__}")

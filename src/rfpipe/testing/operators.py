@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +13,13 @@ from rfpipe.testing.checks import require
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
 
+    from rfpipe.transport import Transport
+
 __all__ = ["dot_test"]
 
 
-class _Relightable(Protocol):
-    """A transport, as far as the dot test needs it."""
-
-    @property
-    def channels(self) -> int: ...
-
-    def channel(self, index: int, /) -> LinearOperator: ...
-
-
 def dot_test(
-    operator: _Relightable | LinearOperator | NDArray[Any], tolerance: float = 1e-5, seed: int = 0
+    operator: Transport | LinearOperator | NDArray[Any], tolerance: float = 1e-5, seed: int = 0
 ) -> float:
     """Check that an operator and its transpose belong together: ``(T p) . c = p . (T^T c)``.
 
@@ -52,11 +45,11 @@ def dot_test(
     """
     from scipy.sparse.linalg import aslinearoperator
 
-    if _is_transport(operator):
-        return max(
-            dot_test(operator.channel(index), tolerance, seed) for index in range(operator.channels)
-        )
-    linear: LinearOperator = aslinearoperator(cast("Any", operator))
+    given: Any = operator
+    if hasattr(given, "channel"):
+        channels = map(given.channel, range(given.channels))
+        return max(dot_test(channel, tolerance, seed) for channel in channels)
+    linear = aslinearoperator(given)
     random = generator(seed)
     pattern, image = (random.random(extent) for extent in reversed(linear.shape))
     seen = np.asarray(linear.matvec(pattern), np.float64)
@@ -71,7 +64,3 @@ def dot_test(
         f"{difference:.3g}, allowed {tolerance:.3g}",
     )
     return difference
-
-
-def _is_transport(operator: object) -> TypeGuard[_Relightable]:
-    return callable(getattr(operator, "channel", None))

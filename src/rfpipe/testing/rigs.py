@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from math import prod
 from typing import Any
 
@@ -14,7 +16,7 @@ from rfpipe.errors import InputError
 from rfpipe.photometry import MergeOptions
 from rfpipe.provenance import generator
 from rfpipe.rigs import BLACK_LEVEL_KEY, Rig
-from rfpipe.testing.checks import require
+from rfpipe.testing.checks import require, require_equal_descriptions, require_raises
 
 __all__ = ["RigContract"]
 
@@ -36,124 +38,114 @@ class RigContract:
     repeatable: bool = True
     significance: float = 6.0
 
-    _made: tuple[Rig, ...] = ()
-
     def make_rig(self) -> Rig:
         """Return a rig, each time anew and each time the same; small, to be quick."""
         raise NotImplementedError(f"{type(self).__name__} must define make_rig()")
 
-    def teardown_method(self) -> None:
-        """Close the rigs of a test that can be closed; pytest calls this."""
-        made, self._made = self._made, ()
-        for rig in made:
-            close = getattr(rig, "close", None)
-            if close is not None:
-                close()
-
-    def _opened(self) -> Rig:
+    @contextmanager
+    def _opened(self) -> Iterator[Rig]:
+        """Give a rig that can be closed back after its test."""
         rig = self.make_rig()
-        self._made = (*self._made, rig)
-        return rig
+        with ExitStack() as stack:
+            if hasattr(rig, "close"):
+                stack.callback(rig.close)
+            yield rig
 
     def test_shapes(self) -> None:
         """Shapes are those of ray domains, channels 1 or 3, exposures positive."""
-        rig = self._opened()
-        for name, shape in (("camera", rig.camera_shape), ("projector", rig.projector_shape)):
-            ray_shape(shape, f"{name}_shape")
-        require(rig.channels in (1, 3), f"channels is {rig.channels}, not 1 or 3")
-        require(min(rig.sensor.exposures) > 0, f"exposures are {rig.sensor.exposures}")
-        require(rig.seconds_per_pattern >= 0, "seconds_per_pattern is negative")
+        with self._opened() as rig:
+            for name, shape in (("camera", rig.camera_shape), ("projector", rig.projector_shape)):
+                ray_shape(shape, f"{name}_shape")
+            require(rig.channels in (1, 3), f"channels is {rig.channels}, not 1 or 3")
+            require(min(rig.sensor.exposures) > 0, f"exposures are {rig.sensor.exposures}")
+            require(rig.seconds_per_pattern >= 0, "seconds_per_pattern is negative")
 
     def test_frames(self) -> None:
         """Frames have the sensor's shape and dtype, also for a batch of none."""
-        rig = self._opened()
-        expected = rig.sensor.frame_shape(rig.camera_shape, rig.channels)
-        for count in (0, 1, 3):
-            frames = rig.capture(*_batch(rig, count))
-            require(
-                frames.shape == (count, *expected) and frames.dtype == rig.sensor.frame_dtype,
-                f"frames are {frames.dtype} {frames.shape}; expected {rig.sensor.frame_dtype} "
-                f"{(count, *expected)}",
-            )
+        with self._opened() as rig:
+            expected = rig.sensor.frame_shape(rig.camera_shape, rig.channels)
+            for count in (0, 1, 3):
+                frames = rig.capture(*_batch(rig, count))
+                require(
+                    frames.shape == (count, *expected) and frames.dtype == rig.sensor.frame_dtype,
+                    f"frames are {frames.dtype} {frames.shape}; expected {rig.sensor.frame_dtype} "
+                    f"{(count, *expected)}",
+                )
 
     def test_same_bytes_however_captured(self) -> None:
         """A key's frames don't depend on batch, order, or what was captured before."""
         if not self.repeatable:
             return
-        rig = self._opened()
-        patterns, keys = _batch(rig, 7)
-        frames = rig.capture(patterns, keys)
-        again = self._opened()
-        for first, last in ((5, 7), (0, 1), (1, 5)):
-            part = again.capture(patterns[first:last], keys[first:last])
-            same = np.array_equal(part, frames[first:last])
-            require(same, f"patterns {first} to {last} differ when captured by themselves")
-        backwards = again.capture(patterns[::-1], keys[::-1])
-        require(np.array_equal(backwards[::-1], frames), "frames differ in another order")
+        with self._opened() as rig:
+            patterns, keys = _batch(rig, 7)
+            frames = rig.capture(patterns, keys)
+        with self._opened() as again:
+            for first, last in ((5, 7), (0, 1), (1, 5)):
+                part = again.capture(patterns[first:last], keys[first:last])
+                same = np.array_equal(part, frames[first:last])
+                require(same, f"patterns {first} to {last} differ when captured by themselves")
+            backwards = again.capture(patterns[::-1], keys[::-1])
+            require(np.array_equal(backwards[::-1], frames), "frames differ in another order")
 
     def test_own_noise_for_each_key(self) -> None:
         """Two keys of one pattern don't share their noise, where there is any."""
         if not self.repeatable:
             return
-        rig = self._opened()
-        pattern = np.ones((2, *rig.projector_shape), np.float32)
-        frames = rig.capture(pattern, [(1, 0), (1, 1)])
-        merged = rig.sensor.merge(frames, _black(rig)[0])
-        if merged.variance.max() > 0 and merged.radiance[0].size > 1:
-            require(not np.array_equal(*frames), "two keys got the same noise")
+        with self._opened() as rig:
+            pattern = np.ones((2, *rig.projector_shape), np.float32)
+            frames = rig.capture(pattern, [(1, 0), (1, 1)])
+            merged = rig.sensor.merge(frames, _black(rig)[0])
+            if merged.variance.max() > 0 and merged.radiance[0].size > 1:
+                require(not np.array_equal(*frames), "two keys got the same noise")
 
     def test_black_is_black(self) -> None:
         """An all-off bracket merges to no light, within its variance."""
-        rig = self._opened()
-        black, options = _black(rig)
-        frames = rig.capture(
-            np.zeros((1, *rig.projector_shape), np.float32),
-            [(BLACK_LEVEL_KEY, options.black_count)],
-        )
-        merged = rig.sensor.merge(frames, black, options)
-        self._require_equal_light(merged.radiance[0], merged.variance[0], 0.0, "black")
+        with self._opened() as rig:
+            black, options = _black(rig)
+            frames = rig.capture(
+                np.zeros((1, *rig.projector_shape), np.float32),
+                [(BLACK_LEVEL_KEY, options.black_count)],
+            )
+            merged = rig.sensor.merge(frames, black, options)
+            self._require_equal_light(merged.radiance[0], merged.variance[0], 0.0, "black")
 
     def test_light_adds_up(self) -> None:
         """Half of the rays and the other half together give what all rays give."""
-        rig = self._opened()
-        black, options = _black(rig)
-        half = np.zeros(rig.projector_shape, np.float32)
-        half.ravel()[::2] = 1
-        patterns = np.stack([half, 1 - half, np.ones_like(half)])
-        frames = rig.capture(patterns, [(2, index) for index in range(3)])
-        merged = rig.sensor.merge(frames, black, options)
-        require(np.isfinite(merged.radiance).all(), "merged radiance isn't finite")
-        require((merged.variance >= 0).all(), "a variance is negative")
-        if merged.saturated:
-            raise AssertionError("the floodlit pattern saturates: choose shorter exposures")
-        parts, whole = merged.radiance[:2].sum(axis=0, dtype=np.float64), merged.radiance[2]
-        self._require_equal_light(parts - whole, merged.variance.sum(axis=0), whole, "two halves")
+        with self._opened() as rig:
+            black, options = _black(rig)
+            half = np.zeros(rig.projector_shape, np.float32)
+            half.ravel()[::2] = 1
+            patterns = np.stack([half, 1 - half, np.ones_like(half)])
+            frames = rig.capture(patterns, [(2, index) for index in range(3)])
+            merged = rig.sensor.merge(frames, black, options)
+            require(np.isfinite(merged.radiance).all(), "merged radiance isn't finite")
+            require((merged.variance >= 0).all(), "a variance is negative")
+            if merged.saturated:
+                raise AssertionError("the floodlit pattern saturates: choose shorter exposures")
+            parts, whole = merged.radiance[:2].sum(axis=0, dtype=np.float64), merged.radiance[2]
+            self._require_equal_light(
+                parts - whole, merged.variance.sum(axis=0), whole, "two halves"
+            )
 
     def test_rejects_what_cannot_be_shown(self) -> None:
         """Wrong shapes, weights outside [0, 1], NaN, and missing keys raise InputError."""
-        rig = self._opened()
-        good = np.ones((1, *rig.projector_shape), np.float32)
-        wrong_shape = np.ones((1, *rig.projector_shape, 2), np.float32)
-        for name, patterns, keys in (
-            ("a wrong shape", wrong_shape, [(1, 0)]),
-            ("a weight of 1.5", 1.5 * good, [(1, 0)]),
-            ("a negative weight", -good, [(1, 0)]),
-            ("NaN", np.nan * good, [(1, 0)]),
-            ("a pattern without key", good, []),
-        ):
-            try:
-                rig.capture(patterns, keys)
-            except InputError:
-                continue
-            raise AssertionError(f"the rig took {name} without an InputError")
+        with self._opened() as rig:
+            good = np.ones((1, *rig.projector_shape), np.float32)
+            wrong_shape = np.ones((1, *rig.projector_shape, 2), np.float32)
+            for name, patterns, keys in (
+                ("a wrong shape", wrong_shape, [(1, 0)]),
+                ("a weight of 1.5", 1.5 * good, [(1, 0)]),
+                ("a negative weight", -good, [(1, 0)]),
+                ("NaN", np.nan * good, [(1, 0)]),
+                ("a pattern without key", good, []),
+            ):
+                require_raises(
+                    InputError, partial(rig.capture, patterns, keys), f"the rig took {name}"
+                )
 
     def test_describes_itself(self) -> None:
         """`describe` gives plain data, the same for equal rigs."""
-        described = []
-        for _ in range(2):
-            described.append(json.dumps(self._opened().describe(), sort_keys=True))
-            self.teardown_method()  # a rig of hardware can't be had twice
-        require(described[0] == described[1], f"equal rigs differ: {described}")
+        require_equal_descriptions(self._opened)
 
     def _require_equal_light(
         self, difference: NDArray[Any], variance: Float, scale: Float | float, name: str
