@@ -101,7 +101,6 @@ def _mosaic_table(study: Study) -> Table:
         ],
         [("", 2), ("sum, % of floodlit", 2), ("relative error, %", 2)],
         csv="mosaic.csv",
-        is_grouped=True,
     )
 
 
@@ -137,7 +136,6 @@ def _stability_table(study: Study) -> Table:
         ],
         [("", 5), ("relative error", 3), ("", 1)],
         csv="stability.csv",
-        is_grouped=True,
     )
 
 

@@ -230,9 +230,7 @@ def _correspondence(findings: Findings) -> Figure:
     maps = {
         "x, projector pixels": arrays["x"],
         "y, projector pixels": arrays["y"],
-        "stripes over noise": np.where(
-            np.isfinite(arrays["modulation"]), arrays["modulation"], np.nan
-        ),
+        "stripes over noise": arrays["modulation"],
     }
     valid = arrays["valid"]
     return _maps({name: np.where(valid, values, np.nan) for name, values in maps.items()})

@@ -69,16 +69,13 @@ def new_figure(
     -------
     Figure, ndarray of Axes, shape (rows, columns)
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     for axis in axes.flat:
         axis.tick_params(labelsize=_SMALL, width=0.6, length=3)
-        for spine in axis.spines.values():
-            spine.set_linewidth(0.6)
+        axis.spines[:].set_linewidth(0.6)
     return figure, axes
 
 
@@ -122,8 +119,7 @@ def scene_curves(
 
 def logarithmic(axis: Axes, steps: Sequence[int] = (1, 3)) -> None:
     """Make both axes of a plot logarithmic, with plain numbers at `steps` of each decade."""
-    axis.set_xscale("log")
-    axis.set_yscale("log")
+    axis.set(xscale="log", yscale="log")
     for direction in (axis.xaxis, axis.yaxis):
         number_axis(direction, steps)
     axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
@@ -213,8 +209,7 @@ def brighten_unlit(
 
 def show_image(axis: Axes, image: NDArray[Any], **options: Any) -> AxesImage:
     """Show an image pixel by pixel, without ticks; options are those of ``Axes.imshow``."""
-    axis.set_xticks([])
-    axis.set_yticks([])
+    axis.set(xticks=[], yticks=[])
     return axis.imshow(image, interpolation="nearest", **options)
 
 

@@ -94,7 +94,7 @@ def scene_picture(run: Run) -> Picture:
     else:
         error = relative_rms(run.read("floodlit_relit"), run.read("floodlit_captured"))
         said = f"floodlit image relit to {percent(error)} % of the captured one"
-    if run.has_truth and run.is_coaxial and not run.is_light_field:
+    if run.has_truth and run.is_coaxial and not run.settings.is_light_field:
         for name in ("relit", "truth"):
             shown[name] = brighten_unlit(shown[name], pattern)
     panels = {name: srgb(image, run.white) for name, image in shown.items()}

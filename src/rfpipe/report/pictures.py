@@ -132,6 +132,7 @@ def mosaic_figure(study: Study) -> Figure:
     """Show the sum of single-pixel images before and after normalization [Fig. B.1]."""
     chains = list(dict.fromkeys(row["chain"] for row in study.rows))
     modes = list(dict.fromkeys(row["normalization"] for row in study.rows))
+    about = {(row["chain"], row["normalization"]): row for row in study.rows}
     ratio = panel_ratio([study.images.shape(f"floodlit_{chains[0]}")])
     panel = 2.4
     size = (panel * (len(modes) + 1) + 0.5, (panel * ratio + 0.62) * len(chains))
@@ -148,11 +149,7 @@ def mosaic_figure(study: Study) -> Figure:
         label_left(row[0], _CHAINS[chain])
         for axis, mode in zip(row[1:], modes, strict=True):
             show_radiance(axis, study.images.read(f"sum_{chain}_{mode}"), white)
-            facts = next(
-                fact
-                for fact in study.rows
-                if (fact["chain"], fact["normalization"]) == (chain, mode)
-            )
+            facts = about[chain, mode]
             label_below(
                 axis, f"light {facts['energy']:.0%}, colour contrast {facts['colour_contrast']:.0%}"
             )

@@ -8,7 +8,7 @@ import logging
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from math import prod
 from typing import Annotated, Any
 
@@ -83,9 +83,7 @@ class _Served:
     drawing: asyncio.Lock = field(default_factory=asyncio.Lock)
 
 
-def create_app(
-    rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings | None = None
-) -> FastAPI:
+def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> FastAPI:
     """Return the ASGI application that serves a rig.
 
     Parameters
@@ -94,7 +92,7 @@ def create_app(
         A callable is called, once and now, in the thread that will use the rig.
     token : str
         The bearer token that clients must send.
-    settings : ServerSettings, optional
+    settings : ServerSettings
 
     Returns
     -------
@@ -106,7 +104,6 @@ def create_app(
     RfpipeError
         When the rig can't be opened.
     """
-    settings = settings or ServerSettings()
     leases = Leases(settings.lease_seconds)
     worker = RigWorker(rig, leases, settings.kept_captures)
 
@@ -167,7 +164,7 @@ async def status(served: Served) -> StatusAnswer:
     return StatusAnswer(
         up_seconds=time.monotonic() - served.began,
         holder=lease and lease.client,
-        **asdict(served.worker.metrics),
+        **served.worker.metrics.model_dump(),
     )
 
 

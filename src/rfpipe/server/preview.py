@@ -36,7 +36,6 @@ def preview_png(shown: Shown, sensor: Mapping[str, Any], exposures: Sequence[flo
     bytes
         A PNG file.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     camera = sensor.get("sensor", sensor)  # of a resampled one, that behind it
@@ -44,15 +43,12 @@ def preview_png(shown: Shown, sensor: Mapping[str, Any], exposures: Sequence[flo
     has_mosaic = camera.get("bayer") is not None
     images = [_image(frame[..., None] if has_mosaic else frame) for frame in shown.bracket]
     figure = Figure(figsize=(3.2 * len(images), 5.2), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, len(images), squeeze=False)
     for image, exposure, (above, below) in zip(images, exposures, axes.T, strict=True):
         top = full_scale or float(image.max()) or 1.0
         is_full = image >= top if full_scale else np.zeros(image.shape, bool)
         above.imshow(_shown(image, is_full, top), interpolation="nearest")
-        above.set_xticks([])
-        above.set_yticks([])
-        above.set_xlabel(f"{exposure:g} s; {is_full.mean():.2%} saturated")
+        above.set(xticks=[], yticks=[], xlabel=f"{exposure:g} s; {is_full.mean():.2%} saturated")
         for channel, colour in enumerate(_CHANNEL_COLOURS[image.shape[-1]]):
             counts, edges = np.histogram(image[..., channel], _BINS, (0.0, top))
             below.stairs(counts, edges, color=colour)

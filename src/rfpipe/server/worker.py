@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
 from rfpipe.server.lease import Leases
+from rfpipe.server.models import Metrics
 
 __all__ = [
     "CaptureConflictError",
     "CaptureStoppedError",
-    "Metrics",
     "RigBusyError",
     "RigWorker",
     "Shown",
@@ -42,30 +42,6 @@ class RigBusyError(Exception):
 
 class CaptureStoppedError(Exception):
     """The server is being stopped, or the client's lease lapsed; the rest wasn't exposed."""
-
-
-@dataclass
-class Metrics:
-    """What happened since the start.
-
-    Attributes
-    ----------
-    brackets : int
-        Patterns exposed.
-    answered_again : int
-        Requests that were answered with what was exposed for them before.
-    failures : int
-        Captures that ended with an error of the rig.
-    last_error : str or None
-    exposing_seconds : float
-        Time that the rig took for all brackets.
-    """
-
-    brackets: int = 0
-    answered_again: int = 0
-    failures: int = 0
-    last_error: str | None = None
-    exposing_seconds: float = 0.0
 
 
 @dataclass(frozen=True)
