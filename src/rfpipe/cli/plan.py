@@ -22,6 +22,8 @@ def table(forecasts: Sequence[Forecast], free: int) -> str:
     """
     import pandas as pd
 
+    from rfpipe.stages.capturing.disk import size_text
+
     rows = [
         {
             "scene": one.scene,
@@ -30,10 +32,10 @@ def table(forecasts: Sequence[Forecast], free: int) -> str:
             "levels": one.levels,
             "patterns": f"{one.expected.patterns:,}",
             "time": _duration(one.expected.seconds),
-            "disk": _size(one.expected.disk.total),
+            "disk": size_text(one.expected.disk.total),
             "at most": f"{one.most.patterns:,}",
             "in": _duration(one.most.seconds),
-            "with": _size(one.most.disk.total),
+            "with": size_text(one.most.disk.total),
         }
         for one in forecasts
     ]
@@ -41,8 +43,8 @@ def table(forecasts: Sequence[Forecast], free: int) -> str:
     disk = sum(one.expected.disk.total for one in forecasts)
     lines = [pd.DataFrame(rows).to_string(index=False), ""]
     lines.append(
-        f"One after the other: {_duration(seconds)} of capture, {_size(disk)} of disk before "
-        f"compression; {_size(free)} are free."
+        f"One after the other: {_duration(seconds)} of capture, {size_text(disk)} of disk before "
+        f"compression; {size_text(free)} are free."
     )
     if disk > free:
         lines.append(
@@ -60,10 +62,3 @@ def _duration(seconds: float) -> str:
     if days:
         return f"{days} d {hours} h"
     return f"{hours} h {minutes % 60:02d} min" if hours else f"{minutes} min"
-
-
-def _size(count: int) -> str:
-    for unit, scale in (("TB", 1e12), ("GB", 1e9)):
-        if count >= scale:
-            return f"{count / scale:.3g} {unit}"
-    return f"{count / 1e6:.3g} MB"

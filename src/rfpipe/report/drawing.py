@@ -30,6 +30,7 @@ __all__ = [
     "logarithmic",
     "logarithmic_limits",
     "new_figure",
+    "new_panels",
     "number_axis",
     "panel_ratio",
     "png",
@@ -77,6 +78,17 @@ def new_figure(
         axis.tick_params(labelsize=_SMALL, width=0.6, length=3)
         axis.spines[:].set_linewidth(0.6)
     return figure, axes
+
+
+def new_panels(
+    rows: int, columns: int, shapes: Sequence[tuple[int, ...]], panel: float, below: float
+) -> tuple[Figure, NDArray[Any]]:
+    """Make a figure of panels so many inches wide, for images of these shapes (H, W).
+
+    Each has as many inches for text below as asked for; a row has half an inch on its left.
+    """
+    height = panel * panel_ratio(shapes) + below
+    return new_figure(rows, columns, (panel * columns + 0.5, height * rows))
 
 
 def scene_curves(

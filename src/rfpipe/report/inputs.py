@@ -19,7 +19,19 @@ from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["BENCHMARKS", "Inputs", "Run", "Study", "load_inputs"]
+__all__ = ["BENCHMARKS", "COLUMNS", "PLACE", "Inputs", "Run", "Study", "load_inputs"]
+
+PLACE = ("scene", "geometry", "height", "width", "channels", "noise", "seed")
+"""Columns of the benchmark ``speed_error`` that tell what was acquired."""
+
+COLUMNS = (
+    "method", *PLACE, "setting",
+    "patterns", "estimated_error", "error_mean", "error_worst", "worst_pattern",
+    "unlit_mean", "unlit_worst", "processing_seconds", "transport_mb",
+)  # fmt: skip
+"""Columns of its table, a row a run; errors are relative RMS over the relighting patterns, in
+total and on the unlit pixels, and `estimated_error` the method's own, blank or NaN where it has
+none. The columns up to `setting` tell runs apart."""
 
 BENCHMARKS = {
     "scaling": {
@@ -31,11 +43,7 @@ BENCHMARKS = {
     "merge": set[str](),
     "patterns": {"method", "side", "rays", "patterns"},
     "workflow": {"stage", "jobs", "job_s", "own_s", "overhead_s"},
-    "speed_error": {
-        "method", "scene", "geometry", "height", "width", "channels", "noise", "seed", "setting",
-        "patterns", "estimated_error", "error_mean", "error_worst", "unlit_mean", "unlit_worst",
-        "processing_seconds", "transport_mb",
-    },
+    "speed_error": set(COLUMNS),
 }  # fmt: skip
 """Benchmarks that the report shows, with the columns that it needs of each."""
 

@@ -36,6 +36,7 @@ from rfpipe.server.preview import preview_png
 from rfpipe.server.problems import PROBLEM_TYPE, Problem, add_handlers
 from rfpipe.server.settings import ServerSettings
 from rfpipe.server.worker import (
+    Capture,
     CaptureConflictError,
     CaptureStoppedError,
     RigBusyError,
@@ -231,8 +232,8 @@ async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: 
     def submitted() -> Any:
         patterns, keys = decode_patterns(body, projector, served.rig.limits.patterns)
         check_patterns(patterns, keys, projector)  # all, before the first is shown
-        digest = hashlib.sha256(body).hexdigest()
-        return served.worker.submit(key, digest, lease, patterns, keys), keys
+        asked = Capture(hashlib.sha256(body).hexdigest(), lease, patterns, keys)
+        return served.worker.submit(key, asked), keys
 
     future, keys = await asyncio.to_thread(submitted)
     # shielded: a client that goes away doesn't take the exposure back

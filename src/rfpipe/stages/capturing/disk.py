@@ -21,6 +21,7 @@ __all__ = [
     "check_level",
     "check_run",
     "free_bytes",
+    "size_text",
 ]
 
 # A file takes whole blocks of its file system.
@@ -85,8 +86,8 @@ class DiskNeed:
 
     def __str__(self) -> str:
         return (
-            f"{_shown(self.total)} (raw exposures {_shown(self.raw)}, merged images "
-            f"{_shown(self.merged)}, the rest {_shown(self.rest)})"
+            f"{size_text(self.total)} (raw exposures {size_text(self.raw)}, merged images "
+            f"{size_text(self.merged)}, the rest {size_text(self.rest)})"
         )
 
 
@@ -115,11 +116,11 @@ def check_level(
     if need.total - present > free:
         raise StoreError(
             f"{folder}: the capture of {name} isn't begun: it and what is made of it take up to "
-            f"{need}, of which {_shown(present)} are there already; {_shown(free)} are free on "
-            f"this file system. {_advice(keep_raw)}, or choose the method's options for "
+            f"{need}, of which {size_text(present)} are there already; {size_text(free)} are "
+            f"free on this file system. {_advice(keep_raw)}, or choose the method's options for "
             "fewer patterns; then run again: what is captured is kept"
         )
-    _log.info("%s: takes up to %s; %s are free", name, need, _shown(free))
+    _log.info("%s: takes up to %s; %s are free", name, need, size_text(free))
 
 
 def check_run(need: DiskNeed, patterns: int, folder: Path, *, keep_raw: bool = True) -> None:
@@ -134,7 +135,7 @@ def check_run(need: DiskNeed, patterns: int, folder: Path, *, keep_raw: bool = T
         _log.warning(
             "%s: all levels may take up to %s, but %s are free. The run will stop before the "
             "level that doesn't fit. %s",
-            folder, need, _shown(free), _advice(keep_raw),
+            folder, need, size_text(free), _advice(keep_raw),
         )  # fmt: skip
 
 
@@ -150,5 +151,9 @@ def _advice(keep_raw: bool) -> str:
     return f"Make room, put the results on another disk{drop}"
 
 
-def _shown(count: int) -> str:
-    return f"{count / 1e9:.3g} GB" if count >= 1e9 else f"{count / 1e6:.3g} MB"
+def size_text(count: int) -> str:
+    """Return a number of bytes as text."""
+    for unit, scale in (("TB", 1e12), ("GB", 1e9)):
+        if count >= scale:
+            return f"{count / scale:.3g} {unit}"
+    return f"{count / 1e6:.3g} MB"
