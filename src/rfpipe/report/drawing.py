@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rfpipe.photometry.response import srgb
 from rfpipe.report import methods
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ __all__ = [
     "show_image",
     "show_panels",
     "show_radiance",
-    "srgb",
 ]
 
 UNLIT_GAIN = 4
@@ -189,27 +189,6 @@ def image_png(pixels: NDArray[Any]) -> bytes:
     buffer = io.BytesIO()
     imsave(buffer, np.ascontiguousarray(pixels), format="png", metadata={"Software": ""})
     return buffer.getvalue()
-
-
-def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
-    """Render radiance for a screen.
-
-    Parameters
-    ----------
-    radiance : ndarray, shape (*shape, C)
-        C is 1 or 3.
-    white : float
-        Radiance shown as white; more is cut off.
-
-    Returns
-    -------
-    ndarray of float64, shape (*shape, 3)
-        In [0, 1], with the transfer curve of sRGB (IEC 61966-2-1).
-    """
-    linear = np.clip(np.asarray(radiance, np.float64) / white, 0, 1)
-    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    rgb: NDArray[np.float64] = np.broadcast_to(shown, (*shown.shape[:-1], 3))
-    return rgb
 
 
 def brighten_unlit(

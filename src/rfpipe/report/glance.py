@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from rfpipe.photometry.response import srgb
 from rfpipe.report import methods, tables
 from rfpipe.report.blocks import Gallery, Picture, Section, Tabulation
-from rfpipe.report.drawing import UNLIT_GAIN, brighten_unlit, srgb
+from rfpipe.report.drawing import UNLIT_GAIN, brighten_unlit
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.text import number, percent, words
 from rfpipe.stages.evaluating.metrics import relative_rms

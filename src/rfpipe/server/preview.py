@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.photometry.response import srgb
 from rfpipe.server.worker import Shown
 
 __all__ = ["preview_png"]
@@ -68,8 +69,5 @@ def _image(frame: NDArray[Any]) -> NDArray[Any]:
 
 
 def _shown(image: NDArray[Any], is_full: NDArray[np.bool_], top: float) -> NDArray[Any]:
-    """Return RGB in [0, 1] with a screen's gamma."""
-    grey = np.clip(image / top, 0, 1) ** (1 / 2.2)
-    rgb = np.array(np.broadcast_to(grey, (*image.shape[:2], 3)))
-    rgb[is_full.any(axis=-1)] = _SATURATED_COLOUR
-    return rgb
+    """Return RGB in [0, 1] for a screen."""
+    return np.where(is_full.any(axis=-1, keepdims=True), _SATURATED_COLOUR, srgb(image, top))

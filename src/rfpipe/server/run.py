@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 from collections.abc import Callable
+from contextlib import closing, suppress
 from types import FrameType
 
 import uvicorn
@@ -112,9 +113,6 @@ def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) ->
             _log.warning(
                 "other machines can connect, over plain HTTP: whoever listens in reads the token"
             )
-        try:
+        # uvicorn raises KeyboardInterrupt again after its end
+        with closing(server.worker), suppress(KeyboardInterrupt):
             server.run(sockets=[bound])
-        except KeyboardInterrupt:
-            pass  # raised again by uvicorn after its end
-        finally:
-            server.worker.close()

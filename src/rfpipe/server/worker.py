@@ -79,6 +79,7 @@ class Capture:
 
     @property
     def is_under_way(self) -> bool:
+        """Whether it was begun and goes on."""
         return self.result is not None and not self.result.done()
 
 
