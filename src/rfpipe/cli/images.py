@@ -47,7 +47,7 @@ def read_image(path: Path) -> NDArray[np.float32]:
     raise InputError(f"{path}: has the channels {names}; expected one channel, or R, G and B")
 
 
-def write_image(path: Path, image: NDArray[np.float32], white: float | None = None) -> None:
+def write_image(path: Path, image: NDArray[np.floating], white: float | None = None) -> None:
     """Write radiance as a picture.
 
     Parameters
