@@ -286,5 +286,4 @@ def _answer(lease: Lease, served: _Served) -> LeaseAnswer:
 
 
 def _message(keys: list[tuple[int, ...]], brackets: list[NDArray[Any]]) -> bytes:
-    facts = {"keys": [list(key) for key in keys]}
-    return pack(facts, {str(index): bracket for index, bracket in enumerate(brackets)})
+    return pack({"keys": keys}, {str(index): bracket for index, bracket in enumerate(brackets)})
