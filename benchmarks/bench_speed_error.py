@@ -28,7 +28,8 @@ import rfpipe
 from rfpipe.errors import RfpipeError
 from rfpipe.methods import get_method, method_names
 from rfpipe.photometry import CameraModel
-from rfpipe.report.speed_error import COLUMNS, against_symmetric, summary_lines
+from rfpipe.report.inputs import COLUMNS
+from rfpipe.report.speed_error import against_symmetric, summary_lines
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import RadiosityScene, planes_scene, scene_patterns
 from rfpipe.scenes.hard import PLATE

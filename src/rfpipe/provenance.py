@@ -8,10 +8,12 @@ import platform
 import re
 import sys
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from functools import cache
 from importlib import metadata
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -65,15 +67,12 @@ def fingerprint(value: object) -> str:
     InputError
         For anything else, and for NaN or infinity outside an array.
     """
+    plain = _plain(value)
     try:
-        text = json.dumps(
-            _plain(value), sort_keys=True, separators=(",", ":"), allow_nan=False
-        ).encode()
+        text = json.dumps(plain, sort_keys=True, separators=(",", ":"), allow_nan=False)
     except ValueError as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(f"fingerprint: {error}; settings must be finite numbers") from error
-    return _digest(text)
+    return _digest(text.encode())
 
 
 def code_fingerprint(*module_names: str) -> str:
@@ -88,7 +87,7 @@ def code_fingerprint(*module_names: str) -> str:
     Returns
     -------
     str
-        32 hexadecimal digits (blake2b-128) over the sorted names and contents of the files.
+        32 hexadecimal digits (blake2b-128) over the names and contents of the files.
 
     Raises
     ------
@@ -98,12 +97,7 @@ def code_fingerprint(*module_names: str) -> str:
     sources: dict[str, Path] = {}
     for name in module_names:
         sources |= _sources(name)
-    digest = hashlib.blake2b(digest_size=_DIGEST_BYTES)
-    for file_name, path in sorted(sources.items()):
-        content = path.read_bytes()
-        digest.update(f"{file_name}:{len(content)}:".encode())
-        digest.update(content)
-    return digest.hexdigest()
+    return fingerprint({name: _digest(path.read_bytes()) for name, path in sources.items()})
 
 
 def import_fingerprint(
@@ -185,10 +179,8 @@ def versions() -> dict[str, str]:
     """
     found = {"python": platform.python_version()}
     for name in _RECORDED_PACKAGES:
-        try:
+        with suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
     return dict(sorted(found.items()))
 
 
@@ -241,9 +233,7 @@ def _plain(value: object) -> Any:
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject:
             raise InputError(f"fingerprint: an array of dtype {value.dtype} has no stable bytes")
-        return {
-            "array": [value.dtype.str, list(value.shape), _digest(value.tobytes())],
-        }
+        return {"array": [value.dtype.str, list(value.shape), _digest(value.tobytes())]}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, dict):
@@ -263,17 +253,12 @@ def _plain(value: object) -> Any:
 def _sources(module_name: str) -> dict[str, Path]:
     """Python files of a module or package, by their name below the top-level package."""
     top, *rest = module_name.split(".")
-    spec = find_spec(top)  # finds a top-level name without importing it
-    if spec is not None and spec.submodule_search_locations:
-        for location in spec.submodule_search_locations:
-            root = Path(location)
-            target = root.joinpath(*rest)
-            module = target.with_suffix(".py")
-            files = sorted(target.rglob("*.py")) if target.is_dir() else []
-            if module.is_file():
-                files.append(module)
-            if files:
-                return {f"{top}/{path.relative_to(root).as_posix()}": path for path in files}
+    folders, _ = _top_level(top, tuple(sys.path))
+    for root in folders:
+        target = root.joinpath(*rest)
+        files = [*target.rglob("*.py"), *target.parent.glob(f"{target.name}.py")]
+        if files:
+            return {f"{top}/{path.relative_to(root).as_posix()}": path for path in files}
     raise InputError(f"{module_name!r} is no package of Python sources; expected rfpipe.<module>")
 
 
@@ -309,10 +294,8 @@ def _absolute(name: str, package: str) -> str:
 
 
 def _prefixes(name: str) -> Iterator[str]:
-    """Yield a module's packages, outermost first, and the module."""
-    parts = name.split(".")
-    for end in range(1, len(parts) + 1):
-        yield ".".join(parts[:end])
+    """Return a module's packages, outermost first, and the module."""
+    return accumulate(name.split("."), "{}.{}".format)
 
 
 def _module_file(name: str) -> Path | None:

@@ -16,9 +16,10 @@ import pytest
 from rfpipe.config import Config
 from rfpipe.errors import InputError, StoreError
 from rfpipe.photometry import sensor_from_config
+from rfpipe.photometry.response import srgb
 from rfpipe.report import build_report
 from rfpipe.report.blocks import Section
-from rfpipe.report.drawing import chunks, srgb
+from rfpipe.report.drawing import chunks
 from rfpipe.report.inputs import load_inputs
 from rfpipe.report.light_fields import view_errors
 from rfpipe.report.page import make_sections

@@ -11,9 +11,8 @@ import pandas as pd
 import pytest
 
 from rfpipe.config import Config
-from rfpipe.report.inputs import BENCHMARKS, Inputs
+from rfpipe.report.inputs import BENCHMARKS, COLUMNS, Inputs
 from rfpipe.report.speed_error import (
-    COLUMNS,
     against_symmetric,
     curves_figure,
     patterns_at_error,

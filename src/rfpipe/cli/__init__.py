@@ -35,9 +35,7 @@ TransportPath = Annotated[
 
 
 @app.command()
-def validate(
-    config: ConfigPath,
-) -> None:
+def validate(config: ConfigPath) -> None:
     """Check a settings file; say every mistake in it."""
     from rfpipe.config import load_config
 

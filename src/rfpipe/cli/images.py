@@ -47,7 +47,7 @@ def read_image(path: Path) -> NDArray[np.float32]:
     raise InputError(f"{path}: has the channels {names}; expected one channel, or R, G and B")
 
 
-def write_image(path: Path, image: NDArray[np.float32], white: float | None = None) -> None:
+def write_image(path: Path, image: NDArray[np.floating], white: float | None = None) -> None:
     """Write radiance as a picture.
 
     Parameters
@@ -66,17 +66,14 @@ def write_image(path: Path, image: NDArray[np.float32], white: float | None = No
     """
     import OpenImageIO as oiio
 
+    from rfpipe.photometry.response import srgb
+
     if path.suffix.lower() not in _SUFFIXES:
         raise InputError(f"{path}: expected a name that ends in {' or '.join(_SUFFIXES)}")
     pixels, kind = image, "float"
     if path.suffix.lower() == ".png":
-        pixels, kind = _srgb(image, white if white is not None else float(image.max())), "uint8"
+        top = float(image.max()) if white is None else white
+        pixels, kind = srgb(image, top or 1.0)[..., : image.shape[-1]], "uint8"
     picture = oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
     if not picture.write(str(path), kind):
         raise InputError(f"{path}: can't be written: {picture.geterror()}")
-
-
-def _srgb(image: NDArray[np.float32], white: float) -> NDArray[np.float32]:
-    """Encode linear light for a screen [IEC 61966-2-1]; an image without light stays black."""
-    linear = np.clip(image / white, 0, 1) if white > 0 else np.zeros_like(image)
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -42,10 +42,11 @@ def table(forecasts: Sequence[Forecast], free: int) -> str:
     seconds = sum(one.expected.seconds for one in forecasts)
     disk = sum(one.expected.disk.total for one in forecasts)
     lines = [pd.DataFrame(rows).to_string(index=False), ""]
-    lines.append(
+    sums = (
         f"One after the other: {_duration(seconds)} of capture, {shown_bytes(disk)} of disk before "
         f"compression; {shown_bytes(free)} are free."
     )
+    lines = [pd.DataFrame(rows).to_string(index=False), "", sums]
     if disk > free:
         lines.append(
             "That may not fit: make room, put the results on another disk, or set "

@@ -52,7 +52,7 @@ def _explained(kind: type[Settings], problem: Mapping[str, Any], data: object) -
         return f"{key}: {problem['msg']}"
     if problem["type"] == "extra_forbidden":
         return _unknown_key(location, model)
-    meaning = f" ({key}: {field.description})" if field is not None else ""
+    meaning = f" ({key}: {field.description})" if field and field.description else ""
     if problem["type"] == "missing":
         return f"{key} is missing; add it.{meaning}"
     expected = problem["msg"].removeprefix("Value error, ").removesuffix(" after validation")

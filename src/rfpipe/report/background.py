@@ -16,22 +16,19 @@ from rfpipe.report.text import fixed, number, percent, ray_size, size, wishes, w
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = [
-    "mosaic_section",
-    "resolution_section",
-    "setup_section",
-    "stability_section",
-    "times_section",
-]
+__all__ = ["setup_section", "studies_sections", "times_section"]
 
 
-def resolution_section(inputs: Inputs) -> Section | None:
+def studies_sections(inputs: Inputs) -> list[Section]:
+    """What the studies found, those that were made."""
+    found = inputs.studies
+    return [draw(inputs, found[name]) for name, draw in _STUDIES.items() if name in found]
+
+
+def _resolution_section(inputs: Inputs, study: Study) -> Section:
     """Fig. 3.8."""
     import pandas as pd
 
-    study = inputs.studies.get("resolution")
-    if study is None:
-        return None
     numbers = pd.DataFrame(study.rows)
     caption = (
         "Patterns for scene IV (two textured planes at an angle, grey, exact radiance; "
@@ -60,11 +57,8 @@ def _resolution_table(numbers: pd.DataFrame) -> Table:
     )
 
 
-def mosaic_section(inputs: Inputs) -> Section | None:
+def _mosaic_section(inputs: Inputs, study: Study) -> Section:
     """Fig. B.1."""
-    study = inputs.studies.get("mosaic")
-    if study is None:
-        return None
     caption = (
         "Colour bars on two planes, lit one pixel at a time before a camera with a Bayer mosaic; "
         "the images' sum against the floodlit image, before and after normalization. Above: this "
@@ -101,15 +95,11 @@ def _mosaic_table(study: Study) -> Table:
         ],
         [("", 2), ("sum, % of floodlit", 2), ("relative error, %", 2)],
         csv="mosaic.csv",
-        is_grouped=True,
     )
 
 
-def stability_section(inputs: Inputs) -> Section | None:
+def _stability_section(_inputs: Inputs, study: Study) -> Section:
     """Numerically hard cases."""
-    study = inputs.studies.get("stability")
-    if study is None:
-        return None
     caption = (
         "Small scenes that are hard to acquire, at the run's tolerance. Errors: relative "
         "Frobenius error of the whole matrix; the largest relative RMS error of a relit image; "
@@ -137,12 +127,18 @@ def _stability_table(study: Study) -> Table:
         ],
         [("", 5), ("relative error", 3), ("", 1)],
         csv="stability.csv",
-        is_grouped=True,
     )
 
 
 def _refusal(reason: str) -> str:
     return f"refused: {reason.split(':', maxsplit=1)[0]}" if reason else ""
+
+
+_STUDIES = {
+    "resolution": _resolution_section,
+    "mosaic": _mosaic_section,
+    "stability": _stability_section,
+}
 
 
 def times_section(inputs: Inputs) -> Section:

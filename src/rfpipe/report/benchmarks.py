@@ -42,7 +42,9 @@ def benchmarks_section(inputs: Inputs) -> Section | None:
     drawn = [name for name in _TIMES if name in found]
     if drawn:
         caption = " ".join(["Both axes logarithmic.", *(_TIMES[name][0] for name in drawn)])
-        blocks.append(Illustration("Time against rays", caption, "time_by_rays", _times(found)))
+        blocks.append(
+            Illustration("Time against rays", caption, "time_by_rays", _times(found, drawn))
+        )
     blocks += [block_of(found[name]) for name, block_of in _BLOCKS.items() if name in found]
     text = "Measured by `make bench`, apart from the run above, on the machine it ran on."
     return Section("scale", "Speed and scale", blocks, [text])
@@ -59,9 +61,8 @@ _RELIGHTING = (
 )
 
 
-def _times(found: dict[str, pd.DataFrame]) -> Figure:
+def _times(found: dict[str, pd.DataFrame], drawn: list[str]) -> Figure:
     """Draw processing and relighting against the rays, as far as they were measured."""
-    drawn = [name for name in _TIMES if name in found]
     figure, axes = new_figure(1, len(drawn), (4.5 * len(drawn), 3.6))
     for axis, name in zip(axes[0], drawn, strict=True):
         _, draw, label = _TIMES[name]

@@ -96,8 +96,6 @@ class Table:
         Columns from the left that hold text rather than numbers.
     csv : str
         Name of the CSV file beside it, or "".
-    is_grouped : bool
-        Whether rows with the same first cell, one below the other, show it once.
     numbers : DataFrame or None
         Written to the CSV file; None where another stage wrote it, or there is none.
     """
@@ -107,14 +105,11 @@ class Table:
     rows: list[list[str]]
     text_columns: int = 1
     csv: str = ""
-    is_grouped: bool = False
     numbers: pd.DataFrame | None = None
 
     @property
     def bodies(self) -> list[list[list[str]]]:
-        """The rows, those that share their first cell together; all apart unless it is grouped."""
-        if not self.is_grouped:
-            return [[row] for row in self.rows]
+        """The rows, those one below the other with the same first cell together."""
         return [list(rows) for _, rows in groupby(self.rows, lambda row: row[0])]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,16 +94,16 @@ def _numbers(facts: dict[str, Any]) -> list[dict[str, str]]:
     ]
 
 
-_CHARTS: dict[str, tuple[Callable[[Findings], Figure], str]] = {}
+_Draw: TypeAlias = "Callable[[Findings], Figure]"
+
+_CHARTS: dict[str, tuple[_Draw, str]] = {}
 """What draws a step's findings, and its caption."""
 
 
-def _chart_of(
-    step: str, caption: str
-) -> Callable[[Callable[[Findings], Figure]], Callable[[Findings], Figure]]:
+def _chart_of(step: str, caption: str) -> Callable[[_Draw], _Draw]:
     """Register what draws a step's findings."""
 
-    def register(draw: Callable[[Findings], Figure]) -> Callable[[Findings], Figure]:
+    def register(draw: _Draw) -> _Draw:
         _CHARTS[step] = draw, caption
         return draw
 
@@ -230,9 +230,7 @@ def _correspondence(findings: Findings) -> Figure:
     maps = {
         "x, projector pixels": arrays["x"],
         "y, projector pixels": arrays["y"],
-        "stripes over noise": np.where(
-            np.isfinite(arrays["modulation"]), arrays["modulation"], np.nan
-        ),
+        "stripes over noise": arrays["modulation"],
     }
     valid = arrays["valid"]
     return _maps({name: np.where(valid, values, np.nan) for name, values in maps.items()})

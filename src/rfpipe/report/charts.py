@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "STAGES",
     "has_leaves_of_nodes",
     "leaves_figure",
     "resolution_figure",
@@ -33,9 +32,8 @@ __all__ = [
     "times_figure",
 ]
 
-STAGES = ("schedule", "capture", "merge", "normalize", "refine", "assemble")
-"""Stages of an acquisition in order; all but the capture are processing."""
-
+# Stages of an acquisition in order; all but the capture are processing.
+_STAGES = ("schedule", "capture", "merge", "normalize", "refine", "assemble")
 _KINDS = (
     ("rank1", "rank-1 leaves", "#3a6fb0"),
     ("rank_k", "rank-k leaves", "#7d5ba6"),
@@ -90,9 +88,7 @@ def _stack_levels(axis: Axes, run: Run) -> None:
         axis.bar(x, share, 0.82, bottom=bottom, color=colour, edgecolor="#444444", linewidth=0.5,
                  label=label)  # fmt: skip
         bottom += share
-    axis.set_xticks(x)
-    axis.set_ylim(0, 100)
-    axis.set_yticks([0, 50, 100])
+    axis.set(xticks=x, ylim=(0, 100), yticks=[0, 50, 100])
 
 
 def resolution_figure(study: pd.DataFrame) -> Figure:
@@ -160,14 +156,8 @@ def speed_error_figure(inputs: Inputs, scenes: Sequence[str]) -> Figure:
 
 def _number_minutes(axis: Axes, minutes: float) -> None:
     """Number the time above a panel, at so many minutes a pattern."""
-
-    def to_minutes(patterns: Any) -> Any:
-        return patterns * minutes
-
-    def to_patterns(time: Any) -> Any:
-        return time / minutes
-
-    above = axis.secondary_xaxis("top", (to_minutes, to_patterns))
+    functions = (lambda patterns: patterns * minutes, lambda time: time / minutes)
+    above = axis.secondary_xaxis("top", functions)
     number_axis(above.xaxis)
     above.tick_params(labelsize=8, width=0.6, length=3)
     above.set_xlabel("capture, min", fontsize=8)
@@ -199,7 +189,7 @@ def times_figure(times: pd.DataFrame) -> Figure:
     axis = axes[0, 0]
     left = np.zeros(len(totals))
     y = np.arange(len(totals))
-    for stage, colour in zip(STAGES, _STAGE_COLOURS, strict=True):
+    for stage, colour in zip(_STAGES, _STAGE_COLOURS, strict=True):
         if stage in totals:
             seconds = totals[stage].to_numpy()
             hatch = "////" if stage == "capture" else None
@@ -211,5 +201,5 @@ def times_figure(times: pd.DataFrame) -> Figure:
     axis.invert_yaxis()
     axis.set_xlabel("seconds, all levels", fontsize=8.5)
     axis.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside upper center", ncols=len(STAGES), fontsize=8.5, frameon=False)
+    figure.legend(loc="outside upper center", ncols=len(_STAGES), fontsize=8.5, frameon=False)
     return figure

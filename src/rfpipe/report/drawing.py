@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rfpipe.photometry.response import srgb
 from rfpipe.report import methods
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ __all__ = [
     "logarithmic",
     "logarithmic_limits",
     "new_figure",
+    "new_panels",
     "number_axis",
     "panel_ratio",
     "png",
@@ -38,7 +40,6 @@ __all__ = [
     "show_image",
     "show_panels",
     "show_radiance",
-    "srgb",
 ]
 
 UNLIT_GAIN = 4
@@ -69,17 +70,25 @@ def new_figure(
     -------
     Figure, ndarray of Axes, shape (rows, columns)
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False, **options)
     for axis in axes.flat:
         axis.tick_params(labelsize=_SMALL, width=0.6, length=3)
-        for spine in axis.spines.values():
-            spine.set_linewidth(0.6)
+        axis.spines[:].set_linewidth(0.6)
     return figure, axes
+
+
+def new_panels(
+    rows: int, columns: int, shapes: Sequence[tuple[int, ...]], panel: float, below: float
+) -> tuple[Figure, NDArray[Any]]:
+    """Make a figure of panels so many inches wide, for images of these shapes (H, W).
+
+    Each has as many inches for text below as asked for; a row has half an inch on its left.
+    """
+    height = panel * panel_ratio(shapes) + below
+    return new_figure(rows, columns, (panel * columns + 0.5, height * rows))
 
 
 def scene_curves(
@@ -122,8 +131,7 @@ def scene_curves(
 
 def logarithmic(axis: Axes, steps: Sequence[int] = (1, 3)) -> None:
     """Make both axes of a plot logarithmic, with plain numbers at `steps` of each decade."""
-    axis.set_xscale("log")
-    axis.set_yscale("log")
+    axis.set(xscale="log", yscale="log")
     for direction in (axis.xaxis, axis.yaxis):
         number_axis(direction, steps)
     axis.grid(True, which="major", linewidth=0.4, color="#dddddd")
@@ -183,27 +191,6 @@ def image_png(pixels: NDArray[Any]) -> bytes:
     return buffer.getvalue()
 
 
-def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
-    """Render radiance for a screen.
-
-    Parameters
-    ----------
-    radiance : ndarray, shape (*shape, C)
-        C is 1 or 3.
-    white : float
-        Radiance shown as white; more is cut off.
-
-    Returns
-    -------
-    ndarray of float64, shape (*shape, 3)
-        In [0, 1], with the transfer curve of sRGB (IEC 61966-2-1).
-    """
-    linear = np.clip(np.asarray(radiance, np.float64) / white, 0, 1)
-    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    rgb: NDArray[np.float64] = np.broadcast_to(shown, (*shown.shape[:-1], 3))
-    return rgb
-
-
 def brighten_unlit(
     radiance: NDArray[Any], pattern: NDArray[Any], gain: float = UNLIT_GAIN
 ) -> NDArray[Any]:
@@ -213,8 +200,7 @@ def brighten_unlit(
 
 def show_image(axis: Axes, image: NDArray[Any], **options: Any) -> AxesImage:
     """Show an image pixel by pixel, without ticks; options are those of ``Axes.imshow``."""
-    axis.set_xticks([])
-    axis.set_yticks([])
+    axis.set(xticks=[], yticks=[])
     return axis.imshow(image, interpolation="nearest", **options)
 
 

@@ -27,8 +27,7 @@ def estimates_section(inputs: Inputs) -> Section | None:
     if steps.empty:
         return None
     compared = compare(inputs)
-    targets = sorted(set(compared["target_error"].dropna()))
-    target = targets[0] if targets else math.nan
+    target = compared["target_error"].min()
     curve = (
         "The error that a method estimated against the patterns shown until then, both axes "
         f"logarithmic. Dotted: the error asked for, {target:.3g} of a relit image's norm. An "
@@ -155,7 +154,6 @@ def _compared(compared: pd.DataFrame, inputs: Inputs) -> Table:
         ],
         [("", 3), ("error, %", 3), ("", 1)],
         csv="estimates.csv",
-        is_grouped=True,
     )
 
 
@@ -169,5 +167,4 @@ def _stepwise(steps: pd.DataFrame, inputs: Inputs) -> Table:
             ("estimated error, %", "estimated_error", percent),
         ],
         csv="estimate_history.csv",
-        is_grouped=True,
     )

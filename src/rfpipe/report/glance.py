@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from rfpipe.photometry.response import srgb
 from rfpipe.report import methods, tables
 from rfpipe.report.blocks import Gallery, Picture, Section, Tabulation
-from rfpipe.report.drawing import UNLIT_GAIN, brighten_unlit, srgb
+from rfpipe.report.drawing import UNLIT_GAIN, brighten_unlit
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.text import number, percent, words
 from rfpipe.stages.evaluating.metrics import relative_rms
@@ -94,7 +95,7 @@ def scene_picture(run: Run) -> Picture:
     else:
         error = relative_rms(run.read("floodlit_relit"), run.read("floodlit_captured"))
         said = f"floodlit image relit to {percent(error)} % of the captured one"
-    if run.has_truth and run.is_coaxial and not run.is_light_field:
+    if run.has_truth and run.is_coaxial and not run.settings.is_light_field:
         for name in ("relit", "truth"):
             shown[name] = brighten_unlit(shown[name], pattern)
     panels = {name: srgb(image, run.white) for name, image in shown.items()}

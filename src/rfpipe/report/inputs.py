@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.config import Config, SceneSettings
@@ -20,9 +19,19 @@ from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["BENCHMARKS", "Inputs", "Run", "Study", "load_inputs"]
+__all__ = ["BENCHMARKS", "COLUMNS", "PLACE", "Inputs", "Run", "Study", "load_inputs"]
 
-Image = NDArray[np.float32]
+PLACE = ("scene", "geometry", "height", "width", "channels", "noise", "seed")
+"""Columns of the benchmark ``speed_error`` that tell what was acquired."""
+
+COLUMNS = (
+    "method", *PLACE, "setting",
+    "patterns", "estimated_error", "error_mean", "error_worst", "worst_pattern",
+    "unlit_mean", "unlit_worst", "processing_seconds", "transport_mb",
+)  # fmt: skip
+"""Columns of its table, a row a run; errors are relative RMS over the relighting patterns, in
+total and on the unlit pixels, and `estimated_error` the method's own, blank or NaN where it has
+none. The columns up to `setting` tell runs apart."""
 
 BENCHMARKS = {
     "scaling": {
@@ -34,11 +43,7 @@ BENCHMARKS = {
     "merge": set[str](),
     "patterns": {"method", "side", "rays", "patterns"},
     "workflow": {"stage", "jobs", "job_s", "own_s", "overhead_s"},
-    "speed_error": {
-        "method", "scene", "geometry", "height", "width", "channels", "noise", "seed", "setting",
-        "patterns", "estimated_error", "error_mean", "error_worst", "unlit_mean", "unlit_worst",
-        "processing_seconds", "transport_mb",
-    },
+    "speed_error": set(COLUMNS),
 }  # fmt: skip
 """Benchmarks that the report shows, with the columns that it needs of each."""
 
@@ -66,7 +71,8 @@ class Run:
     @property
     def title(self) -> str:
         """The scene's name, with its number in Fig. 2.1 if it has one."""
-        return scene_title(self.scene, self.settings)
+        numeral = numeral_of(self.settings)
+        return self.scene if numeral is None else f"{self.scene} ({numeral})"
 
     @property
     def method_title(self) -> str:
@@ -93,11 +99,6 @@ class Run:
     def is_coaxial(self) -> bool:
         """Whether camera and projector share their rays, so that it is known which are unlit."""
         return bool(self.facts["coaxial"])
-
-    @property
-    def is_light_field(self) -> bool:
-        """Whether its images are stacks of views."""
-        return self.settings.is_light_field
 
     @property
     def middle_view(self) -> int:
@@ -128,7 +129,7 @@ class Run:
         Of a light field that says nothing: light comes to a view's left half from other views.
         Nor does it of a camera that sees the scene from aside.
         """
-        if self.is_light_field or not self.is_coaxial:
+        if self.settings.is_light_field or not self.is_coaxial:
             return False
         dark = right_half(self.settings.shape) == 0
         return bool(dark.any() and self.read("half_truth")[dark].max() > 0)
@@ -144,7 +145,7 @@ class Run:
     def read_shown(self, name: str) -> NDArray[Any]:
         """Read an array of radiance images (..., H, W, C): of a light field the middle view's."""
         images = self.read(name)
-        return images[..., self.middle_view, :, :, :] if self.is_light_field else images
+        return images[..., self.middle_view, :, :, :] if self.settings.is_light_field else images
 
 
 @dataclass(frozen=True)
@@ -195,7 +196,7 @@ class Inputs:
     @property
     def light_fields(self) -> list[Run]:
         """The runs of light fields."""
-        return [run for run in self.runs if run.is_light_field]
+        return [run for run in self.runs if run.settings.is_light_field]
 
     def of_method(self, method: str) -> list[Run]:
         """Return the runs of a method."""
@@ -231,12 +232,6 @@ class Inputs:
     def of_scene(self, scene: str) -> list[Run]:
         """Return the runs of a scene."""
         return [run for run in self.runs if run.scene == scene]
-
-
-def scene_title(name: str, scene: SceneSettings) -> str:
-    """Return a scene's name, with its number in Fig. 2.1 if it has one."""
-    numeral = numeral_of(scene)
-    return name if numeral is None else f"{name} ({numeral})"
 
 
 def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) -> Inputs:

@@ -93,8 +93,8 @@ def views_figure(run: Run, *, is_light_moving: bool) -> Figure:
         show_radiance(true, truth[index], white)
         label_below(ours, f"error {relative_rms(relit[index], truth[index]):.1%}")
         if index == middle:
-            for spine in (*ours.spines.values(), *true.spines.values()):
-                spine.set(color=_SAME, linewidth=2.5)
+            for axis in (ours, true):
+                axis.spines[:].set(color=_SAME, linewidth=2.5)
     for first, title in ((0, "Relit"), (columns + 1, "Ground truth")):
         axes[0, first + columns // 2].set_title(title, fontsize=9.5, pad=5)
     return figure
@@ -115,7 +115,9 @@ def view_errors(inputs: Inputs) -> Table:
     numbers: list[dict[str, Any]] = []
     for run in inputs.light_fields:
         columns = run.settings.view_grid[1]
-        for light, errors in enumerate(_errors_between(run)):
+        of_lights = zip(run.read("views_relit"), run.read("views_truth"), strict=True)
+        for light, (relit, truth) in enumerate(of_lights):
+            errors = list(map(relative_rms, relit, truth))
             about = {"scene": run.scene, "method": run.method, "light": light}
             numbers += [{**about, "view": view, "rms": rms} for view, rms in enumerate(errors)]
             row, column = divmod(light, columns)
@@ -139,9 +141,3 @@ def view_errors(inputs: Inputs) -> Table:
         csv="view_errors.csv",
         numbers=pd.DataFrame(numbers),
     )
-
-
-def _errors_between(run: Run) -> list[list[float]]:
-    """Return the relative errors (lights, views)."""
-    relit, truth = run.read("views_relit"), run.read("views_truth")
-    return [list(map(relative_rms, *of_light)) for of_light in zip(relit, truth, strict=True)]

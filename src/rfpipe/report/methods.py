@@ -23,7 +23,6 @@ __all__ = [
     "know",
     "listed",
     "of_table",
-    "stores_single_responses",
     "style",
     "swatches",
     "title",
@@ -84,11 +83,6 @@ def style(method: str) -> dict[str, Any]:
 def of_table(number: str, methods: Iterable[str]) -> list[str]:
     """Return those of some methods whose costs a table of the thesis has, by its number."""
     return [method for method in methods if _told(method, "thesis_table", "") == number]
-
-
-def stores_single_responses(method: str) -> bool:
-    """Tell whether each pixel's response to a block is stored as one number [3.2]."""
-    return bool(of_table("3.1", [method]))
 
 
 def swatches(methods: Iterable[str]) -> dict[str, str]:

@@ -15,6 +15,7 @@ from rfpipe.report.drawing import (
     label_below,
     label_left,
     new_figure,
+    new_panels,
     panel_ratio,
     show_image,
     show_panels,
@@ -73,11 +74,10 @@ def methods_figure(scenes: Sequence[Sequence[Run]]) -> Figure:
         with leaves its panel empty there.
     """
     shown = list(dict.fromkeys(run.method for runs in scenes for run in runs))
-    ratio = panel_ratio([runs[0].image_shape for runs in scenes])
     columns = len(shown) + 1
     panel = _PANEL * (1.25 if columns < 4 else 1.1)
-    size = (panel * columns + 0.5, (panel * ratio + 0.52) * len(scenes))
-    figure, axes = new_figure(len(scenes), columns, size)
+    shapes = [runs[0].image_shape for runs in scenes]
+    figure, axes = new_panels(len(scenes), columns, shapes, panel, 0.52)
     for row, runs in zip(axes, scenes, strict=True):
         gain = amplification(runs[0])
         pattern = right_half(runs[0].settings.shape)
@@ -107,13 +107,10 @@ def levels_figure(runs: Sequence[Run]) -> Figure:
     runs : sequence of Run
         Of one scene, the methods that have levels. Those without patterns are left out.
     """
-    ratio = panel_ratio([runs[0].image_shape])
-    per_row = 5
+    per_row, shapes = 5, [runs[0].image_shape]
     n_levels = max(sum(row["patterns"] > 0 for row in run.facts["levels"]) for run in runs)
     rows_each = -(-(n_levels + 1) // per_row)
-    panel = _SMALL_PANEL
-    size = (panel * per_row + 0.5, (panel * ratio + 0.42) * rows_each * len(runs))
-    figure, axes = new_figure(rows_each * len(runs), per_row, size)
+    figure, axes = new_panels(rows_each * len(runs), per_row, shapes, _SMALL_PANEL, 0.42)
     for index, run in enumerate(runs):
         own = axes[index * rows_each : (index + 1) * rows_each]
         label_left(own[0, 0], run.method_title)
@@ -132,10 +129,9 @@ def mosaic_figure(study: Study) -> Figure:
     """Show the sum of single-pixel images before and after normalization [Fig. B.1]."""
     chains = list(dict.fromkeys(row["chain"] for row in study.rows))
     modes = list(dict.fromkeys(row["normalization"] for row in study.rows))
-    ratio = panel_ratio([study.images.shape(f"floodlit_{chains[0]}")])
-    panel = 2.4
-    size = (panel * (len(modes) + 1) + 0.5, (panel * ratio + 0.62) * len(chains))
-    figure, axes = new_figure(len(chains), len(modes) + 1, size)
+    about = {(row["chain"], row["normalization"]): row for row in study.rows}
+    shapes = [study.images.shape(f"floodlit_{chains[0]}")]
+    figure, axes = new_panels(len(chains), len(modes) + 1, shapes, 2.4, 0.62)
     names = {
         "none": "sum of all images",
         "per_channel": "normalized per channel",
@@ -148,11 +144,7 @@ def mosaic_figure(study: Study) -> Figure:
         label_left(row[0], _CHAINS[chain])
         for axis, mode in zip(row[1:], modes, strict=True):
             show_radiance(axis, study.images.read(f"sum_{chain}_{mode}"), white)
-            facts = next(
-                fact
-                for fact in study.rows
-                if (fact["chain"], fact["normalization"]) == (chain, mode)
-            )
+            facts = about[chain, mode]
             label_below(
                 axis, f"light {facts['energy']:.0%}, colour contrast {facts['colour_contrast']:.0%}"
             )
@@ -175,12 +167,7 @@ def captured_figure(run: Run) -> Figure:
         **dict(zip(run.facts["names"], run.read_shown("relit"), strict=True)),
     }
     rows = -(-len(shown) // _CAPTURED_ABREAST)
-    ratio = panel_ratio([next(iter(shown.values())).shape])
-    figure, axes = new_figure(
-        rows,
-        _CAPTURED_ABREAST,
-        (_SMALL_PANEL * _CAPTURED_ABREAST, (_SMALL_PANEL * ratio + 0.42) * rows),
-    )
+    figure, axes = new_panels(rows, _CAPTURED_ABREAST, [run.image_shape], _SMALL_PANEL, 0.42)
     panels = [(words(name), image, "") for name, image in shown.items()]
     show_panels(axes.flat, panels, run.white)
     label_below(axes.flat[1], f"difference {relative_rms(relit, floodlit):.1%}")

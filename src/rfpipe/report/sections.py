@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TypeVar
+from typing import Any
 
 from rfpipe.report import charts, methods, pictures, tables
 from rfpipe.report.blocks import Block, Illustration, Section, Tabulation
 from rfpipe.report.drawing import UNLIT_GAIN, chunks
-from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.inputs import Inputs
 from rfpipe.report.text import number, percent, size, wishes, words
 from rfpipe.report.thesis import DUAL_ON_SCENE_IV, PLANES_SHAPE, TABLE_5_1, numeral_of
 
@@ -22,8 +22,6 @@ __all__ = [
     "methods_section",
     "speed_section",
 ]
-
-Item = TypeVar("Item")
 
 _ABREAST = 4
 """Scenes side by side in a figure."""
@@ -86,7 +84,7 @@ def matrices_section(inputs: Inputs) -> Section:
     """Fig. 2.1 for each method."""
     blocks: list[Block] = []
     for method in inputs.methods:
-        images = [run for run in inputs.of_method(method) if not run.is_light_field]
+        images = [run for run in inputs.of_method(method) if not run.settings.is_light_field]
         for runs, suffix in _parts(images):
             leaves = (
                 "(d) Level of the leaf that holds each entry: white the root, black single rays, "
@@ -121,11 +119,11 @@ def matrices_section(inputs: Inputs) -> Section:
     return Section("matrices", "The transport matrices (Fig. 2.1)", blocks)
 
 
-def _parts(items: Sequence[Item]) -> Iterator[tuple[list[Item], str]]:
+def _parts(items: Sequence[Any]) -> Iterator[tuple[Sequence[Any], str]]:
     """Cut what stands abreast into figures; yield the items of each and what tells its file."""
     parts = chunks(items, _ABREAST)
     for index, part in enumerate(parts):
-        yield list(part), f"_{index + 1}" if len(parts) > 1 else ""
+        yield part, f"_{index + 1}" if len(parts) > 1 else ""
 
 
 def cost_section(inputs: Inputs) -> Section:
@@ -187,10 +185,10 @@ def levels_section(inputs: Inputs) -> Section | None:
     if not with_levels:
         return None
     indirect = [run for run in with_levels if run.has_indirect_light]
-    images = [run for run in with_levels if not run.is_light_field]
+    images = [run for run in with_levels if not run.settings.is_light_field]
     last = (indirect or images or with_levels)[-1]
     runs = [run for run in with_levels if run.scene == last.scene]
-    where = ", the middle view," if last.is_light_field else ""
+    where = ", the middle view," if last.settings.is_light_field else ""
     caption = (
         f"{last.title}{where} relit with the vertical bar, as if the acquisition had stopped at "
         "each level; patterns shown up to there, and the relative RMS error in total. Where leaves "
@@ -206,13 +204,13 @@ def leaves_section(inputs: Inputs) -> Section | None:
     runs = [run for run in inputs.runs if len(run.facts["levels"]) > 1]
     if not runs:
         return None
+    drawn = [run for run in runs if charts.has_leaves_of_nodes(run)]
     groups = [
-        [run for run in runs if run.method == method and run.is_light_field == is_field]
+        [run for run in drawn if run.method == method and run.settings.is_light_field == is_field]
         for method in inputs.methods
         for is_field in (False, True)
     ]
-    groups = [[run for run in own if charts.has_leaves_of_nodes(run)] for own in groups]
-    rows: list[list[Run]] = [list(part) for own in groups for part in chunks(own, _ABREAST)]
+    rows = [part for own in groups for part, _ in _parts(own)]
     caption = (
         "What becomes of the nodes of each level, in per cent of the nodes measured at it. With "
         "symmetric photography a node is a pair of blocks; empty ones are the sparse part of T, "

@@ -27,13 +27,13 @@ _SIDE = 8
 
 def single_responses_section(inputs: Inputs) -> Section | None:
     """Explain the errors of a method that stores each pixel's responses one by one."""
-    own = [run for run in inputs.runs if methods.stores_single_responses(run.method)]
+    names = methods.of_table("3.1", inputs.methods)
+    own = [run for run in inputs.runs if run.method in names]
     if not own:
         return None
     scenes = {run.scene for run in own}
     numbers = error_sources([run for run in inputs.runs if run.scene in scenes])
-    is_own = numbers["method"].map(methods.stores_single_responses)
-    worst = set(numbers[is_own.astype(bool)]["worst_pattern"])
+    worst = set(numbers[numbers["method"].isin(names)]["worst_pattern"])
     caption = (
         "Mean relative RMS error over the relighting patterns, on the pixels that a pattern leaves "
         "dark (on all of a camera that looks from aside): pixel by pixel, and of the pictures "
@@ -149,5 +149,4 @@ def _sources_table(numbers: pd.DataFrame, inputs: Inputs) -> Table:
         ],
         [("", 2), ("mean error, %", 2), ("worst, %", 3)],
         csv="error_sources.csv",
-        is_grouped=True,
     )

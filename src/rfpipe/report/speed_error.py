@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from rfpipe.report import methods
 from rfpipe.report.blocks import Block, Column, Illustration, Section, Table, Tabulation, table_of
 from rfpipe.report.drawing import draw_method, scene_curves
-from rfpipe.report.inputs import Inputs
+from rfpipe.report.inputs import COLUMNS, PLACE, Inputs
 from rfpipe.report.text import fixed, number, percent, size, words
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "COLUMNS",
     "ESTIMATE_FACTOR",
     "against_symmetric",
     "curves_figure",
@@ -29,17 +28,6 @@ __all__ = [
     "rivals_section",
     "summary_lines",
 ]
-
-_PLACE = ("scene", "geometry", "height", "width", "channels", "noise", "seed")
-
-COLUMNS = (
-    "method", *_PLACE, "setting",
-    "patterns", "estimated_error", "error_mean", "error_worst", "worst_pattern",
-    "unlit_mean", "unlit_worst", "processing_seconds", "transport_mb",
-)  # fmt: skip
-"""Columns of the benchmark's table, a row a run; errors are relative RMS over the relighting
-patterns, in total and on the unlit pixels, and `estimated_error` the method's own, blank or NaN
-where it has none. The columns up to `setting` tell runs apart."""
 
 ESTIMATE_FACTOR = 1.5
 """How far off an estimated error may be, either way."""
@@ -79,7 +67,7 @@ def against_symmetric(table: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     table : DataFrame
-        With `COLUMNS`.
+        With `rfpipe.report.inputs.COLUMNS`.
 
     Returns
     -------
@@ -93,10 +81,10 @@ def against_symmetric(table: pd.DataFrame) -> pd.DataFrame:
     import pandas as pd
 
     kept = ["patterns", "estimated_error", "error_mean", "error_worst"]
-    symmetric = dict(list(table[table["method"] == methods.SYMMETRIC].groupby(list(_PLACE))))
+    symmetric = dict(list(table[table["method"] == methods.SYMMETRIC].groupby(list(PLACE))))
     rows = []
     for run in table[table["method"] == methods.NEAR_FAR].to_dict("records"):
-        place = {name: run[name] for name in _PLACE}
+        place = {name: run[name] for name in PLACE}
         row = {**place, "target_error": run["setting"], **{name: run[name] for name in kept}}
         row["estimate_ratio"] = run["estimated_error"] / (run["error_mean"] or math.nan)
         yardstick = symmetric.get(tuple(place.values()))
@@ -181,7 +169,7 @@ def curves_figure(table: pd.DataFrame) -> Figure:
     Parameters
     ----------
     table : DataFrame
-        With `COLUMNS`, of one size and one camera.
+        With `rfpipe.report.inputs.COLUMNS`, of one size and one camera.
     """
 
     def draw(axis: Axes, scene: str) -> None:

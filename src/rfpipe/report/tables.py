@@ -51,7 +51,9 @@ def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
     height, width = run.settings.shape
     channels, camera_rays = run.settings.channels, math.prod(run.settings.camera_ray_shape)
     capture = run.patterns * inputs.config.capture.seconds_per_pattern
-    processing = _processing_seconds(inputs, run)
+    _, processing = _job_seconds(inputs, run)
+    if math.isnan(processing):
+        processing = _in_process_seconds(inputs, run)
     return {
         "scene": run.scene,
         "title": run.title,
@@ -70,13 +72,17 @@ def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
     }
 
 
-def _processing_seconds(inputs: Inputs, run: Run) -> float:
-    own = run.own(inputs.times)
-    own = own[own["stage"] != "capture"]
-    return float(own["seconds"].sum()) if len(own) else in_process_seconds(inputs, run)
+def _job_seconds(inputs: Inputs, run: Run) -> tuple[float, float]:
+    """Return the wall seconds of a run's capture and processing jobs; NaN without any."""
+    jobs = run.own(inputs.times)
+    is_capture = jobs["stage"] == "capture"
+    capture, processing = (
+        jobs["seconds"][chosen].sum(min_count=1) for chosen in (is_capture, ~is_capture)
+    )
+    return capture, processing
 
 
-def in_process_seconds(inputs: Inputs, run: Run) -> float:
+def _in_process_seconds(inputs: Inputs, run: Run) -> float:
     """Return the processing seconds of a run's acquisition within the sweep; NaN without one."""
     own = run.own(inputs.speed_error)
     section = inputs.config.methods_of(run.scene)[run.method]
@@ -120,7 +126,7 @@ def results_table(inputs: Inputs, found: pd.DataFrame) -> Table:
     groups = [("", 2), ("cost", 3), ("error of relit pictures, %", 3)]
     if not inputs.has_truth:
         columns, groups = columns[:3], []
-    return table_of(found, inputs.labels, columns, groups, csv="results.csv", is_grouped=True)
+    return table_of(found, inputs.labels, columns, groups, csv="results.csv")
 
 
 def table_5_1(inputs: Inputs) -> Table:
@@ -214,7 +220,6 @@ def errors_by_pattern(inputs: Inputs) -> Table:
             ("on the unlit pixels, %", len(names)),
         ],
         csv="errors.csv",
-        is_grouped=True,
         numbers=None,
     )
 
@@ -266,7 +271,6 @@ def speed_table(inputs: Inputs) -> Table:
         ],
         [("", 3), ("cost", 4), ("mean error", 4)],
         csv="speed_error.csv",
-        is_grouped=True,
         numbers=None,
     )
 
@@ -275,13 +279,8 @@ def processing_table(inputs: Inputs) -> Table:
     """Return the processing seconds of each run, and a HDR image."""
     numbers = []
     for run in inputs.runs:
-        jobs = run.own(inputs.times)
-        is_capture = jobs["stage"] == "capture"
-        seconds, simulated = (
-            float(jobs[chosen]["seconds"].sum()) if len(jobs) else math.nan
-            for chosen in (~is_capture, is_capture)
-        )
-        alone = in_process_seconds(inputs, run)
+        simulated, seconds = _job_seconds(inputs, run)
+        alone = _in_process_seconds(inputs, run)
         numbers.append(
             {
                 "scene": run.scene, "method": run.method, "patterns": run.patterns,
@@ -304,5 +303,4 @@ def processing_table(inputs: Inputs) -> Table:
         ],
         [("", 3), ("stages on files", 3), ("in memory", 2)],
         csv="processing.csv",
-        is_grouped=True,
     )

@@ -71,10 +71,8 @@ def numeral_of(scene: SceneSettings) -> str | None:
     options = scene.options()
     if options.get("occluders") or not scene.is_coaxial:
         return None
-    for numeral, (kind, surfaces) in REFERENCE_SCENES.items():
-        if (scene.kind, tuple(options.get("surfaces", ()))) == (kind, surfaces):
-            return numeral
-    return None
+    own = (scene.kind, tuple(options.get("surfaces", ())))
+    return next((numeral for numeral, known in REFERENCE_SCENES.items() if known == own), None)
 
 
 def row_of(scene: SceneSettings) -> str | None:

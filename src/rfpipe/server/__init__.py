@@ -13,18 +13,9 @@ from rfpipe.server.settings import ServerSettings
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from fastapi import FastAPI
-
     from rfpipe.rigs import Rig
 
-__all__ = ["ServerSettings", "create_app", "serve"]
-
-
-def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> FastAPI:
-    """Return the ASGI application that serves a rig; see `rfpipe.server.api.create_app`."""
-    from rfpipe.server.api import create_app as create
-
-    return create(rig, token, settings)
+__all__ = ["ServerSettings", "serve"]
 
 
 def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> None:

@@ -8,7 +8,7 @@ import logging
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from math import prod
 from typing import Annotated, Any
 
@@ -36,6 +36,7 @@ from rfpipe.server.preview import preview_png
 from rfpipe.server.problems import PROBLEM_TYPE, Problem, add_handlers
 from rfpipe.server.settings import ServerSettings
 from rfpipe.server.worker import (
+    Capture,
     CaptureConflictError,
     CaptureStoppedError,
     RigBusyError,
@@ -83,9 +84,7 @@ class _Served:
     drawing: asyncio.Lock = field(default_factory=asyncio.Lock)
 
 
-def create_app(
-    rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings | None = None
-) -> FastAPI:
+def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> FastAPI:
     """Return the ASGI application that serves a rig.
 
     Parameters
@@ -94,7 +93,7 @@ def create_app(
         A callable is called, once and now, in the thread that will use the rig.
     token : str
         The bearer token that clients must send.
-    settings : ServerSettings, optional
+    settings : ServerSettings
 
     Returns
     -------
@@ -106,7 +105,6 @@ def create_app(
     RfpipeError
         When the rig can't be opened.
     """
-    settings = settings or ServerSettings()
     leases = Leases(settings.lease_seconds)
     worker = RigWorker(rig, leases, settings.kept_captures)
 
@@ -167,7 +165,7 @@ async def status(served: Served) -> StatusAnswer:
     return StatusAnswer(
         up_seconds=time.monotonic() - served.began,
         holder=lease and lease.client,
-        **asdict(served.worker.metrics),
+        **served.worker.metrics.model_dump(),
     )
 
 
@@ -234,8 +232,8 @@ async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: 
     def submitted() -> Any:
         patterns, keys = decode_patterns(body, projector, served.rig.limits.patterns)
         check_patterns(patterns, keys, projector)  # all, before the first is shown
-        digest = hashlib.sha256(body).hexdigest()
-        return served.worker.submit(key, digest, lease, patterns, keys), keys
+        asked = Capture(hashlib.sha256(body).hexdigest(), lease, patterns, keys)
+        return served.worker.submit(key, asked), keys
 
     future, keys = await asyncio.to_thread(submitted)
     # shielded: a client that goes away doesn't take the exposure back
@@ -288,5 +286,4 @@ def _answer(lease: Lease, served: _Served) -> LeaseAnswer:
 
 
 def _message(keys: list[tuple[int, ...]], brackets: list[NDArray[Any]]) -> bytes:
-    facts = {"keys": [list(key) for key in keys]}
-    return pack(facts, {str(index): bracket for index, bracket in enumerate(brackets)})
+    return pack({"keys": keys}, {str(index): bracket for index, bracket in enumerate(brackets)})

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
     from rfpipe.server.settings import ServerSettings
 
-__all__ = ["CAPTURE_PATH", "OPEN_PATHS", "Guard"]
+__all__ = ["CAPTURE_PATH", "Guard"]
 
-OPEN_PATHS = frozenset({"/v1/health", "/v1/openapi.json"})
+_OPEN_PATHS = frozenset({"/v1/health", "/v1/openapi.json"})
 """Paths that need no token: they tell nothing of the rig."""
 
 CAPTURE_PATH = "/v1/captures"
@@ -52,30 +52,26 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        response = _Response(send, scope)
-        headers = dict(scope["headers"])
-        most = (
-            self._settings.most_request_bytes
-            if scope["path"] == CAPTURE_PATH
-            else _SMALL_BODY_BYTES
-        )
-        if scope["path"] not in OPEN_PATHS and not self._is_right(headers.get(b"authorization")):
+        send, path, headers = _logged(send, scope), scope["path"], dict(scope["headers"])
+        most = self._settings.most_request_bytes if path == CAPTURE_PATH else _SMALL_BODY_BYTES
+        declared = _declared_length(headers)
+        if path not in _OPEN_PATHS and not self._is_right(headers.get(b"authorization")):
             refusal = problem_response(
                 401,
                 "the bearer token is missing or wrong; it is the one that the server was started "
                 "with",
                 {"WWW-Authenticate": "Bearer"},
             )
-        elif _declared_length(headers) > most:
+        elif declared > most:
             refusal = problem_response(
-                413, f"a body of {_declared_length(headers)} bytes; up to {most} are allowed here"
+                413, f"a body of {declared} bytes; up to {most} are allowed here"
             )
         else:
-            await self._app(scope, _Body(receive, most), response)
+            await self._app(scope, _limited(receive, most), send)
             return
-        if _declared_length(headers) > _SMALL_BODY_BYTES or b"transfer-encoding" in headers:
+        if declared > _SMALL_BODY_BYTES or b"transfer-encoding" in headers:
             refusal.headers["Connection"] = "close"  # rather than to read a long body to its end
-        await refusal(scope, receive, response)
+        await refusal(scope, receive, send)
 
     def _is_right(self, authorization: bytes | None) -> bool:
         scheme, _, given = (authorization or b"").partition(b" ")
@@ -89,54 +85,48 @@ def _declared_length(headers: dict[bytes, bytes]) -> int:
     return int(length) if length.isdigit() else 0
 
 
-class _Body:
-    """Counts the bytes of a body as they arrive."""
+def _limited(receive: Receive, most: int) -> Receive:
+    """Count the bytes of a body as they arrive, and refuse more than are allowed."""
+    left = most
 
-    def __init__(self, receive: Receive, most: int) -> None:
-        self._receive = receive
-        self._left = most
-        self._most = most
-
-    async def __call__(self) -> Message:
-        message = await self._receive()
-        self._left -= len(message.get("body", b""))
-        if self._left < 0:
+    async def receive_counted() -> Message:
+        nonlocal left
+        message = await receive()
+        left -= len(message.get("body", b""))
+        if left < 0:
             raise HTTPException(
-                413, f"the body is longer than {self._most} bytes", {"Connection": "close"}
+                413, f"the body is longer than {most} bytes", {"Connection": "close"}
             )
         return message
 
+    return receive_counted
 
-class _Response:
-    """Sends a response and logs it."""
 
-    def __init__(self, send: Send, scope: Scope) -> None:
-        self._send = send
-        self._scope = scope
-        self._status = 0
-        self._bytes = 0
-        self._began = time.perf_counter()
+def _logged(send: Send, scope: Scope) -> Send:
+    """Log a response once it is sent."""
+    status = sent = 0
+    began = time.perf_counter()
 
-    async def __call__(self, message: Message) -> None:
+    async def send_counted(message: Message) -> None:
+        nonlocal status, sent
         if message["type"] == "http.response.start":
-            self._status = message["status"]
+            status = message["status"]
             message["headers"] = [*message.get("headers", ()), *_HEADERS]
-        self._bytes += len(message.get("body", b""))
-        await self._send(message)
+        sent += len(message.get("body", b""))
+        await send(message)
         if message["type"] == "http.response.body" and not message.get("more_body", False):
-            self._log()
+            client = scope.get("client")
+            _log.log(
+                logging.INFO if status < 400 else logging.WARNING,
+                "%s %s: %d",
+                scope["method"],
+                scope["path"][:200],
+                status,
+                extra={
+                    "client": f"{client[0]}:{client[1]}" if client else None,
+                    "ms": round(1e3 * (time.perf_counter() - began), 1),
+                    "bytes": sent,
+                },
+            )
 
-    def _log(self) -> None:
-        client = self._scope.get("client")
-        _log.log(
-            logging.INFO if self._status < 400 else logging.WARNING,
-            "%s %s: %d",
-            self._scope["method"],
-            self._scope["path"][:200],
-            self._status,
-            extra={
-                "client": f"{client[0]}:{client[1]}" if client else None,
-                "ms": round(1e3 * (time.perf_counter() - self._began), 1),
-                "bytes": self._bytes,
-            },
-        )
+    return send_counted

@@ -31,14 +31,13 @@ class Lease:
 
 
 class LeaseHeldError(Exception):
-    """Another client holds the rig; the argument is its `Lease`."""
+    """Another client holds the rig."""
 
     def __init__(self, lease: Lease, seconds_left: float) -> None:
         super().__init__(
             f"the rig is held by {lease.client!r}, and for {seconds_left:.1f} s yet if its heart "
             "stops; wait until it is released"
         )
-        self.lease = lease
         self.seconds_left = seconds_left
 
 

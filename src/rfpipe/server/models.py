@@ -6,7 +6,15 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = ["Health", "LeaseAnswer", "LeaseRequest", "Limits", "RigAnswer", "StatusAnswer"]
+__all__ = [
+    "Health",
+    "LeaseAnswer",
+    "LeaseRequest",
+    "Limits",
+    "Metrics",
+    "RigAnswer",
+    "StatusAnswer",
+]
 
 
 class Health(BaseModel):
@@ -17,18 +25,23 @@ class Health(BaseModel):
     api: int = Field(description="Version of this interface.")
 
 
-class StatusAnswer(BaseModel):
+class Metrics(BaseModel):
     """What happened since the start."""
+
+    brackets: int = Field(0, description="Patterns exposed.")
+    answered_again: int = Field(
+        0, description="Requests that came again and were answered without a new exposure."
+    )
+    failures: int = Field(0, description="Exposures that ended with an error of the rig.")
+    last_error: str | None = None
+    exposing_seconds: float = Field(0.0, description="Time that the rig took for all brackets.")
+
+
+class StatusAnswer(Metrics):
+    """Who holds the rig, and what happened since the start."""
 
     up_seconds: float
     holder: str | None = Field(description="What the client that holds the rig calls itself.")
-    brackets: int = Field(description="Patterns exposed.")
-    answered_again: int = Field(
-        description="Requests that came again and were answered without a new exposure."
-    )
-    failures: int = Field(description="Exposures that ended with an error of the rig.")
-    last_error: str | None
-    exposing_seconds: float = Field(description="Time that the rig took for all brackets.")
 
 
 class Limits(BaseModel):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.photometry.response import srgb
 from rfpipe.server.worker import Shown
 
 __all__ = ["preview_png"]
@@ -36,7 +37,6 @@ def preview_png(shown: Shown, sensor: Mapping[str, Any], exposures: Sequence[flo
     bytes
         A PNG file.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     camera = sensor.get("sensor", sensor)  # of a resampled one, that behind it
@@ -44,15 +44,12 @@ def preview_png(shown: Shown, sensor: Mapping[str, Any], exposures: Sequence[flo
     has_mosaic = camera.get("bayer") is not None
     images = [_image(frame[..., None] if has_mosaic else frame) for frame in shown.bracket]
     figure = Figure(figsize=(3.2 * len(images), 5.2), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, len(images), squeeze=False)
     for image, exposure, (above, below) in zip(images, exposures, axes.T, strict=True):
         top = full_scale or float(image.max()) or 1.0
         is_full = image >= top if full_scale else np.zeros(image.shape, bool)
         above.imshow(_shown(image, is_full, top), interpolation="nearest")
-        above.set_xticks([])
-        above.set_yticks([])
-        above.set_xlabel(f"{exposure:g} s; {is_full.mean():.2%} saturated")
+        above.set(xticks=[], yticks=[], xlabel=f"{exposure:g} s; {is_full.mean():.2%} saturated")
         for channel, colour in enumerate(_CHANNEL_COLOURS[image.shape[-1]]):
             counts, edges = np.histogram(image[..., channel], _BINS, (0.0, top))
             below.stairs(counts, edges, color=colour)
@@ -72,8 +69,5 @@ def _image(frame: NDArray[Any]) -> NDArray[Any]:
 
 
 def _shown(image: NDArray[Any], is_full: NDArray[np.bool_], top: float) -> NDArray[Any]:
-    """Return RGB in [0, 1] with a screen's gamma."""
-    grey = np.clip(image / top, 0, 1) ** (1 / 2.2)
-    rgb = np.array(np.broadcast_to(grey, (*image.shape[:2], 3)))
-    rgb[is_full.any(axis=-1)] = _SATURATED_COLOUR
-    return rgb
+    """Return RGB in [0, 1] for a screen."""
+    return np.where(is_full.any(axis=-1, keepdims=True), _SATURATED_COLOUR, srgb(image, top))

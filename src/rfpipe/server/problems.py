@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from http import HTTPStatus
 
@@ -30,8 +29,8 @@ class Problem(BaseModel):
 
 def problem_body(status: int, detail: str) -> bytes:
     """Return the body of an error's response."""
-    title = HTTPStatus(status).phrase
-    return json.dumps({"title": title, "status": status, "detail": detail}).encode()
+    problem = Problem(title=HTTPStatus(status).phrase, status=status, detail=detail)
+    return problem.model_dump_json().encode()
 
 
 def problem_response(status: int, detail: str, headers: dict[str, str] | None = None) -> Response:

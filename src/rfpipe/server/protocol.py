@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 
 import h11
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
     from rfpipe.server.settings import ServerSettings
 
 __all__ = ["guarded_protocol"]
-
-_REASONS = {400: b"Bad Request", 408: b"Request Timeout", 503: b"Service Unavailable"}
 
 
 def guarded_protocol(settings: ServerSettings) -> type[asyncio.Protocol]:
@@ -116,11 +115,11 @@ def guarded_protocol(settings: ServerSettings) -> type[asyncio.Protocol]:
                 return
             busy = self.cycle is not None and not self.cycle.response_complete
             if not (busy and self.cycle.response_started):
-                body = problem_body(status, detail)
+                reason, body = HTTPStatus(status).phrase.encode(), problem_body(status, detail)
                 self.transport.write(
                     b"HTTP/1.1 %d %s\r\nContent-Type: %s\r\nContent-Length: %d\r\n"
                     b"Connection: close\r\n\r\n%s"
-                    % (status, _REASONS[status], PROBLEM_TYPE.encode(), len(body), body)
+                    % (status, reason, PROBLEM_TYPE.encode(), len(body), body)
                 )
             if busy:
                 self.cycle.disconnected = True

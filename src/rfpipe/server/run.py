@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 from collections.abc import Callable
+from contextlib import closing, suppress
 from types import FrameType
 
 import uvicorn
@@ -71,22 +72,18 @@ def bound_socket(settings: ServerSettings) -> socket.socket:
         family, kind, protocol, _, address = socket.getaddrinfo(
             settings.host, settings.port, type=socket.SOCK_STREAM
         )[0]
-        # with its protocol named: else asyncio leaves Nagle's delay of 40 ms in each answer
-        bound = socket.socket(family, kind, protocol)
-        try:
-            bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            bound.bind(address)
-            # else others on this port are refused only once the rig is open
-            bound.listen(_BACKLOG)
-        except OSError:
-            bound.close()
-            raise
+        is_dual = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
+        # listens at once: else others on this port are refused only once the rig is open
+        bound = socket.create_server(
+            address, family=family, backlog=_BACKLOG, dualstack_ipv6=is_dual
+        )
     except OSError as error:
         raise ConfigError(
             f"server: can't listen on {settings.host}, port {settings.port}: {error}. Stop what "
             "listens there, or choose another --port"
         ) from error
-    return bound
+    # with its protocol named: else asyncio leaves Nagle's delay of 40 ms in each answer
+    return socket.socket(family, kind, protocol, bound.detach())
 
 
 def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> None:
@@ -116,9 +113,6 @@ def serve(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) ->
             _log.warning(
                 "other machines can connect, over plain HTTP: whoever listens in reads the token"
             )
-        try:
+        # uvicorn raises KeyboardInterrupt again after its end
+        with closing(server.worker), suppress(KeyboardInterrupt):
             server.run(sockets=[bound])
-        except KeyboardInterrupt:
-            pass  # raised again by uvicorn after its end
-        finally:
-            server.worker.close()

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass
+from contextlib import suppress
 from pathlib import Path
+from typing import Any, Self
 
+from pydantic import Field, ValidationError, model_validator
+
+from rfpipe.config.base import Settings
+from rfpipe.config.problems import explained
 from rfpipe.errors import ConfigError
 
 __all__ = ["ServerSettings"]
 
 
-@dataclass(frozen=True)
-class ServerSettings:
+class ServerSettings(Settings):
     """Where a server listens, and its limits.
 
     Parameters
@@ -50,47 +54,39 @@ class ServerSettings:
         When a setting is out of range, or the address is not loopback without `allow_remote`.
     """
 
-    host: str = "127.0.0.1"
-    port: int = 8750
+    host: str = Field("127.0.0.1", min_length=1)
+    port: int = Field(8750, ge=0, le=65535)
     allow_remote: bool = False
-    lease_seconds: float = 15.0
-    most_patterns: int = 64
-    most_request_bytes: int = 64 * 2**20
-    most_response_bytes: int = 256 * 2**20
-    most_connections: int = 512
-    head_seconds: float = 10.0
-    body_seconds: float = 60.0
-    kept_captures: int = 2
+    lease_seconds: float = Field(15.0, ge=0.5, le=3600)
+    most_patterns: int = Field(64, ge=1, le=1024)
+    most_request_bytes: int = Field(64 * 2**20, ge=4096)
+    most_response_bytes: int = Field(256 * 2**20, gt=0)
+    most_connections: int = Field(512, ge=8)
+    head_seconds: float = Field(10.0, gt=0)
+    body_seconds: float = Field(60.0, gt=0)
+    kept_captures: int = Field(2, ge=1)
     log_file: Path | None = None
 
-    def __post_init__(self) -> None:
-        checks = {
-            "port": (0 <= self.port <= 65535, "be 0 to 65535"),
-            "lease_seconds": (0.5 <= self.lease_seconds <= 3600, "be 0.5 to 3600"),
-            "most_patterns": (1 <= self.most_patterns <= 1024, "be 1 to 1024"),
-            "most_request_bytes": (self.most_request_bytes >= 4096, "be at least 4096"),
-            "most_response_bytes": (self.most_response_bytes > 0, "be above 0"),
-            "most_connections": (self.most_connections >= 8, "be at least 8"),
-            "head_seconds": (self.head_seconds > 0, "be above 0"),
-            "body_seconds": (self.body_seconds > 0, "be above 0"),
-            "kept_captures": (self.kept_captures >= 1, "be at least 1"),
-        }
-        for name, (is_right, expected) in checks.items():
-            if not is_right:
-                raise ConfigError(f"server: {name} is {getattr(self, name)}; it must {expected}")
+    def __init__(self, **settings: Any) -> None:
+        try:
+            super().__init__(**settings)
+        except ValidationError as error:
+            lines = [f"server: {line}" for line in explained(type(self), error, settings)]
+            raise ConfigError("\n".join(lines)) from None
+
+    @model_validator(mode="after")
+    def _is_for_this_machine_alone(self) -> Self:
         if not (self.allow_remote or self.is_loopback):
-            raise ConfigError(
-                f"server: {self.host} is no loopback address. Other machines could connect, over "
-                "plain HTTP; an SSH tunnel to 127.0.0.1 is safer. To allow it all the same, pass "
+            raise ValueError(
+                f"{self.host} is no loopback address. Other machines could connect, over plain "
+                "HTTP; an SSH tunnel to 127.0.0.1 is safer. To allow it all the same, pass "
                 "--allow-remote"
             )
+        return self
 
     @property
     def is_loopback(self) -> bool:
         """Whether only this machine can connect."""
-        if self.host == "localhost":
-            return True
-        try:
+        with suppress(ValueError):
             return ipaddress.ip_address(self.host).is_loopback
-        except ValueError:
-            return False
+        return self.host == "localhost"

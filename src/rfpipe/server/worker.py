@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
 from rfpipe.server.lease import Leases
+from rfpipe.server.models import Metrics
 
 __all__ = [
+    "Capture",
     "CaptureConflictError",
     "CaptureStoppedError",
-    "Metrics",
     "RigBusyError",
     "RigWorker",
     "Shown",
@@ -44,30 +45,6 @@ class CaptureStoppedError(Exception):
     """The server is being stopped, or the client's lease lapsed; the rest wasn't exposed."""
 
 
-@dataclass
-class Metrics:
-    """What happened since the start.
-
-    Attributes
-    ----------
-    brackets : int
-        Patterns exposed.
-    answered_again : int
-        Requests that were answered with what was exposed for them before.
-    failures : int
-        Captures that ended with an error of the rig.
-    last_error : str or None
-    exposing_seconds : float
-        Time that the rig took for all brackets.
-    """
-
-    brackets: int = 0
-    answered_again: int = 0
-    failures: int = 0
-    last_error: str | None = None
-    exposing_seconds: float = 0.0
-
-
 @dataclass(frozen=True)
 class Shown:
     """The last bracket: its number since the start, its pattern's key and its frames."""
@@ -78,8 +55,20 @@ class Shown:
 
 
 @dataclass
-class _Capture:
-    """The patterns of one request, and the brackets of those exposed so far."""
+class Capture:
+    """The patterns of one request, and the brackets of those exposed so far.
+
+    Attributes
+    ----------
+    digest : str
+        Of the request's content.
+    lease : str
+    patterns : ndarray of float32, shape (B, *projector_shape)
+    keys : list of B tuples of int
+    brackets : list of ndarray
+    result : Future or None
+        None until it was begun.
+    """
 
     digest: str
     lease: str
@@ -90,6 +79,7 @@ class _Capture:
 
     @property
     def is_under_way(self) -> bool:
+        """Whether it was begun and goes on."""
         return self.result is not None and not self.result.done()
 
 
@@ -114,7 +104,7 @@ class RigWorker:
     def __init__(self, rig: Rig | Callable[[], Rig], leases: Leases, kept: int) -> None:
         self._leases = leases
         self._kept = kept
-        self._captures: dict[str, _Capture] = {}
+        self._captures: dict[str, Capture] = {}
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._is_closed = False
@@ -127,25 +117,14 @@ class RigWorker:
             self._thread.shutdown()
             raise
 
-    def submit(
-        self,
-        identity: str,
-        digest: str,
-        lease: str,
-        patterns: Patterns,
-        keys: list[tuple[int, ...]],
-    ) -> Future[Frames]:
+    def submit(self, identity: str, asked: Capture) -> Future[Frames]:
         """Have patterns exposed that weren't yet under this identity.
 
         Parameters
         ----------
         identity : str
             Of the request; the same when it comes again.
-        digest : str
-            Of its content.
-        lease : str
-        patterns : ndarray of float32, shape (B, *projector_shape)
-        keys : list of B tuples of int
+        asked : Capture
 
         Returns
         -------
@@ -163,11 +142,11 @@ class RigWorker:
         with self._lock:
             capture = self._captures.get(identity)
             if capture is not None:
-                if capture.digest != digest:
+                if capture.digest != asked.digest:
                     raise CaptureConflictError(
                         "this Idempotency-Key was used with other patterns; take a new one"
                     )
-                capture.lease = lease
+                capture.lease = asked.lease
                 if capture.is_under_way or len(capture.brackets) == len(capture.keys):
                     self.metrics.answered_again += 1
                     assert capture.result is not None
@@ -178,8 +157,7 @@ class RigWorker:
                 raise RigBusyError("another capture of this lease is under way; send one at a time")
             if capture is None:
                 self._forget()
-                capture = _Capture(digest, lease, patterns, keys)
-                self._captures[identity] = capture
+                capture = self._captures[identity] = asked
             capture.result = self._thread.submit(self._expose, capture)
             return capture.result
 
@@ -212,7 +190,7 @@ class RigWorker:
         for name in done[: max(0, len(done) + 1 - self._kept)]:
             del self._captures[name]
 
-    def _expose(self, capture: _Capture) -> Frames:
+    def _expose(self, capture: Capture) -> Frames:
         """Expose the patterns that are missing, one by one."""
         for index in range(len(capture.brackets), len(capture.keys)):
             if self.is_stopping:
