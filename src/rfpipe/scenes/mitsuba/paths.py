@@ -24,8 +24,9 @@ def begin(pinholes: Pinholes, sums: Sums, samples: int, seed: int) -> tuple[Any,
     """Return the rows of paths, `samples` for each, their first rays, and random numbers."""
     lanes = sums.count * samples
     row = dr.arange(mi.UInt32, lanes) // samples
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(dr.opaque(mi.UInt32, seed), lanes)
+    sampler = mi.load_dict({"type": "multijitter", "sample_count": samples})
+    sampler.set_samples_per_wavefront(samples)
+    sampler.seed(seed, lanes)
     pixel = row + dr.opaque(mi.UInt32, sums.first)
     return row, pinholes.rays(pixel, sampler.next_2d()), sampler
 

@@ -64,9 +64,7 @@ def trace_volumes(
         toward, _ = phase.eval_pdf(phase_context, interaction, way, scattered)
         light = weight * dr.select(scattered, mi.Color3f(toward), reflected)
         lit = (scattered | on_surface) & look.seen & dr.any(light > 0)
-        start = dr.select(
-            scattered, mi.Ray3f(place, way), si.spawn_ray_to(look.origin)
-        )
+        start = dr.select(scattered, mi.Ray3f(place, way), si.spawn_ray_to(look.origin))
         start.d = way
         outside = dr.select(scattered, medium, si.target_medium(way))
         light *= _transmittance(scene, start, look.origin, outside, lit)
@@ -126,9 +124,7 @@ def _coefficients(medium: Any, active: Any) -> tuple[Any, Any]:
 def _transmittance(scene: Any, ray: Any, target: Any, medium: Any, active: Any) -> Any:
     """Return the share of light that gets straight from a ray's origin to a target."""
 
-    def advance(
-        ray: Any, share: Any, medium: Any, passed: Any, active: Any
-    ) -> tuple[Any, ...]:
+    def advance(ray: Any, share: Any, medium: Any, passed: Any, active: Any) -> tuple[Any, ...]:
         rest = dr.norm(target - ray.o)
         ray.maxt = rest * (1 - 1e-4)
         si = scene.ray_intersect(ray, active)

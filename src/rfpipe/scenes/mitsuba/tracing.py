@@ -1,0 +1,86 @@
+"""Rows and columns of a transport matrix, traced by Mitsuba."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import copy
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.provenance import generator
+from rfpipe.scenes.mitsuba.particles import trace_particles
+from rfpipe.scenes.mitsuba.paths import trace_paths
+from rfpipe.scenes.mitsuba.pinholes import Pinholes
+from rfpipe.scenes.mitsuba.sums import Sums
+from rfpipe.scenes.mitsuba.views import Views
+from rfpipe.scenes.mitsuba.volumes import trace_volumes
+
+if TYPE_CHECKING:
+    from rfpipe.scenes.mitsuba.recording import Light
+
+__all__ = ["Tracer"]
+
+Double = NDArray[np.float64]
+
+_LANES = 2**20  # paths at a time
+_DIRECT_SAMPLES = 32  # a pixel, to tell where direct light falls
+
+
+class Tracer:
+    """Traces pieces of the matrix of one scene, rig and kind of light.
+
+    Parameters
+    ----------
+    scene
+        Mitsuba's scene.
+    camera, projector
+        The two sides.
+    light
+        What is followed.
+    """
+
+    def __init__(self, scene: Any, camera: Views, projector: Views, light: Light) -> None:
+        self._scene, self._light = scene, light
+        self._camera, self._projector = Pinholes(camera), Pinholes(projector)
+        media = any(shape.is_medium_transition() for shape in scene.shapes())
+        self._trace_rows = trace_volumes if media else trace_paths
+
+    def rows(self, half: int, first: int, last: int) -> Double:
+        """Trace rows [first, last) of one half: float64 (last - first, N, 3)."""
+        return self._traced(self._trace_rows, self._projector, 2 * half, first, last)
+
+    def columns(self, half: int, first: int, last: int) -> Double:
+        """Trace what caustics add to columns [first, last) of one half: (last - first, M, 3)."""
+        return self._traced(trace_particles, self._camera, 2 * half + 1, first, last)
+
+    def direct(self, first: int, last: int) -> Double:
+        """Trace rows [first, last) of direct light alone, roughly."""
+        few = replace(self._light, bounces=1, samples=2 * _DIRECT_SAMPLES)
+        tracer = copy(self)
+        tracer._light = few
+        return tracer.rows(2, first, last)
+
+    def _traced(
+        self, trace: Callable[..., None], others: Pinholes, stream: int, first: int, last: int
+    ) -> Double:
+        """Trace half of the samples of some pixels: float64 (last - first, others, 3)."""
+        sums = Sums(first, last - first, others.views.rays)
+        samples = self._light.samples // 2
+        passed = 4 ** int(np.log2(min(samples, max(1, _LANES // sums.count))) / 2)
+        passes = -(-samples // passed)
+        for index in range(passes):
+            seed = int(generator(self._light.seed, stream, first, index).integers(2**31))
+            trace(
+                self._scene,
+                self._camera,
+                self._projector,
+                sums,
+                samples=passed,
+                bounces=self._light.bounces,
+                seed=seed,
+            )
+            sums.flush()
+        return sums.to_numpy() / (passed * passes)
