@@ -101,8 +101,8 @@ class MitsubaOptions(SceneSettings):
         path = Path(self.scene)
         if path.suffix not in _FILES:
             raise InputError(
-                f"scene is {self.scene!r}; expected a file of Mitsuba 3 ({' or '.join(_FILES)}), or "
-                f"one of {', '.join(WORLDS)}"
+                f"scene is {self.scene!r}; expected a file of Mitsuba 3, "
+                f"{' or '.join(_FILES)}, or one of {', '.join(WORLDS)}"
             )
         return world_of_file(path)
 

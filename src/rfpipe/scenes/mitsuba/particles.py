@@ -77,6 +77,6 @@ def trace_particles(
 
     dr.while_loop(
         (ray, mi.Color3f(1), mi.UInt32(0), mi.Bool(False), mi.Bool(True), sampler),
-        lambda ray, weight, done, bent, active, sampler: active,
+        lambda *state: state[-2],
         bounce,
     )

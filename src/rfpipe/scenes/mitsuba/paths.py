@@ -86,6 +86,6 @@ def trace_paths(
 
     dr.while_loop(
         (ray, mi.Color3f(1), mi.UInt32(0), mi.Bool(True), sampler),
-        lambda ray, weight, done, active, sampler: active,
+        lambda *state: state[-2],
         bounce,
     )

@@ -183,7 +183,7 @@ def _record(
         matrices = _total(piece.first, piece.last, rows, columns)
         if coaxial:
             back = _total(piece.first, piece.last, columns, rows)
-            matrices = [(one + other) / 2 for one, other in zip(matrices, back, strict=True)]
+            matrices = [_mean(one, other) for one, other in zip(matrices, back, strict=True)]
         _write(folder / f"transport_{index:04d}.zarr", matrices, {}, {})
     unlit = np.concatenate(
         [
@@ -269,6 +269,10 @@ def _total(
     return [sum(each[1:], each[0]).tocsr() for each in zip(*parts, strict=True)]
 
 
+def _mean(one: csr_array[np.float32], other: csr_array[np.float32]) -> csr_array[np.float32]:
+    return ((one + other) * np.float32(0.5)).tocsr()
+
+
 def _write(
     path: Path,
     matrices: list[csr_array[np.float32]],
@@ -321,12 +325,13 @@ def _noise(halves: Double, unlit: NDArray[np.bool_]) -> dict[str, dict[str, floa
     """Return the standard errors of the mean of two halves, relative, of each probe."""
     noise = {}
     for index, name in enumerate(_PROBES):
-        one, other = halves[:, index]
-        noise[name] = {
-            part: float(
-                np.linalg.norm((one - other)[where])
-                / max(np.linalg.norm((one + other)[where]), 1e-300)
-            )
-            for part, where in (("whole", np.ones_like(unlit[index])), ("unlit", unlit[index]))
-        }
+        difference, total = halves[0, index] - halves[1, index], halves[:, index].sum(axis=0)
+        parts = {"whole": slice(None), "unlit": unlit[index]}
+        noise[name] = {part: _relative(difference[at], total[at]) for part, at in parts.items()}
     return noise
+
+
+def _relative(difference: Double, total: Double) -> float:
+    """Return how long a difference is beside a total; 0 where there is no light."""
+    length = float(np.linalg.norm(total))
+    return float(np.linalg.norm(difference)) / length if length else 0.0

@@ -83,4 +83,5 @@ class Tracer:
                 seed=seed,
             )
             sums.flush()
-        return sums.to_numpy() / (passed * passes)
+        mean: Double = sums.to_numpy() / (passed * passes)
+        return mean

@@ -84,8 +84,8 @@ class Views:
     def __post_init__(self) -> None:
         if len({view.degrees for view in self.views}) != 1:
             raise InputError(
-                f"{len(self.views)} views of one side of a rig: expected at least one, and the same "
-                "field of view of all"
+                f"{len(self.views)} views of one side of a rig: expected at least one, and all of "
+                "the same field of view"
             )
 
     @property

@@ -93,7 +93,7 @@ def trace_volumes(
             mi.Bool(True),
             sampler,
         ),
-        lambda ray, weight, done, medium, active, sampler: active,
+        lambda *state: state[-2],
         bounce,
     )
 
@@ -144,6 +144,6 @@ def _transmittance(scene: Any, ray: Any, target: Any, medium: Any, active: Any) 
 
     return dr.while_loop(
         (ray, mi.Color3f(1), medium, mi.UInt32(0), active),
-        lambda ray, share, medium, passed, active: active,
+        lambda *state: state[-1],
         advance,
     )[1]

@@ -151,9 +151,10 @@ def _view_of(node: Any, path: Path) -> View:
     if node.props.get("fov_axis", "x") not in {"x", "smaller"}:
         raise InputError(f"{path}: fov_axis is {node.props['fov_axis']}; expected x")
     origin, ahead = matrix[:3, 3], matrix[:3, 2]
-    as_vector = [tuple(float(x) for x in each) for each in (origin, origin + ahead, matrix[:3, 1])]
-    degrees = float(node.props.get("fov", 40.0))
-    return View(*as_vector, degrees)  # type: ignore[arg-type]
+    place, target, up = (
+        (float(x), float(y), float(z)) for x, y, z in (origin, origin + ahead, matrix[:3, 1])
+    )
+    return View(place, target, up, float(node.props.get("fov", 40.0)))
 
 
 def _for_mitsuba(mi: Any, value: Any, key: str = "") -> Any:

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 __all__ = ["box", "matt", "sheet"]
 
-Vector = Sequence[float]
+Vector = Sequence[float] | NDArray[np.float64]
 
 
 def matt(*colour: float) -> dict[str, Any]:
