@@ -9,6 +9,9 @@ from hypothesis import settings
 
 # Two workers whose BLAS takes both cores each wait for one another. Read when numpy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# For the same reason threads of kernels that wait for one another sleep: to spin takes the cores
+# from those who have work. Read when the kernels' threads are started.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 settings.register_profile("rfpipe", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("rfpipe")
