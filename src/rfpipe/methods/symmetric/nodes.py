@@ -98,7 +98,7 @@ def select(tree: BlockTree, level: int, nodes: Frontier, chosen: NDArray[np.bool
 
 
 def cut(tree: BlockTree, level: int, nodes: Frontier, run: slice) -> Frontier:
-    """Return a run of the nodes, views of their arrays."""
+    """Return a run of the nodes, in contiguous arrays: kernels are compiled for those alone."""
     if run == slice(0, len(nodes)):
         return nodes
     offset_a, _, n_values = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
@@ -106,9 +106,9 @@ def cut(tree: BlockTree, level: int, nodes: Frontier, run: slice) -> Frontier:
     return Frontier(
         nodes.block_a[run],
         nodes.block_b[run],
-        nodes.pieces[:, offsets[run.start] : offsets[run.stop]],
-        nodes.energy[:, run],
-        nodes.variance[..., run],
+        np.ascontiguousarray(nodes.pieces[:, offsets[run.start] : offsets[run.stop]]),
+        np.ascontiguousarray(nodes.energy[:, run]),
+        np.ascontiguousarray(nodes.variance[..., run]),
     )
 
 
