@@ -160,12 +160,7 @@ class Method(ABC, Generic[State]):
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return the number of levels of a rig that the method fits."""
 
-    def expected_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: Any,  # noqa: ARG002
-    ) -> int:
+    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Guess the patterns of a whole acquisition, for forecasts; one a ray if not said."""
         return projector.size
 

@@ -27,10 +27,7 @@ class BruteForce(Scan):
         return Schedule(0, state.projector.shape, rays.size, pattern_of_ray=rays, complete=True)
 
     def refine(
-        self,
-        state: ScanState,
-        images: LevelImages,
-        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - reads a few images at a time
+        self, state: ScanState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> ScanState:
         """Take each image as a column of the matrix."""
         channels, pixels, rays = state.matrix.shape

@@ -111,24 +111,16 @@ class Dual(PackingMethod[DualState]):
     packing = Packing(("level", "floodlit_maximum", "complete"), groups={"frontier": "frontier_"})
 
     def expected_patterns(
-        self,
-        camera: RayDomain,
-        projector: RayDomain,
-        options: DualOptions,  # noqa: ARG002
+        self, camera: RayDomain, projector: RayDomain, options: DualOptions
     ) -> int:
         """Guess the patterns from those of the thesis' scene IV, 310 x 350 rays in ten levels."""
         return min(projector.size, round(self.n_levels(camera, projector) * 7_382 / 10))
 
-    def most_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: DualOptions,  # noqa: ARG002
-    ) -> int:
+    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: DualOptions) -> int:
         """Return the patterns of a scene in which every pixel sees all blocks."""
         return all_blocks(projector)
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return the depth of the projector's block tree; any camera will do."""
         return BlockTree(projector).n_levels
 
@@ -160,10 +152,7 @@ class Dual(PackingMethod[DualState]):
         return Schedule.of_blocks(tree, level, pattern_of_block, state.complete)
 
     def refine(
-        self,
-        state: DualState,
-        images: LevelImages,
-        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - reads a few images at a time
+        self, state: DualState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> DualState:
         """Drop, store or subdivide each response that the level measured (ProcessResults, C.1)."""
         tree, level, schedule = state.tree, state.level, images.schedule

@@ -47,16 +47,12 @@ class Scan(PackingMethod[ScanState]):
 
     packing = Packing(("rows",), ("matrix",))
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return 1: all patterns are known beforehand."""
         return 1
 
     def start(
-        self,
-        camera: RayDomain,
-        projector: RayDomain,
-        channels: int,
-        options: Options,  # noqa: ARG002
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: Options
     ) -> ScanState:
         """Return the state before the scan.
 

@@ -129,19 +129,13 @@ class NearFar(PackingMethod[NearFarState]):
         return len(ROUNDS) + Symmetric().n_levels(camera, projector)
 
     def expected_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: NearFarOptions,
+        self, camera: RayDomain, projector: RayDomain, options: NearFarOptions
     ) -> int:
         """Return the patterns of all rounds: they don't grow with the resolution."""
         return min(projector.size, options.patterns or MOST)
 
     def most_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: NearFarOptions,  # noqa: ARG002
+        self, camera: RayDomain, projector: RayDomain, options: NearFarOptions
     ) -> int:
         """Return those of symmetric photography of a scene in which no block is of low rank."""
         return all_blocks(projector)

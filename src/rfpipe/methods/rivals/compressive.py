@@ -80,15 +80,12 @@ class Compressive(PackingMethod[CompressiveState]):
     packing = Packing(("level", "rows"), ("matrix", "floodlit", "variance"))
 
     def expected_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: PatternOptions,
+        self, camera: RayDomain, projector: RayDomain, options: PatternOptions
     ) -> int:
         """Return the number that is asked for, or one for some rays."""
         return pattern_count(projector.size, options.patterns)
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return 2: the floodlit image, and all random patterns; any camera will do."""
         return 2
 
@@ -122,10 +119,7 @@ class Compressive(PackingMethod[CompressiveState]):
         return Schedule(state.level, shape, count, weights=weights)
 
     def refine(
-        self,
-        state: CompressiveState,
-        images: LevelImages,
-        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - the largest domain's fits
+        self, state: CompressiveState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> CompressiveState:
         """Keep the floodlit image; then recover the matrix."""
         channels, pixels, rays = state.matrix.shape

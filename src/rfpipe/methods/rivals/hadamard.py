@@ -42,12 +42,7 @@ class Hadamard(Scan):
     colour = "#7d5ba6"
     marker = "^"
 
-    def expected_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: Options,  # noqa: ARG002
-    ) -> int:
+    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Options) -> int:
         """Return the order of the S-matrix."""
         return s_matrix_order(projector.size)
 
@@ -60,10 +55,7 @@ class Hadamard(Scan):
         return Schedule(0, state.projector.shape, len(code), weights=weights)
 
     def refine(
-        self,
-        state: ScanState,
-        images: LevelImages,
-        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - it holds the whole matrix anyway
+        self, state: ScanState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> ScanState:
         """Solve for the matrix."""
         channels, pixels, rays = state.matrix.shape

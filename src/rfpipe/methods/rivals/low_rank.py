@@ -101,10 +101,7 @@ class LowRank(PackingMethod[LowRankState]):
     )
 
     def expected_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: ErrorOptions,
+        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
     ) -> int:
         """Return the number that is asked for, or the most that it shows of itself."""
         return min(projector.size, options.patterns or OWN_MOST)
@@ -116,11 +113,7 @@ class LowRank(PackingMethod[LowRankState]):
         return 2 + ceil(log2(rays / _FIRST_ROUND))
 
     def start(
-        self,
-        camera: RayDomain,
-        projector: RayDomain,  # noqa: ARG002 - the camera's
-        channels: int,
-        options: ErrorOptions,
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions
     ) -> LowRankState:
         """Return the state before the floodlit image."""
         return LowRankState(camera, channels, options, start_fit(channels, camera.size))
@@ -136,10 +129,7 @@ class LowRank(PackingMethod[LowRankState]):
         return Schedule(state.level, shape, count, weights=weights)
 
     def refine(
-        self,
-        state: LowRankState,
-        images: LevelImages,
-        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - it holds all images anyway
+        self, state: LowRankState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> LowRankState:
         """Test the fit on the round's images, then fit it to all of them."""
         count = images.schedule.count

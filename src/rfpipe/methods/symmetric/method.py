@@ -117,19 +117,13 @@ class Symmetric(PackingMethod[SymmetricState]):
         return BlockTree(projector).n_levels
 
     def expected_patterns(
-        self,
-        camera: RayDomain,
-        projector: RayDomain,
-        options: SymmetricOptions,  # noqa: ARG002
+        self, camera: RayDomain, projector: RayDomain, options: SymmetricOptions
     ) -> int:
         """Guess the patterns from those of the thesis' scene II, 310 x 350 rays in ten levels."""
         return min(projector.size, round(self.n_levels(camera, projector) * 1_085 / 10))
 
     def most_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: SymmetricOptions,  # noqa: ARG002
+        self, camera: RayDomain, projector: RayDomain, options: SymmetricOptions
     ) -> int:
         """Return the patterns of a scene in which no block is of low rank."""
         return all_blocks(projector)
