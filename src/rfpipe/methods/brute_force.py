@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from rfpipe.methods.base import MEMORY_BYTES, LevelImages
@@ -35,4 +33,4 @@ class BruteForce(Scan):
         lit = int(np.count_nonzero(matrix.any(axis=0)))
         nodes = pixels * rays
         row = level_row(0, rays, nodes=nodes, empty=nodes - lit, scalar=lit)
-        return replace(state, matrix=matrix, level=1, rows=(row,))
+        return state.after(row, matrix=matrix)

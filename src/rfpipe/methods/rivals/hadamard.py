@@ -6,7 +6,6 @@ Y. Y. Schechner, S. K. Nayar and P. N. Belhumeur, *Multiplexing for optimal ligh
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import count
 from math import isqrt
 from typing import Any
@@ -63,7 +62,7 @@ class Hadamard(Scan):
         coded = read_columns(images, channels, pixels)
         matrix = decode(coded.reshape(-1, order), rays).reshape(state.matrix.shape)
         row = level_row(0, order, nodes=pixels * rays, scalar=pixels * rays)
-        return replace(state, matrix=matrix, level=1, rows=(row,))
+        return state.after(row, matrix=matrix)
 
 
 def s_matrix_order(rays: int) -> int:
