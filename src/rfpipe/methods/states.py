@@ -18,6 +18,7 @@ __all__ = [
     "Packing",
     "PackingMethod",
     "arrays_of",
+    "joined",
     "level_row",
     "unprefixed",
     "with_arrays",
@@ -160,6 +161,14 @@ def with_arrays(group: S, arrays: Arrays, prefix: str = "") -> S:
     """Return a dataclass with other arrays, by the names that `arrays_of` gave them."""
     own = {name: _like(array, arrays[f"{prefix}{name}"]) for name, array in _held(group).items()}
     return replace(group, **own)
+
+
+def joined(parts: Sequence[S], axis: int = -1) -> S:
+    """Put the arrays of dataclasses, found one after the other, together; `parts` isn't empty."""
+    if len(parts) == 1:
+        return parts[0]
+    held = [_held(part) for part in parts]
+    return replace(parts[0], **{n: np.concatenate([own[n] for own in held], axis) for n in held[0]})
 
 
 def unprefixed(prefix: str, arrays: Arrays) -> dict[str, NDArray[Any]]:

@@ -33,6 +33,7 @@ from rfpipe.methods.states import (
     Packing,
     PackingMethod,
     arrays_of,
+    joined,
     level_row,
     unprefixed,
 )
@@ -184,7 +185,8 @@ class NearFar(PackingMethod[NearFarState]):
         assert state.pictures is not None
         lit = images.schedule.batch(0, count).reshape(count, -1) > 0
         first = HELD_OUT.get(level, 0)
-        held = _with(state.held, Held(lit[:first], radiance[:first]))
+        taken = Held(lit[:first], radiance[:first])
+        held = taken if state.held is None else joined([state.held, taken], axis=0)
         pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
         model = fit(state.projector.shape, pictures)
         found = _estimate(pictures, model, held)
@@ -283,7 +285,9 @@ class NearFar(PackingMethod[NearFarState]):
         if limit or not (stalled or found.dark > share * found.indirect):
             return state
         _log.info("the light is not smooth enough; going on with symmetric photography")
-        return replace(state, done=True, symmetric=_taken_over(state))
+        assert state.pictures is not None
+        begun = handover.begin(state.projector, state.options, state.pictures)
+        return replace(state, done=True, symmetric=begun)
 
 
 def _joined(packs: Sequence[Mapping[str, NDArray[Any]]], *names: str) -> tuple[Any, ...]:
@@ -302,30 +306,12 @@ def _read(state: NearFarState, images: LevelImages) -> tuple[Float, Float]:
     return radiance, variance
 
 
-def _with(held: Held | None, more: Held) -> Held:
-    """Return held-out pictures and more of them."""
-    if held is None:
-        return more
-    return Held(
-        np.concatenate([held.lit, more.lit]),
-        np.concatenate([held.radiance, more.radiance]),
-    )
-
-
 def _estimate(pictures: Pictures, model: Model, held: Held) -> Estimate:
     light = np.concatenate([held.lit, np.ones_like(held.lit[:1])]).astype(np.float32)
     bounced = indirect(model, pictures.floodlit, light)
     predicted = light[:-1, None] * (pictures.floodlit - bounced[-1]) + bounced[:-1]
     known = pictures.known
     return estimate(predicted[..., known], held.at(known))
-
-
-def _taken_over(state: NearFarState) -> SymmetricState:
-    assert state.pictures is not None
-    pictures = state.pictures
-    return handover.begin(
-        state.projector, state.options, pictures.floodlit, pictures.floodlit_variance
-    )
 
 
 def _skipped(state: NearFarState) -> NearFarState:

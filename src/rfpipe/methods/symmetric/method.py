@@ -19,14 +19,19 @@ from rfpipe.methods.base import (
     Options,
     Pack,
 )
-from rfpipe.methods.states import Descent, MethodState, Packing, arrays_of, level_row, unprefixed
+from rfpipe.methods.states import (
+    Descent,
+    MethodState,
+    Packing,
+    arrays_of,
+    joined,
+    level_row,
+    unprefixed,
+)
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
     as_leaves,
     child_pairs,
-    cut,
-    join_leaves,
-    join_nodes,
     no_nodes,
     select,
 )
@@ -136,12 +141,12 @@ class Symmetric(Descent[SymmetricState]):
             return state.after(level_row(level, 0, rank_k=0), added=())
         limits = _limits(state, tests=len(child_pairs(tree, level - 1, nodes)[0]))
         refined = [
-            _refine_nodes(state, cut(tree, level - 1, nodes, run), images, limits, memory_bytes)
+            _refine_nodes(state, select(tree, level - 1, nodes, run), images, limits, memory_bytes)
             for run in affordable(tree, level - 1, nodes, memory_bytes)
         ]
         added = (
-            join_leaves(level - 1, [part.kept[kind] for kind in (0, 1) for part in refined]),
-            join_leaves(level, [part.found.leaves for part in refined]),
+            joined([part.kept[kind] for kind in (0, 1) for part in refined]),
+            joined([part.found.leaves for part in refined]),
         )
         before = state.rows[-1]
         outcome = {
@@ -159,7 +164,7 @@ class Symmetric(Descent[SymmetricState]):
             row,
             known=(*state.known, *added),
             added=added,
-            frontier=join_nodes([part.found.frontier for part in refined]),
+            frontier=joined([part.found.frontier for part in refined]),
         )
 
     def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
