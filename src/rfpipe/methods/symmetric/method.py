@@ -35,7 +35,7 @@ from rfpipe.methods.symmetric.nodes import (
     no_nodes,
     select,
 )
-from rfpipe.methods.symmetric.pieces import affordable, collect
+from rfpipe.methods.symmetric.pieces import Subdivided, affordable, collect
 from rfpipe.methods.symmetric.rank_k import predictable, rank_k_leaves
 from rfpipe.methods.symmetric.rank_test import (
     AGREES,
@@ -250,22 +250,23 @@ def _refine_nodes(
     node, first, second = child_pairs(tree, level - 1, nodes)
     pieces = collect(tree, first, second, state.known, state.channels, images, memory_bytes)
     first_pair = np.searchsorted(node, np.arange(len(nodes) + 1))
-    verdict = rank_test(tree, level - 1, nodes, first_pair, pieces, limits)
+    divided = Subdivided(tree, level - 1, nodes, first_pair, pieces)
+    verdict = rank_test(divided, limits)
     unsettled = (verdict == DIFFERS) | (verdict == AGREES)
-    smooth = predictable(tree, level - 1, nodes, first_pair, pieces, unsettled, limits)
+    smooth = predictable(divided, unsettled, limits)
     rank1 = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
     subdivided = (verdict < CLOSE) & ~smooth
-    divided = np.flatnonzero(subdivided[node])
-    above = node[divided]
-    wrong = disagreement(first_pair, pieces)
+    chosen = np.flatnonzero(subdivided[node])
+    above = node[chosen]
+    wrong = disagreement(divided)
     settled = verdict[above] == AGREES
-    reconcile(tree, level - 1, nodes, first_pair, pieces)
-    rank_k = rank_k_leaves(tree, level - 1, nodes, first_pair, pieces, smooth)
-    found = classify(tree, level, pieces, divided, settled, nodes, above, wrong, limits)
+    reconcile(divided)
+    rank_k = rank_k_leaves(divided, smooth)
+    found = classify(tree, level, pieces, chosen, settled, nodes, above, wrong, limits)
     return _Refined(
         (rank1, rank_k),
         found,
-        len(divided),
+        len(chosen),
         int(np.count_nonzero(smooth)),
         int(np.count_nonzero(subdivided)),
     )

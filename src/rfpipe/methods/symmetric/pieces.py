@@ -66,6 +66,29 @@ class Pieces:
         return len(self.block_a)
 
 
+@dataclass(frozen=True)
+class Subdivided:
+    """Unknown nodes of a level, and what the next level's images say of their children.
+
+    Attributes
+    ----------
+    tree : BlockTree
+    level : int
+        Of the nodes; the children's is the next.
+    nodes : Frontier
+    first_pair : ndarray of int64, shape (n + 1,)
+        Node ``i``'s children are the pairs ``first_pair[i]:first_pair[i + 1]``.
+    pieces : Pieces
+        Of the children.
+    """
+
+    tree: BlockTree
+    level: int
+    nodes: Frontier
+    first_pair: NDArray[np.int64]
+    pieces: Pieces
+
+
 def affordable(tree: BlockTree, level: int, nodes: Frontier, memory_bytes: int) -> Iterator[slice]:
     """Cut nodes of `level` into runs whose children's pieces fit into memory together.
 
