@@ -62,7 +62,7 @@ unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock r
 	  snakemake --directory thesis --configfile config/thesis.yaml --unlock; fi
 
 test: lint ## check everything: lint, types, layers, workflow, tests
-	pytest -n 2
+	pytest -n 2 --dist worksteal
 
 lint: $(INSTALLED) ## check style, types, layers and the workflow
 	ruff check .

@@ -15,6 +15,7 @@ from typing import Any
 import pandas as pd
 
 import rfpipe
+from rfpipe.methods import states
 from rfpipe.methods.symmetric import method as symmetric
 from rfpipe.methods.symmetric import nodes, pieces
 from rfpipe.methods.symmetric import rank_k as nystroem
@@ -50,8 +51,7 @@ STEPS: dict[str, tuple[Any, ...]] = {
     "make the levels agree": (verdicts.disagreement, verdicts.reconcile),
     "sort the new nodes": (verdicts.classify,),
     "cut and join nodes": (
-        symmetric.Symmetric.refine, nodes.cut, nodes.select, nodes.as_leaves, nodes.join_nodes,
-        nodes.join_leaves,
+        symmetric.Symmetric.refine, nodes.select, nodes.as_leaves, states.joined,
     ),
     "schedule (conflict graph and colouring)": (symmetric.Symmetric.schedule,),
     "assemble": (symmetric.Symmetric.transport,),

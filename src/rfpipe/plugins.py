@@ -32,9 +32,15 @@ SCENES = "rfpipe.scenes"
 
 
 @cache
+def _installed(group: str) -> dict[str, str]:
+    """Where the names of a group lead; read once, since every package installed is asked."""
+    # of two packages with the same name, the first on the path has it
+    return {entry.name: entry.value for entry in reversed(tuple(entry_points(group=group)))}
+
+
 def names(group: str) -> tuple[str, ...]:
     """Return the names in a group of entry points, in alphabetical order."""
-    return tuple(sorted(entry_points(group=group).names))
+    return tuple(sorted(_installed(group)))
 
 
 def path_of(group: str, name: str) -> str:
@@ -53,7 +59,7 @@ def path_of(group: str, name: str) -> str:
             f"{name!r} is unknown; expected {known}a class of your own as module:Class or "
             "file.py:Class"
         )
-    return next(iter(entry_points(group=group, name=name))).value
+    return _installed(group)[name]
 
 
 def find(group: str, name: str) -> Any:

@@ -1,12 +1,14 @@
 """Rank-k leaves from the images of a node's children, against dense matrices."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.symmetric.nodes import Frontier, child_pairs
-from rfpipe.methods.symmetric.pieces import Pieces
+from rfpipe.methods.symmetric.pieces import Pieces, Subdivided
 from rfpipe.methods.symmetric.rank_k import predictable, rank_k_leaves
 from rfpipe.methods.symmetric.rank_k_kernels import _decompose
 from rfpipe.methods.symmetric.rank_test import Limits
@@ -48,15 +50,15 @@ def measured(tree, blocks, sigma=0.0, seed=0):
         first, second, offset_a, offset_b, values, variances, sums.copy(), spread.copy(),
         spread.copy(), np.zeros(0, np.int64),
     )  # fmt: skip
-    return nodes, np.array([0, len(first)]), pieces
+    return Subdivided(tree, 1, nodes, np.array([0, len(first)]), pieces)
 
 
 def outcome(tree, blocks, asked=1e-12, sigma=0.0, seed=0):
     """Return whether the node passes, and the dense matrices of its leaf."""
-    nodes, first_pair, pieces = measured(tree, blocks, sigma, seed)
+    divided = measured(tree, blocks, sigma, seed)
     limits = Limits(asked, 3.0, 1)
-    passed = predictable(tree, 1, nodes, first_pair, pieces, np.ones(1, np.bool_), limits)
-    leaves = rank_k_leaves(tree, 1, nodes, first_pair, pieces, np.ones(1, np.bool_))
+    passed = predictable(divided, np.ones(1, np.bool_), limits)
+    leaves = rank_k_leaves(divided, np.ones(1, np.bool_))
     rows, columns = blocks.shape[1:]
     factors = leaves.values.reshape(len(blocks), -1, rows + columns)
     found = np.einsum("cra,crb->cab", factors[..., :rows], factors[..., rows:], dtype=float)
@@ -190,11 +192,11 @@ def test_a_node_whose_terms_are_all_within_noise_keeps_its_rank_1_leaf():
     """It had light a level above: without a term it would vanish."""
     tree, rows, columns = node_of((16, 16))
     blocks = np.full((2, rows, columns), 1e-3)
-    _, first_pair, pieces = measured(tree, blocks, sigma=1.0)
+    divided = measured(tree, blocks, sigma=1.0)
     energy = blocks.sum(axis=(1, 2))[:, None]
     factors = np.concatenate([blocks.sum(axis=2), blocks.sum(axis=1)], axis=1).astype(np.float32)
     pair = np.zeros(1, np.int32), np.ones(1, np.int32)
     nodes = Frontier(*pair, factors, energy, np.zeros((2, 2, 1)))
-    leaves = rank_k_leaves(tree, 1, nodes, first_pair, pieces, np.ones(1, np.bool_))
+    leaves = rank_k_leaves(replace(divided, nodes=nodes), np.ones(1, np.bool_))
     assert len(leaves) == 1
     np.testing.assert_allclose(leaves.values, factors / np.sqrt(energy), rtol=1e-6)

@@ -170,12 +170,12 @@ def test_every_method_counts_for_itself_alone() -> None:
 
 @pytest.fixture
 def edited(copy: Workflow, tmp_path: Path) -> Workflow:
-    """A complete run, and a copy of the package to edit."""
+    """A complete run, and a copy of the package to edit, with the kernels that are compiled."""
     copy.source = tmp_path / "source"
     shutil.copytree(
         Path(rfpipe.__file__).parent,
         copy.source / "rfpipe",
-        ignore=shutil.ignore_patterns("__pycache__"),
+        ignore=shutil.ignore_patterns("*.tmp.*", "*.pyc.*"),  # that another worker writes
     )
     return copy
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.blocks import RayDomain
 from rfpipe.config.base import Fraction, MethodSettings
 from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
@@ -160,12 +160,7 @@ class Method(ABC, Generic[State]):
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return the number of levels of a rig that the method fits."""
 
-    def expected_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: Any,  # noqa: ARG002
-    ) -> int:
+    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Guess the patterns of a whole acquisition, for forecasts; one a ray if not said."""
         return projector.size
 
@@ -222,9 +217,3 @@ class Method(ABC, Generic[State]):
     @abstractmethod
     def restore(self, start: State, packs: Sequence[Pack]) -> State:
         """Return the state after the last of the given levels' packs."""
-
-
-def all_blocks(projector: RayDomain) -> int:
-    """Return the patterns of a descent that lights all blocks of all levels one by one."""
-    tree = BlockTree(projector)
-    return sum(tree.n_blocks(level) for level in range(tree.n_levels))

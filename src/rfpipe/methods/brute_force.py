@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from rfpipe.methods.base import MEMORY_BYTES, LevelImages
@@ -27,10 +25,7 @@ class BruteForce(Scan):
         return Schedule(0, state.projector.shape, rays.size, pattern_of_ray=rays, complete=True)
 
     def refine(
-        self,
-        state: ScanState,
-        images: LevelImages,
-        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - reads a few images at a time
+        self, state: ScanState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> ScanState:
         """Take each image as a column of the matrix."""
         channels, pixels, rays = state.matrix.shape
@@ -38,4 +33,4 @@ class BruteForce(Scan):
         lit = int(np.count_nonzero(matrix.any(axis=0)))
         nodes = pixels * rays
         row = level_row(0, rays, nodes=nodes, empty=nodes - lit, scalar=lit)
-        return replace(state, matrix=matrix, level=1, rows=(row,))
+        return state.after(row, matrix=matrix)

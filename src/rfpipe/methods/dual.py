@@ -20,10 +20,9 @@ from rfpipe.methods.base import (
     LevelImages,
     Options,
     Pack,
-    all_blocks,
 )
 from rfpipe.methods.images import batches
-from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
+from rfpipe.methods.states import Descent, MethodState, Packing, arrays_of, level_row, unprefixed
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
 from rfpipe.transport.multilevel.pairs import PairSet, fold, no_pairs
@@ -55,18 +54,13 @@ class DualOptions(Options):
 
 
 @dataclass(frozen=True)
-class DualState:
-    """The state of dual photography before a level.
+class DualState(MethodState):
+    """The state of dual photography before a level, beside what all states have.
 
     Attributes
     ----------
-    camera : RayDomain
     tree : BlockTree
         Of the projector's rays.
-    channels : int
-    options : DualOptions
-    level : int
-        Level to be scheduled next.
     stored : tuple of PairSet
         Responses stored so far, one set a level.
     frontier : PairSet
@@ -75,23 +69,17 @@ class DualState:
         Maximum of the floodlit image, the unit of the tolerance.
     complete : bool
         Whether all rays outside the frontier's blocks send no significant light to the camera.
-    rows : tuple of dict
-        The table of levels so far.
     """
 
-    camera: RayDomain
-    tree: BlockTree
-    channels: int
     options: DualOptions
-    level: int
+    tree: BlockTree
     stored: tuple[PairSet, ...]
     frontier: PairSet
     floodlit_maximum: float = 0.0
     complete: bool = True
-    rows: tuple[dict[str, int], ...] = ()
 
 
-class Dual(PackingMethod[DualState]):
+class Dual(Descent[DualState]):
     """Dual photography as a `Method`.
 
     The light that reaches a pixel from a block stored for it is still in the images of finer
@@ -105,39 +93,20 @@ class Dual(PackingMethod[DualState]):
     colour = "#c4611a"
     marker = "s"
     thesis_table = "3.1"
+    thesis_patterns = 7_382  # of scene IV
     Options = DualOptions
     trades = "tolerance"
     trials = TOLERANCES[:-1]  # beyond, responses are noise at the default camera
-    packing = Packing(("level", "floodlit_maximum", "complete"), groups={"frontier": "frontier_"})
-
-    def expected_patterns(
-        self,
-        camera: RayDomain,
-        projector: RayDomain,
-        options: DualOptions,  # noqa: ARG002
-    ) -> int:
-        """Guess the patterns from those of the thesis' scene IV, 310 x 350 rays in ten levels."""
-        return min(projector.size, round(self.n_levels(camera, projector) * 7_382 / 10))
-
-    def most_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: DualOptions,  # noqa: ARG002
-    ) -> int:
-        """Return the patterns of a scene in which every pixel sees all blocks."""
-        return all_blocks(projector)
-
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
-        """Return the depth of the projector's block tree; any camera will do."""
-        return BlockTree(projector).n_levels
+    packing = Packing(
+        ("level", "floodlit_maximum", "complete", "rows"), groups={"frontier": "frontier_"}
+    )
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: DualOptions
     ) -> DualState:
         """Return the state before the floodlit image."""
-        tree = BlockTree(projector)
-        return DualState(camera, tree, channels, options, 0, (), no_pairs(0, channels))
+        tree, nothing = BlockTree(projector), no_pairs(0, channels)
+        return DualState(camera, projector, channels, options, tree, (), nothing)
 
     def schedule(self, state: DualState) -> Schedule:
         """Colour the conflict graph of the blocks to be subdivided; light their children in turn.
@@ -160,10 +129,7 @@ class Dual(PackingMethod[DualState]):
         return Schedule.of_blocks(tree, level, pattern_of_block, state.complete)
 
     def refine(
-        self,
-        state: DualState,
-        images: LevelImages,
-        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - reads a few images at a time
+        self, state: DualState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> DualState:
         """Drop, store or subdivide each response that the level measured (ProcessResults, C.1)."""
         tree, level, schedule = state.tree, state.level, images.schedule
@@ -175,7 +141,7 @@ class Dual(PackingMethod[DualState]):
         values = np.empty((state.channels, total), np.float32)
         outcome = np.empty(total, np.uint8)
         maximum = state.floodlit_maximum
-        known = self._known(state) if state.options.subtract_stored else None
+        known = _transport(state, state.stored) if state.options.subtract_stored else None
         planar = (-1, state.camera.size, state.channels)
         for first, last in batches(schedule.count, state.camera.size * state.channels):
             radiance, variance = (part.reshape(planar) for part in images.read(first, last))
@@ -207,20 +173,12 @@ class Dual(PackingMethod[DualState]):
             for chosen in (outcome == _STORED, outcome == _OPEN)
         )
         unlit_from_now_on = np.setdiff1d(stored.block, frontier.block)
-        return replace(
-            state,
-            level=level + 1,
+        return state.after(
+            _row(tree, schedule, total, len(stored), len(frontier)),
             stored=(*state.stored, stored),
             frontier=frontier,
             floodlit_maximum=maximum,
             complete=state.complete and not len(unlit_from_now_on),
-            rows=(*state.rows, _row(tree, schedule, total, len(stored), len(frontier))),
-        )
-
-    def _known(self, state: DualState) -> MultilevelTransport:
-        """Return what is stored, without the responses still to be subdivided."""
-        return MultilevelTransport.from_pair_sets(
-            state.camera, state.tree.domain, state.channels, list(state.rows), list(state.stored)
         )
 
     def transport(self, state: DualState) -> MultilevelTransport:
@@ -235,16 +193,15 @@ class Dual(PackingMethod[DualState]):
             pair_sets[-1] = fold(
                 state.tree, state.level - 1, together, state.channels, state.camera.size
             )
-        return MultilevelTransport.from_pair_sets(
-            state.camera, state.tree.domain, state.channels, list(state.rows), pair_sets,
-            state.options.subtract_stored and looks_symmetric(state.tree, state.camera, pair_sets),
-        )  # fmt: skip
+        symmetric = state.options.subtract_stored and looks_symmetric(
+            state.tree, state.camera, pair_sets
+        )
+        return _transport(state, pair_sets, symmetric)
 
     def pack(self, state: DualState) -> Pack:
         """Return the responses that the last refinement stored, and the frontier."""
         own = super().pack(state)
-        stored = arrays_of(state.stored[-1], "stored_")
-        return Pack({**own.arrays, **stored}, {**own.attributes, "row": state.rows[-1]})
+        return Pack({**own.arrays, **arrays_of(state.stored[-1], "stored_")}, own.attributes)
 
     def _restored(self, start: DualState, packs: Sequence[Pack]) -> DualState:
         state = super()._restored(start, packs)
@@ -255,8 +212,16 @@ class Dual(PackingMethod[DualState]):
                 for level, pack in enumerate(packs)
             ),
             frontier=replace(state.frontier, level=state.level - 1),
-            rows=tuple(pack.attributes["row"] for pack in packs),
         )
+
+
+def _transport(
+    state: DualState, pair_sets: Sequence[PairSet], symmetric: bool = False
+) -> MultilevelTransport:
+    """Return the transport of some of the responses."""
+    return MultilevelTransport.from_pair_sets(
+        state.camera, state.projector, state.channels, list(state.rows), pair_sets, symmetric
+    )
 
 
 @dataclass(frozen=True)

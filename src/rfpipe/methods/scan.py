@@ -2,61 +2,60 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import Float, LevelImages, Options, Pack
+from rfpipe.methods.base import Float, LevelImages, Options
 from rfpipe.methods.images import batches
-from rfpipe.methods.states import Packing, PackingMethod
+from rfpipe.methods.states import MethodState, Packing, PackingMethod
 from rfpipe.transport.dense import DenseTransport
 
-__all__ = ["Scan", "ScanState", "read_columns"]
+__all__ = ["DenseMethod", "Scan", "ScanState", "read_columns"]
 
 # A scan is for small scenes: what it would cost for large ones is computed, never run.
 LARGEST_MATRIX_BYTES = 8 * 2**30
 
 
 @dataclass(frozen=True)
-class ScanState:
-    """The state of a scan.
+class ScanState(MethodState):
+    """The state of a scan, beside what all states have.
 
     Attributes
     ----------
-    camera, projector : RayDomain
     matrix : ndarray of float32, shape (C, camera rays, projector rays)
         Zeros before the scan.
-    level : int
-        0 before the scan, 1 after it.
-    rows : tuple of dict
-        The table of levels so far.
     """
 
-    camera: RayDomain
-    projector: RayDomain
     matrix: Float
-    level: int = 0
-    rows: tuple[dict[str, int], ...] = ()
 
 
-class Scan(PackingMethod[ScanState]):
+Dense = TypeVar("Dense", bound=ScanState)
+
+
+class DenseMethod(PackingMethod[Dense]):
+    """A method that finds the whole matrix."""
+
+    def transport(self, state: Dense) -> DenseTransport:
+        """Return the dense matrix."""
+        shapes = state.camera.shape, state.projector.shape
+        return DenseTransport(*shapes, state.channels, list(state.rows), {"matrix": state.matrix})
+
+
+class Scan(DenseMethod[ScanState]):
     """The part of a `Method` that all scans share."""
 
-    packing = Packing(("rows",), ("matrix",))
+    packing = Packing(("level", "rows"), ("matrix",))
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return 1: all patterns are known beforehand."""
         return 1
 
     def start(
-        self,
-        camera: RayDomain,
-        projector: RayDomain,
-        channels: int,
-        options: Options,  # noqa: ARG002
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: Options
     ) -> ScanState:
         """Return the state before the scan.
 
@@ -73,20 +72,7 @@ class Scan(PackingMethod[ScanState]):
                 f"rays in {channels} channels gives a matrix of {size / 2**30:.1f} GiB, more than "
                 f"{LARGEST_MATRIX_BYTES / 2**30:.0f}; use dual or symmetric photography"
             )
-        return ScanState(camera, projector, np.zeros(shape, np.float32))
-
-    def transport(self, state: ScanState) -> DenseTransport:
-        """Return the dense matrix."""
-        return DenseTransport(
-            state.camera.shape,
-            state.projector.shape,
-            len(state.matrix),
-            list(state.rows),
-            {"matrix": state.matrix},
-        )
-
-    def _restored(self, start: ScanState, packs: Sequence[Pack]) -> ScanState:
-        return replace(super()._restored(start, packs), level=len(packs))
+        return ScanState(camera, projector, channels, options, np.zeros(shape, np.float32))
 
 
 def read_columns(images: LevelImages, channels: int, pixels: int) -> Float:

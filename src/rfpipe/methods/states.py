@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.base import Method, Pack, State
 
-__all__ = ["Packing", "PackingMethod", "arrays_of", "level_row", "unprefixed", "with_arrays"]
+__all__ = [
+    "Descent",
+    "MethodState",
+    "Packing",
+    "PackingMethod",
+    "arrays_of",
+    "joined",
+    "level_row",
+    "unprefixed",
+    "with_arrays",
+]
 
 Arrays = Mapping[str, NDArray[Any]]
 S = TypeVar("S", bound=Any)
@@ -22,6 +33,35 @@ _COUNTS = ("nodes", "empty", "rank1", "scalar", "subdivided")
 def level_row(level: int, patterns: int, **counts: Any) -> dict[str, Any]:
     """Return a row of the table of levels; what isn't counted is 0."""
     return {"level": level, "patterns": patterns, **dict.fromkeys(_COUNTS, 0), **counts}
+
+
+@dataclass(frozen=True)
+class MethodState:
+    """What the states of rfpipe's own methods have in common.
+
+    Attributes
+    ----------
+    camera, projector : RayDomain
+        The same for methods that need a coaxial rig.
+    channels : int
+    options : Options
+        The method's own.
+    level : int
+        Level to be scheduled next; 0 is the first.
+    rows : tuple of dict
+        The table of levels so far.
+    """
+
+    camera: RayDomain
+    projector: RayDomain
+    channels: int
+    options: Any
+    level: int = field(default=0, kw_only=True)
+    rows: tuple[dict[str, Any], ...] = field(default=(), kw_only=True)
+
+    def after(self, row: dict[str, Any], **found: Any) -> Self:
+        """Return the state after a level: its row of the table, and what it found by name."""
+        return replace(self, level=self.level + 1, rows=(*self.rows, row), **found)
 
 
 @dataclass(frozen=True)
@@ -85,6 +125,33 @@ class PackingMethod(Method[State]):
         return restored
 
 
+class Descent(PackingMethod[State]):
+    """A method that goes down the projector's block tree, from the floodlit root to its rays.
+
+    Attributes
+    ----------
+    thesis_patterns : int
+        Those of a scene of the thesis at 310 x 350 rays, in ten levels.
+    """
+
+    thesis_patterns: ClassVar[int]
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
+        """Return the depth of the block tree."""
+        self.check(camera, projector)
+        return BlockTree(projector).n_levels
+
+    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
+        """Guess the patterns from those of the thesis' scene, so many a level."""
+        levels = self.n_levels(camera, projector)
+        return min(projector.size, round(levels * self.thesis_patterns / 10))
+
+    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
+        """Return the patterns of a scene for which all blocks are lit one by one."""
+        tree = BlockTree(projector)
+        return sum(tree.n_blocks(level) for level in range(tree.n_levels))
+
+
 def arrays_of(group: Any, prefix: str = "") -> dict[str, NDArray[Any]]:
     """Return the arrays of a dataclass by name, as stores keep them."""
     return {f"{prefix}{name}": _stored(array) for name, array in _held(group).items()}
@@ -94,6 +161,14 @@ def with_arrays(group: S, arrays: Arrays, prefix: str = "") -> S:
     """Return a dataclass with other arrays, by the names that `arrays_of` gave them."""
     own = {name: _like(array, arrays[f"{prefix}{name}"]) for name, array in _held(group).items()}
     return replace(group, **own)
+
+
+def joined(parts: Sequence[S], axis: int = -1) -> S:
+    """Put the arrays of dataclasses, found one after the other, together; `parts` isn't empty."""
+    if len(parts) == 1:
+        return parts[0]
+    held = [_held(part) for part in parts]
+    return replace(parts[0], **{n: np.concatenate([own[n] for own in held], axis) for n in held[0]})
 
 
 def unprefixed(prefix: str, arrays: Arrays) -> dict[str, NDArray[Any]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 from numpy.typing import NDArray
@@ -208,15 +208,12 @@ class LazyArrays(Mapping[str, NDArray[Any]]):
 
     def __init__(self, names: Sequence[str], read: Callable[[str], NDArray[Any]]) -> None:
         self._names = tuple(names)
-        self._read = read
-        self._held: dict[str, NDArray[Any]] = {}
+        self._read = cache(read)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        if name not in self._held:
-            if name not in self._names:
-                raise KeyError(name)
-            self._held[name] = self._read(name)
-        return self._held[name]
+        if name not in self._names:
+            raise KeyError(name)
+        return self._read(name)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._names)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
@@ -53,7 +53,11 @@ class Transport(ABC):
         self._nbytes = nbytes
 
     def __repr__(self) -> str:
-        return _shown(self)
+        channels = f"{self.channels} channel{'s' if self.channels > 1 else ''}"
+        return (
+            f"{type(self).__name__}(camera {self.camera_shape}, projector "
+            f"{self.projector_shape}, {channels}, {self.nbytes / 1e6:.3g} MB)"
+        )
 
     @abstractmethod
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
@@ -157,16 +161,6 @@ class Transport(ABC):
         return _channel_operator(self, index)
 
 
-def _shown(transport: Transport) -> str:
-    """Say what a transport is, without reading it."""
-    channels = transport.channels
-    return (
-        f"{type(transport).__name__}(camera {transport.camera_shape}, projector "
-        f"{transport.projector_shape}, {channels} channel{'s' if channels > 1 else ''}, "
-        f"{transport.nbytes / 1e6:.3g} MB)"
-    )
-
-
 def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: int) -> Float:
     """Bring patterns ``(P, *shape[, channels])`` into planar form ``(P, channels, rays)``.
 
@@ -230,28 +224,21 @@ class TransposedTransport:
 def _channel_operator(transport: Transport, index: int) -> LinearOperator:
     from scipy.sparse.linalg import LinearOperator
 
-    rows = int(np.prod(transport.camera_shape))
-    columns = int(np.prod(transport.projector_shape))
+    def product(apply: Callable[[Float, Sequence[int]], Float]) -> Callable[[Float], Float]:
+        def of(x: NDArray[Any]) -> Float:
+            """Apply to a vector or to the columns of a matrix; scipy gives the result x's shape."""
+            columns = x.reshape(len(x), -1)
+            planar = np.ascontiguousarray(columns.T[:, None], np.float32)
+            return apply(planar, [index])[:, 0].T
 
-    def matmat(x: NDArray[Any]) -> NDArray[Any]:
-        planar = np.ascontiguousarray(x.T[:, None], np.float32)
-        return transport.forward(planar, [index])[:, 0].T
+        return of
 
-    def rmatmat(x: NDArray[Any]) -> NDArray[Any]:
-        planar = np.ascontiguousarray(x.T[:, None], np.float32)
-        return transport.adjoint(planar, [index])[:, 0].T
-
-    def matvec(x: NDArray[Any]) -> NDArray[Any]:
-        return matmat(x.reshape(columns, 1))[:, 0]
-
-    def rmatvec(x: NDArray[Any]) -> NDArray[Any]:
-        return rmatmat(x.reshape(rows, 1))[:, 0]
-
+    forward, adjoint = product(transport.forward), product(transport.adjoint)
     return LinearOperator(
-        shape=(rows, columns),
-        matvec=matvec,
-        rmatvec=rmatvec,
-        matmat=matmat,
-        rmatmat=rmatmat,
+        shape=(int(np.prod(transport.camera_shape)), int(np.prod(transport.projector_shape))),
+        matvec=forward,
+        rmatvec=adjoint,
+        matmat=forward,
+        rmatmat=adjoint,
         dtype=np.dtype(np.float32),
     )

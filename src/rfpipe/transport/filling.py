@@ -7,11 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multilevel.pairs import PairSet, fold
+from rfpipe.transport.multilevel.spread import agree
 from rfpipe.transport.multilevel.transport import MultilevelTransport
 from rfpipe.transport.sum import SumTransport
 
@@ -19,8 +19,6 @@ __all__ = ["fill_from_transpose"]
 
 # Rays whose columns are read at a time, and random patterns that tell whether T is symmetric.
 _BATCH, _TRIALS = 16, 4
-# A matrix and its transpose that have nothing in common differ by sqrt(2) of their norm.
-_MOST_ASYMMETRY = 0.5
 
 
 def fill_from_transpose(transport: Transport, masked: NDArray[np.bool_]) -> Transport:
@@ -77,10 +75,7 @@ def _spread_evenly(transport: Transport) -> Transport:
     """Return a transport whose responses are spread evenly over their blocks."""
     if not isinstance(transport, MultilevelTransport) or not transport.symmetric:
         return transport
-    domain = RayDomain(transport.camera_shape)
-    return MultilevelTransport.from_pair_sets(
-        domain, domain, transport.channels, transport.level_rows, list(transport.pair_sets)
-    )
+    return transport.with_pairs(transport.pair_sets, transport.level_rows, symmetric=False)
 
 
 def _with_pairs(
@@ -95,20 +90,12 @@ def _with_pairs(
         rays[which].astype(np.int32),
         columns[:, which, tree.order[block]],
     )
-    camera = RayDomain(transport.camera_shape)
     finest = [*(pairs for pairs in transport.pair_sets if pairs.level == last), more]
     pair_sets = [
         *(pairs for pairs in transport.pair_sets if pairs.level < last),
-        fold(tree, last, finest, transport.channels, camera.size),
+        fold(tree, last, finest, transport.channels, tree.domain.size),
     ]
-    return MultilevelTransport.from_pair_sets(
-        camera,
-        tree.domain,
-        transport.channels,
-        transport.level_rows,
-        pair_sets,
-        transport.symmetric,
-    )
+    return transport.with_pairs(pair_sets, transport.level_rows, transport.symmetric)
 
 
 def _with_terms(transport: Transport, rays: NDArray[np.int64], columns: Float) -> SumTransport:
@@ -132,4 +119,4 @@ def _is_symmetric(transport: Transport, known: NDArray[np.bool_]) -> bool:
     channels = range(transport.channels)
     there = transport.forward(signs, channels)[..., known].astype(np.float64)
     back = transport.adjoint(signs, channels)[..., known].astype(np.float64)
-    return bool(np.linalg.norm(there - back) < _MOST_ASYMMETRY * np.linalg.norm(there))
+    return agree(there, back)

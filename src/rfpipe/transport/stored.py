@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar, overload
 
@@ -104,13 +105,14 @@ class SetsOnDemand(Sequence[S], Generic[K, S]):
     """
 
     def __init__(self, keys: Sequence[K], make: Callable[[K], S], *, keep: bool) -> None:
-        self._keys = keys
-        self._make = make
-        self._keep = keep
-        self._held: dict[int, S] = {}
+        def made(index: int) -> S:
+            return make(keys[index])
+
+        self._count = len(keys)
+        self._made: Callable[[int], S] = cache(made) if keep else made
 
     def __len__(self) -> int:
-        return len(self._keys)
+        return self._count
 
     @overload
     def __getitem__(self, index: int) -> S: ...
@@ -121,10 +123,4 @@ class SetsOnDemand(Sequence[S], Generic[K, S]):
     def __getitem__(self, index: int | slice) -> S | list[S]:
         if isinstance(index, slice):
             return [self[n] for n in range(*index.indices(len(self)))]
-        index = range(len(self))[index]
-        if index in self._held:
-            return self._held[index]
-        found = self._make(self._keys[index])
-        if self._keep:
-            self._held[index] = found
-        return found
+        return self._made(range(len(self))[index])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
 from typing import Any, Self
 
 import numpy as np
@@ -66,17 +67,11 @@ class SumTransport(Transport):
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``."""
-        total = np.array(self.parts[0].forward(patterns, channels), np.float32)
-        for part in self.parts[1:]:
-            total += part.forward(patterns, channels)
-        return total
+        return reduce(np.add, (part.forward(patterns, channels) for part in self.parts))
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, M)``."""
-        total = np.array(self.parts[0].adjoint(images, channels), np.float32)
-        for part in self.parts[1:]:
-            total += part.adjoint(images, channels)
-        return total
+        return reduce(np.add, (part.adjoint(images, channels) for part in self.parts))
 
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
         """Leave out parts that began later, and truncate the others at their own levels.

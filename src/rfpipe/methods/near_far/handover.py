@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float, LevelImages, Pack
+from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.states import unprefixed
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
 from rfpipe.patterns import Schedule
@@ -43,16 +44,14 @@ class _Floodlit:
         return radiance[first:last], variance[first:last]
 
 
-def begin(
-    domain: RayDomain, options: SymmetricOptions, floodlit: Float, floodlit_variance: Float
-) -> SymmetricState:
-    """Start from the floodlit image, float32 (C, N), which is there already."""
-    method, channels = Symmetric(), len(floodlit)
-    shape = (1, *domain.shape, channels)
+def begin(domain: RayDomain, options: SymmetricOptions, pictures: Pictures) -> SymmetricState:
+    """Start from the floodlit image, which is there already."""
+    method, shape = Symmetric(), (1, *domain.shape, pictures.channels)
     radiance, variance = (
-        np.ascontiguousarray(image.T).reshape(shape) for image in (floodlit, floodlit_variance)
+        np.ascontiguousarray(image.T).reshape(shape)
+        for image in (pictures.floodlit, pictures.floodlit_variance)
     )
-    begun = method.start(domain, domain, channels, options)
+    begun = method.start(domain, domain, pictures.channels, options)
     return method.refine(begun, _Floodlit(Schedule.floodlit(domain.shape), (radiance, variance)))
 
 

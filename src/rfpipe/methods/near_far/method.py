@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, Float, LevelImages, Pack, all_blocks
+from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, Float, LevelImages, Pack
 from rfpipe.methods.images import planar_batches
 from rfpipe.methods.near_far import handover
 from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
@@ -28,7 +28,15 @@ from rfpipe.methods.near_far.patterns import (
 )
 from rfpipe.methods.near_far.pictures import Pictures, completed
 from rfpipe.methods.near_far.transport import as_transport, indirect, light_range
-from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
+from rfpipe.methods.states import (
+    MethodState,
+    Packing,
+    PackingMethod,
+    arrays_of,
+    joined,
+    level_row,
+    unprefixed,
+)
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
@@ -56,18 +64,14 @@ class NearFarOptions(ErrorOptions, SymmetricOptions):
 
 
 @dataclass(frozen=True)
-class NearFarState:
-    """The state of a near/far acquisition.
+class NearFarState(MethodState):
+    """The state of a near/far acquisition, beside what all states have.
+
+    Level 0 is the floodlit image, then come the rounds, then the levels of symmetric photography
+    from its level 1 on.
 
     Attributes
     ----------
-    domain : RayDomain
-        Of camera and projector.
-    channels : int
-    options : NearFarOptions
-    level : int
-        Level to be scheduled next: 0 is the floodlit image, then the rounds, then the levels of
-        symmetric photography from its level 1 on.
     pictures : Pictures, optional
         All pictures to fit; None before the floodlit image.
     new : int
@@ -81,14 +85,9 @@ class NearFarState:
         Whether no more probes are asked for.
     symmetric : SymmetricState, optional
         Where symmetric photography has taken over.
-    rows : tuple of dict
-        The table of levels so far.
     """
 
-    domain: RayDomain
-    channels: int
     options: NearFarOptions
-    level: int = 0
     pictures: Pictures | None = None
     new: int = 0
     held: Held | None = None
@@ -96,7 +95,6 @@ class NearFarState:
     estimates: tuple[Estimate, ...] = ()
     done: bool = False
     symmetric: SymmetricState | None = None
-    rows: tuple[dict[str, Any], ...] = ()
 
     @property
     def shown(self) -> int:
@@ -129,37 +127,31 @@ class NearFar(PackingMethod[NearFarState]):
         return len(ROUNDS) + Symmetric().n_levels(camera, projector)
 
     def expected_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: NearFarOptions,
+        self, camera: RayDomain, projector: RayDomain, options: NearFarOptions
     ) -> int:
         """Return the patterns of all rounds: they don't grow with the resolution."""
         return min(projector.size, options.patterns or MOST)
 
     def most_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: NearFarOptions,  # noqa: ARG002
+        self, camera: RayDomain, projector: RayDomain, options: NearFarOptions
     ) -> int:
         """Return those of symmetric photography of a scene in which no block is of low rank."""
-        return all_blocks(projector)
+        return Symmetric().most_patterns(camera, projector, options)
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: NearFarOptions
     ) -> NearFarState:
         """Return the state before the floodlit image."""
         self.n_levels(camera, projector)
-        return NearFarState(camera, channels, options)
+        return NearFarState(camera, projector, channels, options)
 
     def schedule(self, state: NearFarState) -> Schedule:
         """Show the floodlit pattern, then probes; the first of them with the held-out patterns."""
-        shape, level = state.domain.shape, state.level
+        shape, level = state.projector.shape, state.level
         if level == 0:
             return Schedule.floodlit(shape)
         if level > len(ROUNDS):
-            return handover.schedule(state.domain, state.symmetric, level)
+            return handover.schedule(state.projector, state.symmetric, level)
         count = self._probes(state)
         held, found = np.zeros((0, *shape), np.bool_), None
         if level == 1 and count:
@@ -185,32 +177,33 @@ class NearFar(PackingMethod[NearFarState]):
         radiance, variance = _read(state, images)
         if level == 0:
             nothing = np.zeros((0, *radiance.shape[1:]), np.float32)
-            dark = np.zeros((0, state.domain.size), np.bool_)
-            floodlit = completed(state.domain.shape, radiance[0], variance[0])
+            dark = np.zeros((0, state.projector.size), np.bool_)
+            floodlit = completed(state.projector.shape, radiance[0], variance[0])
             pictures = Pictures(floodlit, variance[0], dark, nothing, nothing)
-            row = level_row(0, 1, rank_k=0, scalar=state.domain.size)
-            return replace(state, level=1, pictures=pictures, rows=(row,))
+            row = level_row(0, 1, rank_k=0, scalar=state.projector.size)
+            return state.after(row, pictures=pictures)
         assert state.pictures is not None
         lit = images.schedule.batch(0, count).reshape(count, -1) > 0
         first = HELD_OUT.get(level, 0)
-        held = _with(state.held, Held(lit[:first], radiance[:first]))
+        taken = Held(lit[:first], radiance[:first])
+        held = taken if state.held is None else joined([state.held, taken], axis=0)
         pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
-        model = fit(state.domain.shape, pictures)
+        model = fit(state.projector.shape, pictures)
         found = _estimate(pictures, model, held)
         row = level_row(
             level, count, nodes=len(model.basis.first), rank_k=0, estimated_error=found.error
         )
-        state = replace(
-            state,
-            level=level + 1,
-            pictures=pictures,
-            new=count - first,
-            held=held,
-            model=model,
-            estimates=(*state.estimates, found),
-            rows=(*state.rows, row),
+        estimates = (*state.estimates, found)
+        return self._decide(
+            state.after(
+                row,
+                pictures=pictures,
+                new=count - first,
+                held=held,
+                model=model,
+                estimates=estimates,
+            )
         )
-        return self._decide(state)
 
     def transport(self, state: NearFarState) -> Transport:
         """Return direct, near-range and far-range light as parts of a sum; or the hierarchy."""
@@ -220,10 +213,10 @@ class NearFar(PackingMethod[NearFarState]):
             return SumTransport([hierarchy], rows, [len(ROUNDS)])
         pictures = state.pictures
         if pictures is None:
-            dark = np.zeros((state.channels, state.domain.size), np.float32)
+            dark = np.zeros((state.channels, state.projector.size), np.float32)
             nothing = dark[None][:0]
             pictures = Pictures(dark, dark, nothing[:, 0] > 0, nothing, nothing)
-        return as_transport(state.domain.shape, rows, state.model, pictures)
+        return as_transport(state.projector.shape, rows, state.model, pictures)
 
     def pack(self, state: NearFarState) -> Pack:
         """Return the last level's pictures, the model, and what symmetric photography found."""
@@ -248,7 +241,7 @@ class NearFar(PackingMethod[NearFarState]):
         own = [pack.arrays for pack in packs]
         model = None
         if fitted := [arrays for arrays in own if "cores" in arrays]:
-            basis = MultiscaleBasis(start.domain.shape, fitted[-1]["functions"])
+            basis = MultiscaleBasis(start.projector.shape, fitted[-1]["functions"])
             model = Model(basis, fitted[-1]["cores"])
         held = [unprefixed("held_", arrays) for arrays in own if "held_lit" in arrays]
         return replace(
@@ -261,7 +254,7 @@ class NearFar(PackingMethod[NearFarState]):
             held=Held(*_joined(held, "radiance")) if held else None,
             model=model,
             estimates=tuple(Estimate(*found) for found in packs[-1].attributes["estimates"]),
-            symmetric=handover.restored(start.domain, start.channels, start.options, packs),
+            symmetric=handover.restored(start.projector, start.channels, start.options, packs),
         )
 
     def _probes(self, state: NearFarState) -> int:
@@ -292,7 +285,9 @@ class NearFar(PackingMethod[NearFarState]):
         if limit or not (stalled or found.dark > share * found.indirect):
             return state
         _log.info("the light is not smooth enough; going on with symmetric photography")
-        return replace(state, done=True, symmetric=_taken_over(state))
+        assert state.pictures is not None
+        begun = handover.begin(state.projector, state.options, state.pictures)
+        return replace(state, done=True, symmetric=begun)
 
 
 def _joined(packs: Sequence[Mapping[str, NDArray[Any]]], *names: str) -> tuple[Any, ...]:
@@ -303,22 +298,12 @@ def _joined(packs: Sequence[Mapping[str, NDArray[Any]]], *names: str) -> tuple[A
 
 def _read(state: NearFarState, images: LevelImages) -> tuple[Float, Float]:
     """Read all images of a level, radiance and variance (M, C, N)."""
-    channels, rays = state.channels, state.domain.size
+    channels, rays = state.channels, state.projector.size
     shape = (images.schedule.count, channels, rays)
     radiance, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
     for part, seen, spread in planar_batches(images, channels, rays):
         radiance[part], variance[part] = np.moveaxis(seen, 0, 1), np.moveaxis(spread, 0, 1)
     return radiance, variance
-
-
-def _with(held: Held | None, more: Held) -> Held:
-    """Return held-out pictures and more of them."""
-    if held is None:
-        return more
-    return Held(
-        np.concatenate([held.lit, more.lit]),
-        np.concatenate([held.radiance, more.radiance]),
-    )
 
 
 def _estimate(pictures: Pictures, model: Model, held: Held) -> Estimate:
@@ -329,18 +314,9 @@ def _estimate(pictures: Pictures, model: Model, held: Held) -> Estimate:
     return estimate(predicted[..., known], held.at(known))
 
 
-def _taken_over(state: NearFarState) -> SymmetricState:
-    assert state.pictures is not None
-    pictures = state.pictures
-    return handover.begin(
-        state.domain, state.options, pictures.floodlit, pictures.floodlit_variance
-    )
-
-
 def _skipped(state: NearFarState) -> NearFarState:
     """Return the state after a level that shows nothing."""
-    row = level_row(state.level, 0, rank_k=0)
-    return replace(state, level=state.level + 1, new=0, rows=(*state.rows, row))
+    return state.after(level_row(state.level, 0, rank_k=0), new=0)
 
 
 def _refine_symmetric(state: NearFarState, images: LevelImages, memory_bytes: int) -> NearFarState:
@@ -361,7 +337,7 @@ def _model_is_better(state: NearFarState) -> bool:
     assert state.held is not None
     assert state.pictures is not None
     known = state.pictures.known
-    patterns = state.held.lit.reshape(-1, *state.domain.shape).astype(np.float32)
+    patterns = state.held.lit.reshape(-1, *state.projector.shape).astype(np.float32)
     relit = Symmetric().transport(state.symmetric).relight_batch(patterns)
     planar = np.moveaxis(relit.reshape(len(patterns), -1, state.channels), -1, 1)
     return state.estimates[-1].error < estimate(planar[..., known], state.held.at(known)).error

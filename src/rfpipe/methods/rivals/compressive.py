@@ -17,9 +17,9 @@ from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, PatternOptions
 from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.rivals.pursuit import pursue, rays_and_wavelets
 from rfpipe.methods.rivals.signs import as_light, random_signs, trimmed_mean
-from rfpipe.methods.states import Packing, PackingMethod, level_row
+from rfpipe.methods.scan import DenseMethod, ScanState
+from rfpipe.methods.states import Packing, level_row
 from rfpipe.patterns import Schedule
-from rfpipe.transport.dense import DenseTransport
 
 LARGEST_DOMAIN = 64 * 64
 """Rays of the largest camera or projector: the recovery's time grows with the product of pixels,
@@ -33,34 +33,24 @@ _MEASUREMENTS_PER_ATOM = 4
 
 
 @dataclass(frozen=True)
-class CompressiveState:
-    """The state of compressive sensing.
+class CompressiveState(ScanState):
+    """The state of compressive sensing: level 0 is the floodlit image, 1 all random patterns.
+
+    Its matrix is zero before the floodlit image, and has that image's light spread over all rays
+    after it.
 
     Attributes
     ----------
-    camera, projector : RayDomain
-    options : PatternOptions
-    matrix : ndarray of float32, shape (C, camera rays, projector rays)
-        Zeros before the floodlit image; its light spread over all rays after it.
     floodlit, variance : ndarray of float32, shape (C, camera rays)
         The floodlit image and its variance.
-    level : int
-        Level to be scheduled next: 0 is the floodlit image, 1 all random patterns.
-    rows : tuple of dict
-        The table of levels so far.
     """
 
-    camera: RayDomain
-    projector: RayDomain
     options: PatternOptions
-    matrix: Float
     floodlit: Float
     variance: Float
-    level: int = 0
-    rows: tuple[dict[str, int], ...] = ()
 
 
-class Compressive(PackingMethod[CompressiveState]):
+class Compressive(DenseMethod[CompressiveState]):
     """Compressive sensing of the rows of ``T``, as a `Method`.
 
     The patterns are the published ones of compressive dual photography, on and off at random; the
@@ -80,15 +70,12 @@ class Compressive(PackingMethod[CompressiveState]):
     packing = Packing(("level", "rows"), ("matrix", "floodlit", "variance"))
 
     def expected_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: PatternOptions,
+        self, camera: RayDomain, projector: RayDomain, options: PatternOptions
     ) -> int:
         """Return the number that is asked for, or one for some rays."""
         return pattern_count(projector.size, options.patterns)
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:  # noqa: ARG002
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return 2: the floodlit image, and all random patterns; any camera will do."""
         return 2
 
@@ -110,7 +97,7 @@ class Compressive(PackingMethod[CompressiveState]):
             )
         matrix = np.zeros((channels, camera.size, projector.size), np.float32)
         dark = np.zeros(matrix.shape[:2], np.float32)
-        return CompressiveState(camera, projector, options, matrix, dark, dark)
+        return CompressiveState(camera, projector, channels, options, matrix, dark, dark)
 
     def schedule(self, state: CompressiveState) -> Schedule:
         """Show the floodlit pattern, then all random ones."""
@@ -122,10 +109,7 @@ class Compressive(PackingMethod[CompressiveState]):
         return Schedule(state.level, shape, count, weights=weights)
 
     def refine(
-        self,
-        state: CompressiveState,
-        images: LevelImages,
-        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - the largest domain's fits
+        self, state: CompressiveState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> CompressiveState:
         """Keep the floodlit image; then recover the matrix."""
         channels, pixels, rays = state.matrix.shape
@@ -150,17 +134,7 @@ class Compressive(PackingMethod[CompressiveState]):
             matrix, atoms = recover(signs, measured, variance, state.projector)
             state = replace(state, matrix=matrix)
         row = level_row(state.level, count, nodes=pixels * channels, scalar=atoms)
-        return replace(state, level=state.level + 1, rows=(*state.rows, row))
-
-    def transport(self, state: CompressiveState) -> DenseTransport:
-        """Return the dense matrix."""
-        return DenseTransport(
-            state.camera.shape,
-            state.projector.shape,
-            len(state.matrix),
-            list(state.rows),
-            {"matrix": state.matrix},
-        )
+        return state.after(row)
 
 
 def pattern_count(rays: int, asked: int) -> int:

@@ -6,7 +6,6 @@ Y. Y. Schechner, S. K. Nayar and P. N. Belhumeur, *Multiplexing for optimal ligh
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import count
 from math import isqrt
 from typing import Any
@@ -42,12 +41,7 @@ class Hadamard(Scan):
     colour = "#7d5ba6"
     marker = "^"
 
-    def expected_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: Options,  # noqa: ARG002
-    ) -> int:
+    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Options) -> int:
         """Return the order of the S-matrix."""
         return s_matrix_order(projector.size)
 
@@ -60,10 +54,7 @@ class Hadamard(Scan):
         return Schedule(0, state.projector.shape, len(code), weights=weights)
 
     def refine(
-        self,
-        state: ScanState,
-        images: LevelImages,
-        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - it holds the whole matrix anyway
+        self, state: ScanState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> ScanState:
         """Solve for the matrix."""
         channels, pixels, rays = state.matrix.shape
@@ -71,7 +62,7 @@ class Hadamard(Scan):
         coded = read_columns(images, channels, pixels)
         matrix = decode(coded.reshape(-1, order), rays).reshape(state.matrix.shape)
         row = level_row(0, order, nodes=pixels * rays, scalar=pixels * rays)
-        return replace(state, matrix=matrix, level=1, rows=(row,))
+        return state.after(row, matrix=matrix)
 
 
 def s_matrix_order(rays: int) -> int:

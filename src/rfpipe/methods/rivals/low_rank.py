@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import ceil, log2, sqrt
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, Float, LevelImages
 from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.rivals.low_rank_fit import Fit, fit, relit, start_fit
 from rfpipe.methods.rivals.signs import as_light, random_signs, trimmed_mean
-from rfpipe.methods.states import Packing, PackingMethod, level_row
+from rfpipe.methods.states import MethodState, Packing, PackingMethod, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.low_rank import LowRankTransport
 
@@ -32,17 +31,14 @@ OWN_MOST, _MOST = 512, 4096
 
 
 @dataclass(frozen=True)
-class LowRankState:
-    """The state of an optical low-rank acquisition.
+class LowRankState(MethodState):
+    """The state of an optical low-rank acquisition, beside what all states have.
+
+    Level 0 is the floodlit image, each other one a round of random signs. A round's row has the
+    ``estimated_error`` of the fit before it, relative to the images' norm.
 
     Attributes
     ----------
-    domain : RayDomain
-        Of camera and projector.
-    channels : int
-    options : ErrorOptions
-    level : int
-        Level to be scheduled next: 0 is the floodlit image, then one round of random signs each.
     images : tuple of ndarray of float32, shape (C, patterns, rays)
         ``T q`` for each level's signed patterns q, all ones at level 0.
     noise : tuple of ndarray of float64, shape (C, patterns)
@@ -53,21 +49,14 @@ class LowRankState:
         Terms of the fit after each level.
     done : bool
         Whether no more patterns are asked for.
-    rows : tuple of dict
-        The table of levels so far; a round's ``estimated_error`` is that of the fit before it,
-        relative to the images' norm.
     """
 
-    domain: RayDomain
-    channels: int
     options: ErrorOptions
     fit: Fit
-    level: int = 0
     images: tuple[Float, ...] = ()
     noise: tuple[NDArray[np.float64], ...] = ()
     ranks: tuple[int, ...] = ()
     done: bool = False
-    rows: tuple[dict[str, Any], ...] = ()
 
     @property
     def shown(self) -> int:
@@ -101,10 +90,7 @@ class LowRank(PackingMethod[LowRankState]):
     )
 
     def expected_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: ErrorOptions,
+        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
     ) -> int:
         """Return the number that is asked for, or the most that it shows of itself."""
         return min(projector.size, options.patterns or OWN_MOST)
@@ -116,30 +102,24 @@ class LowRank(PackingMethod[LowRankState]):
         return 2 + ceil(log2(rays / _FIRST_ROUND))
 
     def start(
-        self,
-        camera: RayDomain,
-        projector: RayDomain,  # noqa: ARG002 - the camera's
-        channels: int,
-        options: ErrorOptions,
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions
     ) -> LowRankState:
         """Return the state before the floodlit image."""
-        return LowRankState(camera, channels, options, start_fit(channels, camera.size))
+        fit = start_fit(channels, camera.size)
+        return LowRankState(camera, projector, channels, options, fit)
 
     def schedule(self, state: LowRankState) -> Schedule:
         """Show the floodlit pattern, then in each round as many random signs as before it."""
-        shape = state.domain.shape
+        shape = state.projector.shape
         if state.level == 0:
             return Schedule.floodlit(shape)
         limit = min(state.options.patterns or OWN_MOST, _MOST)
         count = 0 if state.done else min(_probes(state.level), max(limit - state.shown, 0))
-        weights = as_light(_signs(state.domain, state.level, count), shape)
+        weights = as_light(_signs(state.projector, state.level, count), shape)
         return Schedule(state.level, shape, count, weights=weights)
 
     def refine(
-        self,
-        state: LowRankState,
-        images: LevelImages,
-        memory_bytes: int = MEMORY_BYTES,  # noqa: ARG002 - it holds all images anyway
+        self, state: LowRankState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> LowRankState:
         """Test the fit on the round's images, then fit it to all of them."""
         count = images.schedule.count
@@ -147,22 +127,18 @@ class LowRank(PackingMethod[LowRankState]):
         level = state.level
         done, found = state.done or not count, {}
         if level and count:
-            signs = _signs(state.domain, level, count)
+            signs = _signs(state.projector, level, count)
             estimate, within_noise = _held_out(state.fit, signs, signed, noise)
             found = {"estimated_error": estimate}
             done = within_noise or estimate <= state.options.target_error
         state = replace(
-            state,
-            level=level + 1,
-            images=(*state.images, signed),
-            noise=(*state.noise, noise),
-            done=done,
+            state, images=(*state.images, signed), noise=(*state.noise, noise), done=done
         )
         if count:
             state = replace(state, fit=_fit_all(state))
         rank = state.fit.strengths.shape[1]
-        row = level_row(level, count, nodes=1, rank1=rank, scalar=state.domain.size, **found)
-        return replace(state, ranks=(*state.ranks, rank), rows=(*state.rows, row))
+        row = level_row(level, count, nodes=1, rank1=rank, scalar=state.projector.size, **found)
+        return state.after(row, ranks=(*state.ranks, rank))
 
     def transport(self, state: LowRankState) -> LowRankTransport:
         """Return the diagonal and the terms, the strongest first."""
@@ -174,7 +150,7 @@ class LowRank(PackingMethod[LowRankState]):
             "diagonal": state.fit.diagonal,
             "term_level": np.searchsorted(ranks, term, side="right").astype(np.int32),
         }
-        shape = state.domain.shape
+        shape = state.projector.shape
         return LowRankTransport(shape, shape, state.channels, list(state.rows), arrays)
 
 
@@ -192,7 +168,7 @@ def _signs(domain: RayDomain, level: int, count: int) -> Float:
 
 def _read(state: LowRankState, images: LevelImages) -> tuple[Float, NDArray[np.float64]]:
     """Read a level's images as those of signed patterns, (C, P, rays), and their noise, (C, P)."""
-    count, rays, channels = images.schedule.count, state.domain.size, state.channels
+    count, rays, channels = images.schedule.count, state.projector.size, state.channels
     signed = np.empty((channels, count, rays), np.float32)
     noise = np.empty((channels, count))
     for part, radiance, variance in planar_batches(images, channels, rays):
@@ -221,6 +197,6 @@ def _held_out(
 
 def _fit_all(state: LowRankState) -> Fit:
     counts = [images.shape[1] for images in state.images]
-    signs = np.concatenate([_signs(state.domain, level, n) for level, n in enumerate(counts)])
+    signs = np.concatenate([_signs(state.projector, level, n) for level, n in enumerate(counts)])
     signed = np.concatenate(state.images, axis=1)
     return fit(signs, signed, np.concatenate(state.noise, axis=1))

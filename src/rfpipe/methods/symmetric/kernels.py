@@ -11,18 +11,11 @@ import numba
 import numpy as np
 
 from rfpipe.methods.symmetric.unknown_kernels import unknown_difference
+from rfpipe.transport.hierarchical.sums_kernels import dot, summed
 
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
 # Median of the square of a normal deviate.
 _MEDIAN_SQUARE = 0.4549364
-
-
-@numba.njit(cache=True, fastmath=_FAST)
-def _sum(values):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for k in range(values.shape[0]):
-        total += np.float64(values[k])
-    return total
 
 
 @numba.njit(cache=True, fastmath=_FAST)
@@ -85,8 +78,8 @@ def sum_pieces(starts, block_a, block_b, offset_a, offset_b, values, sums):  # t
         a, b = block_a[n], block_b[n]
         size_a, size_b = starts[a + 1] - starts[a], starts[b + 1] - starts[b]
         for c in range(values.shape[0]):
-            sums[c, 0, n] = _sum(values[c, offset_a[n] : offset_a[n] + size_a])
-            sums[c, 1, n] = _sum(values[c, offset_b[n] : offset_b[n] + size_b])
+            sums[c, 0, n] = summed(values[c, offset_a[n] : offset_a[n] + size_a])
+            sums[c, 1, n] = summed(values[c, offset_b[n] : offset_b[n] + size_b])
 
 
 @numba.njit(cache=True)
@@ -96,7 +89,7 @@ def _shares(piece, energy, first_child, last_child, child_starts, shares):  # ty
     for child in range(first_child, last_child):
         begin = child_starts[child] - child_starts[first_child]
         end = child_starts[child + 1] - child_starts[first_child]
-        share = _sum(piece[begin:end]) / energy if energy > 0.0 else 0.0
+        share = summed(piece[begin:end]) / energy if energy > 0.0 else 0.0
         shares[child - first_child] = share
         squares += share * share
     return squares
@@ -306,11 +299,11 @@ def _take_piece(source, spread, profile, significance, energy, target):  # type:
     this one's, and less noisy. As much of the difference is kept as exceeds what noise makes of
     it, over the piece as a whole or, where that is more, at the single pixel.
     """
-    total, light = _sum(source), _sum(profile)
+    total, light = summed(source), summed(profile)
     if total > 0.0 and light > 0.0:
         scale = np.float32(total / light)
         different = _squared_difference(source, profile, scale)
-        kept = max(0.0, 1.0 - _sum(spread) / different) if different > 0.0 else 0.0
+        kept = max(0.0, 1.0 - summed(spread) / different) if different > 0.0 else 0.0
         for k in range(source.shape[0]):
             guess = profile[k] * scale
             difference = source[k] - guess
@@ -321,18 +314,10 @@ def _take_piece(source, spread, profile, significance, energy, target):  # type:
     else:
         for k in range(source.shape[0]):
             target[k] = max(source[k], np.float32(0))
-    positive = _sum(target)
+    positive = summed(target)
     scale = np.float32(energy / positive) if positive > 0.0 and energy > 0.0 else np.float32(0)
     for k in range(source.shape[0]):
         target[k] *= scale
-
-
-@numba.njit(cache=True, fastmath=_FAST)
-def _sum_of_squares(values):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for k in range(values.shape[0]):
-        total += np.float64(values[k]) * np.float64(values[k])
-    return total
 
 
 @numba.njit(cache=True)
@@ -402,13 +387,13 @@ def take_pieces(  # type: ignore[no-untyped-def]
                     profiles[c, above : above + (size if above >= 0 else 0)], significance, e,
                     target,
                 )  # fmt: skip
-            square = _sum_of_squares(piece_a)
+            square = dot(piece_a, piece_a)
             worst[c, n] = square * _worst_share(
                 piece_b, e, children[b], children[b + 1], child_starts, shares_b
             )
             lit[c, n] = e * e / square * len(shares_b) if square > 0.0 else 0.0
             if a != b:
-                square = _sum_of_squares(piece_b)
+                square = dot(piece_b, piece_b)
                 worst[c, n] += square * _worst_share(
                     piece_a, e, children[a], children[a + 1], child_starts, shares_a
                 )

@@ -18,20 +18,24 @@ from rfpipe.methods.base import (
     LevelImages,
     Options,
     Pack,
-    all_blocks,
 )
-from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
+from rfpipe.methods.states import (
+    Descent,
+    MethodState,
+    Packing,
+    arrays_of,
+    joined,
+    level_row,
+    unprefixed,
+)
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
     as_leaves,
     child_pairs,
-    cut,
-    join_leaves,
-    join_nodes,
     no_nodes,
     select,
 )
-from rfpipe.methods.symmetric.pieces import affordable, collect
+from rfpipe.methods.symmetric.pieces import Subdivided, affordable, collect
 from rfpipe.methods.symmetric.rank_k import predictable, rank_k_leaves
 from rfpipe.methods.symmetric.rank_test import (
     AGREES,
@@ -60,16 +64,12 @@ class SymmetricOptions(Options):
 
 
 @dataclass(frozen=True)
-class SymmetricState:
-    """The state of symmetric photography before a level.
+class SymmetricState(MethodState):
+    """The state of symmetric photography before a level, beside what all states have.
 
     Attributes
     ----------
     tree : BlockTree
-    channels : int
-    options : SymmetricOptions
-    level : int
-        Level to be scheduled next.
     known : tuple of LeafSet
         Leaves found so far.
     added : tuple of LeafSet
@@ -80,23 +80,18 @@ class SymmetricState:
         Maximum of the floodlit image, the unit of the tolerance.
     dark : ndarray of bool, shape (N,)
         Rays (in tree order) from which no light comes back under floodlight.
-    rows : tuple of dict
-        The table of levels so far.
     """
 
-    tree: BlockTree
-    channels: int
     options: SymmetricOptions
-    level: int
-    known: tuple[LeafSet, ...]
-    added: tuple[LeafSet, ...]
+    tree: BlockTree
     frontier: Frontier
-    floodlit_maximum: float
     dark: NDArray[np.bool_]
-    rows: tuple[dict[str, int], ...] = ()
+    known: tuple[LeafSet, ...] = ()
+    added: tuple[LeafSet, ...] = ()
+    floodlit_maximum: float = 0.0
 
 
-class Symmetric(PackingMethod[SymmetricState]):
+class Symmetric(Descent[SymmetricState]):
     """Symmetric photography as a `Method`."""
 
     name = "symmetric"
@@ -104,6 +99,7 @@ class Symmetric(PackingMethod[SymmetricState]):
     colour = "#1f5a9e"
     needs_coaxial_rig = True
     thesis_table = "5.1"
+    thesis_patterns = 1_085  # of scene II
     Options = SymmetricOptions
     trades = "tolerance"
     trials = TOLERANCES
@@ -111,38 +107,14 @@ class Symmetric(PackingMethod[SymmetricState]):
         ("level", "floodlit_maximum", "rows"), ("dark",), groups={"frontier": "frontier_"}
     )
 
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the depth of the block tree."""
-        self.check(camera, projector)
-        return BlockTree(projector).n_levels
-
-    def expected_patterns(
-        self,
-        camera: RayDomain,
-        projector: RayDomain,
-        options: SymmetricOptions,  # noqa: ARG002
-    ) -> int:
-        """Guess the patterns from those of the thesis' scene II, 310 x 350 rays in ten levels."""
-        return min(projector.size, round(self.n_levels(camera, projector) * 1_085 / 10))
-
-    def most_patterns(
-        self,
-        camera: RayDomain,  # noqa: ARG002
-        projector: RayDomain,
-        options: SymmetricOptions,  # noqa: ARG002
-    ) -> int:
-        """Return the patterns of a scene in which no block is of low rank."""
-        return all_blocks(projector)
-
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: SymmetricOptions
     ) -> SymmetricState:
         """Return the state before the floodlit image."""
         self.n_levels(camera, projector)
-        tree = BlockTree(projector)
+        tree, nothing = BlockTree(projector), no_nodes(channels)
         dark = np.zeros(projector.size, np.bool_)
-        nothing = no_nodes(channels)
-        return SymmetricState(tree, channels, options, 0, (), (), nothing, 0.0, dark)
+        return SymmetricState(camera, projector, channels, options, tree, nothing, dark)
 
     def schedule(self, state: SymmetricState) -> Schedule:
         """Colour the square of the graph of unknown transport (Lemmas 1 and 2)."""
@@ -166,16 +138,15 @@ class Symmetric(PackingMethod[SymmetricState]):
             return self._begin(state, images)
         tree, level, nodes = state.tree, state.level, state.frontier
         if not images.schedule.count:
-            row = level_row(level, 0, rank_k=0)
-            return replace(state, level=level + 1, added=(), rows=(*state.rows, row))
+            return state.after(level_row(level, 0, rank_k=0), added=())
         limits = _limits(state, tests=len(child_pairs(tree, level - 1, nodes)[0]))
         refined = [
-            _refine_nodes(state, cut(tree, level - 1, nodes, run), images, limits, memory_bytes)
+            _refine_nodes(state, select(tree, level - 1, nodes, run), images, limits, memory_bytes)
             for run in affordable(tree, level - 1, nodes, memory_bytes)
         ]
         added = (
-            join_leaves(level - 1, [part.kept[kind] for kind in (0, 1) for part in refined]),
-            join_leaves(level, [part.found.leaves for part in refined]),
+            joined([part.kept[kind] for kind in (0, 1) for part in refined]),
+            joined([part.found.leaves for part in refined]),
         )
         before = state.rows[-1]
         outcome = {
@@ -189,13 +160,11 @@ class Symmetric(PackingMethod[SymmetricState]):
         }
         children = sum(part.children for part in refined)
         row = level_row(level, images.schedule.count, nodes=children, rank_k=0, **counts)
-        return replace(
-            state,
-            level=level + 1,
+        return replace(state, rows=(*state.rows[:-1], {**before, **outcome})).after(
+            row,
             known=(*state.known, *added),
             added=added,
-            frontier=join_nodes([part.found.frontier for part in refined]),
-            rows=(*state.rows[:-1], {**before, **outcome}, row),
+            frontier=joined([part.found.frontier for part in refined]),
         )
 
     def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
@@ -212,14 +181,9 @@ class Symmetric(PackingMethod[SymmetricState]):
         exact = np.zeros((channels, 1))
         limits = _limits(state, tests=1)
         found = classify(state.tree, 0, pieces, first, unsettled, nothing, first, exact, limits)
-        return replace(
-            state,
-            level=1,
-            known=(found.leaves,),
-            added=(found.leaves,),
-            frontier=found.frontier,
-            rows=(level_row(0, 1, nodes=1, rank_k=0, **found.counts),),
-        )
+        row = level_row(0, 1, nodes=1, rank_k=0, **found.counts)
+        leaves = (found.leaves,)
+        return state.after(row, known=leaves, added=leaves, frontier=found.frontier)
 
     def transport(self, state: SymmetricState) -> HierarchicalTransport:
         """Return the hierarchical tensor; nodes still unknown at their rank-1 estimate."""
@@ -286,22 +250,23 @@ def _refine_nodes(
     node, first, second = child_pairs(tree, level - 1, nodes)
     pieces = collect(tree, first, second, state.known, state.channels, images, memory_bytes)
     first_pair = np.searchsorted(node, np.arange(len(nodes) + 1))
-    verdict = rank_test(tree, level - 1, nodes, first_pair, pieces, limits)
+    divided = Subdivided(tree, level - 1, nodes, first_pair, pieces)
+    verdict = rank_test(divided, limits)
     unsettled = (verdict == DIFFERS) | (verdict == AGREES)
-    smooth = predictable(tree, level - 1, nodes, first_pair, pieces, unsettled, limits)
+    smooth = predictable(divided, unsettled, limits)
     rank1 = as_leaves(tree, level - 1, select(tree, level - 1, nodes, verdict == CLOSE))
     subdivided = (verdict < CLOSE) & ~smooth
-    divided = np.flatnonzero(subdivided[node])
-    above = node[divided]
-    wrong = disagreement(first_pair, pieces)
+    chosen = np.flatnonzero(subdivided[node])
+    above = node[chosen]
+    wrong = disagreement(divided)
     settled = verdict[above] == AGREES
-    reconcile(tree, level - 1, nodes, first_pair, pieces)
-    rank_k = rank_k_leaves(tree, level - 1, nodes, first_pair, pieces, smooth)
-    found = classify(tree, level, pieces, divided, settled, nodes, above, wrong, limits)
+    reconcile(divided)
+    rank_k = rank_k_leaves(divided, smooth)
+    found = classify(tree, level, pieces, chosen, settled, nodes, above, wrong, limits)
     return _Refined(
         (rank1, rank_k),
         found,
-        len(divided),
+        len(chosen),
         int(np.count_nonzero(smooth)),
         int(np.count_nonzero(subdivided)),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,33 +81,23 @@ def compared_pixels(tree: BlockTree, level: int, nodes: Frontier) -> Double:
     return np.where(a == b, one_side, one_side + sizes[b] * children[a]).astype(np.float64)
 
 
-def select(tree: BlockTree, level: int, nodes: Frontier, chosen: NDArray[np.bool_]) -> Frontier:
-    """Return some of the nodes."""
+def select(
+    tree: BlockTree, level: int, nodes: Frontier, chosen: NDArray[np.bool_] | slice
+) -> Frontier:
+    """Return some of the nodes, in contiguous arrays: kernels are compiled for those alone."""
+    block_a = nodes.block_a[chosen]
+    if len(block_a) == len(nodes):
+        return nodes
     starts = tree.starts[level]
     offset_a, _, n_values = factor_offsets(starts, nodes.block_a, nodes.block_b)
     lengths = np.diff(np.append(offset_a, n_values))
     index = ragged_ranges(offset_a[chosen], lengths[chosen])
     return Frontier(
-        nodes.block_a[chosen],
+        block_a,
         nodes.block_b[chosen],
         np.ascontiguousarray(nodes.pieces[:, index]),
         np.ascontiguousarray(nodes.energy[:, chosen]),
         np.ascontiguousarray(nodes.variance[..., chosen]),
-    )
-
-
-def cut(tree: BlockTree, level: int, nodes: Frontier, run: slice) -> Frontier:
-    """Return a run of the nodes, views of their arrays."""
-    if run == slice(0, len(nodes)):
-        return nodes
-    offset_a, _, n_values = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
-    offsets = np.append(offset_a, n_values)
-    return Frontier(
-        nodes.block_a[run],
-        nodes.block_b[run],
-        nodes.pieces[:, offsets[run.start] : offsets[run.stop]],
-        nodes.energy[:, run],
-        nodes.variance[..., run],
     )
 
 
@@ -119,28 +108,3 @@ def as_leaves(tree: BlockTree, level: int, nodes: Frontier) -> LeafSet:
     root = np.sqrt(nodes.energy, where=nodes.energy > 0, out=np.ones_like(nodes.energy))
     scale = np.repeat((1.0 / root).astype(np.float32), lengths, axis=1)
     return LeafSet(level, nodes.block_a, nodes.block_b, nodes.pieces * scale)
-
-
-def join_nodes(parts: Sequence[Frontier]) -> Frontier:
-    """Put nodes of one level, found one after the other, together; `parts` is not empty."""
-    if len(parts) == 1:
-        return parts[0]
-    return Frontier(
-        np.concatenate([part.block_a for part in parts]),
-        np.concatenate([part.block_b for part in parts]),
-        np.concatenate([part.pieces for part in parts], axis=1),
-        np.concatenate([part.energy for part in parts], axis=1),
-        np.concatenate([part.variance for part in parts], axis=2),
-    )
-
-
-def join_leaves(level: int, parts: Sequence[LeafSet]) -> LeafSet:
-    """Put leaves of one level, found one after the other, together; `parts` is not empty."""
-    if len(parts) == 1:
-        return parts[0]
-    return LeafSet(
-        level,
-        np.concatenate([part.block_a for part in parts]),
-        np.concatenate([part.block_b for part in parts]),
-        np.concatenate([part.values for part in parts], axis=1),
-    )

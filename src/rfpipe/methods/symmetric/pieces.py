@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree
 from rfpipe.methods.base import LevelImages
 from rfpipe.methods.symmetric.nodes import Blocks, Double, Float, Frontier, compared_pixels
-from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets
+from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, runs
 from rfpipe.transport.hierarchical.partition import predict
 
 # Bytes that a pixel of a piece takes, its variance included, and a pair of blocks in each channel:
@@ -66,6 +66,29 @@ class Pieces:
         return len(self.block_a)
 
 
+@dataclass(frozen=True)
+class Subdivided:
+    """Unknown nodes of a level, and what the next level's images say of their children.
+
+    Attributes
+    ----------
+    tree : BlockTree
+    level : int
+        Of the nodes; the children's is the next.
+    nodes : Frontier
+    first_pair : ndarray of int64, shape (n + 1,)
+        Node ``i``'s children are the pairs ``first_pair[i]:first_pair[i + 1]``.
+    pieces : Pieces
+        Of the children.
+    """
+
+    tree: BlockTree
+    level: int
+    nodes: Frontier
+    first_pair: NDArray[np.int64]
+    pieces: Pieces
+
+
 def affordable(tree: BlockTree, level: int, nodes: Frontier, memory_bytes: int) -> Iterator[slice]:
     """Cut nodes of `level` into runs whose children's pieces fit into memory together.
 
@@ -75,13 +98,8 @@ def affordable(tree: BlockTree, level: int, nodes: Frontier, memory_bytes: int) 
     children = np.diff(tree.child_starts[level])
     pairs = children[nodes.block_a] * children[nodes.block_b]
     pixels = compared_pixels(tree, level, nodes)
-    taken = np.cumsum(pixels * _PIXEL_BYTES + pairs * _PAIR_BYTES) * channels
-    first, before = 0, 0.0
-    while first < len(nodes):
-        last = int(np.searchsorted(taken, before + memory_bytes / _SHARE, side="right"))
-        last = max(last, first + 1)
-        yield slice(first, last)
-        first, before = last, taken[last - 1]
+    taken = (pixels * _PIXEL_BYTES + pairs * _PAIR_BYTES) * channels
+    return runs(taken, memory_bytes / _SHARE)
 
 
 def collect(

@@ -15,31 +15,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import BlockTree
-from rfpipe.methods.symmetric.nodes import Frontier, as_leaves, compared_pixels, select
-from rfpipe.methods.symmetric.pieces import Pieces
+from rfpipe.methods.symmetric.nodes import as_leaves, compared_pixels, select
+from rfpipe.methods.symmetric.pieces import Subdivided
 from rfpipe.methods.symmetric.rank_test import Limits
 from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, ragged_ranges
 
 __all__ = ["predictable", "rank_k_leaves"]
 
 Flags = NDArray[np.bool_]
-Index = NDArray[np.int64]
 
 AMPLIFIED = 32.0
 """How many times the leading term's a term's norm, over its part of the block sums, may be. From 8
 to 128 errors are the same within some per cent (`benchmarks/bench_rank_k.py --sweep`)."""
 
 
-def predictable(
-    tree: BlockTree,
-    level: int,
-    nodes: Frontier,
-    first_pair: Index,
-    pieces: Pieces,
-    asked: Flags,
-    limits: Limits,
-) -> Flags:
+def predictable(divided: Subdivided, asked: Flags, limits: Limits) -> Flags:
     """Tell which nodes' images under each child follow from those under the other children.
 
     Each of the 4 + 4 images is held out in turn and predicted by the approximation of the others,
@@ -48,14 +38,8 @@ def predictable(
 
     Parameters
     ----------
-    tree : BlockTree
-    level : int
-    nodes : Frontier
-        Unknown nodes of `level`.
-    first_pair : ndarray of int64, shape (n + 1,)
-        Node ``i``'s children are the pairs ``first_pair[i]:first_pair[i + 1]``.
-    pieces : Pieces
-        Of the children, as they were measured.
+    divided : Subdivided
+        With the children's pieces as they were measured.
     asked : ndarray of bool, shape (n,)
         Which nodes to test. None on the diagonal passes, where direct light is, and none with a
         single child on a side.
@@ -68,6 +52,7 @@ def predictable(
     """
     from rfpipe.methods.symmetric import rank_k_kernels as kernels
 
+    tree, level, nodes, pieces = divided.tree, divided.level, divided.nodes, divided.pieces
     children = np.diff(tree.child_starts[level])
     several = np.minimum(children[nodes.block_a], children[nodes.block_b]) > 1
     tested = asked & several & (nodes.block_a != nodes.block_b)
@@ -77,7 +62,7 @@ def predictable(
     noise = np.empty_like(ssd)
     kernels.leave_one_out(
         tree.child_starts[level], tree.starts[level + 1], nodes.block_a[chosen],
-        nodes.block_b[chosen], first_pair[chosen], pieces.offset_a, pieces.offset_b,
+        nodes.block_b[chosen], divided.first_pair[chosen], pieces.offset_a, pieces.offset_b,
         pieces.values, pieces.sums, pieces.spread, AMPLIFIED, ssd, noise,
     )  # fmt: skip
     samples = compared_pixels(tree, level, nodes)[chosen]
@@ -86,33 +71,25 @@ def predictable(
     return passed
 
 
-def rank_k_leaves(
-    tree: BlockTree,
-    level: int,
-    nodes: Frontier,
-    first_pair: Index,
-    pieces: Pieces,
-    chosen: Flags,
-) -> LeafSet:
+def rank_k_leaves(divided: Subdivided, chosen: Flags) -> LeafSet:
     """Return the leaves of some nodes, as many terms each as their block sums are evidence of.
 
     Where none is, in a colour channel that had light a level above, the node's rank-1 leaf is kept.
 
     Parameters
     ----------
-    tree, level, nodes, first_pair
-        As in `predictable`.
-    pieces : Pieces
-        Of the children; their values may have been reconciled with the nodes'.
+    divided : Subdivided
+        The children's pieces may have been reconciled with the nodes'.
     chosen : ndarray of bool, shape (n,)
         Nodes that passed.
     """
     from rfpipe.methods.symmetric import kernels as of_pieces
     from rfpipe.methods.symmetric import rank_k_kernels as kernels
 
+    tree, level, nodes, pieces = divided.tree, divided.level, divided.nodes, divided.pieces
     starts, children = tree.starts[level], tree.child_starts[level]
     block_a, block_b = nodes.block_a[chosen], nodes.block_b[chosen]
-    first = first_pair[:-1][chosen]
+    first = divided.first_pair[:-1][chosen]
     channels, count = len(pieces.values), len(block_a)
     most = int(np.diff(children)[np.concatenate([block_a, block_b])].max(initial=0))
     left, right = np.zeros((2, channels, count, most, most))

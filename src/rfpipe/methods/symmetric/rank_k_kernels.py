@@ -12,18 +12,11 @@ import math
 import numba
 import numpy as np
 
-_FAST = {"reassoc", "contract", "nsz", "arcp"}
+from rfpipe.transport.hierarchical.sums_kernels import dot
+
 # Jacobi rotations converge quadratically: a matrix of four columns takes some five sweeps.
 _SWEEPS = 30
 _ORTHOGONAL = 1e-14
-
-
-@numba.njit(cache=True, fastmath=_FAST)
-def _dot(first, second):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for k in range(first.shape[0]):
-        total += np.float64(first[k]) * np.float64(second[k])
-    return total
 
 
 @numba.njit(cache=True)
@@ -190,8 +183,27 @@ def _inner_products(values, pair, offsets, starts, step, stride, products):  # t
             at = offsets[pair + block * step + j * stride]
             for k in range(j + 1):
                 other = offsets[pair + block * step + k * stride]
-                product = _dot(values[at : at + size], values[other : other + size])
+                product = dot(values[at : at + size], values[other : other + size])
                 products[block, j, k] = products[block, k, j] = product
+
+
+@numba.njit(cache=True)
+def _starts_within(children, child_starts, block):  # type: ignore[no-untyped-def]
+    """Return the first tree positions of a block's children, and the end of the last one."""
+    return child_starts[children[block] : children[block + 1] + 1]
+
+
+@numba.njit(cache=True)
+def _over_both_sides(values, pair, offset_a, offset_b, starts_a, starts_b):  # type: ignore[no-untyped-def]
+    """Return the inner products of a node's images over a and over b, see `_inner_products`.
+
+    float64 (children of a, children of b, children of b), and the other way round.
+    """
+    rows, columns = starts_a.shape[0] - 1, starts_b.shape[0] - 1
+    over_a, over_b = np.empty((rows, columns, columns)), np.empty((columns, rows, rows))
+    _inner_products(values, pair, offset_a, starts_a, columns, 1, over_a)
+    _inner_products(values, pair, offset_b, starts_b, 1, columns, over_b)
+    return over_a, over_b
 
 
 @numba.njit(cache=True)
@@ -244,9 +256,9 @@ def leave_one_out(  # type: ignore[no-untyped-def]
         Written: summed squared differences, and what noise alone would make of them.
     """
     for n in numba.prange(block_a.shape[0]):
-        first_a, first_b = children[block_a[n]], children[block_b[n]]
-        rows = children[block_a[n] + 1] - first_a
-        columns = children[block_b[n] + 1] - first_b
+        starts_a = _starts_within(children, child_starts, block_a[n])
+        starts_b = _starts_within(children, child_starts, block_b[n])
+        rows, columns = starts_a.shape[0] - 1, starts_b.shape[0] - 1
         core = np.empty((rows, columns))
         for c in range(values.shape[0]):
             limit = _core(first_pair[n], sums[c], spread[c], core)
@@ -255,15 +267,9 @@ def leave_one_out(  # type: ignore[no-untyped-def]
                 for j in range(columns):
                     noise_a[j] += spread[c, 0, first_pair[n] + i * columns + j]
                     noise_b[i] += spread[c, 1, first_pair[n] + i * columns + j]
-            over_a, over_b = np.empty((rows, columns, columns)), np.empty((columns, rows, rows))
-            _inner_products(
-                values[c], first_pair[n], offset_a, child_starts[first_a : first_a + rows + 1],
-                columns, 1, over_a,
-            )  # fmt: skip
-            _inner_products(
-                values[c], first_pair[n], offset_b, child_starts[first_b : first_b + columns + 1],
-                1, columns, over_b,
-            )  # fmt: skip
+            over_a, over_b = _over_both_sides(
+                values[c], first_pair[n], offset_a, offset_b, starts_a, starts_b
+            )
             error_a, expected_a = _residual(
                 core, limit, amplified, over_a.sum(axis=0), over_b, noise_a
             )
@@ -294,24 +300,18 @@ def invert_cores(  # type: ignore[no-untyped-def]
         Written: number of terms.
     """
     for n in numba.prange(block_a.shape[0]):
-        first_a, first_b = children[block_a[n]], children[block_b[n]]
-        rows = children[block_a[n] + 1] - first_a
-        columns = children[block_b[n] + 1] - first_b
+        starts_a = _starts_within(children, child_starts, block_a[n])
+        starts_b = _starts_within(children, child_starts, block_b[n])
+        rows, columns = starts_a.shape[0] - 1, starts_b.shape[0] - 1
         core, vectors = np.empty((rows, columns)), np.empty((columns, columns))
         carried = np.empty(columns, np.bool_)
         for c in range(sums.shape[0]):
             limit = _core(first_pair[n], measured[c], spread[c], core)
             _core(first_pair[n], sums[c], spread[c], core)
             _decompose(core, vectors)
-            over_a, over_b = np.empty((rows, columns, columns)), np.empty((columns, rows, rows))
-            _inner_products(
-                values[c], first_pair[n], offset_a, child_starts[first_a : first_a + rows + 1],
-                columns, 1, over_a,
-            )  # fmt: skip
-            _inner_products(
-                values[c], first_pair[n], offset_b, child_starts[first_b : first_b + columns + 1],
-                1, columns, over_b,
-            )  # fmt: skip
+            over_a, over_b = _over_both_sides(
+                values[c], first_pair[n], offset_a, offset_b, starts_a, starts_b
+            )
             _carried(
                 core, vectors, limit, amplified, over_a.sum(axis=0), over_b.sum(axis=0), carried
             )
@@ -350,20 +350,19 @@ def combine_pieces(  # type: ignore[no-untyped-def]
         Zeros; added to.
     """
     for n in numba.prange(block_a.shape[0]):
-        first_a, first_b = children[block_a[n]], children[block_b[n]]
-        rows = children[block_a[n] + 1] - first_a
-        columns = children[block_b[n] + 1] - first_b
-        start_a, start_b = child_starts[first_a], child_starts[first_b]
-        whole_a = child_starts[first_a + rows] - start_a
+        starts_a = _starts_within(children, child_starts, block_a[n])
+        starts_b = _starts_within(children, child_starts, block_b[n])
+        rows, columns = starts_a.shape[0] - 1, starts_b.shape[0] - 1
+        whole_a = starts_a[rows] - starts_a[0]
         for term in range(first_term[n], first_term[n + 1]):
             r = term - first_term[n]
             for i in range(rows):
-                place_a = begin[term] + child_starts[first_a + i] - start_a
-                size_a = child_starts[first_a + i + 1] - child_starts[first_a + i]
+                place_a = begin[term] + starts_a[i] - starts_a[0]
+                size_a = starts_a[i + 1] - starts_a[i]
                 for j in range(columns):
                     pair = first_pair[n] + i * columns + j
-                    place_b = begin[term] + whole_a + child_starts[first_b + j] - start_b
-                    size_b = child_starts[first_b + j + 1] - child_starts[first_b + j]
+                    place_b = begin[term] + whole_a + starts_b[j] - starts_b[0]
+                    size_b = starts_b[j + 1] - starts_b[j]
                     for c in range(values.shape[0]):
                         weight = np.float32(right[c, n, j, r])
                         for k in range(size_a):

@@ -17,7 +17,7 @@ from rfpipe.methods.symmetric.nodes import (
     no_nodes,
     select,
 )
-from rfpipe.methods.symmetric.pieces import Pieces
+from rfpipe.methods.symmetric.pieces import Pieces, Subdivided
 from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets
 
 __all__ = [
@@ -88,28 +88,15 @@ class Found:
     counts: dict[str, int]
 
 
-def rank_test(
-    tree: BlockTree,
-    level: int,
-    nodes: Frontier,
-    first_pair: NDArray[np.int64],
-    pieces: Pieces,
-    limits: Limits,
-) -> NDArray[np.int8]:
-    """Tell how well each unknown node of `level` predicts its children's pieces (thesis §5.1).
+def rank_test(divided: Subdivided, limits: Limits) -> NDArray[np.int8]:
+    """Tell how well each unknown node predicts its children's pieces (thesis §5.1).
 
     A node passes only on evidence: where a single child on either side has nearly all the energy,
     its image is the node's own again, whatever lies underneath.
 
     Parameters
     ----------
-    tree : BlockTree
-    level : int
-    nodes : Frontier
-    first_pair : ndarray of int64, shape (n + 1,)
-        Node ``i``'s children are the pairs ``first_pair[i]:first_pair[i + 1]``.
-    pieces : Pieces
-        Of the children.
+    divided : Subdivided
     limits : Limits
 
     Returns
@@ -122,13 +109,14 @@ def rank_test(
     """
     from rfpipe.methods.symmetric import kernels
 
+    tree, level, nodes, pieces = divided.tree, divided.level, divided.nodes, divided.pieces
     offset_a, offset_b, _ = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
     ssd = np.empty(nodes.energy.shape)
     noise = np.empty_like(ssd)
     squares = np.empty((len(ssd), 2, len(nodes)))
     kernels.rank_test(
         tree.child_starts[level], tree.starts[level + 1], nodes.block_a, nodes.block_b,
-        offset_a, offset_b, nodes.pieces, nodes.energy, nodes.variance, first_pair,
+        offset_a, offset_b, nodes.pieces, nodes.energy, nodes.variance, divided.first_pair,
         pieces.block_a, pieces.block_b, pieces.offset_a, pieces.offset_b, pieces.values,
         pieces.spread, pieces.unknown, ssd, noise, squares,
     )  # fmt: skip
@@ -147,7 +135,7 @@ def rank_test(
     return verdict
 
 
-def disagreement(first_pair: NDArray[np.int64], pieces: Pieces) -> Double:
+def disagreement(divided: Subdivided) -> Double:
     """Estimate what is wrong with nodes' children's sums beyond camera noise.
 
     Returns
@@ -157,26 +145,26 @@ def disagreement(first_pair: NDArray[np.int64], pieces: Pieces) -> Double:
     """
     from rfpipe.methods.symmetric import kernels
 
-    excess = np.empty((len(pieces.values), len(first_pair) - 1))
+    pieces = divided.pieces
+    excess = np.empty((len(pieces.values), len(divided.nodes)))
     kernels.disagreement(
-        first_pair, pieces.block_a, pieces.block_b, pieces.sums, pieces.spread, excess
+        divided.first_pair, pieces.block_a, pieces.block_b, pieces.sums, pieces.spread, excess
     )
     return excess / 4
 
 
-def reconcile(
-    tree: BlockTree, level: int, nodes: Frontier, first_pair: NDArray[np.int64], pieces: Pieces
-) -> None:
-    """Make the pieces of the children of nodes of `level` agree with the nodes', in place.
+def reconcile(divided: Subdivided) -> None:
+    """Make the pieces of the children of nodes agree with the nodes', in place.
 
     Their sums stay as they were measured.
     """
     from rfpipe.methods.symmetric import kernels
 
+    tree, level, nodes, pieces = divided.tree, divided.level, divided.nodes, divided.pieces
     offset_a, offset_b, _ = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
     kernels.reconcile(
         tree.starts[level + 1], tree.child_starts[level], nodes.block_a, nodes.block_b,
-        offset_a, offset_b, nodes.pieces, nodes.variance, first_pair, pieces.block_a,
+        offset_a, offset_b, nodes.pieces, nodes.variance, divided.first_pair, pieces.block_a,
         pieces.block_b, pieces.offset_a, pieces.offset_b, pieces.values, pieces.variances,
     )  # fmt: skip
 

@@ -109,6 +109,17 @@ def ragged_ranges(begin: NDArray[np.int64], lengths: NDArray[np.int64]) -> NDArr
     return np.arange(int(ends[-1]) if len(ends) else 0) + np.repeat(begin - ends + lengths, lengths)
 
 
+def runs(lengths: NDArray[np.number[Any]], most: float) -> Iterator[slice]:
+    """Cut items into runs, one after the other, of at most `most` in all, or of one item."""
+    ends = np.cumsum(lengths)
+    first = 0
+    while first < len(ends):
+        before = ends[first] - lengths[first]
+        last = max(int(np.searchsorted(ends, before + most, "right")), first + 1)
+        yield slice(first, last)
+        first = last
+
+
 def merge_leaf_sets(leaf_sets: Sequence[LeafSet], tree: BlockTree) -> list[LeafSet]:
     """Return the leaves by level and block, from sets found one after the other.
 
@@ -132,15 +143,11 @@ def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]
     length = np.concatenate([np.diff(ends) for ends in offsets])
     signs = _joined_signs(parts)
     order = np.lexsort((block_b, block_a))
-    ends = np.cumsum(length[order])
-    first = 0
-    while first < len(order):
-        before = ends[first] - length[order[first]]
-        last = int(np.searchsorted(ends, before + _SET_VALUES, "right"))
-        last = max(last, first + 1)
-        chosen = order[first:last]
-        target = ends[first:last] - length[chosen] - before
-        values = np.empty((len(parts[0].values), int(ends[last - 1] - before)), np.float32)
+    for run in runs(length[order], _SET_VALUES):
+        chosen = order[run]
+        ends = np.cumsum(length[chosen])
+        target = ends - length[chosen]
+        values = np.empty((len(parts[0].values), int(ends[-1])), np.float32)
         for index, leaves in enumerate(parts):
             own = part[chosen] == index
             of_leaf = length[chosen[own]]
@@ -148,18 +155,15 @@ def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]
             values[:, ragged_ranges(target[own], of_leaf)] = found
         of_chosen = None if signs is None else np.ascontiguousarray(signs[:, chosen])
         yield LeafSet(parts[0].level, block_a[chosen], block_b[chosen], values, signs=of_chosen)
-        first = last
 
 
 def _joined_signs(parts: Sequence[LeafSet]) -> NDArray[np.int8] | None:
     """Return the signs of sets of leaves one after the other; None if no set has any."""
     if all(leaves.signs is None for leaves in parts):
         return None
-    ones = (np.ones((len(leaves.values), len(leaves)), np.int8) for leaves in parts)
-    return np.concatenate(
-        [
-            one if leaves.signs is None else leaves.signs
-            for leaves, one in zip(parts, ones, strict=True)
-        ],
-        axis=1,
-    )
+    shapes = [(len(leaves.values), len(leaves)) for leaves in parts]
+    signs = [
+        np.ones(shape, np.int8) if leaves.signs is None else leaves.signs
+        for leaves, shape in zip(parts, shapes, strict=True)
+    ]
+    return np.concatenate(signs, axis=1)

@@ -5,18 +5,12 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from rfpipe.transport.hierarchical.sums_kernels import summed
+
 # The work is dealt out to this many tasks, so that threads have about equal shares.
 _TASKS = 64
 # Leaves whose light is added to an image at a time: it is read and written once for them.
 _TOGETHER = 4
-
-
-@numba.njit(cache=True, fastmath={"reassoc", "contract", "nsz", "arcp"})
-def _sum(values):  # type: ignore[no-untyped-def]
-    total = 0.0
-    for k in range(values.shape[0]):
-        total += np.float64(values[k])
-    return total
 
 
 # Sums keep their order, whichever leaves stand together: `contract` allows fused products alone.
@@ -149,7 +143,7 @@ def apply_to_partition(  # type: ignore[no-untyped-def]
                     p0 = of_lit + max(starts[lit], part_starts[part])
                     p1 = of_lit + min(starts[lit + 1], part_starts[part + 1])
                     for c in range(channels):
-                        light = _sum(values[c, p0:p1])
+                        light = summed(values[c, p0:p1])
                         if signs.shape[1] and signs[c, n] < 0:
                             light = -light
                         scales[c, pattern, count] += light

@@ -14,6 +14,7 @@ from rfpipe.transport.hierarchical.leaves import (
     factor_offsets,
     merge_leaf_sets,
     ragged_ranges,
+    runs,
 )
 
 # Values a channel that are added up at a time, in float64: some 100 MB of RGB.
@@ -72,7 +73,7 @@ def collapse(
     block_a, block_b = np.divmod(nodes, n_blocks)
     sizes = np.diff(tree.starts[level])
     lengths = sizes[block_a] + np.where(block_a == block_b, 0, sizes[block_b])
-    for run in _runs(lengths):
+    for run in runs(lengths, _SUMMED_VALUES):
         collapsed = _collapse_run(tree, leaf_sets, keys, nodes[run], level, channels)
         yield from merge_leaf_sets([collapsed], tree)
 
@@ -82,16 +83,6 @@ def _node_keys(tree: BlockTree, leaves: LeafSet, level: int) -> Index:
     above = tree.ancestors(leaves.level, level)
     keys: Index = above[leaves.block_a] * np.int64(tree.n_blocks(level)) + above[leaves.block_b]
     return keys
-
-
-def _runs(lengths: Index) -> Iterator[slice]:
-    """Cut nodes into runs of at most `_SUMMED_VALUES`, or of one node."""
-    ends = np.cumsum(lengths)
-    first, before = 0, 0
-    while first < len(lengths):
-        last = max(int(np.searchsorted(ends, before + _SUMMED_VALUES, "right")), first + 1)
-        yield slice(first, last)
-        first, before = last, int(ends[last - 1])
 
 
 def _collapse_run(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from rfpipe.transport.multilevel.pairs import PairSet
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Spread", "looks_symmetric", "spread_by_transpose", "spread_evenly"]
+__all__ = ["Spread", "agree", "looks_symmetric", "spread_by_transpose", "spread_evenly"]
 
 Double = NDArray[np.float64]
 
@@ -120,6 +120,11 @@ def looks_symmetric(tree: BlockTree, camera: RayDomain, pair_sets: Sequence[Pair
         if len(pairs):
             _add_responses(tree, finest.level, pairs, viewer, lit[indirect], back)
     there = finest.values[:, indirect]
+    return agree(there, back)
+
+
+def agree(there: NDArray[np.floating[Any]], back: Double) -> bool:
+    """Tell whether parts of a matrix and of its transpose are the same, but for errors."""
     return bool(np.linalg.norm(there - back) < _LEAST_DIFFERENCE * np.linalg.norm(there))
 
 

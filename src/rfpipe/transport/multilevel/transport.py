@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -32,6 +33,9 @@ class MultilevelTransport(LevelTransport[PairSet]):
         See `rfpipe.transport.arrays.HoldingTransport`.
     held : sequence of PairSet
         By level, the coarsest first; may be read when used.
+
+    Attributes
+    ----------
     symmetric : bool
         Whether the transport is its own transpose, as a coaxial rig's is: a response is then spread
         over its block in proportion to the transpose's estimate, else evenly.
@@ -39,20 +43,7 @@ class MultilevelTransport(LevelTransport[PairSet]):
 
     kind = "multilevel"
     parts = PAIR_PARTS
-
-    def __init__(
-        self,
-        camera_shape: tuple[int, ...],
-        projector_shape: tuple[int, ...],
-        channels: int,
-        level_rows: list[dict[str, Any]],
-        held: Sequence[PairSet],
-        nbytes: int | None = None,
-        symmetric: bool = False,
-    ) -> None:
-        super().__init__(camera_shape, projector_shape, channels, level_rows, held, nbytes)
-        self.symmetric = symmetric
-        self._spreads: dict[int, Spread] = {}
+    symmetric: bool = False
 
     @classmethod
     def from_pair_sets(
@@ -66,7 +57,18 @@ class MultilevelTransport(LevelTransport[PairSet]):
     ) -> MultilevelTransport:
         """Build a transport from pair sets, at most one a level."""
         filled = sorted(filter(len, pair_sets), key=lambda pairs: pairs.level)
-        return cls(camera.shape, projector.shape, channels, level_rows, filled, symmetric=symmetric)
+        made = cls(camera.shape, projector.shape, channels, level_rows, filled)
+        made.symmetric = symmetric
+        return made
+
+    def with_pairs(
+        self, pair_sets: Sequence[PairSet], level_rows: list[dict[str, Any]], symmetric: bool
+    ) -> MultilevelTransport:
+        """Return a transport between the same rays of other pairs, at most one set a level."""
+        camera, projector = RayDomain(self.camera_shape), self.tree.domain
+        return self.from_pair_sets(
+            camera, projector, self.channels, level_rows, pair_sets, symmetric
+        )
 
     @property
     def pair_sets(self) -> Sequence[PairSet]:
@@ -86,8 +88,7 @@ class MultilevelTransport(LevelTransport[PairSet]):
         for first in range(0, len(patterns), _BATCH):
             part = patterns[first : first + _BATCH][..., self.tree.order]
             images = np.zeros((*part.shape[:2], pixels))
-            for index, (pairs, _, values) in enumerate(self._chosen(channels)):
-                spread = self._spread(index, pairs)
+            for pairs, spread, values in self._chosen(channels):
                 means = np.stack(
                     [shares @ part[:, k].T for k, shares in enumerate(spread.of(channels))]
                 )
@@ -109,8 +110,7 @@ class MultilevelTransport(LevelTransport[PairSet]):
             part = images[first : first + _BATCH]
             spread = np.zeros((*part.shape[:2], rays))
             light = np.ascontiguousarray(part)
-            for index, (pairs, _, values) in enumerate(self._chosen(channels)):
-                over = self._spread(index, pairs)
+            for pairs, over, values in self._chosen(channels):
                 chosen = over.of(channels)
                 totals = np.zeros((*part.shape[:2], chosen[0].shape[0]))
                 gather_to_blocks(over.node, pairs.pixel, values, light, totals)
@@ -118,6 +118,10 @@ class MultilevelTransport(LevelTransport[PairSet]):
                     spread[:, k] += (shares.T @ totals[:, k].T).T
             result[first : first + _BATCH] = spread[..., self.tree.inverse]
         return result
+
+    @cached_property
+    def _spreads(self) -> dict[int, Spread]:
+        return {}
 
     def _spread(self, index: int, pairs: PairSet) -> Spread:
         """Return how a level's responses are spread over their blocks, made when first used."""
@@ -149,49 +153,33 @@ class MultilevelTransport(LevelTransport[PairSet]):
         InputError
             If the pattern has another shape or is not finite.
         """
-        given = np.asarray(camera_pattern)[None]
-        planar = planar_patterns(given, self.camera_shape, self.channels)
-        image = np.zeros((self.channels, *self.projector_shape))
-        pair_sets = self._densities(planar, range(self.channels))
-        for pairs, (density, _) in zip(self.pair_sets, pair_sets, strict=True):
-            image += _interpolate(density[0], self.tree.labels(pairs.level))
-        return np.moveaxis(image, 0, -1).astype(np.float32)
-
-    def _chosen(
-        self, channels: Sequence[int]
-    ) -> Iterator[tuple[PairSet, NDArray[np.int64], Float]]:
-        """Yield each level's pairs, the starts of its blocks, and the values of some channels."""
-        chosen = list(channels)
-        for pairs in self.pair_sets:
-            every = chosen == list(range(self.channels))
-            yield (
-                pairs,
-                self.tree.starts[pairs.level],
-                pairs.values if every else pairs.values[chosen],
-            )
-
-    def _densities(
-        self, images: Float, channels: Sequence[int]
-    ) -> Iterator[tuple[Double, NDArray[np.int64]]]:
-        """Yield each level's block values a ray, float64 ``(P, K, n_blocks)``, and block starts."""
         from rfpipe.transport.multilevel.kernels import gather_to_blocks
 
-        light = np.ascontiguousarray(images)
-        for pairs, starts, values in self._chosen(channels):
-            sizes = np.diff(starts)
-            totals = np.zeros((*images.shape[:2], len(sizes)))
-            gather_to_blocks(pairs.block, pairs.pixel, values, light, totals)
-            yield totals / sizes, starts
+        given = np.asarray(camera_pattern)[None]
+        light = np.ascontiguousarray(planar_patterns(given, self.camera_shape, self.channels))
+        image = np.zeros((self.channels, *self.projector_shape))
+        for pairs in self.pair_sets:
+            sizes = np.diff(self.tree.starts[pairs.level])
+            totals = np.zeros((1, self.channels, len(sizes)))
+            gather_to_blocks(pairs.block, pairs.pixel, pairs.values, light, totals)
+            image += _interpolate(totals[0] / sizes, self.tree.labels(pairs.level))
+        return np.moveaxis(image, 0, -1).astype(np.float32)
+
+    def _chosen(self, channels: Sequence[int]) -> Iterator[tuple[PairSet, Spread, Float]]:
+        """Yield each level's pairs, how they are spread, and the values of some channels."""
+        chosen = list(channels)
+        every = chosen == list(range(self.channels))
+        for index, pairs in enumerate(self.pair_sets):
+            values = pairs.values if every else pairs.values[chosen]
+            yield pairs, self._spread(index, pairs), values
 
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
         """Give what was subdivided at `level` the sum of what was stored below it."""
         kept = [pairs for pairs in self.pair_sets if pairs.level < level]
         folded = [pairs for pairs in self.pair_sets if pairs.level >= level]
-        camera = RayDomain(self.camera_shape)
-        kept.append(fold(self.tree, level, folded, self.channels, camera.size))
-        return self.from_pair_sets(
-            camera, self.tree.domain, self.channels, level_rows, kept, self.symmetric
-        )
+        pixels = RayDomain(self.camera_shape).size
+        kept.append(fold(self.tree, level, folded, self.channels, pixels))
+        return self.with_pairs(kept, level_rows, self.symmetric)
 
     def pack(
         self, number_format: NumberFormat = "float32"
