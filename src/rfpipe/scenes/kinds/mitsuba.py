@@ -43,8 +43,8 @@ class MitsubaOptions(SceneSettings):
 
     scene: str = Field(
         min_length=1,
-        description="Which scene: one of 'rfpipe scenes --physical', or a file of Mitsuba 3, .xml, "
-        "or .json of a scene's dict. Its sensors and lights but for projectors are left out.",
+        description=f"Which scene: one of {', '.join(WORLDS)}; or a file of Mitsuba 3, .xml, or "
+        ".json of a scene's dict. Its sensors and lights but for projectors are left out.",
     )
     projector_shape: tuple[Extent, Extent] | None = Field(
         None,

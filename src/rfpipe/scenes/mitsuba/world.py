@@ -53,7 +53,8 @@ class World:
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints: the scene alone."""
-        return {"name": self.name, "digest": fingerprint(self.build())}
+        description = {**self.build(), "path": None}
+        return {"name": self.name, "digest": fingerprint(description)}
 
 
 def world_of_file(path: Path) -> World:
@@ -73,10 +74,11 @@ def world_of_file(path: Path) -> World:
         if path.suffix == ".json":
             description = json.loads(text)
         else:
-            description = {"type": "scene", "file": str(path.resolve()), "text": text}
+            description = {"type": "scene", "path": str(path.resolve()), "text": text}
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: the scene can't be read: {error}") from error
-    _, state = _parsed(mi, description)
+    _, state = _parsed(mi, description, str(path))
+    description["files"] = _files_of(state, path.parent)
     views = {
         kind: [_view_of(node, path) for node in state.nodes if node.props.plugin_name() == kind]
         for kind in ("perspective", "projector")
@@ -104,7 +106,7 @@ def load_scene(world: World) -> Any:
         When Mitsuba can't make it: says what Mitsuba said.
     """
     mi = load_mitsuba()
-    config, state = _parsed(mi, world.build())
+    config, state = _parsed(mi, world.build(), world.name)
     kinds = mi.ObjectType
     left_out = {getattr(kinds, name) for name in _LEFT_OUT}
     gone = {index for index, node in enumerate(state.nodes) if node.type in left_out}
@@ -120,17 +122,28 @@ def load_scene(world: World) -> Any:
     return scene
 
 
-def _parsed(mi: Any, description: dict[str, Any]) -> tuple[Any, Any]:
+def _parsed(mi: Any, description: dict[str, Any], name: str) -> tuple[Any, Any]:
     """Let Mitsuba parse a description, each shape for itself."""
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_meshes = False
-    with _mitsuba_errors(str(description.get("file", "of this description"))):
-        if "text" in description:
-            state = mi.parser.parse_file(config, description["file"])
+    own = {key: value for key, value in description.items() if key != "files"}
+    with _mitsuba_errors(name):
+        if "text" in own:
+            state = mi.parser.parse_file(config, own["path"])
         else:
-            state = mi.parser.parse_dict(config, _for_mitsuba(mi, description))
+            state = mi.parser.parse_dict(config, _for_mitsuba(mi, own))
         mi.parser.transform_all(config, state)
     return config, state
+
+
+def _files_of(state: Any, folder: Path) -> dict[str, str]:
+    """Return the digests of the meshes and pictures that a scene's file names."""
+    named = {str(node.props["filename"]) for node in state.nodes if "filename" in node.props}
+    return {
+        name: fingerprint(np.frombuffer((folder / name).read_bytes(), np.uint8))
+        for name in sorted(named)
+        if (folder / name).is_file()
+    }
 
 
 @contextmanager
@@ -147,14 +160,22 @@ def _mitsuba_errors(name: str) -> Iterator[None]:
 
 def _view_of(node: Any, path: Path) -> View:
     """Return the view of a sensor or a projector."""
-    matrix = np.array(node.props.get("to_world").matrix, dtype=np.float64).reshape(4, 4)
-    if node.props.get("fov_axis", "x") not in {"x", "smaller"}:
-        raise InputError(f"{path}: fov_axis is {node.props['fov_axis']}; expected x")
-    origin, ahead = matrix[:3, 3], matrix[:3, 2]
-    place, target, up = (
-        (float(x), float(y), float(z)) for x, y, z in (origin, origin + ahead, matrix[:3, 1])
-    )
-    return View(place, target, up, float(node.props.get("fov", 40.0)))
+    placed = node.props.get("to_world", None)
+    matrix = np.eye(4) if placed is None else np.array(placed.matrix, np.float64).reshape(4, 4)
+    if node.props.get("fov_axis", "x") != "x":
+        raise InputError(
+            f"{path}: the fov_axis of {node.props.plugin_name()} is {node.props['fov_axis']}; "
+            "expected x, the field of view across the picture's width"
+        )
+    left, up, ahead, origin = (tuple(float(x) for x in column) for column in matrix[:3].T)
+    target = tuple(x + step for x, step in zip(origin, ahead, strict=True))
+    view = View(origin, target, up, float(node.props.get("fov", 40.0)))  # type: ignore[arg-type]
+    if not np.allclose(view.axes[0], left, atol=1e-4):
+        raise InputError(
+            f"{path}: to_world of {node.props.plugin_name()} mirrors, scales or shears; expected a "
+            "turn and a move, such as a lookat"
+        )
+    return view
 
 
 def _for_mitsuba(mi: Any, value: Any, key: str = "") -> Any:
