@@ -9,6 +9,7 @@ import pytest
 
 from rfpipe import OperatorRig, acquire, open_transport
 from rfpipe.config import Config
+from rfpipe.methods import get_method
 from rfpipe.photometry import sensor_from_config
 from rfpipe.report.estimates import compare, estimates_figure, estimates_section, histories
 from rfpipe.report.inputs import Inputs, Run
@@ -93,7 +94,7 @@ def test_a_method_without_estimates_has_an_empty_history() -> None:
 def test_the_log_tells_of_a_levels_own_estimate_alone(caplog) -> None:
     caplog.set_level(logging.INFO, "rfpipe")
     for count in range(len(ROWS) + 1):
-        log_estimate(ROWS[:count], 0.01)
+        log_estimate(ROWS[:count], get_method("near_far").Options(target_error=0.01))
     assert [record.message for record in caplog.records] == [
         "level 1: estimated error 8.00 % after 15 patterns, 1 % asked for",
         "level 3: estimated error 1.20 % after 40 patterns, 1 % asked for",
