@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -217,7 +218,7 @@ class Inputs:
     @property
     def error_sources(self) -> list[str]:
         """The tables of the evaluate stage, from the results folder."""
-        return [path.relative_to(self.results).as_posix() for path in self.tables]
+        return [Path(os.path.relpath(path, self.results)).as_posix() for path in self.tables]
 
     @property
     def time_sources(self) -> list[str]:
