@@ -33,7 +33,8 @@ class World:
         What the scene is there for.
     build : callable
         Returns the scene as a dict of Mitsuba's, in plain data: `to_world` as a list of four rows,
-        `bitmap` as an array float32 (H, W, 3). Its sensors and emitters are left out.
+        `bitmap` as an array float32 (H, W, 3), a shape of type `mesh` with `vertices` float32
+        (n, 3), `faces` uint32 (m, 3) and `bsdf`. Its sensors and emitters are left out.
     cameras : tuple of View
     projectors : tuple of View, or None
         None of a coaxial rig, whose projectors stand where its cameras stand.
@@ -179,7 +180,9 @@ def _view_of(node: Any, path: Path) -> View:
 
 
 def _for_mitsuba(mi: Any, value: Any, key: str = "") -> Any:
-    """Turn plain data into what Mitsuba takes: matrices of `to_world`, pictures of `bitmap`."""
+    """Turn plain data into what Mitsuba takes: matrices of `to_world`, pictures, meshes."""
+    if isinstance(value, dict) and value.get("type") == "mesh":
+        return _mesh(mi, value)
     if isinstance(value, dict):
         return {name: _for_mitsuba(mi, each, name) for name, each in value.items()}
     if key == "to_world" and isinstance(value, list):
@@ -187,3 +190,16 @@ def _for_mitsuba(mi: Any, value: Any, key: str = "") -> Any:
     if key == "bitmap" and isinstance(value, np.ndarray):
         return mi.Bitmap(value)
     return value
+
+
+def _mesh(mi: Any, described: dict[str, Any]) -> Any:
+    """Return a mesh of `vertices` (n, 3), `faces` (m, 3) and a `bsdf`, its normals smooth."""
+    vertices, faces = described["vertices"], described["faces"]
+    properties = mi.Properties()
+    properties["bsdf"] = mi.load_dict(_for_mitsuba(mi, described["bsdf"]))
+    mesh = mi.Mesh("mesh", len(vertices), len(faces), properties, has_vertex_normals=True)
+    parameters = mi.traverse(mesh)
+    parameters["vertex_positions"] = vertices.ravel()
+    parameters["faces"] = faces.ravel()
+    parameters.update()
+    return mesh
