@@ -3,8 +3,8 @@
 A path from the camera can't find it, since it meets a projector, a point, by chance only. So paths
 start at the projector's pixels too; as long as mirrors and lenses alone bend them, the first other
 surface is connected with the camera, and so are those that follow. Both kinds of paths together
-carry all light but that which projector and camera both send and see through mirrors and lenses:
-`rfpipe.scenes.mitsuba.merging` finds it, where both come to the same piece of surface.
+carry all light but that which projector and camera both send and see through mirrors and lenses, to
+and from the same piece of surface: that isn't traced.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def trace_particles(
     Parameters
     ----------
     scene
-        Mitsuba's scene of surfaces.
+        Mitsuba's scene of surfaces; what fills bodies plays no part.
     sums
         Sums over `samples` paths for each of its columns, which are projector pixels.
     samples

@@ -70,6 +70,6 @@ BOXES = (
         "columns without direct light",
         _with_blocks,
         (BOX_VIEW,),
-        (aside(35, 3.9, (0, 0, 0), 0.0, 39.3),),
+        (aside(35, 1.6, (0, -0.1, 0), 0.35, 84),),  # in front of the open side
     ),
 )

@@ -12,7 +12,7 @@ import numpy as np
 
 from rfpipe.scenes.mitsuba.views import View
 from rfpipe.scenes.mitsuba.world import World
-from rfpipe.scenes.mitsuba.worlds.boxes import BOX_VIEW, aside, walls
+from rfpipe.scenes.mitsuba.worlds.boxes import aside
 from rfpipe.scenes.mitsuba.worlds.parts import (
     ball,
     body,
@@ -20,6 +20,7 @@ from rfpipe.scenes.mitsuba.worlds.parts import (
     glass,
     matt,
     metal,
+    mirror,
     painted,
     pillar,
     sheet,
@@ -64,11 +65,11 @@ _SWEET_COLOURS = (
 
 
 def _table() -> dict[str, Any]:
-    """A floor and a wall behind it, and letters on the wall."""
+    """A floor, and a wall behind it."""
     return {
         "type": "scene",
-        "floor": sheet((0, -1, 0), (2, 0, 0), (0, 0, -2), matt(0.72, 0.7, 0.66)),
-        "back": sheet((0, 0.4, -1.3), (2, 0, 0), (0, 1.4, 0), matt(0.45, 0.5, 0.6)),
+        "floor": sheet((0, -1, 0), (3, 0, 0), (0, 0, -3), matt(0.72, 0.7, 0.66)),
+        "back": sheet((0, 0.4, -1.3), (3, 0, 0), (0, 1.4, 0), matt(0.45, 0.5, 0.6)),
     }
 
 
@@ -86,10 +87,12 @@ def _bottle() -> dict[str, Any]:
     }
 
 
-def _glass_in_box() -> dict[str, Any]:
-    return walls((0.57, 0.06, 0.05), (0.12, 0.4, 0.1)) | {
-        "back": sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), painted(checks(6, 6))),
-        "ball": ball((0.0, -0.3, 0.15), 0.5, glass()),
+def _glass_and_ring() -> dict[str, Any]:
+    """A mirror's ring, within which light gathers where the camera sees it, and a ball of glass."""
+    return _table() | {
+        "ring": pillar((-0.5, -0.999, 0.1), 0.32, 0.5, {"type": "twosided", "m": mirror()}),
+        "ball": ball((0.5, -0.68, 0.1), 0.32, glass()),
+        "check": sheet((0.5, -0.3, -1.29), (0.6, 0, 0), (0, 0.3, 0), painted(checks(3, 6))),
     }
 
 
@@ -105,17 +108,17 @@ def _sweets() -> dict[str, Any]:
         "type": "scene",
         "floor": sheet((0, -0.7, 0), (1.4, 0, 0), (0, 0, -1.4), matt(0.5, 0.48, 0.45)),
         "tumbler": pillar(
-            (0, -0.69, 0),
+            (0, -0.699, 0),
             1.35,
             0.47,
             {
                 "type": "mask",
-                "opacity": 0.1,
-                "sheen": {"type": "twosided", "material": metal(0.12, 0.9)},
+                "opacity": 0.06,
+                "sheen": {"type": "twosided", "material": metal(0.1, 0.9)},
             },
         ),
         "letters": sheet(
-            (-0.1, -0.1, 0.56), (0.4, 0, 0.02), (0, 0.22, 0), painted(lettering(["EGSR"]))
+            (-0.02, -0.5, 0.6), (0.32, 0, 0), (0, 0.16, -0.06), painted(lettering(["EGSR"]))
         ),
     }
     for index, (x, height, z, radius, colour) in enumerate(_SWEETS):
@@ -145,10 +148,10 @@ CLEAR = (
         caustics=True,
     ),
     World(
-        "glass_in_box",
-        "caustics of a coaxial rig: a ball of glass throws light on the walls beside it",
-        _glass_in_box,
-        (BOX_VIEW,),
+        "glass_and_ring",
+        "caustics of a coaxial rig: within a ring of a mirror, and about a ball of glass",
+        _glass_and_ring,
+        (View((0, 1.9, 3.2), (0, -0.8, 0), degrees=32),),
         bounces=10,
         caustics=True,
     ),
@@ -164,7 +167,7 @@ CLEAR = (
         "two coaxial pairs 120 degrees apart about translucent bodies in a tumbler, with letters "
         "before one side [Fig. 5.6, 5.11]",
         _sweets,
-        (aside(0, 3.6, (0, -0.1, 0), 0.5, 26), aside(120, 3.6, (0, -0.1, 0), 0.5, 26)),
+        (aside(0, 3.6, (0, -0.05, 0), 0.6, 24), aside(120, 3.6, (0, -0.05, 0), 0.6, 24)),
         bounces=48,
     ),
 )

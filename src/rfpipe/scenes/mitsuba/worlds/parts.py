@@ -40,7 +40,7 @@ def painted(picture: NDArray[np.float32]) -> dict[str, Any]:
         "type": "diffuse",
         "reflectance": {
             "type": "bitmap",
-            "bitmap": picture,
+            "bitmap": np.ascontiguousarray(picture[::-1]),  # v goes upwards
             "raw": True,
             "filter_type": "bilinear",
             "wrap_mode": "clamp",

@@ -27,15 +27,15 @@ _VASE = [
 
 def _foreshortened() -> dict[str, Any]:
     """A long floor with print on it, and a pillar with rings, at grazing angles."""
-    text = ["LIGHT GOES", "THE OTHER ", "SIDE OF IT", "TO BE SEEN", "AS IT FELL", "ON EITHER "]
+    text = ["LIGHT ", "RETURN", "ALONG ", "EITHER", "SIDE  "]
     rings = np.repeat(checks(24, 1, (0.5, 0.1, 0.08), (0.85, 0.83, 0.75)), 4, axis=1)
     return {
         "type": "scene",
-        "floor": sheet((0, -1, -1), (1.1, 0, 0), (0, 0, -2.6), painted(lettering(text))),
-        "wall": sheet((-1.1, 0, -1), (0, 0, -2.6), (0, 1, 0), painted(checks(10, 60))),
-        "right": sheet((1.1, 0, -1), (0, 0, 2.6), (0, 1, 0), matt(0.4, 0.5, 0.6)),
-        "back": sheet((0, 0, -3.6), (1.1, 0, 0), (0, 1, 0), matt(0.6, 0.6, 0.6)),
-        "pillar": pillar((0.55, -1, -0.4), 1.7, 0.2, painted(rings)),
+        "floor": sheet((0, -1, -0.6), (1.1, 0, 0), (0, 0, -1.8), painted(lettering(text))),
+        "wall": sheet((-1.1, 0.5, -0.6), (0, 0, -1.8), (0, 1.5, 0), painted(checks(15, 40))),
+        "right": sheet((1.1, 0.5, -0.6), (0, 0, 1.8), (0, 1.5, 0), matt(0.4, 0.5, 0.6)),
+        "back": sheet((0, 0.5, -2.4), (1.1, 0, 0), (0, 1.5, 0), matt(0.6, 0.6, 0.6)),
+        "pillar": pillar((0.6, -1, -1.0), 2.4, 0.2, painted(rings)),
     }
 
 
@@ -48,7 +48,7 @@ def _blind() -> dict[str, Any]:
             (0, float(y), 0.1),
             (0.85, 0, 0),
             (0, 0.085 * np.sin(tilt), -0.085 * np.cos(tilt)),
-            matt(0.8, 0.78, 0.72),
+            matt(0.5, 0.49, 0.45),
         )
         for k, y in enumerate(np.linspace(-0.8, 0.8, 13))
     }
@@ -94,7 +94,7 @@ STILL_LIFES = (
         "foreshortened",
         "fine detail at grazing angles: print on a long floor, rings of a pillar, checks of a wall",
         _foreshortened,
-        (View((0.0, -0.45, 2.6), (0, -0.5, -1), degrees=36),),
+        (View((0.0, -0.3, 3.4), (0, -0.4, -0.6), degrees=32),),
     ),
     World(
         "venetian_blind",

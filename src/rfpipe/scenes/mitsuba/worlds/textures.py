@@ -16,8 +16,6 @@ Picture = NDArray[np.float32]
 # Five columns a letter, the lowest bit on top, seven rows.
 _FONT = {
     "A": "7e1111117e",
-    "B": "7f49494936",
-    "C": "3e41414122",
     "D": "7f4141221c",
     "E": "7f49494941",
     "F": "7f09090901",
@@ -27,13 +25,10 @@ _FONT = {
     "L": "7f40404040",
     "N": "7f0408107f",
     "O": "3e4141413e",
-    "P": "7f09090906",
     "R": "7f09192946",
     "S": "4649494931",
     "T": "01017f0101",
     "U": "3f4040403f",
-    "V": "1f2040201f",
-    "Y": "0708700807",
     " ": "0000000000",
 }
 _LINE = 9  # rows of a line, of which two part it from the next
