@@ -1,0 +1,201 @@
+"""The light of physically based scenes against what is known of it without a renderer."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.physical import require_llvm
+
+from rfpipe.errors import InputError
+from rfpipe.scenes.mitsuba.rendering import Renderer
+from rfpipe.scenes.mitsuba.scene import MitsubaScene
+from rfpipe.scenes.mitsuba.views import View, Views
+from rfpipe.scenes.mitsuba.world import World
+from rfpipe.scenes.mitsuba.worlds import WORLDS
+from rfpipe.scenes.mitsuba.worlds.parts import (
+    ball,
+    body,
+    box,
+    matt,
+    mirror,
+    painted,
+    sheet,
+    turned,
+)
+from rfpipe.scenes.mitsuba.worlds.textures import lettering
+
+SIZE = 12
+AHEAD = View((0, 0, 3), (0, 0, 0), degrees=20)
+LETTER = painted(lettering(["F"]))
+
+
+@pytest.fixture(autouse=True)
+def _llvm() -> None:
+    pytest.importorskip("mitsuba")
+    require_llvm()
+
+
+def world(*shapes: dict, camera: View = AHEAD, projector: View | None = None, **given) -> World:
+    described = {"type": "scene"} | {f"shape_{k}": shape for k, shape in enumerate(shapes)}
+    return World("own", "", lambda: described, (camera,), projector and (projector,), **given)
+
+
+def scene_of(tmp_path: Path, of: World, samples: int = 256, **given) -> MitsubaScene:
+    camera = Views(of.cameras, (SIZE, SIZE))
+    projector = Views(of.projectors, (SIZE, SIZE)) if of.projectors else camera
+    return MitsubaScene(
+        of,
+        camera,
+        projector,
+        coaxial=of.projectors is None,
+        samples=samples,
+        cache=tmp_path / "cache",
+        **given,
+    )
+
+
+def flood(scene: MitsubaScene) -> np.ndarray:
+    picture = scene.apply(np.ones((1, scene.projector.rays)))[0].astype(np.float64)
+    return picture.reshape(-1, SIZE, SIZE, 3)[0]
+
+
+def half_lit(scene: MitsubaScene) -> np.ndarray:
+    return scene.apply(half_pattern(scene)[None])[0].astype(np.float64).reshape(SIZE, SIZE, 3)
+
+
+def half_pattern(scene: MitsubaScene) -> np.ndarray:
+    pattern = np.zeros(scene.projector.domain)
+    pattern[..., : SIZE // 2] = 1
+    return pattern.ravel()
+
+
+def differ(one: np.ndarray, other: np.ndarray) -> float:
+    return float(np.linalg.norm(one - other) / np.linalg.norm(other))
+
+
+@pytest.mark.parametrize("name", ["two_blocks_aside", "glossy_metal", "translucent"])
+def test_recorded_light_is_what_mitsuba_renders(tmp_path: Path, name: str) -> None:
+    given = {"samples": 1024, "caustics": False}
+    recorded = scene_of(tmp_path, WORLDS[name], **given)
+    renderer = Renderer(WORLDS[name], recorded.camera, recorded.projector, recorded.light)
+    rendered = renderer.render(half_pattern(recorded)).reshape(SIZE, SIZE, 3)
+    picture = half_lit(recorded)
+    assert picture.sum() == pytest.approx(rendered.sum(), rel=0.01)
+    assert (
+        differ(picture, rendered) < 3 * np.sqrt(2) * recorded.recording.noise["half_lit"]["whole"]
+    )
+
+
+def test_a_matt_plane_has_its_albedo_as_radiance(tmp_path: Path) -> None:
+    plane = sheet((0, 0, 0), (2, 0, 0), (0, 2, 0), matt(0.2, 0.5, 0.8))
+    picture = flood(scene_of(tmp_path, world(plane)))
+    np.testing.assert_allclose(picture.mean(axis=(0, 1)), (0.2, 0.5, 0.8), rtol=1e-3)
+    # Pixels differ by the share of their paths that end in neighbours.
+    np.testing.assert_allclose(picture, np.broadcast_to((0.2, 0.5, 0.8), picture.shape), rtol=0.01)
+
+
+@pytest.mark.parametrize("bounces", [2, 5])
+def test_light_within_a_sphere_is_the_same_all_over(tmp_path: Path, bounces: int) -> None:
+    """Each point of a sphere gets the same from each other one: an integrating sphere."""
+    albedo, radius = 0.7, 2.0
+    inside = {"type": "twosided", "material": matt(albedo)}
+    centre = View((0, 0, 0), (0, 0, -1), degrees=60)
+    hollow = world(ball((0, 0, 0), radius, inside), camera=centre, bounces=bounces)
+    scene = scene_of(tmp_path, hollow, 4096)
+    flux = scene.recording.scale * (2 * np.tan(np.radians(30))) ** 2 / 2
+    irradiance = flux * (albedo - albedo**bounces) / (1 - albedo) / (4 * np.pi * radius**2)
+    dark = half_lit(scene)[:, SIZE // 2 + 1 :]
+    assert dark.mean() == pytest.approx(albedo / np.pi * irradiance, rel=0.01)
+    assert dark.std() < 0.1 * dark.mean()
+
+
+def test_the_first_row_of_a_texture_is_on_top(tmp_path: Path) -> None:
+    picture = np.full((64, 64, 3), 0.1, dtype=np.float32)
+    picture[:32] = 0.8  # above
+    picture[:, :32, 0] = 0.5  # red, at the left
+    plane = sheet((0, 0, 0), (0.6, 0, 0), (0, 0.6, 0), painted(picture))
+    seen = flood(scene_of(tmp_path, world(plane), bounces=1))
+    assert seen[:3, 6:, 1].mean() > 5 * seen[-3:, 6:, 1].mean()
+    assert seen[:, :3, 0].mean() == pytest.approx(0.5, rel=0.03)
+
+
+# A mirror at 45 degrees shows a wall at the right as it looks from where the view's image stands.
+MIRROR = sheet((0, 0, 0), (0.8, 0, -0.8), (0, 0.8, 0), mirror(0.9))
+WALL = sheet((2, 0, 0), (0, 0, 1), (0, 1, 0), LETTER)
+IMAGE_OF_AHEAD = View((-3, 0, 0), (0, 0, 0), degrees=20)
+OTHER = View((0.5, 2.5, 0.3), (2, 0, 0), degrees=60)
+
+
+def test_a_mirror_shows_the_picture_from_behind_it(tmp_path: Path) -> None:
+    by_mirror = scene_of(tmp_path, world(MIRROR, WALL, projector=OTHER, bounces=2))
+    directly = scene_of(tmp_path, world(WALL, camera=IMAGE_OF_AHEAD, projector=OTHER, bounces=1))
+    seen, expected = half_lit(by_mirror), half_lit(directly)[:, ::-1] * 0.9
+    assert differ(seen, expected) < 0.03
+    assert differ(seen, expected[:, ::-1]) > 0.1  # a letter that isn't its own image
+
+
+def test_a_mirror_throws_a_pattern_as_from_behind_it(tmp_path: Path) -> None:
+    thrown = world(MIRROR, WALL, camera=OTHER, projector=AHEAD, bounces=2, caustics=True)
+    by_mirror = scene_of(tmp_path, thrown, 1024)
+    directly = scene_of(
+        tmp_path, world(WALL, camera=OTHER, projector=IMAGE_OF_AHEAD, bounces=1), 1024
+    )
+    seen, expected = (
+        scene.dense(1).reshape(SIZE * SIZE, SIZE, SIZE) / scene.recording.scale
+        for scene in (by_mirror, directly)
+    )
+    assert expected.max() > 0
+    left, right = (
+        seen[..., : SIZE // 2].sum(axis=(1, 2)),
+        expected[..., SIZE // 2 :].sum(axis=(1, 2)),
+    )
+    assert differ(left, 0.9 * right) < 0.05
+    assert left.sum() == pytest.approx(0.9 * right.sum(), rel=0.01)
+    without = scene_of(tmp_path, thrown, caustics=False)
+    with pytest.raises(InputError, match="no light comes back"):
+        without.apply(np.ones((1, SIZE * SIZE)))
+
+
+def test_a_body_that_absorbs_dims_what_is_behind_it(tmp_path: Path) -> None:
+    wall = sheet((0, 0, -1), (2, 0, 0), (0, 2, 0), matt(0.8))
+    narrow = View((0, 0, 6), (0, 0, 0), degrees=4)
+    free_path, depth = 0.8, 0.6
+    slab = body(box((0, 0, 0), (2, 2, depth), 0, {}), free_path, 0.0, 0.0)
+    scenes = [
+        scene_of(tmp_path, world(*shapes, camera=narrow), 1024)
+        for shapes in ((slab, wall), (wall,))
+    ]
+    dimmed, clear = (flood(scene).mean() / scene.recording.scale for scene in scenes)
+    assert dimmed / clear == pytest.approx(np.exp(-2 * depth / free_path), rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["glass_ball", "bottle", "glass_and_ring"])
+def test_caustics_are_there_with_and_not_without(tmp_path: Path, name: str) -> None:
+    found, missing = (
+        flood(scene_of(tmp_path, WORLDS[name], caustics=caustics)) for caustics in (True, False)
+    )
+    excess = (found - missing).mean(axis=-1)
+    assert excess.sum() > 0.01 * missing.mean(axis=-1).sum()
+    # In few places: a caustic, not a fog.
+    brightest = np.sort(excess.ravel())[-SIZE * SIZE // 10 :]
+    assert brightest.sum() > 0.4 * excess.sum()
+    assert excess.min() > -0.1 * excess.max()
+
+
+def test_a_bottle_of_mesh_refracts(tmp_path: Path) -> None:
+    """Seen through a turned ball of water, what is above appears below."""
+    angles = np.linspace(0, np.pi, 40)
+    profile = np.stack([np.sin(angles), 1 - np.cos(angles)], axis=1) * 0.5
+    water = {"type": "dielectric", "int_ior": 1.33, "ext_ior": 1.0}
+    halves = np.full((64, 64, 3), 0.05, dtype=np.float32)
+    halves[:32] = 0.8
+    wall = sheet((0, 0, -3), (3, 0, 0), (0, 3, 0), painted(halves))
+    lamp = View((2.5, 0, 0), (0, 0, -3), degrees=80)
+    through, past = (
+        flood(scene_of(tmp_path, world(*shapes, projector=lamp, bounces=6)))
+        for shapes in ((turned((0, -0.5, 0), profile, water), wall), (wall,))
+    )
+    middle = slice(4, 8)
+    upper, lower = (rows[middle, middle].mean() for rows in (through[:6], through[6:]))
+    assert past[2, 2].mean() > 3 * past[9, 9].mean()
+    assert lower > 3 * upper
