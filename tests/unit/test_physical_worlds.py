@@ -1,4 +1,4 @@
-"""Our own physically based scenes: plain data, the same each time, and something before each view."""
+"""Our own physically based scenes: plain data, the same each time, and seen by their views."""
 
 import numpy as np
 import pytest

@@ -139,8 +139,8 @@ CLEAR = (
     ),
     World(
         "bottle",
-        "caustics of a bottle of water, lit from 60 degrees aside, which exchange with what is seen "
-        "through it in the dual image [Fig. 3.2, 3.6]",
+        "caustics of a bottle of water, lit from 60 degrees aside, which change places with what "
+        "is seen through it in the dual image [Fig. 3.2, 3.6]",
         _bottle,
         (_TABLE_VIEW,),
         (aside(60, 3.5, (-0.05, -0.5, 0), 0.9, 33),),

@@ -111,8 +111,8 @@ STILL_LIFES = (
     ),
     World(
         "still_life_arc",
-        "80 cameras on an arc about a still life and one projector: direct light alone, so that the "
-        "matrix stays small [Fig. 3.9]",
+        "80 cameras on an arc about a still life and one projector: direct light alone, so that "
+        "the matrix stays small [Fig. 3.9]",
         _still_life,
         tuple(
             aside(float(degrees), 3.7, _STILL_LIFE, 1.6, 34)
