@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
@@ -43,9 +43,14 @@ class Settings(BaseModel):
     def _no_truth_value_as_number(cls, value: object, info: ValidationInfo) -> object:
         # pydantic would read true as 1, and YAML reads a bare yes or on as true
         name = info.field_name
-        if isinstance(value, bool) and name and cls.model_fields[name].annotation is not bool:
+        if isinstance(value, bool) and name and not _may_be_true(cls.model_fields[name].annotation):
             raise ValueError("should not be true or false")
         return value
+
+
+def _may_be_true(annotation: Any) -> bool:
+    """Tell whether a field takes true and false."""
+    return annotation is bool or bool in get_args(annotation)
 
 
 def group_of(model: type[Settings]) -> Any:

@@ -10,6 +10,7 @@ end they are put together; on a coaxial rig ``(T + T^T) / 2``, since light goes 
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -172,6 +173,13 @@ def _record(
         if light.caustics
     ]
     halves = _pictures(rows, columns, camera.rays)
+    if coaxial and not tracer.is_whole:
+        coaxial = False
+        warnings.warn(
+            "the scene has mirrors or lenses, but caustics aren't followed: the transport that is "
+            "recorded isn't symmetric, which methods for coaxial rigs rely on",
+            stacklevel=2,
+        )
     if coaxial:
         halves = (halves + _pictures(columns, rows, camera.rays)) / 2
     if not halves.any():

@@ -148,7 +148,11 @@ class MitsubaScene(Scene):
 
     def _rendered(self, weights: Double) -> Double:
         """Radiance (M, B, C) of patterns (N, B), by rendering each."""
-        colour = np.stack([self._renderer.render(pattern) for pattern in weights.T], axis=1)
+        dark = np.zeros((self.camera.rays, 3))  # as what a batch is filled up with
+        colour = np.stack(
+            [self._renderer.render(pattern) if pattern.any() else dark for pattern in weights.T],
+            axis=1,
+        )
         return colour if self.channels == 3 else colour @ np.array(_LUMINANCE)[:, None]
 
     def dense(self, channel: int = 0) -> Double:

@@ -7,6 +7,7 @@ from copy import copy
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,13 +41,23 @@ class Tracer:
         The two sides.
     light
         What is followed.
+
+    Attributes
+    ----------
+    is_whole : bool
+        Whether each path is followed both ways, so that the matrix of a coaxial rig is symmetric:
+        no mirror or lens is there, or caustics are followed.
     """
 
     def __init__(self, scene: Any, camera: Views, projector: Views, light: Light) -> None:
         self._scene, self._light = scene, light
         self._camera, self._projector = Pinholes(camera), Pinholes(projector)
-        media = any(shape.is_medium_transition() for shape in scene.shapes())
-        self._trace_rows = trace_volumes if media else trace_paths
+        bent = [mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission]
+        through = _has(scene, mi.BSDFFlags.Null) or any(
+            shape.is_medium_transition() for shape in scene.shapes()
+        )
+        self._trace_rows = trace_volumes if through else trace_paths
+        self.is_whole = light.caustics or not any(_has(scene, flag) for flag in bent)
 
     def rows(self, half: int, first: int, last: int) -> Double:
         """Trace rows [first, last) of one half: float64 (last - first, N, 3)."""
@@ -85,3 +96,8 @@ class Tracer:
             sums.flush()
         mean: Double = sums.to_numpy() / (passed * passes)
         return mean
+
+
+def _has(scene: Any, flag: Any) -> bool:
+    """Tell whether a surface of the scene has a flag of `BSDFFlags`."""
+    return any(mi.has_flag(shape.bsdf().flags(), flag) for shape in scene.shapes())
