@@ -1,5 +1,6 @@
 """The light of physically based scenes against what is known of it without a renderer."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,6 @@ LETTER = painted(lettering(["F"]))
 
 @pytest.fixture(autouse=True)
 def _llvm() -> None:
-    pytest.importorskip("mitsuba")
     require_llvm()
 
 
@@ -171,9 +171,10 @@ def test_a_body_that_absorbs_dims_what_is_behind_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["glass_ball", "bottle", "glass_and_ring"])
 def test_caustics_are_there_with_and_not_without(tmp_path: Path, name: str) -> None:
-    found, missing = (
-        flood(scene_of(tmp_path, WORLDS[name], caustics=caustics)) for caustics in (True, False)
-    )
+    found = flood(scene_of(tmp_path, WORLDS[name], caustics=True))
+    coaxial = WORLDS[name].projectors is None
+    with pytest.warns(match="isn't symmetric") if coaxial else nullcontext():
+        missing = flood(scene_of(tmp_path, WORLDS[name], caustics=False))
     excess = (found - missing).mean(axis=-1)
     assert excess.sum() > 0.01 * missing.mean(axis=-1).sum()
     # In few places: a caustic, not a fog.
