@@ -80,18 +80,20 @@ class Drawing:
         self.light.append(light)
 
     def compare(self, axis: Axes, relit: Light, truth: Light) -> None:
-        """Keep a panel for the error of a relit picture; `show_errors` fills all of them."""
+        """Keep a panel for the error of a relit picture; `show_errors` fills all that are kept."""
         self._errors.append((axis, error_map(relit, truth)))
 
     def show_errors(self) -> None:
-        """Fill the panels of `compare`, on one scale that stands beside the lowest of them."""
+        """Fill the panels that are kept, on one scale that stands at the right of the lowest."""
         if not self._errors:
             return
         limit = 100 * round_limit([values for _, values in self._errors])
+        bounds = {"vmin": -limit, "vmax": limit}
         for axis, values in self._errors:
-            bounds = {"vmin": -limit, "vmax": limit}
             shown = show_image(axis, 100 * values, cmap=ERROR_COLOURS, **bounds)
-        colour_bar(self.figure, shown, [axis for axis, _ in self._errors[-1:]], ERROR_LABEL)
+        row = max(int(np.argwhere(self.axes == axis)[0, 0]) for axis, _ in self._errors)
+        colour_bar(self.figure, shown, list(self.axes[row, -1:]), ERROR_LABEL)
+        self._errors.clear()
 
 
 def new_figure(

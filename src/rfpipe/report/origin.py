@@ -40,7 +40,7 @@ def _acquisition(run: Run, cost: dict[str, Any]) -> AcquisitionEntry:
         options=run.facts["options"],
         scene_settings=run.settings.model_dump(mode="json", exclude={"methods", "sweep"}),
         transport_digest=run.acquired.get("digest"),
-        relit_digest=run.facts["digest"],
+        relit_digest=run.images.digest,
         versions=run.facts.get("versions", {}),
         rays=run.rays,
         patterns=run.patterns,

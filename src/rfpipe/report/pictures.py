@@ -75,7 +75,7 @@ def methods_figure(scenes: Sequence[Sequence[Run]]) -> Drawing:
     columns = len(shown) + 1
     panel = _PANEL * (1.25 if columns < 4 else 1.1)
     shapes = [runs[0].image_shape for runs in scenes]
-    drawing = new_panels(2 * len(scenes), columns, shapes, panel, 0.4)
+    drawing = new_panels(2 * len(scenes), columns, shapes, panel, 0.3)
     for pair, runs in zip(drawing.axes.reshape(-1, 2, columns), scenes, strict=True):
         _compare_methods(drawing, pair, shown, runs)
     head(drawing.axes[0], [*map(methods.title, shown), "Ground truth"])
@@ -118,22 +118,21 @@ def levels_figure(runs: Sequence[Run]) -> Drawing:
         Of one scene, the methods that have levels. Levels without patterns are left out.
     """
     per_row, shapes = 5, [runs[0].image_shape]
-    n_levels = max(sum(row["patterns"] > 0 for row in run.facts["levels"]) for run in runs)
-    rows_each = 2 * -(-(n_levels + 1) // per_row)
-    drawing = new_panels(rows_each * len(runs), per_row, shapes, _SMALL_PANEL, 0.32)
-    for index, run in enumerate(runs):
-        own = drawing.axes[index * rows_each : (index + 1) * rows_each]
-        truth = run.light("ground truth", run.read_shown("truth")[0])
-        steps = _levels_relit(run, truth)
+    truths = [run.light("ground truth", run.read_shown("truth")[0]) for run in runs]
+    relit = [_levels_relit(run, truth) for run, truth in zip(runs, truths, strict=True)]
+    n_rows = [2 * -(-(len(steps) + 1) // per_row) for steps in relit]
+    drawing = new_panels(sum(n_rows), per_row, shapes, _SMALL_PANEL, 0.28)
+    parts = np.split(drawing.axes, np.cumsum(n_rows)[:-1])
+    for run, truth, steps, own in zip(runs, truths, relit, parts, strict=True):
         show_panels(drawing, own[::2].flat, [*steps, ("ground truth", truth, "")])
-        free = own[1::2].flat
-        for (_, relit, _), axis in zip(steps, free, strict=False):
-            drawing.compare(axis, relit, truth)
-        for axis in own[1::2].flat[len(steps) :]:
+        free = iter(own[1::2].flat)
+        for (_, light, _), axis in zip(steps, free, strict=False):
+            drawing.compare(axis, light, truth)
+        for axis in free:
             axis.set_axis_off()
+        drawing.show_errors()
         label_left(own[0, 0], run.method_title)
         label_left(own[1, 0], _ERROR)
-    drawing.show_errors()
     return drawing
 
 
