@@ -78,7 +78,7 @@ def test_every_number_of_the_page_stands_in_its_results(built):
     held = set(of_number.findall(" ".join(texts_of(data))))
     shown = set(of_number.findall(page.words.rpartition("}")[-1]))  # after the style sheet
     assert len(shown) > 200
-    assert shown - held == {"2006"}  # of the footer, which names the thesis
+    assert shown <= held
 
 
 def test_tables_have_their_numbers_in_full(built):
@@ -136,10 +136,10 @@ def test_figures_say_what_they_are_of(built):
         figure = figures[slug]
         assert "Exposure: white is " in figure.caption
         for it in figure.exposures:
-            assert f"{it.quantity} {it.white:.3g}" in figure.caption
+            assert re.search(rf"{it.quantity} .*\b{it.white:.3g}[ ,;]", figure.caption)
         assert figure.exr_digest == digest_of((built / "report" / figure.exr).read_bytes())
     scene = figures["scene_corner"]
-    assert "Error: relit minus truth in per cent of white" in scene.caption
+    assert "Error: relit minus truth, by the scale at the right" in scene.caption
     relight = read_manifest(built / "corner" / "symmetric" / "relight.json")
     images = open_arrays(built / "corner" / "symmetric" / "relight.zarr")
     index = relight["names"].index("horizontal_bar")
@@ -246,7 +246,7 @@ def test_the_one_way_to_add_a_figure(tmp_path):
     (entry,) = Place(tmp_path, tmp_path).put(Section("bottle", "A bottle", [block])).entry.content
     assert (entry.png, entry.exr) == ("figures/fig_3_6.png", "figures/fig_3_6.exr")
     assert set(read_exr(tmp_path / entry.exr)) == {"bottle, relit", "bottle, truth"}
-    assert entry.caption.startswith("A bottle. Exposure: white is radiance 1.")
+    assert entry.caption == "A bottle. Exposure: white is radiance 1; sRGB tones."
     assert "caustics" in entry.thesis.claim
     assert entry.panels[0].x_label == "error 10 %"
     low, high = entry.panels[2].image

@@ -56,9 +56,7 @@ def _scenes_text(inputs: Inputs) -> str:
     if not inputs.has_truth:
         return f"{text}."
     text += ", beside the truth"
-    if any(run.is_coaxial for run in inputs.runs):
-        text += f". Pixels that the bar leaves dark are shown {UNLIT_GAIN:g} times brighter"
-    return text + "."
+    return text + ", and the difference."
 
 
 def _found(numbers: pd.DataFrame) -> str:
@@ -101,5 +99,7 @@ def scene_picture(run: Run) -> Picture:
         f"{run.method_title}, {number(run.patterns)} patterns: {said} with the "
         f"{words(names[index])}."
     )
+    if is_brightened:
+        caption += f" Its unlit pixels are shown {UNLIT_GAIN:g} times brighter."
     compared = (1, 2) if run.has_truth else None
     return Picture(run.title, caption, f"scene_{run.scene}", light, compared, [run.source])

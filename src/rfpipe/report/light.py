@@ -102,19 +102,24 @@ def tone_mapped(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
 
 def exposure_text(lights: Iterable[Light]) -> str:
     """Say in a sentence what a figure's pictures of light show as white; "" without any."""
-    whites: dict[tuple[str, str], list[str]] = {}
+    scenes: dict[str, None] = {}
+    whites: dict[str, dict[str, list[str]]] = {}
     for light in lights:
-        scenes = whites.setdefault((light.quantity, f"{light.white:.3g}"), [])
-        if light.of not in scenes:
-            scenes.append(light.of)
+        scenes[light.of] = None
+        of_white = whites.setdefault(light.quantity, {}).setdefault(f"{light.white:.3g}", [])
+        if light.of not in of_white:
+            of_white.append(light.of)
     if not whites:
         return ""
-    every = {scene for scenes in whites.values() for scene in scenes}
     said = [
-        f"{quantity} {white}" + (f" ({', '.join(scenes)})" if len(every) > len(scenes) else "")
-        for (quantity, white), scenes in whites.items()
+        f"{quantity} "
+        + ", ".join(
+            white if len(some) == len(scenes) else f"{white} ({', '.join(some)})"
+            for white, some in of_quantity.items()
+        )
+        for quantity, of_quantity in whites.items()
     ]
-    return f"Exposure: white is {'; '.join(said)}. More is cut off; tones follow sRGB's curve."
+    return f"Exposure: white is {' and '.join(said)}; sRGB tones."
 
 
 def error_map(relit: Light, truth: Light) -> NDArray[np.float64]:

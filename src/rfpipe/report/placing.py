@@ -135,9 +135,9 @@ class Place:
             panels[_ERROR], scale, limit = _error_panel(relit, truth)
             said = _joined(
                 said,
-                f"Error: {relit.what} minus {truth.what} in per cent of white; blue is too dark, "
-                f"red too bright, and the scale at the right goes from \N{MINUS SIGN}{limit:g} to "
-                f"+{limit:g}\N{NO-BREAK SPACE}%.",
+                f"Error: {relit.what} minus {truth.what}, by the scale at the right from blue, "
+                f"\N{MINUS SIGN}{limit:g}\N{NO-BREAK SPACE}% of white, to red, +{limit:g}"
+                "\N{NO-BREAK SPACE}%.",
             )
         pixels, gap = _side_by_side(list(panels.values()), scale)
         alt = f"{picture.name}: {', '.join(panels)}, from left to right."
