@@ -32,6 +32,7 @@ __all__ = ["bottle_study", "box_study", "right_angles_study", "samples_study", "
 Float = NDArray[np.float32]
 
 _DIM = 0.1  # of the run's light, at which single pixels' inter-reflections sink into noise
+_MANY = 4.0
 _TO_THE_PIXEL = 1e-9  # tolerance at which nothing is stored at a coarse level but noise
 
 
@@ -162,12 +163,15 @@ def bottle_study(config: Config) -> tuple[Rows, Arrays]:
     Returns
     -------
     rows : list of dict
-        The row of Table 3.1, ``matte_error`` and ``primal_error``: relative RMS errors of the
-        pictures relit by the matte, and ``lit``: the lit fraction of the pattern shown, over all
-        pixels and over those whose light takes part in caustics.
+        The row of Table 3.1; ``dual_matte_error`` and ``primal_matte_relit_error``: relative RMS
+        errors of pictures relit by the matte; ``coarse``: the fraction of the dual picture's light
+        that is stored above the last level; ``together_at_glass`` and ``together_elsewhere``:
+        pixels lit together at the last level, where light is spread over much of the picture and
+        where not.
     arrays : dict of ndarray
-        Float32: ``primal``, ``dual``, ``dual_truth``, ``primal_matte``, ``primal_matte_truth``,
-        ``dual_matte``, ``dual_matte_truth``, ``pattern`` (projector_shape), ``pattern_seen``.
+        Float32 (H, W, 3): ``primal``; ``primal_relit``, ``primal_matte_relit``, ``dual`` and
+        ``dual_matte`` and the truth of each, ``{name}_truth``; ``pattern``, the one that lights
+        most pixels, and ``together`` (projector_shape); ``pattern_seen``.
     """
     scene = physical_scene(config, "bottle")
     return _pictures(config, scene, "Fig. 3.6, bottle", adapting=True)
@@ -191,8 +195,7 @@ def right_angles_study(config: Config) -> tuple[Rows, Arrays]:
     Returns
     -------
     rows : list of dict
-        As of `bottle_study`, and ``coarse``: the fraction of the dual picture's light that is
-        stored above the last level, of pixels with and without direct light.
+        As of `bottle_study`, without those on pixels lit together.
     arrays : dict of ndarray
         As of `bottle_study`.
     """
@@ -231,12 +234,22 @@ def _pictures(
         chosen = rig.levels[transport.last_level][int(np.argmax(lit))]
         arrays["pattern"] = chosen
         arrays["pattern_seen"] = _primal(scene, chosen)
-        # how many patterns a region of the projector took: each pixel is in one pattern a level,
-        # so that a pattern is dark where few could be shown together
         arrays["together"] = _together(rig.levels[transport.last_level])
+        spread = _spread(scene)
+        more["together_at_glass"] = float(arrays["together"][spread].mean())
+        more["together_elsewhere"] = float(arrays["together"][~spread].mean())
     images = arrays["dual"], arrays["dual_truth"]
     table = "3.1" if "10" not in figure else ""
     return [cost(table, figure, scene, result, images, **more)], arrays
+
+
+def _spread(scene: MitsubaScene) -> NDArray[np.bool_]:
+    """Tell which projector pixels light as many camera pixels, about, as four median ones."""
+    light = sum(scene.dense(channel) for channel in range(scene.channels))
+    squares = np.square(light).sum(axis=0)
+    lit = light.sum(axis=0) ** 2 / np.maximum(squares, np.finfo(float).tiny)
+    many: NDArray[np.bool_] = lit > _MANY * np.median(lit)
+    return many.reshape(scene.projector_shape)
 
 
 def _together(patterns: list[Float]) -> Float:
