@@ -8,6 +8,4 @@ from rfpipe.scenes.mitsuba.worlds.still_lifes import STILL_LIFES
 
 __all__ = ["WORLDS"]
 
-WORLDS: dict[str, World] = {
-    world.name: world for world in (*BOXES, *SHINY, *CLEAR, *STILL_LIFES)
-}
+WORLDS: dict[str, World] = {world.name: world for world in (*BOXES, *SHINY, *CLEAR, *STILL_LIFES)}

@@ -9,7 +9,16 @@ import numpy as np
 from rfpipe.scenes.mitsuba.views import View
 from rfpipe.scenes.mitsuba.world import World
 from rfpipe.scenes.mitsuba.worlds.boxes import BOX_VIEW, aside, walls
-from rfpipe.scenes.mitsuba.worlds.parts import ball, box, gloss, matt, painted, pillar, sheet, turned
+from rfpipe.scenes.mitsuba.worlds.parts import (
+    ball,
+    box,
+    gloss,
+    matt,
+    painted,
+    pillar,
+    sheet,
+    turned,
+)
 from rfpipe.scenes.mitsuba.worlds.textures import blots, checks, lettering
 
 __all__ = ["STILL_LIFES"]
@@ -20,9 +29,7 @@ _STILL_LIFE = (0.0, -0.55, 0.0)
 _PROJECTOR = aside(0, 3.7, _STILL_LIFE, 1.0, 34)
 _GRID_STEP = 0.22
 # Radii and heights of a vase, open above.
-_VASE = [
-    (0.2 + 0.14 * np.sin(5.2 * h) * (1 - 0.5 * h), 1.1 * h) for h in np.linspace(0.0, 1.0, 16)
-]
+_VASE = [(0.2 + 0.14 * np.sin(5.2 * h) * (1 - 0.5 * h), 1.1 * h) for h in np.linspace(0.0, 1.0, 16)]
 
 
 def _foreshortened() -> dict[str, Any]:
