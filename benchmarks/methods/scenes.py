@@ -152,17 +152,15 @@ class Stage:
     grain : float
         Standard error of the recorded matrix: of indirect light of a half-lit picture, relative;
         NaN of scenes that aren't recorded.
+    coaxial : bool
+        Whether both sides share their rays, so that a picture's dark pixels are the pattern's.
     """
 
     scene: Lit
     patterns: dict[str, Float]
     truth: Float
     grain: float
-
-    @property
-    def coaxial(self) -> bool:
-        """Whether a picture's dark pixels are the pattern's."""
-        return self.scene.camera_shape == self.scene.projector_shape
+    coaxial: bool
 
 
 @lru_cache(maxsize=2)
@@ -170,11 +168,12 @@ def stage_of(name: str, side: int, channels: int, samples: int, seed: int, cache
     """Make a scene, its pictures and their truth."""
     scene = KINDS[name].make(side, channels, samples, seed, cache)
     patterns = scene_patterns(scene, seed) | spots(scene.projector_shape)
-    grain = float("nan")
+    grain, coaxial = float("nan"), True
     if KINDS[name].what == "physical":
         of_world: Any = scene
         grain = of_world.recording.noise["half_lit"]["unlit"]
+        coaxial = of_world.coaxial
         patterns |= crease(of_world)
     lit = Lit(scene)
     truth = lit.apply(np.stack(list(patterns.values())))
-    return Stage(lit, patterns, truth.reshape(-1, *scene.camera_shape, channels), grain)
+    return Stage(lit, patterns, truth.reshape(-1, *scene.camera_shape, channels), grain, coaxial)
