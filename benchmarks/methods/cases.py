@@ -24,10 +24,10 @@ CAMERAS = {
     "full": _FULL,
     "sixteenth": replace(_FULL, electrons_per_radiance=_FULL.electrons_per_radiance / 16),
 }
-"""The default camera under all of the projector's light, and under a sixteenth of it. A radiance
-of 1/1000, where the usual tolerance lies, gives 640 electrons in the longest exposure, noise of
-4 %, and then 40, noise of 20 %: read noise begins to matter, and there is no tolerance to gain
-below. With less light yet, all methods measure read noise alone."""
+"""The default camera under all of the projector's light, and under a sixteenth of it. On wedge IV
+at 32 x 32 one bracket of a relit picture is off by 0.96 and 0.82 % in total, since longer exposures
+take the direct light, and by 1.6 and 8.6 % where the pattern is dark; by 29 % at 1/64, which drowns
+what methods differ by, and by 3.3 % at 1/4, where they hardly feel it."""
 
 SEEDS = (0, 1, 2)
 """Of the camera's noise, the matt scenes' textures and the random pictures that are relit."""

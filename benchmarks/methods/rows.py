@@ -68,7 +68,9 @@ def newest(path: Path) -> pd.DataFrame:
     """Return the newest row of each case, in the order in which they were run."""
     import pandas as pd
 
-    table = pd.read_csv(path, keep_default_na=False, na_values=["", "nan"])
-    for column in ("option", "status", "why", "worst_picture"):
-        table[column] = table[column].fillna("")
+    texts = ["option", "status", "why", "worst_picture"]
+    table = pd.read_csv(
+        path, keep_default_na=False, na_values=["", "nan"], dtype=dict.fromkeys(texts, str)
+    )
+    table[texts] = table[texts].fillna("")
     return table.drop_duplicates(list(CASE), keep="last").reset_index(drop=True)
