@@ -184,12 +184,13 @@ def _estimates(summary: pd.DataFrame) -> str:
     lines = [
         [
             row["section"], f"`{row['method']}`", row["scene"], row["light"],
-            f"{row['value']:g}", f"{row['patterns']:.0f}", f"{100 * row['estimated_error']:.2g}",
+            f"{row['value']:g}", f"{row['patterns']:.0f}", f"{row['patterns_by_estimate']:.0f}",
+            f"{100 * row['estimated_error']:.2g}",
             f"{100 * row['error_mean']:.2g}", f"{row['ratio']:.2g}",
         ]
         for row in known.to_dict("records")
     ]  # fmt: skip
-    head = ["section", "method", "scene", "light", "setting", "patterns", "estimated, %",
+    head = ["section", "method", "scene", "light", "setting", "patterns", "at the estimate", "estimated, %",
             "true, %", "estimate over truth"]  # fmt: skip
     return _markdown(head, lines)
 
