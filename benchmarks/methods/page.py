@@ -190,7 +190,8 @@ def _estimates(summary: pd.DataFrame) -> str:
         ]
         for row in known.to_dict("records")
     ]  # fmt: skip
-    head = ["section", "method", "scene", "light", "setting", "patterns", "at the estimate", "estimated, %",
+    head = ["section", "method", "scene", "light", "setting", "patterns",
+            "at the estimate", "estimated, %",
             "true, %", "estimate over truth"]  # fmt: skip
     return _markdown(head, lines)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,9 @@ from rfpipe.report.drawing import (
 )
 from rfpipe.report.methods import style
 from rfpipe.store.files import write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 __all__ = ["write_plots"]
 
@@ -41,12 +45,14 @@ def write_plots(folder: Path, summary: pd.DataFrame) -> list[str]:
 def _curves(rows: pd.DataFrame) -> bytes:
     """Draw mean errors against patterns, a panel a scene; dotted, a photograph's own noise."""
 
-    def draw(axis: object, scene: str) -> None:
+    def draw(axis: Axes, scene: str) -> None:
         own = rows[rows["scene"] == scene]
         for method, each in own.groupby("method", sort=True):
             ordered = each.sort_values("patterns")
-            draw_method(axis, ordered["patterns"], 100 * ordered["error_mean"], str(method))  # type: ignore[arg-type]
-        axis.axhline(100 * own["photo_mean"].mean(), color="#888888", linestyle=":",  # type: ignore[attr-defined]
+            draw_method(axis, ordered["patterns"], 100 * ordered["error_mean"], str(method))
+            axis.plot(ordered["patterns"], 100 * ordered["error_mean"], linestyle="none",
+                      marker=".", markersize=4, color=style(str(method))["color"])  # fmt: skip
+        axis.axhline(100 * own["photo_mean"].mean(), color="#888888", linestyle=":",
                      linewidth=1, label="a photograph's noise")  # fmt: skip
 
     titles = {scene: scene.replace("_", " ") for scene in dict.fromkeys(rows["scene"])}
