@@ -20,7 +20,8 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-.PHONY: help install run thesis figures calibrate serve unlock test lint format bench config lock clean
+.PHONY: help install run thesis figures calibrate serve unlock test lint format bench benchmark \
+  config lock clean
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
@@ -91,6 +92,9 @@ format: $(INSTALLED) ## format the sources and the workflow
 bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 	@mkdir -p results/bench
 	@for script in benchmarks/bench_*.py; do echo "$$script"; python "$$script"; done
+
+benchmark: $(INSTALLED) ## every method on every scene, hours; goes on with docs/benchmark/*.csv
+	@python -m benchmarks.methods $(ARGS)
 
 config: $(INSTALLED) ## write config/config.yaml and the JSON schemas from their models
 	python -m rfpipe.config config

@@ -1,0 +1,1 @@
+"""Every method on every scene: errors against patterns and light (``make benchmark``)."""

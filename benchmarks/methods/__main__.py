@@ -1,0 +1,87 @@
+"""Every method on every scene: ``python -m benchmarks.methods``, or ``make benchmark``.
+
+Runs what the table of acquisitions lacks, appends a row each, and makes the summary of them all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from benchmarks.methods.cases import CAMERAS, SEEDS, Case, cases_of
+from benchmarks.methods.measure import measure
+from benchmarks.methods.page import write_page
+from benchmarks.methods.rows import appending, known_keys
+from benchmarks.methods.scenes import KINDS
+
+from rfpipe.methods import method_names
+
+_log = logging.getLogger("benchmark")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run what is missing, then write the summary."""
+    logging.basicConfig(format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    _log.setLevel(logging.INFO)
+    logging.getLogger("rfpipe").setLevel(logging.ERROR)
+    asked = parsed(arguments)
+    table = asked.folder / "acquisitions.csv"
+    known = known_keys(table)
+    cases = [case for case in asked_cases(asked) if case.key not in known]
+    _log.info("%d acquisitions to do, %d rows in %s", len(cases), len(known), table)
+    if not asked.table_only:
+        run(cases, table, asked.cache, 60 * asked.minutes)
+    if table.exists():
+        write_page(asked.folder, table, list(asked_cases(asked)))
+
+
+def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.methods", description=__doc__)
+    parser.add_argument("--scenes", nargs="+", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--methods", nargs="+", choices=method_names(), default=method_names())
+    parser.add_argument("--lights", nargs="+", choices=CAMERAS, default=list(CAMERAS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
+    parser.add_argument("--settings", type=int, help="of each method, from the coarsest; all")
+    parser.add_argument("--side", type=int, default=48, help="pixels, 48 to 128; 48")
+    parser.add_argument("--channels", type=int, choices=(1, 3), default=1)
+    parser.add_argument("--samples", type=int, default=16384, help="paths of light a pixel; 16384")
+    parser.add_argument("--minutes", type=float, default=float("inf"),
+                        help="begin no acquisition after so long")  # fmt: skip
+    parser.add_argument("--folder", type=Path, default=Path("docs/benchmark"))
+    parser.add_argument("--cache", type=Path, default=Path("results/recorded"),
+                        help="folder of recorded matrices")  # fmt: skip
+    parser.add_argument("--table-only", action="store_true", help="run nothing")
+    return parser.parse_args(arguments)
+
+
+def asked_cases(asked: argparse.Namespace) -> list[Case]:
+    """List what the command line asks for."""
+    names = ("scenes", "methods", "lights", "seeds", "settings", "side", "channels", "samples")
+    return list(cases_of(**{name: getattr(asked, name) for name in names}))
+
+
+def run(cases: Sequence[Case], table: Path, cache: Path, seconds: float) -> None:
+    """Run cases one after the other; append a row each."""
+    for case in {case.method: case for case in cases}.values():
+        measure(replace(case, scene="wedge_iv", side=8, seed=0), cache)  # load what is compiled
+    began = time.monotonic()
+    with appending(table) as append:
+        for number, case in enumerate(cases, start=1):
+            if time.monotonic() - began > seconds:
+                _log.info("time is up: %d of %d done", number - 1, len(cases))
+                return
+            row = measure(case, cache)
+            append(row)
+            told = row["why"] if row["status"] != "done" else (
+                f"{row['patterns']} patterns, mean error {row['error_mean']:.3g}"
+            )  # fmt: skip
+            _log.info("%d of %d: %s: %s", number, len(cases), case, told)
+
+
+if __name__ == "__main__":
+    main()

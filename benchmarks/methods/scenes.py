@@ -1,0 +1,179 @@
+"""The scenes, each under its name, and the pictures that are relit of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from benchmarks.methods.pictures import crease, spots
+from numpy.typing import ArrayLike, NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.scenes import Scene, planes_scene, scene_patterns
+from rfpipe.scenes.mitsuba.worlds import WORLDS
+
+if TYPE_CHECKING:
+    from rfpipe.scenes.mitsuba.scene import MitsubaScene
+
+__all__ = ["KINDS", "Kind", "Stage", "settings_of", "stage_of"]
+
+Float = NDArray[np.float32]
+
+_BRIGHTEST = 1.9
+"""Radiance of the brightest pixel of the floodlit image, of 2 that the camera takes."""
+
+_LEAST_SIDE = 8  # of each view of a stack
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a scene is made.
+
+    Attributes
+    ----------
+    what : str
+        "physical" or "matt".
+    maker : str
+        Module whose code makes its light.
+    settings : callable
+        Plain data that tells the scene, of (side, channels, samples, seed).
+    make : callable
+        The scene, of the same and the folder of recorded matrices.
+    """
+
+    what: str
+    maker: str
+    settings: Callable[[int, int, int, int], dict[str, Any]]
+    make: Callable[[int, int, int, int, Path], Scene]
+
+
+_WEDGES = {
+    "wedge_ii": ("wedge", ("white", "white")),
+    "wedge_iii": ("wedge", ("white", "texture")),
+    "wedge_iv": ("wedge", ("texture", "texture")),
+    "wedge_30": ("wedge_30", ("white", "texture")),
+    "wedge_120": ("wedge_120", ("white", "texture")),
+    "tilted_wedge": ("tilted_wedge", ("white", "texture")),
+}
+
+
+def _wedge(name: str) -> Kind:
+    geometry, surfaces = _WEDGES[name]
+
+    def settings(side: int, channels: int, _samples: int, seed: int) -> dict[str, Any]:
+        return {"geometry": geometry, "surfaces": surfaces, "side": side, "channels": channels,
+                "seed": seed}  # fmt: skip
+
+    def make(side: int, channels: int, _samples: int, seed: int, _cache: Path) -> Scene:
+        return planes_scene(geometry, surfaces, (side, side), channels=channels, seed=seed)
+
+    return Kind("matt", "rfpipe.scenes.reference", settings, make)
+
+
+def _world(name: str) -> Kind:
+    def settings(side: int, channels: int, samples: int, _seed: int) -> dict[str, Any]:
+        return _mitsuba(name, side, channels, samples, Path()).describe()
+
+    def make(side: int, channels: int, samples: int, _seed: int, cache: Path) -> Scene:
+        return _mitsuba(name, side, channels, samples, cache)
+
+    return Kind("physical", "rfpipe.scenes.mitsuba.scene", settings, make)
+
+
+def _mitsuba(name: str, side: int, channels: int, samples: int, cache: Path) -> MitsubaScene:
+    """Return a world; the views of a stack share about the pixels of one picture."""
+    from rfpipe.scenes.kinds.mitsuba import Mitsuba, MitsubaOptions
+
+    world = WORLDS[name]
+    views = max(len(world.cameras), len(world.projectors or ()))
+    each = max(min(side, _LEAST_SIDE), round(side / math.sqrt(views)))
+    options = MitsubaOptions.model_validate(
+        {
+            "kind": "rfpipe.scenes.kinds.mitsuba:Mitsuba",
+            "scene": name,
+            "shape": (each, each),
+            "channels": channels,
+            "samples": samples,
+            "cache": str(cache),
+        }
+    )
+    made: Any = Mitsuba.make(options)
+    return made
+
+
+KINDS: dict[str, Kind] = {name: _world(name) for name in WORLDS} | {
+    name: _wedge(name) for name in _WEDGES
+}
+"""All scenes: every physically based one, and matt wedges."""
+
+
+@lru_cache(maxsize=512)
+def settings_of(name: str, side: int, channels: int, samples: int, seed: int) -> dict[str, Any]:
+    """Return plain data that tells a scene, without making it."""
+    return KINDS[name].settings(side, channels, samples, seed)
+
+
+class Lit(Scene):
+    """A scene under a projector that is dimmed, or opened, to what the camera just takes."""
+
+    def __init__(self, scene: Scene) -> None:
+        super().__init__(scene.camera_shape, scene.projector_shape, scene.channels)
+        self._scene = scene
+        floodlit = scene.apply(np.ones((1, math.prod(scene.projector_shape))))
+        brightest = float(floodlit.max())
+        if not brightest > 0:
+            raise InputError("no light comes back to the camera from the floodlit scene")
+        self._light = _BRIGHTEST / brightest
+        self.median = float(np.median(floodlit)) * self._light
+
+    def apply(self, patterns: ArrayLike) -> Float:
+        """Radiance float32 (B, M, C), its maximum in the floodlit image `_BRIGHTEST`."""
+        return np.float32(self._light) * self._scene.apply(patterns)
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"light": self._light, **self._scene.describe()}
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A scene with the pictures that are relit of it.
+
+    Attributes
+    ----------
+    scene : Lit
+    patterns : dict of str to ndarray of float32, shape (*projector_shape)
+    truth : ndarray of float32, shape (P, *camera_shape, C)
+    grain : float
+        Standard error of the recorded matrix: of indirect light of a half-lit picture, relative;
+        NaN of scenes that aren't recorded.
+    coaxial : bool
+        Whether both sides share their rays, so that a picture's dark pixels are the pattern's.
+    """
+
+    scene: Lit
+    patterns: dict[str, Float]
+    truth: Float
+    grain: float
+    coaxial: bool
+
+
+@lru_cache(maxsize=2)
+def stage_of(name: str, side: int, channels: int, samples: int, seed: int, cache: Path) -> Stage:
+    """Make a scene, its pictures and their truth."""
+    scene = KINDS[name].make(side, channels, samples, seed, cache)
+    patterns = scene_patterns(scene, seed) | spots(scene.projector_shape)
+    grain, coaxial = float("nan"), True
+    if KINDS[name].what == "physical":
+        of_world: Any = scene
+        grain = of_world.recording.noise["half_lit"]["unlit"]
+        coaxial = of_world.coaxial
+        patterns |= crease(of_world)
+    lit = Lit(scene)
+    truth = lit.apply(np.stack(list(patterns.values())))
+    return Stage(lit, patterns, truth.reshape(-1, *scene.camera_shape, channels), grain, coaxial)
