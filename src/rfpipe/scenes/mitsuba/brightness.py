@@ -12,13 +12,15 @@ from rfpipe.scenes.mitsuba.views import Views
 __all__ = ["brightness"]
 
 _LEAST_COSINE = 1e-3
+_NEAREST = 0.05
 
 
 def brightness(scene: Any, projector: Views) -> float:
     """Return the flux per area of a projector's image plane at distance 1.
 
-    It is such that a matt white surface has radiance 1 under full light where a pixel covers the
-    median area, over all pixels that meet a surface: pi times the area in units of the pixel's.
+    It is such that the full light of all projectors together gives a matt white surface that faces
+    it radiance 1, or less, but for the nearest 5 % of what their pixels cover: who sets up a rig
+    dims the light until its camera can take it.
 
     Parameters
     ----------
@@ -42,7 +44,9 @@ def brightness(scene: Any, projector: Views) -> float:
         spread = (distances / lengths)[met] ** 2 / lengths[met]
         areas.append(spread / np.maximum(cosines, _LEAST_COSINE))
     found = np.concatenate(areas)
-    return float(np.pi * np.median(found)) if len(found) else 1.0
+    if not len(found):
+        return 1.0
+    return float(np.pi * np.quantile(found, _NEAREST)) / len(projector.views)
 
 
 def _hits(mi: Any, scene: Any, origin: Any, ways: Any) -> tuple[Any, Any]:
