@@ -10,7 +10,7 @@ from rfpipe.report.text import number, percent
 
 __all__ = ["bears_section", "flare_section"]
 
-_BRIGHTER = 0.4  # of the radiance that is white elsewhere: the letters glow within dark sweets
+_BRIGHTER = 0.6  # of the radiance that is white elsewhere: the letters glow within dark sweets
 
 
 def bears_section(study: Study) -> Section:
