@@ -163,7 +163,7 @@ def test_looser_tolerances_take_no_more_patterns():
 
 
 def grainy_light(side, seed):
-    """Direct light with a bright spot, and indirect light as grainy as random sampling leaves it."""
+    """Direct light with a bright spot, and indirect light as grainy as sampling leaves it."""
     random = np.random.default_rng(seed)
     x = np.stack(np.mgrid[:side, :side], axis=-1).reshape(-1, 2) / side
     squared = ((x[:, None] - x[None]) ** 2).sum(axis=2)

@@ -109,7 +109,9 @@ class Symmetric(Descent[SymmetricState]):
     trades = "tolerance"
     trials = TOLERANCES
     packing = Packing(
-        ("level", "floodlit_maximum", "floodlit_rms", "rows"), ("dark",), groups={"frontier": "frontier_"}
+        ("level", "floodlit_maximum", "floodlit_rms", "rows"),
+        ("dark",),
+        groups={"frontier": "frontier_"},
     )
 
     def start(
