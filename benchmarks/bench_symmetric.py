@@ -48,7 +48,7 @@ STEPS: dict[str, tuple[Any, ...]] = {
     "take the residual's pieces": (pieces.collect,),
     "rank test": (verdicts.rank_test,),
     "rank-k leaves": (nystroem.predictable, nystroem.rank_k_leaves),
-    "make the levels agree": (verdicts.disagreement, verdicts.reconcile),
+    "make the levels agree": (verdicts.reconcile,),
     "sort the new nodes": (verdicts.classify,),
     "cut and join nodes": (
         symmetric.Symmetric.refine, nodes.select, nodes.as_leaves, states.joined,

@@ -253,7 +253,15 @@ def assert_same_state(one: DualState, other: DualState) -> None:
             left, right = getattr(a, part), getattr(b, part)
             assert left.dtype == right.dtype
             np.testing.assert_array_equal(left, right)
-    for name in ("level", "channels", "options", "floodlit_maximum", "complete", "rows"):
+    for name in (
+        "level",
+        "channels",
+        "options",
+        "floodlit_maximum",
+        "floodlit_rms",
+        "complete",
+        "rows",
+    ):
         assert getattr(one, name) == getattr(other, name)
 
 

@@ -9,6 +9,8 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.methods import Pack, options_of
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
+from rfpipe.scenes.relighting import relighting_patterns
+from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.merging.images import ImagesInMemory, NormalizedImages, normalize_level
 from rfpipe.stages.merging.merger import LevelSum
 
@@ -158,6 +160,35 @@ def test_looser_tolerances_take_no_more_patterns():
     matrix = np.diag(np.full(256, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
     patterns = [acquire(matrix, (16, 16), tolerance).patterns for tolerance in (1e-1, 1e-2, 1e-3)]
     assert patterns == sorted(patterns)
+
+
+def grainy_light(side, seed):
+    """Direct light with a bright spot, and indirect light as grainy as sampling leaves it."""
+    random = np.random.default_rng(seed)
+    x = np.stack(np.mgrid[:side, :side], axis=-1).reshape(-1, 2) / side
+    squared = ((x[:, None] - x[None]) ** 2).sum(axis=2)
+    grain = random.gamma(2.0, 0.5, squared.shape)
+    albedo = random.uniform(0.3, 1, side * side)
+    matrix = 2e-4 * np.outer(albedo, albedo) / (0.02 + squared) * (grain + grain.T)
+    direct = albedo.copy()
+    direct[side * side // 3] = 4.0
+    return matrix * np.logical_not(np.eye(side * side)) + np.diag(direct)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_errors_of_many_leaves_do_not_add_up_beyond_the_tolerance(seed):
+    shape = (24, 24)
+    matrix = grainy_light(24, seed)
+    pictures = [*relighting_patterns(shape).values(), np.arange(24) < np.full((24, 1), 12)]
+    patterns = np.stack(pictures).reshape(len(pictures), -1).astype(np.float32)
+    truth = patterns @ matrix
+    errors = []
+    for tolerance in (1e-2, 3e-3, 1e-3, 3e-4, 1e-4):
+        transport = acquire(matrix, shape, tolerance).transport
+        images = transport.relight_batch(patterns.reshape(-1, *shape)).reshape(truth.shape)
+        errors.append(np.mean([relative_rms(*pair) for pair in zip(images, truth, strict=True)]))
+        assert errors[-1] < 3 * tolerance
+    assert errors == sorted(errors, reverse=True)
 
 
 def test_a_rig_that_is_not_coaxial_is_refused():

@@ -34,6 +34,10 @@ Blocks = NDArray[np.int32]
 
 _LARGEST = np.finfo(np.float32).max
 
+# What the responses stored for a pixel may come to, added up like noise, in tolerances of the
+# floodlit image's root mean square. A tenth of that or less of a picture is wrong by their spread.
+_TOGETHER = 28.0
+
 # What becomes of a response.
 _DROPPED, _STORED, _OPEN = 0, 1, 2
 
@@ -65,8 +69,8 @@ class DualState(MethodState):
         Responses stored so far, one set a level.
     frontier : PairSet
         Responses of level ``level - 1`` that are to be subdivided: the sets B_k of the thesis.
-    floodlit_maximum : float
-        Maximum of the floodlit image, the unit of the tolerance.
+    floodlit_maximum, floodlit_rms : float
+        Maximum and root mean square of the floodlit image, the units of the tolerance.
     complete : bool
         Whether all rays outside the frontier's blocks send no significant light to the camera.
     """
@@ -76,6 +80,7 @@ class DualState(MethodState):
     stored: tuple[PairSet, ...]
     frontier: PairSet
     floodlit_maximum: float = 0.0
+    floodlit_rms: float = 0.0
     complete: bool = True
 
 
@@ -98,7 +103,8 @@ class Dual(Descent[DualState]):
     trades = "tolerance"
     trials = TOLERANCES[:-1]  # beyond, responses are noise at the default camera
     packing = Packing(
-        ("level", "floodlit_maximum", "complete", "rows"), groups={"frontier": "frontier_"}
+        ("level", "floodlit_maximum", "floodlit_rms", "complete", "rows"),
+        groups={"frontier": "frontier_"},
     )
 
     def start(
@@ -140,13 +146,15 @@ class Dual(Descent[DualState]):
         total = int(asked.count.sum())
         values = np.empty((state.channels, total), np.float32)
         outcome = np.empty(total, np.uint8)
-        maximum = state.floodlit_maximum
+        maximum, rms = state.floodlit_maximum, state.floodlit_rms
+        together = _TOGETHER * np.sqrt(state.camera.size / max(total, 1))
         known = _transport(state, state.stored) if state.options.subtract_stored else None
         planar = (-1, state.camera.size, state.channels)
         for first, last in batches(schedule.count, state.camera.size * state.channels):
             radiance, variance = (part.reshape(planar) for part in images.read(first, last))
             if level == 0:
                 maximum = float(radiance.max())
+                rms = float(np.sqrt(np.mean(np.square(radiance, dtype=np.float64))))
             here = np.flatnonzero((pattern >= first) & (pattern < last))
             count = asked.count[here]
             pixel = asked.pixel[ragged_ranges(asked.first[here], count)]
@@ -163,7 +171,7 @@ class Dual(Descent[DualState]):
             outcome[place] = _judge(
                 response,
                 state.options.noise_significance * noise,
-                state.options.tolerance * maximum,
+                state.options.tolerance * min(maximum, together * rms),
                 np.repeat(divisible[here], count),
             )
         block = np.repeat(asked.block, asked.count).astype(np.int32)
@@ -178,6 +186,7 @@ class Dual(Descent[DualState]):
             stored=(*state.stored, stored),
             frontier=frontier,
             floodlit_maximum=maximum,
+            floodlit_rms=rms,
             complete=state.complete and not len(unlit_from_now_on),
         )
 

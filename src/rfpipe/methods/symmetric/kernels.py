@@ -14,8 +14,6 @@ from rfpipe.methods.symmetric.unknown_kernels import unknown_difference
 from rfpipe.transport.hierarchical.sums_kernels import dot, summed
 
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
-# Median of the square of a normal deviate.
-_MEDIAN_SQUARE = 0.4549364
 
 
 @numba.njit(cache=True, fastmath=_FAST)
@@ -169,39 +167,6 @@ def rank_test(  # type: ignore[no-untyped-def]
             noise[c, n] = expected
 
 
-@numba.njit(cache=True, parallel=True)
-def disagreement(first_pair, pair_a, pair_b, sums, spread, excess):  # type: ignore[no-untyped-def]
-    """Estimate the errors in the pieces of each node's children that are no camera noise.
-
-    The two pieces of a pair have one sum, by symmetry. What is wrong with the light that was taken
-    off the images makes them differ.
-
-    Parameters
-    ----------
-    first_pair, pair_a, pair_b
-        As in `rank_test`.
-    sums, spread : float64 (C, 2, pairs)
-        Of the pieces, and of their variances.
-    excess : float64 (C, n)
-        Written: variance of the difference of two sums beyond their noise, from the median over
-        the node's children, at least 0.
-    """
-    for n in numba.prange(first_pair.shape[0] - 1):
-        squared = np.empty(first_pair[n + 1] - first_pair[n])
-        noise = np.empty_like(squared)
-        for c in range(sums.shape[0]):
-            count = 0
-            for pair in range(first_pair[n], first_pair[n + 1]):
-                if pair_a[pair] != pair_b[pair]:
-                    squared[count] = (sums[c, 0, pair] - sums[c, 1, pair]) ** 2
-                    noise[count] = spread[c, 0, pair] + spread[c, 1, pair]
-                    count += 1
-            excess[c, n] = 0.0
-            if count:
-                typical = np.median(squared[:count]) / _MEDIAN_SQUARE
-                excess[c, n] = max(0.0, typical - np.median(noise[:count]))
-
-
 @numba.njit(cache=True)
 def _reconcile_block(size, offsets, values, variances, whole, noise):  # type: ignore[no-untyped-def]
     """Distribute what the pieces of one block lack to their sum, by their variances."""
@@ -254,24 +219,19 @@ def reconcile(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True)
-def weigh_pairs(  # type: ignore[no-untyped-def]
-    pair_a, pair_b, sums, spread, chosen, wrong, node, significant, energy
-):
+def weigh_pairs(pair_a, pair_b, sums, spread, chosen, significant, energy):  # type: ignore[no-untyped-def]
     """Combine the two sums of pairs by their variances, and tell light from noise.
 
-    On the diagonal both are the same one. What exceeds the noise is shrunk by how wrong its
-    siblings are found to be, `disagreement`.
+    On the diagonal both are the same one.
 
     Parameters
     ----------
-    pair_a, pair_b, sums, spread
-        As in `disagreement`.
+    pair_a, pair_b
+        As in `rank_test`.
+    sums, spread : float64 (C, 2, pairs)
+        Of the pieces, and of their variances.
     chosen : int64 (n,)
         The pairs to weigh.
-    wrong : float64 (C, n_nodes)
-        Variance of a node's children's energies beyond noise.
-    node : int64 (n,)
-        Each chosen pair's node.
     significant : float
         Squared standard deviations above which a sum is light.
     energy : float64 (C, n)
@@ -286,9 +246,8 @@ def weigh_pairs(  # type: ignore[no-untyped-def]
                 share, second = 1.0, 0.0
             light = share * sums[c, 0, pair] + (1.0 - share) * sums[c, 1, pair]
             variance = share * share * first + (1.0 - share) * (1.0 - share) * second
-            error = wrong[c, node[n]]
-            clear = light > 0.0 and light * light > significant * variance + error
-            energy[c, n] = light * (1.0 - error / (light * light)) if clear else 0.0
+            clear = light > 0.0 and light * light > significant * variance
+            energy[c, n] = light if clear else 0.0
 
 
 @numba.njit(cache=True)

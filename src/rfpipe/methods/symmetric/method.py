@@ -32,6 +32,7 @@ from rfpipe.methods.symmetric.nodes import (
     Frontier,
     as_leaves,
     child_pairs,
+    compared_pixels,
     no_nodes,
     select,
 )
@@ -44,13 +45,16 @@ from rfpipe.methods.symmetric.rank_test import (
     Found,
     Limits,
     classify,
-    disagreement,
     rank_test,
     reconcile,
 )
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
+
+# By how many tolerances a half-lit picture may be wrong if all nodes of a level are as far off as
+# they may be.
+_TOGETHER = 3.5
 
 
 class SymmetricOptions(Options):
@@ -76,8 +80,8 @@ class SymmetricState(MethodState):
         Those of them that the last refinement found.
     frontier : Frontier
         Unknown nodes of level ``level - 1``.
-    floodlit_maximum : float
-        Maximum of the floodlit image, the unit of the tolerance.
+    floodlit_maximum, floodlit_rms : float
+        Maximum and root mean square of the floodlit image, the units of the tolerance.
     dark : ndarray of bool, shape (N,)
         Rays (in tree order) from which no light comes back under floodlight.
     """
@@ -89,6 +93,7 @@ class SymmetricState(MethodState):
     known: tuple[LeafSet, ...] = ()
     added: tuple[LeafSet, ...] = ()
     floodlit_maximum: float = 0.0
+    floodlit_rms: float = 0.0
 
 
 class Symmetric(Descent[SymmetricState]):
@@ -104,7 +109,9 @@ class Symmetric(Descent[SymmetricState]):
     trades = "tolerance"
     trials = TOLERANCES
     packing = Packing(
-        ("level", "floodlit_maximum", "rows"), ("dark",), groups={"frontier": "frontier_"}
+        ("level", "floodlit_maximum", "floodlit_rms", "rows"),
+        ("dark",),
+        groups={"frontier": "frontier_"},
     )
 
     def start(
@@ -175,12 +182,12 @@ class Symmetric(Descent[SymmetricState]):
         state = replace(
             state,
             floodlit_maximum=float(pieces.values.max(initial=0.0)),
+            floodlit_rms=float(np.sqrt(np.mean(np.square(pieces.values, dtype=np.float64)))),
             dark=np.logical_not(significant.any(axis=0)),
         )
         first, nothing, unsettled = np.zeros(1, np.int64), no_nodes(channels), np.zeros(1, np.bool_)
-        exact = np.zeros((channels, 1))
         limits = _limits(state, tests=1)
-        found = classify(state.tree, 0, pieces, first, unsettled, nothing, first, exact, limits)
+        found = classify(state.tree, 0, pieces, first, unsettled, nothing, first, limits)
         row = level_row(0, 1, nodes=1, rank_k=0, **found.counts)
         leaves = (found.leaves,)
         return state.after(row, known=leaves, added=leaves, frontier=found.frontier)
@@ -219,8 +226,20 @@ def _prefix(level: int) -> str:
 
 
 def _limits(state: SymmetricState, tests: int) -> Limits:
-    options = state.options
-    asked = (options.tolerance * state.floodlit_maximum) ** 2 / 2
+    """Return what the tolerance allows in the images of the frontier's children.
+
+    A pattern that lights half of a block adds up the errors of two of its four children, so that
+    one node may be off by half of the squared tolerance. The errors of many nodes add up like
+    noise: half of all children lit, their squares sum to half of those of all. Were all nodes at
+    the limit, they would come to `_TOGETHER` tolerances of such a picture's norm.
+    """
+    options, tree, level = state.options, state.tree, state.level
+    of_one = (options.tolerance * state.floodlit_maximum) ** 2 / 2
+    if not len(state.frontier):
+        return Limits(of_one, options.noise_significance, tests)
+    compared = float(compared_pixels(tree, level - 1, state.frontier).sum())
+    of_all = 2 * (_TOGETHER * options.tolerance * state.floodlit_rms) ** 2
+    asked = min(of_one, of_all * tree.domain.size / compared)
     return Limits(asked, options.noise_significance, tests)
 
 
@@ -258,11 +277,10 @@ def _refine_nodes(
     subdivided = (verdict < CLOSE) & ~smooth
     chosen = np.flatnonzero(subdivided[node])
     above = node[chosen]
-    wrong = disagreement(divided)
     settled = verdict[above] == AGREES
     reconcile(divided)
     rank_k = rank_k_leaves(divided, smooth)
-    found = classify(tree, level, pieces, chosen, settled, nodes, above, wrong, limits)
+    found = classify(tree, level, pieces, chosen, settled, nodes, above, limits)
     return _Refined(
         (rank1, rank_k),
         found,

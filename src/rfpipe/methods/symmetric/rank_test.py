@@ -28,7 +28,6 @@ __all__ = [
     "Found",
     "Limits",
     "classify",
-    "disagreement",
     "rank_test",
 ]
 
@@ -45,9 +44,8 @@ class Limits:
     Attributes
     ----------
     asked : float
-        Mean squared difference that the user's tolerance allows in the image of one child. A
-        pattern that lights half of a block adds up the errors of two of its four children, so
-        that this is half of the squared tolerance, in squared radiance.
+        Mean squared difference that the user's tolerance allows in the image of one child, in
+        squared radiance.
     significance : float
         Standard deviations that make one measured light significant.
     tests : int
@@ -135,24 +133,6 @@ def rank_test(divided: Subdivided, limits: Limits) -> NDArray[np.int8]:
     return verdict
 
 
-def disagreement(divided: Subdivided) -> Double:
-    """Estimate what is wrong with nodes' children's sums beyond camera noise.
-
-    Returns
-    -------
-    ndarray of float64, shape (C, n)
-        Variance of the mean of a child's two sums; see the kernel of this name.
-    """
-    from rfpipe.methods.symmetric import kernels
-
-    pieces = divided.pieces
-    excess = np.empty((len(pieces.values), len(divided.nodes)))
-    kernels.disagreement(
-        divided.first_pair, pieces.block_a, pieces.block_b, pieces.sums, pieces.spread, excess
-    )
-    return excess / 4
-
-
 def reconcile(divided: Subdivided) -> None:
     """Make the pieces of the children of nodes agree with the nodes', in place.
 
@@ -177,7 +157,6 @@ def classify(
     settled: NDArray[np.bool_],
     above: Frontier,
     node: NDArray[np.int64],
-    wrong: Double,
     limits: Limits,
 ) -> Found:
     """Sort pairs that a level measured into empty ones, leaves and unknown ones.
@@ -196,16 +175,14 @@ def classify(
         Nodes of the level above, none at level 0.
     node : ndarray of int64, shape (n,)
         Each pair's node among them.
-    wrong : ndarray of float64, shape (C, nodes)
-        Variance of the energies of a node's children beyond camera noise; they are shrunk by it.
     limits : Limits
     """
     from rfpipe.methods.symmetric import kernels
 
     energy = np.empty((len(pieces.values), len(chosen)))
     kernels.weigh_pairs(
-        pieces.block_a, pieces.block_b, pieces.sums, pieces.doubt, chosen, wrong, node,
-        limits.significant, energy,
+        pieces.block_a, pieces.block_b, pieces.sums, pieces.doubt, chosen, limits.significant,
+        energy,
     )  # fmt: skip
     full: NDArray[np.bool_] = np.any(energy, axis=0)
     empty = len(full) - int(np.count_nonzero(full))
