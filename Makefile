@@ -81,8 +81,9 @@ bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 	@mkdir -p results/bench
 	@for script in benchmarks/bench_*.py; do echo "$$script"; python "$$script"; done
 
-config: $(INSTALLED) ## write config/config.yaml and its JSON schema from the settings' model
+config: $(INSTALLED) ## write config/config.yaml and the JSON schemas from their models
 	python -m rfpipe.config config
+	python -m rfpipe.report docs
 
 lock: $(INSTALLED) ## resolve pyproject.toml anew into requirements.lock
 	uv pip compile pyproject.toml --extra dev --upgrade --universal --python-version 3.11 \

@@ -24,15 +24,7 @@ def plain(settings):
 
 
 # All settings but those that shape no result: changing these does nothing anew.
-SHAPING = SETTINGS.model_dump(
-    mode="json",
-    exclude={
-        "resources": True,
-        "notify": True,
-        "rig_file": True,
-        "capture": {"keep_raw", "url", "token_file", "patience_seconds"},
-    },
-)
+SHAPING = SETTINGS.shaping()
 
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
 

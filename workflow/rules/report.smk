@@ -65,7 +65,8 @@ rule report:
         # what `make bench` left, if anything, when the workflow starts
         benchmarks=sorted(map(str, Path("results/bench").glob("*.csv"))),
     output:
-        report("results/report/index.html", caption="../report/report.rst"),
+        page=report("results/report/index.html", caption="../report/report.rst"),
+        numbers="results/report/results.json",
     log:
         "results/report/report.log",
     benchmark:

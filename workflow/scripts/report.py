@@ -5,7 +5,7 @@ from rfpipe.report import build_report
 from rfpipe.stages.jobs.job import start
 
 start(snakemake.log[0])
-page = Path(snakemake.output[0])
+page = Path(snakemake.output.page)
 build_report(
     Config(**snakemake.params.settings),
     page.parents[1],

@@ -164,6 +164,17 @@ def relight(
     typer.echo(f"{output}: {_times(lit.camera_shape)}, radiance up to {image.max():.4g}")
 
 
+@app.command("check-report")
+def check_report(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Such as results/report.")],
+) -> None:
+    """Check a run's report: no figure missing or blank, no link to nothing."""
+    from rfpipe.report import check_report as check
+
+    results = check(folder)
+    typer.echo(f"{folder}: whole. {len(results.figures)} figures, none blank")
+
+
 @app.command()
 def calibrate(
     rig: Annotated[Path, typer.Argument(metavar="RIG", help="A YAML file of a rig's settings.")],

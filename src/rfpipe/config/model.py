@@ -6,7 +6,7 @@ Plain data only: the layers above build cameras, scenes and methods from it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
@@ -255,6 +255,18 @@ class Config(Settings):
     def methods_of(self, scene: str) -> dict[str, MethodSettings]:
         """Methods to acquire a scene with, and their options: its own, or those of the run."""
         return methods_of_scene(self.methods, self.scenes[scene].methods)
+
+    def shaping(self) -> dict[str, Any]:
+        """Return all settings as plain data but those that shape no result."""
+        return self.model_dump(
+            mode="json",
+            exclude={
+                "resources": True,
+                "notify": True,
+                "rig_file": True,
+                "capture": {"keep_raw", "url", "token_file", "patience_seconds"},
+            },
+        )
 
     @property
     def acquisitions(self) -> list[tuple[str, str]]:

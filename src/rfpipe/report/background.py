@@ -36,13 +36,15 @@ def _resolution_section(inputs: Inputs, study: Study) -> Section:
         "texture is as fine as the pixels at each. Left on a linear scale, where growth as "
         "O(log pq) is a straight line; right with brute force, which takes one pattern a pixel."
     )
+    figure = charts.resolution_figure(numbers)
     return Section(
         "resolution",
         "Patterns against resolution (Fig. 3.8)",
         [
-            Illustration("Fig. 3.8", caption, "fig_3_8", charts.resolution_figure(numbers)),
+            Illustration("Fig. 3.8", caption, "fig_3_8", figure, "Fig. 3.8"),
             Tabulation("Patterns", "By method and resolution.", _resolution_table(numbers)),
         ],
+        sources=[study.source],
     )
 
 
@@ -71,14 +73,16 @@ def _mosaic_section(inputs: Inputs, study: Study) -> Section:
         "Light and colour contrast of the sum relative to the floodlit image; relative RMS error "
         "of the sum against the floodlit image, and of the single-pixel images against the truth."
     )
+    drawing = pictures.mosaic_figure(study)
     return Section(
         "normalization",
         "Colour normalization (Fig. B.1)",
         [
-            Illustration("Fig. B.1", caption, "fig_b_1", pictures.mosaic_figure(study)),
+            Illustration("Fig. B.1", caption, "fig_b_1", drawing, "Fig. B.1"),
             Tabulation("Normalization", about, _mosaic_table(study)),
         ],
         [f"The runs above use the normalization {_shown(inputs.config.normalization)}."],
+        [study.source],
     )
 
 
@@ -109,7 +113,7 @@ def _stability_section(_inputs: Inputs, study: Study) -> Section:
         "that symmetric photography builds on; dual photography doesn't need it."
     )
     hard_cases = Tabulation("Hard cases", caption, _stability_table(study))
-    return Section("stability", "Numerical stability", [hard_cases])
+    return Section("stability", "Numerical stability", [hard_cases], sources=[study.source])
 
 
 def _stability_table(study: Study) -> Table:
@@ -158,7 +162,8 @@ def times_section(inputs: Inputs) -> Section:
         "sweep of tolerances."
     )
     blocks.append(Tabulation("Processing time", about, tables.processing_table(inputs)))
-    return Section("time", "Where the processing time goes", blocks)
+    sources = [*inputs.run_sources, *inputs.time_sources]
+    return Section("time", "Where the processing time goes", blocks, sources=sources)
 
 
 def setup_section(inputs: Inputs) -> Section:
@@ -202,7 +207,7 @@ def setup_section(inputs: Inputs) -> Section:
         _settings("Acquisition", {"seconds_per_pattern": "s"}, acquisition),
         _settings("Versions", {}, versions()),
     ]
-    return Section("setup", "Camera, scenes and versions", blocks, text)
+    return Section("setup", "Camera, scenes and versions", blocks, text, inputs.run_sources)
 
 
 _REMOTE = (

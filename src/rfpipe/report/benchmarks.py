@@ -47,7 +47,8 @@ def benchmarks_section(inputs: Inputs) -> Section | None:
         )
     blocks += [block_of(found[name]) for name, block_of in _BLOCKS.items() if name in found]
     text = "Measured by `make bench`, apart from the run above, on the machine it ran on."
-    return Section("scale", "Speed and scale", blocks, [text])
+    sources = [f"bench/{name}.csv" for name in {**_TIMES, **_BLOCKS} if name in found]
+    return Section("scale", "Speed and scale", blocks, [text], sources)
 
 
 _PROCESSING = (

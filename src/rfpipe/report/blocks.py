@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+    from rfpipe.report.drawing import Drawing
+    from rfpipe.report.light import Light
 
 __all__ = [
     "Block",
@@ -29,23 +29,30 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Picture:
-    """Images of one scene side by side, without axes.
+    """Pictures of one scene side by side, pixel by pixel, without axes.
 
     Attributes
     ----------
     name : str
         Its heading.
     caption : str
+        What is seen; exposure and the scale of the error are added to it.
     slug : str
-        Name of its PNG file, without folder and suffix.
-    panels : dict of str to ndarray, shape (H, W, 3)
-        From left to right, by what stands above them: sRGB in [0, 1], all of one shape.
+        Name of its files, without folder and suffix.
+    light : list of Light
+        From left to right, all of one shape; what each is stands above it.
+    compared : (int, int), optional
+        Numbers of a relit picture and the true one, whose difference is shown at the right.
+    sources : sequence of str
+        As in `Illustration`.
     """
 
     name: str
     caption: str
     slug: str
-    panels: dict[str, NDArray[np.float64]]
+    light: list[Light]
+    compared: tuple[int, int] | None = None
+    sources: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -57,17 +64,27 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Illustration:
-    """A figure with its caption.
+    """A figure with its caption: the one way to add a figure to the report.
+
+    Placing it writes ``figures/{slug}.png``, ``figures/{slug}.exr`` where it shows light, the
+    page's part with its caption, and its entry in ``results.json``.
 
     Attributes
     ----------
     name : str
         Its heading, such as "Fig. 5.10".
     caption : str
-        What is seen, with scales and units.
+        What is seen, with scales and units, for a reader who doesn't know the code. Exposure and
+        the thesis' claim are added to it.
     slug : str
-        Name of its PNG file, without folder and suffix.
-    figure : Figure
+        Name of its files, without folder and suffix.
+    figure : Figure or Drawing
+        A `Drawing` where it shows light.
+    thesis : str
+        The thesis' own figure, one of `rfpipe.report.thesis.CLAIMS`; "" where it has none.
+    sources : sequence of str
+        Files that it was made from, their paths from the results folder; those of its section by
+        default.
     alt : str
         What the figure says, for those who can't see it; by default its name alone.
     is_folded : bool
@@ -77,7 +94,9 @@ class Illustration:
     name: str
     caption: str
     slug: str
-    figure: Figure
+    figure: Figure | Drawing
+    thesis: str = ""
+    sources: Sequence[str] = ()
     alt: str = ""
     is_folded: bool = False
 
@@ -97,7 +116,9 @@ class Table:
     csv : str
         Name of the CSV file beside it, or "".
     numbers : DataFrame or None
-        Written to the CSV file; None where another stage wrote it, or there is none.
+        The numbers behind the rows, or more of them; None where there are none.
+    is_written : bool
+        Whether another stage wrote them to the CSV file already.
     """
 
     groups: Sequence[tuple[str, int]]
@@ -106,6 +127,7 @@ class Table:
     text_columns: int = 1
     csv: str = ""
     numbers: pd.DataFrame | None = None
+    is_written: bool = False
 
     @property
     def bodies(self) -> list[list[list[str]]]:
@@ -156,12 +178,18 @@ class Tabulation:
     table : Table
     is_folded : bool
         Whether a reader has to open it.
+    thesis : str
+        The thesis' own table, as in `Illustration`.
+    sources : sequence of str
+        As in `Illustration`.
     """
 
     name: str
     caption: str
     table: Table
     is_folded: bool = True
+    thesis: str = ""
+    sources: Sequence[str] = ()
 
 
 Block = Gallery | Illustration | Tabulation
@@ -177,9 +205,12 @@ class Section:
     blocks : sequence of Block
     text : sequence of str
         Paragraphs before them.
+    sources : sequence of str
+        Files that those blocks were made from that name none of their own.
     """
 
     anchor: str
     title: str
     blocks: Sequence[Block]
     text: Sequence[str] = ()
+    sources: Sequence[str] = ()

@@ -54,7 +54,7 @@ def build_calibration_report(folder: CalibrationFolder) -> Path:
     )
     page = folder.path / "report.html"
     sections = [_summary(found), *(_section(name, of_step) for name, of_step in found.items())]
-    write_page(page, "Calibration of the rig", lead, sections)
+    write_page(page, "Calibration of the rig", lead, sections, folder.path)
     return page
 
 

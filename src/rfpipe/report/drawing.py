@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rfpipe.photometry.response import srgb
 from rfpipe.report import methods
+from rfpipe.report.light import ERROR_COLOURS, ERROR_LABEL, Light, error_map, round_limit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.axis import Axis
+    from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
 
 __all__ = [
     "UNLIT_GAIN",
-    "brighten_unlit",
+    "Drawing",
     "chunks",
+    "colour_bar",
     "draw_method",
     "head",
     "image_png",
@@ -39,7 +42,7 @@ __all__ = [
     "shared_legend",
     "show_image",
     "show_panels",
-    "show_radiance",
+    "unlit_gain",
 ]
 
 UNLIT_GAIN = 4
@@ -51,6 +54,46 @@ _RATIOS = (0.25, 1.4)
 _ABREAST = 4
 _LEGEND_ENTRY = 1.9  # inches
 _MARGIN = 1.3  # of a logarithmic axis, beyond what it shows
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure with pictures of light, which its OpenEXR file and its caption tell of.
+
+    Attributes
+    ----------
+    figure : Figure
+    axes : ndarray of Axes, shape (rows, columns)
+    light : list of Light
+        What `show` was given.
+    """
+
+    figure: Figure
+    axes: NDArray[Any]
+    light: list[Light] = field(default_factory=list)
+    _errors: list[tuple[Axes, NDArray[np.float64]]] = field(default_factory=list)
+
+    def show(self, axis: Axes, light: Light, below: str = "") -> None:
+        """Show a picture of light pixel by pixel, without ticks; say something under it."""
+        show_image(axis, light.shown)
+        label_below(axis, below)
+        self.light.append(light)
+
+    def compare(self, axis: Axes, relit: Light, truth: Light) -> None:
+        """Keep a panel for the error of a relit picture; `show_errors` fills all that are kept."""
+        self._errors.append((axis, error_map(relit, truth)))
+
+    def show_errors(self) -> None:
+        """Fill the panels that are kept, on one scale that stands at the right of the lowest."""
+        if not self._errors:
+            return
+        limit = 100 * round_limit([values for _, values in self._errors])
+        bounds = {"vmin": -limit, "vmax": limit}
+        for axis, values in self._errors:
+            shown = show_image(axis, 100 * values, cmap=ERROR_COLOURS, **bounds)
+        row = max(int(np.argwhere(self.axes == axis)[0, 0]) for axis, _ in self._errors)
+        colour_bar(self.figure, shown, list(self.axes[row, -1:]), ERROR_LABEL)
+        self._errors.clear()
 
 
 def new_figure(
@@ -82,13 +125,13 @@ def new_figure(
 
 def new_panels(
     rows: int, columns: int, shapes: Sequence[tuple[int, ...]], panel: float, below: float
-) -> tuple[Figure, NDArray[Any]]:
-    """Make a figure of panels so many inches wide, for images of these shapes (H, W).
+) -> Drawing:
+    """Make a drawing of panels so many inches wide, for images of these shapes (H, W).
 
     Each has as many inches for text below as asked for; a row has half an inch on its left.
     """
     height = panel * panel_ratio(shapes) + below
-    return new_figure(rows, columns, (panel * columns + 0.5, height * rows))
+    return Drawing(*new_figure(rows, columns, (panel * columns + 0.5, height * rows)))
 
 
 def scene_curves(
@@ -191,11 +234,9 @@ def image_png(pixels: NDArray[Any]) -> bytes:
     return buffer.getvalue()
 
 
-def brighten_unlit(
-    radiance: NDArray[Any], pattern: NDArray[Any], gain: float = UNLIT_GAIN
-) -> NDArray[Any]:
-    """Return a radiance image (H, W, C) with the pixels brightened that a pattern leaves dark."""
-    return radiance * np.where(pattern == 0, gain, 1)[..., None]
+def unlit_gain(pattern: NDArray[Any], gain: float = UNLIT_GAIN) -> NDArray[np.float64]:
+    """Return factors (H, W) that brighten the pixels that a pattern leaves dark."""
+    return np.where(pattern == 0, gain, 1.0)
 
 
 def show_image(axis: Axes, image: NDArray[Any], **options: Any) -> AxesImage:
@@ -204,22 +245,26 @@ def show_image(axis: Axes, image: NDArray[Any], **options: Any) -> AxesImage:
     return axis.imshow(image, interpolation="nearest", **options)
 
 
-def show_radiance(axis: Axes, radiance: NDArray[Any], white: float) -> None:
-    """Show a radiance image (H, W, C) pixel by pixel, without ticks."""
-    show_image(axis, srgb(radiance, white))
-
-
 def show_panels(
-    axes: Iterable[Axes], panels: Iterable[tuple[str, NDArray[Any], str]], white: float
+    drawing: Drawing, axes: Iterable[Axes], panels: Iterable[tuple[str, Light, str]]
 ) -> None:
-    """Show radiance images, each with its title and what stands below; leave other axes empty."""
+    """Show pictures of light, each with its title and what stands below; leave other axes empty."""
     free = iter(axes)
-    for (title, radiance, below), axis in zip(panels, free, strict=False):
-        show_radiance(axis, radiance, white)
+    for (title, light, below), axis in zip(panels, free, strict=False):
+        drawing.show(axis, light, below)
         axis.set_title(title, fontsize=8.5, pad=3)
-        label_below(axis, below)
     for unused in free:
         unused.set_axis_off()
+
+
+def colour_bar(
+    figure: Figure, shown: ScalarMappable, axes: Sequence[Axes], label: str, **options: Any
+) -> None:
+    """Put a scale of colours at the right of some panels."""
+    bar = figure.colorbar(shown, ax=list(axes), fraction=0.06, pad=0.03, **options)
+    bar.set_label(label, fontsize=_SMALL)
+    bar.ax.tick_params(labelsize=7.5, width=0.5, length=2.5)
+    bar.outline.set_linewidth(0.5)
 
 
 def head(axes: Iterable[Axes], titles: Iterable[str]) -> None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.photometry.response import srgb
 from rfpipe.report import methods, tables
 from rfpipe.report.blocks import Gallery, Picture, Section, Tabulation
-from rfpipe.report.drawing import UNLIT_GAIN, brighten_unlit
+from rfpipe.report.drawing import UNLIT_GAIN, unlit_gain
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.text import number, percent, words
 from rfpipe.stages.evaluating.metrics import relative_rms
@@ -44,6 +43,7 @@ def glance_section(inputs: Inputs) -> Section:
         "At a glance",
         [Gallery(pictures), Tabulation("What it took", caption, table, is_folded=False)],
         [_scenes_text(inputs), _found(numbers)],
+        [*inputs.run_sources, *inputs.error_sources[:1]],
     )
 
 
@@ -56,9 +56,7 @@ def _scenes_text(inputs: Inputs) -> str:
     if not inputs.has_truth:
         return f"{text}."
     text += ", beside the truth"
-    if any(run.is_coaxial for run in inputs.runs):
-        text += f". Pixels that the bar leaves dark are shown {UNLIT_GAIN:g} times brighter"
-    return text + "."
+    return text + ", and the difference."
 
 
 def _found(numbers: pd.DataFrame) -> str:
@@ -87,20 +85,21 @@ def scene_picture(run: Run) -> Picture:
     index = names.index(_SHOWN) if _SHOWN in names else 0
     pattern, relit = run.read("patterns")[index], run.read_shown("relit")[index]
     floodlit = run.read_shown("floodlit_truth" if run.has_truth else "floodlit_captured")
-    shown = {"floodlit": floodlit, "relit": relit}
+    is_brightened = run.has_truth and run.is_coaxial and not run.settings.is_light_field
+    gain = unlit_gain(pattern) if is_brightened else 1.0
+    light = [run.light("floodlit", floodlit), run.light("relit", relit, gain)]
     if run.has_truth:
-        shown["truth"] = run.read_shown("truth")[index]
+        light.append(run.light("truth", run.read_shown("truth")[index], gain))
         error = relative_rms(run.read("relit")[index], run.read("truth")[index])
         said = f"error {percent(error)} %"
     else:
         error = relative_rms(run.read("floodlit_relit"), run.read("floodlit_captured"))
         said = f"floodlit image relit to {percent(error)} % of the captured one"
-    if run.has_truth and run.is_coaxial and not run.settings.is_light_field:
-        for name in ("relit", "truth"):
-            shown[name] = brighten_unlit(shown[name], pattern)
-    panels = {name: srgb(image, run.white) for name, image in shown.items()}
     caption = (
         f"{run.method_title}, {number(run.patterns)} patterns: {said} with the "
         f"{words(names[index])}."
     )
-    return Picture(run.title, caption, f"scene_{run.scene}", panels)
+    if is_brightened:
+        caption += f" Its unlit pixels are shown {UNLIT_GAIN:g} times brighter."
+    compared = (1, 2) if run.has_truth else None
+    return Picture(run.title, caption, f"scene_{run.scene}", light, compared, [run.source])

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.config import Config, SceneSettings
 from rfpipe.report import methods
 from rfpipe.report.blocks import Column
+from rfpipe.report.light import Light
 from rfpipe.report.thesis import numeral_of
 from rfpipe.stages.relight import right_half
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
@@ -60,6 +63,8 @@ class Run:
         The manifest ``relight.json``.
     images : ArrayBundle
         ``relight.zarr``, see `relit_arrays` and `relit_of_captured` in `rfpipe.stages.relight`.
+    acquired : dict
+        The manifest ``transport.json``; empty where there is none.
     """
 
     scene: str
@@ -67,6 +72,12 @@ class Run:
     settings: SceneSettings
     facts: dict[str, Any]
     images: ArrayBundle
+    acquired: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def source(self) -> str:
+        """The manifest of its pictures, from the results folder."""
+        return f"{self.scene}/{self.method}/relight.json"
 
     @property
     def title(self) -> str:
@@ -116,11 +127,15 @@ class Run:
         """Whether the level of the leaf is known that holds each entry along a line."""
         return "line_levels" in self.images.names
 
-    @property
+    @cached_property
     def white(self) -> float:
         """Radiance shown as white: the maximum of the floodlit image, the true one if known."""
         name = "floodlit_truth" if self.has_truth else "floodlit_captured"
         return float(self.read(name).max(initial=0.0)) or 1.0
+
+    def light(self, what: str, radiance: NDArray[Any], gain: NDArray[Any] | float = 1.0) -> Light:
+        """Return a picture (H, W, C) of the scene with the run's exposure."""
+        return Light(self.title, what, radiance, self.white, gain)
 
     @property
     def has_indirect_light(self) -> bool:
@@ -152,8 +167,14 @@ class Run:
 class Study:
     """A study's table and images; see `rfpipe.stages.evaluating.studies`."""
 
+    name: str
     rows: list[dict[str, Any]]
     images: ArrayBundle
+
+    @property
+    def source(self) -> str:
+        """Its manifest, from the results folder."""
+        return f"studies/{self.name}.json"
 
 
 @dataclass(frozen=True)
@@ -173,6 +194,10 @@ class Inputs:
         ``seconds`` of each stage of each level; may be empty.
     benchmarks : dict of str to DataFrame
         Tables that ``make bench`` left, by their names in `BENCHMARKS`; empty without any.
+    results : Path
+        Where it was all found; sources are named by their paths from there.
+    tables : tuple of Path
+        The tables of the evaluate stage: errors, and speed against error.
     """
 
     config: Config
@@ -182,6 +207,25 @@ class Inputs:
     speed_error: pd.DataFrame
     times: pd.DataFrame
     benchmarks: dict[str, pd.DataFrame]
+    results: Path
+    tables: tuple[Path, Path]
+
+    @property
+    def run_sources(self) -> list[str]:
+        """The manifests of all runs' pictures."""
+        return [run.source for run in self.runs]
+
+    @property
+    def error_sources(self) -> list[str]:
+        """The tables of the evaluate stage, from the results folder."""
+        return [Path(os.path.relpath(path, self.results)).as_posix() for path in self.tables]
+
+    @property
+    def time_sources(self) -> list[str]:
+        """The files of the stages' times, from the results folder."""
+        folders = [self.results / run.scene / run.method for run in self.runs]
+        found = [path for folder in folders for path in _time_files(folder)]
+        return [path.relative_to(self.results).as_posix() for path in found]
 
     @property
     def has_truth(self) -> bool:
@@ -255,10 +299,15 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         if not manifest.exists():
             continue
         images = open_arrays(manifest.with_suffix(".zarr"))
-        runs.append(Run(scene, method, config.scenes[scene], read_manifest(manifest), images))
+        transport = folder / "transport.json"
+        acquired = read_manifest(transport) if transport.exists() else {}
+        facts = read_manifest(manifest)
+        runs.append(Run(scene, method, config.scenes[scene], facts, images, acquired))
         times += [{"scene": scene, "method": method, **row} for row in _job_times(folder)]
     studies = {
-        path.stem: Study(read_manifest(path)["rows"], open_arrays(path.with_suffix(".zarr")))
+        path.stem: Study(
+            path.stem, read_manifest(path)["rows"], open_arrays(path.with_suffix(".zarr"))
+        )
         for path in sorted((results / "studies").glob("*.json"))
     }
     methods.know(config)
@@ -270,6 +319,8 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         pd.read_csv(speed_error),
         pd.DataFrame(times, columns=["scene", "method", "level", "stage", "seconds"]),
         _benchmarks(results / "bench"),
+        results,
+        (errors, speed_error),
     )
 
 
@@ -288,12 +339,16 @@ def _benchmarks(folder: Path) -> dict[str, pd.DataFrame]:
     return found
 
 
+def _time_files(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*.benchmark.tsv"))
+
+
 def _job_times(folder: Path) -> list[dict[str, Any]]:
     """Read the times that the stages of an acquisition left, as many as there are."""
     import pandas as pd
 
     found = []
-    for path in sorted(folder.rglob("*.benchmark.tsv")):
+    for path in _time_files(folder):
         level, stage = path.parent.name, path.name.removesuffix(".benchmark.tsv")
         seconds = float(pd.read_csv(path, sep="\t")["s"].mean())
         if path.parent != folder and level.startswith("L"):

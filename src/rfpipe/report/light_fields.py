@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation, table_of
-from rfpipe.report.drawing import label_below, new_figure, show_radiance
+from rfpipe.report.drawing import Drawing, new_figure
 from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.light import Light
 from rfpipe.report.text import percent, size
 from rfpipe.stages.evaluating.metrics import relative_rms
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["light_fields_section", "view_errors", "views_figure"]
 
-_GRID = 5.7  # inches that an array of pictures is wide
+_GRID = 3.9  # inches that an array of pictures is wide
+_ARRAYS = 3  # relit, true, and their difference
 _GAP = 0.12  # between two arrays, of a picture's width
 _BRIGHT = 99.5  # percentile of the true pictures' radiance that is shown as white
 _SAME = "#e0914a"  # frame of the picture whose view is also the light
@@ -40,27 +39,30 @@ def light_fields_section(inputs: Inputs) -> Section | None:
         of = f"{run.title}, {run.method_title.lower()}"
         shared = (
             f"{of}: {views} views, each picture where its view is in the array; on the left "
-            "relit, with its relative RMS error, on the right ground truth. The framed picture "
-            "is seen and lit from the same place. All pictures have one scale."
+            "relit, with its relative RMS error, in the middle ground truth, on the right relit "
+            "minus true. The framed picture is seen and lit from the same place."
         )
         for letter, name, what in (
             ("a", "light moves", "The middle view, in the light of each view's projector in turn."),
             ("b", "view moves", "The light of the middle view's projector, seen from each view."),
         ):
-            figure = views_figure(run, is_light_moving=letter == "a")
+            drawing = views_figure(run, is_light_moving=letter == "a")
             slug = f"fig_5_8_{letter}_{run.scene}_{run.method}"
-            title = f"Fig. 5.8 ({letter}), the {name}"
-            blocks.append(Illustration(title, f"{what} {shared}", slug, figure))
+            title, told = f"Fig. 5.8 ({letter}), the {name}", f"{what} {shared}"
+            blocks.append(
+                Illustration(title, told, slug, drawing, "Fig. 5.8", sources=[run.source])
+            )
     caption = (
         "Relative RMS error of the pictures in the light of one view's projector: of the picture "
         "from the same view, and of the other views' pictures, in the mean and at worst."
     )
     blocks.append(Tabulation("Errors between views", caption, view_errors(inputs)))
-    return Section("light_fields", "8D reflectance fields (Fig. 5.8)", blocks, [text])
+    sources = [run.source for run in runs]
+    return Section("light_fields", "8D reflectance fields (Fig. 5.8)", blocks, [text], sources)
 
 
-def views_figure(run: Run, *, is_light_moving: bool) -> Figure:
-    """Draw an array of pictures as relit, beside the true ones.
+def views_figure(run: Run, *, is_light_moving: bool) -> Drawing:
+    """Draw an array of pictures as relit, beside the true ones and the errors.
 
     Parameters
     ----------
@@ -78,26 +80,31 @@ def views_figure(run: Run, *, is_light_moving: bool) -> Figure:
     white = float(np.percentile(truth, _BRIGHT)) or 1.0
     height, width = run.settings.shape
     panel = _GRID / columns
-    figure, axes = new_figure(
-        rows,
-        2 * columns + 1,
-        (2 * _GRID + _GAP * panel, rows * (panel * height / width + 0.2) + 0.25),
-        width_ratios=[1.0] * columns + [_GAP] + [1.0] * columns,
-    )
-    for row in axes:
-        row[columns].set_axis_off()
-    for index in range(rows * columns):
+    size = (_ARRAYS * _GRID + 2 * _GAP * panel, rows * (panel * height / width + 0.2) + 0.25)
+    widths = ([1.0] * columns + [_GAP]) * _ARRAYS
+    drawing = Drawing(*new_figure(rows, len(widths) - 1, size, width_ratios=widths[:-1]))
+    titles = ("relit", "ground truth", "error")
+    firsts = {title: index * (columns + 1) for index, title in enumerate(titles)}
+    for index, (image, true) in enumerate(zip(relit, truth, strict=True)):
         row, column = divmod(index, columns)
-        ours, true = axes[row, column], axes[row, columns + 1 + column]
-        show_radiance(ours, relit[index], white)
-        show_radiance(true, truth[index], white)
-        label_below(ours, f"error {relative_rms(relit[index], truth[index]):.1%}")
+        place = f"row {row + 1}, column {column + 1}"
+        pictures = [
+            Light(run.title, f"{what}, {place}", radiance, white)
+            for what, radiance in (("relit", image), ("ground truth", true))
+        ]
+        ours, beside, error = (drawing.axes[row, first + column] for first in firsts.values())
+        drawing.show(ours, pictures[0], f"error {relative_rms(image, true):.1%}")
+        drawing.show(beside, pictures[1])
+        drawing.compare(error, *pictures)
         if index == middle:
-            for axis in (ours, true):
+            for axis in (ours, beside, error):
                 axis.spines[:].set(color=_SAME, linewidth=2.5)
-    for first, title in ((0, "Relit"), (columns + 1, "Ground truth")):
-        axes[0, first + columns // 2].set_title(title, fontsize=9.5, pad=5)
-    return figure
+    for gap in drawing.axes[:, columns :: columns + 1].flat:
+        gap.set_axis_off()
+    for title, first in firsts.items():
+        drawing.axes[0, first + columns // 2].set_title(title, fontsize=9.5, pad=5)
+    drawing.show_errors()
+    return drawing
 
 
 def view_errors(inputs: Inputs) -> Table:

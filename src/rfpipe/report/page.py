@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from rfpipe.config import Config
 from rfpipe.errors import StoreError
@@ -23,18 +20,15 @@ from rfpipe.report import (
     single_responses,
     speed_error,
 )
-from rfpipe.report.blocks import Block, Gallery, Picture, Section, Tabulation
-from rfpipe.report.drawing import image_png, png
+from rfpipe.report.blocks import Section
+from rfpipe.report.entries import RESULTS_NAME, Results, SectionEntry, write_results
 from rfpipe.report.inputs import Inputs, load_inputs
+from rfpipe.report.origin import provenance_of
+from rfpipe.report.placing import Place
 from rfpipe.report.text import ray_size
-from rfpipe.stages.evaluating.evaluate import write_table
 from rfpipe.store.files import write_atomically
 
 __all__ = ["build_report", "make_sections", "write_page"]
-
-_PANEL_PIXELS = 210  # that a picture's panel is wide at least, in its file
-_GAPS_A_PANEL = 25
-_PNG_SIZE = (16, 20)  # where a PNG file has its width and height
 
 
 def build_report(
@@ -48,8 +42,8 @@ def build_report(
     results : Path
         What the stages left, see `rfpipe.report.inputs.load_inputs`.
     page : Path
-        The page to write; pictures embedded. ``figures/*.png`` and ``tables/*.csv`` come to lie
-        beside it.
+        The page to write; pictures embedded. ``figures/*.png`` and ``*.exr``, ``tables/*.csv``
+        and ``results.json`` come to lie beside it.
     errors, speed_error : Path
         The tables of the evaluate stage.
 
@@ -64,14 +58,11 @@ def build_report(
             f"{results}: holds no relit acquisition of the scenes "
             f"{', '.join(config.scenes)}; run the relight stage first"
         )
-    write_page(
-        page,
-        config.report.title,
-        _lead(inputs),
-        make_sections(inputs),
-        methods.swatches(inputs.methods),
-        _SOURCE,
-    )
+    title, lead = config.report.title, _lead(inputs)
+    swatches = methods.swatches(inputs.methods)
+    shown = write_page(page, title, lead, make_sections(inputs), results, swatches, _SOURCE)
+    numbers = Results(title=title, lead=lead, provenance=provenance_of(inputs), sections=shown)
+    write_results(page.with_name(RESULTS_NAME), numbers)
 
 
 def write_page(
@@ -79,26 +70,36 @@ def write_page(
     title: str,
     lead: str,
     sections: Sequence[Section],
+    root: Path,
     swatches: Mapping[str, str] | None = None,
     source: str = "",
-) -> None:
+) -> list[SectionEntry]:
     """Write a page that opens from disk, its pictures embedded.
 
     Parameters
     ----------
     page : Path
-        ``figures/*.png`` and ``tables/*.csv`` come to lie beside it.
+        ``figures/*.png`` and ``*.exr``, and ``tables/*.csv`` come to lie beside it.
     title, lead : str
         Its heading, and a sentence on what it is about.
     sections : sequence of Section
+    root : Path
+        The folder from which their sources are named.
     swatches : mapping of str to str, optional
         Colours that stand before these texts in tables.
     source : str
         What stands at the page's end.
+
+    Returns
+    -------
+    list of SectionEntry
+        All that the page shows, as data.
     """
-    shown = [_placed(section, page.parent) for section in sections]
+    place = Place(page.parent, root)
+    shown = [place.put(section) for section in sections]
     text = _render(title=title, lead=lead, sections=shown, swatches=swatches or {}, source=source)
     write_atomically(page, text.encode())
+    return [section.entry for section in shown]
 
 
 def make_sections(inputs: Inputs) -> list[Section]:
@@ -128,47 +129,6 @@ def make_sections(inputs: Inputs) -> list[Section]:
         background.setup_section(inputs),
     ]
     return [section for section in candidates if section is not None and section.blocks]
-
-
-def _placed(section: Section, folder: Path) -> dict[str, Any]:
-    """Write a section's pictures and tables; return what the page's template needs of it."""
-    return {**vars(section), "blocks": [_placed_block(block, folder) for block in section.blocks]}
-
-
-def _placed_block(block: Block, folder: Path) -> dict[str, Any]:
-    if isinstance(block, Gallery):
-        return {"pictures": [_placed_picture(picture, folder) for picture in block.pictures]}
-    if isinstance(block, Tabulation):
-        file = f"tables/{block.table.csv}" if block.table.csv else ""
-        if block.table.numbers is not None and file:
-            write_table(folder / file, block.table.numbers)
-        return {**vars(block), "file": file}
-    alt = block.alt or f"{block.name}: see the caption."
-    return {**vars(block), "alt": alt, **_placed_image(block.slug, png(block.figure), folder)}
-
-
-def _placed_picture(picture: Picture, folder: Path) -> dict[str, Any]:
-    """Put a picture's panels into one image, a white gap between any two."""
-    first = next(iter(picture.panels.values()))
-    height, width, _ = first.shape
-    scale = max(1, -(-_PANEL_PIXELS // width))
-    gap = np.ones((height * scale, max(1, width * scale // _GAPS_A_PANEL), 3))
-    parts = [gap] * (2 * len(picture.panels) - 1)
-    parts[::2] = [panel.repeat(scale, 0).repeat(scale, 1) for panel in picture.panels.values()]
-    return {
-        **vars(picture),
-        "alt": f"{picture.name}: {', '.join(picture.panels)}, from left to right.",
-        "gap": gap.shape[1] / (width * scale),
-        **_placed_image(picture.slug, image_png(np.concatenate(parts, axis=1)), folder),
-    }
-
-
-def _placed_image(slug: str, image: bytes, folder: Path) -> dict[str, Any]:
-    file = f"figures/{slug}.png"
-    write_atomically(folder / file, image)
-    width, height = (int.from_bytes(image[at : at + 4]) for at in _PNG_SIZE)
-    about = {"file": file, "width": width, "height": height}
-    return {**about, "image": b64encode(image).decode()}
 
 
 def _lead(inputs: Inputs) -> str:

@@ -10,18 +10,19 @@ from numpy.typing import NDArray
 
 from rfpipe.report import methods
 from rfpipe.report.drawing import (
-    brighten_unlit,
+    Drawing,
+    colour_bar,
     head,
-    label_below,
     label_left,
     new_figure,
     new_panels,
     panel_ratio,
     show_image,
     show_panels,
-    show_radiance,
+    unlit_gain,
 )
 from rfpipe.report.inputs import Run, Study
+from rfpipe.report.light import Light
 from rfpipe.report.text import TIMES, words
 from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
 from rfpipe.stages.evaluating.slices import NO_LEAF
@@ -29,7 +30,6 @@ from rfpipe.stages.relight import right_half
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 __all__ = [
     "DECADES",
@@ -44,9 +44,7 @@ __all__ = [
 DECADES = 7
 """Decades of the matrix' entries that are shown, from the largest of a scene down."""
 
-_DIFFERENCE = 0.01
-"""Ends of the difference's colours, as a fraction of the radiance shown as white."""
-
+_ERROR = "relit \N{MINUS SIGN} truth"
 _PANEL = 2.2  # inches
 _SMALL_PANEL = 2.05
 _COLUMN = 2.25  # of the transport matrices
@@ -64,92 +62,116 @@ def amplification(run: Run) -> float:
     return float(max(factor for factor in (1, 2, 5) if factor * magnitude <= wanted) * magnitude)
 
 
-def methods_figure(scenes: Sequence[Sequence[Run]]) -> Figure:
+def methods_figure(scenes: Sequence[Sequence[Run]]) -> Drawing:
     """Compare methods by the light that the lit right half sends to the left one [Fig. 5.9].
 
     Parameters
     ----------
     scenes : sequence of sequences of Run
         For each scene with indirect light its runs. A method that some scenes weren't acquired
-        with leaves its panel empty there.
+        with leaves its panels empty there.
     """
     shown = list(dict.fromkeys(run.method for runs in scenes for run in runs))
     columns = len(shown) + 1
     panel = _PANEL * (1.25 if columns < 4 else 1.1)
     shapes = [runs[0].image_shape for runs in scenes]
-    figure, axes = new_panels(len(scenes), columns, shapes, panel, 0.52)
-    for row, runs in zip(axes, scenes, strict=True):
-        gain = amplification(runs[0])
-        pattern = right_half(runs[0].settings.shape)
-        truth = runs[0].read("half_truth")
-        for axis, method in zip(row, shown, strict=False):
-            run = next((run for run in runs if run.method == method), None)
-            if run is None:
-                axis.set_axis_off()
-                continue
-            relit = run.read("half_relit")
-            show_radiance(axis, brighten_unlit(relit, pattern, gain), run.white)
-            error = unlit_rms(relit, truth, pattern)
-            label_below(axis, f"patterns {run.patterns:,}\nerror on the left half {error:.1%}")
-        show_radiance(row[-1], brighten_unlit(truth, pattern, gain), runs[0].white)
-        label_below(row[-1], f"left half {TIMES} {gain:g}")
-        row[0].text(-0.06, 0.5, runs[0].title, rotation=90, ha="right", va="center", fontsize=8.5,
-                    transform=row[0].transAxes)  # fmt: skip
-    head(axes[0], [*map(methods.title, shown), "Ground truth"])
-    return figure
+    drawing = new_panels(2 * len(scenes), columns, shapes, panel, 0.3)
+    for pair, runs in zip(drawing.axes.reshape(-1, 2, columns), scenes, strict=True):
+        _compare_methods(drawing, pair, shown, runs)
+    head(drawing.axes[0], [*map(methods.title, shown), "Ground truth"])
+    drawing.show_errors()
+    return drawing
 
 
-def levels_figure(runs: Sequence[Run]) -> Figure:
+def _compare_methods(
+    drawing: Drawing, rows: NDArray[Any], shown: Sequence[str], runs: Sequence[Run]
+) -> None:
+    """Draw a scene's pictures by method, and below each its error."""
+    gain = amplification(runs[0])
+    pattern = right_half(runs[0].settings.shape)
+    brightened = unlit_gain(pattern, gain)
+    truth = runs[0].light("ground truth", runs[0].read("half_truth"), brightened)
+    of_method = {run.method: run for run in runs}
+    for (upper, lower), method in zip(rows.T, shown, strict=False):
+        run = of_method.get(method)
+        if run is None:
+            upper.set_axis_off()
+            lower.set_axis_off()
+            continue
+        relit = run.light(run.method_title, run.read("half_relit"), brightened)
+        error = unlit_rms(relit.radiance, truth.radiance, pattern)
+        below = f"patterns {run.patterns:,}\nerror on the left half {error:.1%}"
+        drawing.show(upper, relit, below)
+        drawing.compare(lower, relit, truth)
+    drawing.show(rows[0, -1], truth, f"left half {TIMES} {gain:g}")
+    rows[1, -1].set_axis_off()
+    label_left(rows[0, 0], runs[0].title)
+    label_left(rows[1, 0], _ERROR)
+
+
+def levels_figure(runs: Sequence[Run]) -> Drawing:
     """Relight the vertical bar as if the acquisition had stopped at each level [Fig. 5.7].
 
     Parameters
     ----------
     runs : sequence of Run
-        Of one scene, the methods that have levels. Those without patterns are left out.
+        Of one scene, the methods that have levels. Levels without patterns are left out.
     """
     per_row, shapes = 5, [runs[0].image_shape]
-    n_levels = max(sum(row["patterns"] > 0 for row in run.facts["levels"]) for run in runs)
-    rows_each = -(-(n_levels + 1) // per_row)
-    figure, axes = new_panels(rows_each * len(runs), per_row, shapes, _SMALL_PANEL, 0.42)
-    for index, run in enumerate(runs):
-        own = axes[index * rows_each : (index + 1) * rows_each]
+    truths = [run.light("ground truth", run.read_shown("truth")[0]) for run in runs]
+    relit = [_levels_relit(run, truth) for run, truth in zip(runs, truths, strict=True)]
+    n_rows = [2 * -(-(len(steps) + 1) // per_row) for steps in relit]
+    drawing = new_panels(sum(n_rows), per_row, shapes, _SMALL_PANEL, 0.28)
+    parts = np.split(drawing.axes, np.cumsum(n_rows)[:-1])
+    for run, truth, steps, own in zip(runs, truths, relit, parts, strict=True):
+        show_panels(drawing, own[::2].flat, [*steps, ("ground truth", truth, "")])
+        free = iter(own[1::2].flat)
+        for (_, light, _), axis in zip(steps, free, strict=False):
+            drawing.compare(axis, light, truth)
+        for axis in free:
+            axis.set_axis_off()
+        drawing.show_errors()
         label_left(own[0, 0], run.method_title)
-        truth = run.read_shown("truth")[0]
-        patterns, panels = 0, []
-        for row, image in zip(run.facts["levels"], run.read_shown("levels_relit"), strict=True):
-            if row["patterns"]:
-                patterns += int(row["patterns"])
-                below = f"patterns {patterns:,}, error {relative_rms(image, truth):.1%}"
-                panels.append((f"level {row['level']}", image, below))
-        show_panels(own.flat, [*panels, ("ground truth", truth, "")], run.white)
-    return figure
+        label_left(own[1, 0], _ERROR)
+    return drawing
 
 
-def mosaic_figure(study: Study) -> Figure:
+def _levels_relit(run: Run, truth: Light) -> list[tuple[str, Light, str]]:
+    """Return a run's picture at each level that showed patterns: its title, and its error."""
+    patterns, panels = 0, []
+    for row, image in zip(run.facts["levels"], run.read_shown("levels_relit"), strict=True):
+        if row["patterns"]:
+            patterns += int(row["patterns"])
+            title = f"level {row['level']}"
+            below = f"patterns {patterns:,}, error {relative_rms(image, truth.radiance):.1%}"
+            panels.append((title, run.light(f"{run.method_title}, {title}", image), below))
+    return panels
+
+
+def mosaic_figure(study: Study) -> Drawing:
     """Show the sum of single-pixel images before and after normalization [Fig. B.1]."""
     chains = list(dict.fromkeys(row["chain"] for row in study.rows))
     modes = list(dict.fromkeys(row["normalization"] for row in study.rows))
     about = {(row["chain"], row["normalization"]): row for row in study.rows}
     shapes = [study.images.shape(f"floodlit_{chains[0]}")]
-    figure, axes = new_panels(len(chains), len(modes) + 1, shapes, 2.4, 0.62)
+    drawing = new_panels(len(chains), len(modes) + 1, shapes, 2.4, 0.62)
     names = {
         "none": "sum of all images",
         "per_channel": "normalized per channel",
         "total_energy": "normalized by total energy",
     }
-    for row, chain in zip(axes, chains, strict=True):
+    for row, chain in zip(drawing.axes, chains, strict=True):
         floodlit = study.images.read(f"floodlit_{chain}")
-        white = float(floodlit.max())
-        show_radiance(row[0], floodlit, white)
+        of, white = _CHAINS[chain].replace("\n", " "), float(floodlit.max())
+        drawing.show(row[0], Light(of, "floodlit", floodlit, white))
         label_left(row[0], _CHAINS[chain])
         for axis, mode in zip(row[1:], modes, strict=True):
-            show_radiance(axis, study.images.read(f"sum_{chain}_{mode}"), white)
+            image = study.images.read(f"sum_{chain}_{mode}")
             facts = about[chain, mode]
-            label_below(
-                axis, f"light {facts['energy']:.0%}, colour contrast {facts['colour_contrast']:.0%}"
-            )
-    head(axes[0], ["floodlit", *(names[mode] for mode in modes)])
-    return figure
+            below = f"light {facts['energy']:.0%}, colour contrast {facts['colour_contrast']:.0%}"
+            drawing.show(axis, Light(of, names[mode], image, white), below)
+    head(drawing.axes[0], ["floodlit", *(names[mode] for mode in modes)])
+    return drawing
 
 
 _CHAINS = {
@@ -158,7 +180,7 @@ _CHAINS = {
 }
 
 
-def captured_figure(run: Run) -> Figure:
+def captured_figure(run: Run) -> Drawing:
     """Show the floodlit images and the relit ones."""
     floodlit, relit = run.read("floodlit_captured"), run.read("floodlit_relit")
     shown = {
@@ -166,16 +188,19 @@ def captured_figure(run: Run) -> Figure:
         "floodlit, relit": run.read_shown("floodlit_relit"),
         **dict(zip(run.facts["names"], run.read_shown("relit"), strict=True)),
     }
+    difference = f"difference {relative_rms(relit, floodlit):.1%}"
+    below = {**dict.fromkeys(shown, ""), "floodlit, relit": difference}
     rows = -(-len(shown) // _CAPTURED_ABREAST)
-    figure, axes = new_panels(rows, _CAPTURED_ABREAST, [run.image_shape], _SMALL_PANEL, 0.42)
-    panels = [(words(name), image, "") for name, image in shown.items()]
-    show_panels(axes.flat, panels, run.white)
-    label_below(axes.flat[1], f"difference {relative_rms(relit, floodlit):.1%}")
-    label_left(axes.flat[0], f"patterns {run.patterns:,}")
-    return figure
+    drawing = new_panels(rows, _CAPTURED_ABREAST, [run.image_shape], _SMALL_PANEL, 0.42)
+    panels = [
+        (words(name), run.light(words(name), image), below[name]) for name, image in shown.items()
+    ]
+    show_panels(drawing, drawing.axes.flat, panels)
+    label_left(drawing.axes.flat[0], f"patterns {run.patterns:,}")
+    return drawing
 
 
-def matrices_figure(runs: Sequence[Run]) -> Figure:
+def matrices_figure(runs: Sequence[Run]) -> Drawing:
     """Draw rows (a) to (e) of Fig. 2.1, a column for each run.
 
     Parameters
@@ -188,39 +213,40 @@ def matrices_figure(runs: Sequence[Run]) -> Figure:
     ratio = panel_ratio([run.image_shape for run in runs])
     heights = [ratio] * 2 + [1.0] * (n_rows - 5) + [ratio] * 3
     size = (_COLUMN * len(runs) + 0.9, _COLUMN * sum(heights) + 0.32 * n_rows)
-    figure, axes = new_figure(n_rows, len(runs), size, height_ratios=heights)
-    for column, run in zip(axes.T, runs, strict=True):
-        _draw_column(column, run, with_levels)
-    head(axes[0], [run.title for run in runs])
+    drawing = Drawing(*new_figure(n_rows, len(runs), size, height_ratios=heights))
+    for column, run in zip(drawing.axes.T, runs, strict=True):
+        _draw_column(drawing, column, run, with_levels)
+    head(drawing.axes[0], [run.title for run in runs])
     names = ["(a)  albedo", f"(b)  T {TIMES} floodlight", "(c)  T along the line", "true T"]
     names += ["(d)  level of the leaf"] if with_levels else []
-    names += [f"(e)  T {TIMES} vertical bar", "true radiance", "difference"]
-    for axis, name in zip(axes[:, 0], names, strict=True):
+    names += [f"(e)  T {TIMES} vertical bar", "true radiance", _ERROR]
+    for axis, name in zip(drawing.axes[:, 0], names, strict=True):
         label_left(axis, name)
-    _add_scales(figure, axes, runs, with_levels)
-    return figure
+    _add_scales(drawing, runs, with_levels)
+    drawing.show_errors()
+    return drawing
 
 
-def _draw_column(column: NDArray[Any], run: Run, with_levels: bool) -> None:
+def _draw_column(drawing: Drawing, column: NDArray[Any], run: Run, with_levels: bool) -> None:
     """Draw one run's panels, top to bottom."""
     panels = iter(column)
-    show_radiance(next(panels), run.read("albedo"), 1.0)
-    axis = next(panels)
-    show_radiance(axis, run.read("floodlit_relit"), run.white)
+    albedo = Light(run.title, "albedo", run.read("albedo"), 1.0, quantity="albedo")
+    drawing.show(next(panels), albedo)
+    axis, floodlit = next(panels), run.read("floodlit_relit")
+    error = relative_rms(floodlit, run.read("floodlit_truth"))
+    drawing.show(axis, run.light("floodlit, relit", floodlit), f"error {error:.2%}")
     axis.axhline(run.facts["row"], color="#ffd84a", linewidth=1.6, alpha=0.55)
-    error = relative_rms(run.read("floodlit_relit"), run.read("floodlit_truth"))
-    label_below(axis, f"error {error:.2%}")
     for name in ("line_relit", "line_truth"):
         _show_line(next(panels), run.read(name), run)
     if with_levels:
         _show_levels(next(panels), run)
     pattern, relit, truth = (run.read(name)[0] for name in ("patterns", "relit", "truth"))
-    axis = next(panels)
-    label_below(axis, _errors(run, relit, truth, pattern))
-    for panel, image in ((axis, relit), (next(panels), truth)):
-        show_radiance(panel, brighten_unlit(image, pattern) if run.is_coaxial else image, run.white)
-    difference = (relit - truth).mean(axis=-1) / run.white
-    show_image(next(panels), difference, cmap="RdBu_r", vmin=-_DIFFERENCE, vmax=_DIFFERENCE)
+    gain = unlit_gain(pattern) if run.is_coaxial else 1.0
+    ours = run.light("vertical bar, relit", relit, gain)
+    true = run.light("vertical bar, truth", truth, gain)
+    drawing.show(next(panels), ours, _errors(run, relit, truth, pattern))
+    drawing.show(next(panels), true)
+    drawing.compare(next(panels), ours, true)
 
 
 def _errors(run: Run, relit: NDArray[Any], truth: NDArray[Any], pattern: NDArray[Any]) -> str:
@@ -251,22 +277,16 @@ def _last_level(run: Run) -> int:
     return max((int(row["level"]) for row in run.facts["levels"]), default=0) or 1
 
 
-def _add_scales(figure: Figure, axes: NDArray[Any], runs: Sequence[Run], with_levels: bool) -> None:
-    """Add colour bars at the right of the rows that need one."""
+def _add_scales(drawing: Drawing, runs: Sequence[Run], with_levels: bool) -> None:
+    """Add colour bars at the right of the rows of matrices."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LogNorm, Normalize
 
-    def add(rows: slice, mappable: ScalarMappable, label: str, **options: Any) -> None:
-        bar = figure.colorbar(mappable, ax=list(axes[rows, -1]), fraction=0.06, pad=0.03, **options)
-        bar.set_label(label, fontsize=8)
-        bar.ax.tick_params(labelsize=7.5, width=0.5, length=2.5)
-        bar.outline.set_linewidth(0.5)
-
-    add(slice(2, 4), ScalarMappable(LogNorm(10.0**-DECADES, 1), "magma"),
-        "entry of T over the largest", aspect=32)  # fmt: skip
+    last = list(drawing.axes[:, -1])
+    entries = ScalarMappable(LogNorm(10.0**-DECADES, 1), "magma")
+    colour_bar(drawing.figure, entries, last[2:4], "entry of T over the largest", aspect=32)
     if with_levels:
         deepest = max(_last_level(run) for run in runs)
-        add(slice(4, 5), ScalarMappable(Normalize(0, deepest), "gray_r"),
-            "level (pale blue: empty)", aspect=16, ticks=list(range(deepest + 1)))  # fmt: skip
-    add(slice(-1, None), ScalarMappable(Normalize(-_DIFFERENCE * 100, _DIFFERENCE * 100), "RdBu_r"),
-        "% of white", aspect=16)  # fmt: skip
+        levels = ScalarMappable(Normalize(0, deepest), "gray_r")
+        label, ticks = "level (pale blue: empty)", list(range(deepest + 1))
+        colour_bar(drawing.figure, levels, last[4:5], label, aspect=16, ticks=ticks)

@@ -10,7 +10,7 @@ from rfpipe.report.blocks import Block, Illustration, Section, Tabulation
 from rfpipe.report.drawing import UNLIT_GAIN, chunks
 from rfpipe.report.inputs import Inputs
 from rfpipe.report.text import number, percent, size, wishes, words
-from rfpipe.report.thesis import DUAL_ON_SCENE_IV, PLANES_SHAPE, TABLE_5_1, numeral_of
+from rfpipe.report.thesis import DUAL_ON_SCENE_IV, PLANES_SHAPE, numeral_of
 
 __all__ = [
     "captured_section",
@@ -52,16 +52,17 @@ def errors_section(inputs: Inputs) -> Section:
         "Errors by pattern",
         [Tabulation("Errors by pattern", detail, tables.errors_by_pattern(inputs))],
         [about],
+        inputs.error_sources[:1],
     )
 
 
 def captured_section(inputs: Inputs) -> Section:
     """The scene under floodlight and under the relighting patterns, for each method."""
     caption = (
-        "The scene under floodlight, as the rig captured it and as the acquired T gives it, with "
-        "their relative RMS difference, and the scene relit with each of the relighting "
-        "patterns. The captured floodlit image's maximum is shown as white. The difference tells "
-        "whether the levels add up, not whether each pixel's light comes from the right place."
+        "The scene under floodlight, as the rig captured it and as relit from what was acquired, "
+        "with their relative RMS difference, and the scene relit with each of the relighting "
+        "patterns. The difference tells whether the levels add up, not whether each pixel's light "
+        "comes from the right place."
     )
     if inputs.light_fields:
         caption += " Of the views the middle one is shown."
@@ -74,6 +75,7 @@ def captured_section(inputs: Inputs) -> Section:
                 caption,
                 f"captured_{run.scene}_{run.method}",
                 pictures.captured_figure(run),
+                sources=[run.source],
             )
             for run in inputs.runs
         ],
@@ -98,14 +100,15 @@ def matrices_section(inputs: Inputs) -> Section:
                 else ""
             )
             caption = (
-                "(a) Albedo of the scene. (b) The scene under floodlight, rendered from the "
-                "acquired T; the line marks the rays of (c) and (d). (c) Entries of T between "
-                "the rays of that line, camera rays down and projector rays across, acquired and "
-                f"true: mean of the channels, logarithmic over {pictures.DECADES} decades. On a "
-                "coaxial rig the diagonal is direct light, the off-diagonal quarters light from "
-                f"one plane to the other, the diagonal quarters third bounces. {leaves}(e) Relit "
-                f"with a vertical bar{unlit}; beside it the truth, and the difference before "
-                "brightening."
+                "T is the light transport matrix: how much light each projector ray, a column, "
+                "sends into each camera ray, a row. (a) Albedo of the scene. (b) The scene under "
+                "floodlight, rendered from the acquired T; the line marks the rays of (c) and "
+                "(d). (c) Entries of T between the rays of that line, camera rays down and "
+                "projector rays across, acquired and true: mean of the channels, logarithmic over "
+                f"{pictures.DECADES} decades. On a coaxial rig the diagonal is direct light, the "
+                "off-diagonal quarters light from one plane to the other, the diagonal quarters "
+                f"third bounces. {leaves}(e) Relit with a vertical bar{unlit}; below it the truth, "
+                "and relit minus true as it shows here."
             )
             blocks.append(
                 Illustration(
@@ -113,6 +116,8 @@ def matrices_section(inputs: Inputs) -> Section:
                     caption,
                     f"fig_2_1_{method}{suffix}",
                     pictures.matrices_figure(runs),
+                    "Fig. 2.1",
+                    [run.source for run in runs],
                     is_folded=method != inputs.methods[0],
                 )
             )
@@ -142,7 +147,8 @@ def cost_section(inputs: Inputs) -> Section:
             f"{size(130, 200)}; 2 s a HDR image, processing included, on a computer of 2006."
         )
         name, table = "Table 5.1, symmetric photography", tables.table_5_1(inputs)
-        blocks.append(Tabulation(name, caption, table, is_folded=False))
+        thesis = "Table 5.1"
+        blocks.append(Tabulation(name, caption, table, is_folded=False, thesis=thesis))
     if methods.of_table("3.1", inputs.methods):
         caption = common + (
             "A brute-force scan is computed: one pattern a ray, T as float32. The thesis' scenes "
@@ -151,8 +157,10 @@ def cost_section(inputs: Inputs) -> Section:
             "patterns."
         )
         name, table = "Table 3.1, dual photography", tables.table_3_1(inputs)
-        blocks.append(Tabulation(name, caption, table, is_folded=False))
-    return Section("cost", "Size, time and patterns (Tables 5.1 and 3.1)", blocks)
+        thesis = "Table 3.1"
+        blocks.append(Tabulation(name, caption, table, is_folded=False, thesis=thesis))
+    title = "Size, time and patterns (Tables 5.1 and 3.1)"
+    return Section("cost", title, blocks, sources=inputs.run_sources)
 
 
 def methods_section(inputs: Inputs) -> Section | None:
@@ -161,19 +169,25 @@ def methods_section(inputs: Inputs) -> Section | None:
     scenes = [runs for runs in scenes if len(runs) > 1 and runs[0].has_indirect_light]
     if not scenes:
         return None
-    thesis = TABLE_5_1["Fig. 2.1 (IV)"].patterns
     caption = (
-        "The right half of each scene is lit. The left half shows indirect light alone and is "
-        "amplified by the factor given, the same in a row. Relative RMS error on the left half. "
-        f"The thesis compares symmetric and dual photography on scene IV at {size(*PLANES_SHAPE)}: "
-        f"{thesis} patterns against {DUAL_ON_SCENE_IV:,}; there, too, dual photography blurs what "
-        "it can't resolve."
+        "The right half of each scene is lit. The left half shows indirect light alone, light "
+        "that came by way of another surface, and is amplified by the factor given, the same in a "
+        "row. Relative RMS error on the left half; below each picture its difference from the "
+        "truth, amplified as the pictures are. The thesis compares symmetric and dual photography "
+        f"on scene IV at {size(*PLANES_SHAPE)} rays."
     )
     return Section(
         "methods",
         "The methods side by side (Fig. 5.9)",
         [
-            Illustration("Fig. 5.9", caption, f"fig_5_9{suffix}", pictures.methods_figure(part))
+            Illustration(
+                "Fig. 5.9",
+                caption,
+                f"fig_5_9{suffix}",
+                pictures.methods_figure(part),
+                "Fig. 5.9",
+                [run.source for runs in part for run in runs],
+            )
             for part, suffix in _parts(scenes)
         ],
     )
@@ -191,11 +205,13 @@ def levels_section(inputs: Inputs) -> Section | None:
     where = ", the middle view," if last.settings.is_light_field else ""
     caption = (
         f"{last.title}{where} relit with the vertical bar, as if the acquisition had stopped at "
-        "each level; patterns shown up to there, and the relative RMS error in total. Where leaves "
-        "are products of two images, a picture has full resolution at every level, but the light "
-        "of a lit pixel is spread over its whole block."
+        "each level of its subdivision into smaller blocks; patterns shown up to there, the "
+        "relative RMS error in total, and below the difference from the truth. Where blocks are "
+        "stored as products of two images, a picture has full resolution at every level, but the "
+        "light of a lit pixel is spread over its whole block."
     )
-    figure = Illustration("Fig. 5.7", caption, "fig_5_7", pictures.levels_figure(runs))
+    drawing, sources = pictures.levels_figure(runs), [run.source for run in runs]
+    figure = Illustration("Fig. 5.7", caption, "fig_5_7", drawing, "Fig. 5.7", sources)
     return Section("levels", "Stopping at a level (Fig. 5.7)", [figure])
 
 
@@ -212,7 +228,8 @@ def leaves_section(inputs: Inputs) -> Section | None:
     ]
     rows = [part for own in groups for part, _ in _parts(own)]
     caption = (
-        "What becomes of the nodes of each level, in per cent of the nodes measured at it. With "
+        "What becomes of the parts of T that are measured at each level, its nodes, in per cent "
+        "of them: a leaf is stored as it is, the others are subdivided. With "
         "symmetric photography a node is a pair of blocks; empty ones are the sparse part of T, "
         "rank-1 ones the data-sparse part. With dual photography a node is a block as seen by one "
         "camera pixel, and a leaf a response that is stored at this level. The last level's "
@@ -224,8 +241,9 @@ def leaves_section(inputs: Inputs) -> Section | None:
     blocks: list[Block] = [Tabulation("Levels", about, tables.levels_table(inputs))]
     if rows:
         figure = charts.leaves_figure(rows)
-        blocks.insert(0, Illustration("Fig. 5.10", caption, "fig_5_10", figure))
-    return Section("leaves", "Leaves at each level (Fig. 5.10)", blocks)
+        blocks.insert(0, Illustration("Fig. 5.10", caption, "fig_5_10", figure, "Fig. 5.10"))
+    sources = [run.source for run in runs]
+    return Section("leaves", "Leaves at each level (Fig. 5.10)", blocks, sources=sources)
 
 
 def speed_section(inputs: Inputs) -> Section | None:
@@ -250,12 +268,13 @@ def speed_section(inputs: Inputs) -> Section | None:
             caption,
             f"speed_error{suffix}",
             charts.speed_error_figure(inputs, part),
-            _speed_in_words(inputs, part),
+            alt=_speed_in_words(inputs, part),
         )
         for part, suffix in _parts(scenes)
     ]
     table = Tabulation("Cost at each step", about, tables.speed_table(inputs))
-    return Section("speed", "Speed against error", [*curves, table])
+    sources = inputs.error_sources[1:]
+    return Section("speed", "Speed against error", [*curves, table], sources=sources)
 
 
 def _speed_in_words(inputs: Inputs, scenes: Sequence[str]) -> str:

@@ -48,6 +48,7 @@ def single_responses_section(inputs: Inputs) -> Section | None:
         f"Why {name[0].lower()}{name[1:]} errs as it does",
         [Tabulation("Blocks or noise", caption, table, is_folded=False)],
         [_explanation(own, worst)],
+        [run.source for run in inputs.runs if run.scene in scenes],
     )
 
 

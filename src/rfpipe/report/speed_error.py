@@ -139,7 +139,8 @@ def rivals_section(inputs: Inputs) -> Section | None:
         shown = _comparison_table(beside)
         blocks.append(Tabulation("Near/far against symmetric photography", _BESIDE, shown))
     blocks.append(Tabulation("Runs", _RUNS, _runs_table(table)))
-    return Section("rivals", "Error against patterns of all methods", blocks, text)
+    title, sources = "Error against patterns of all methods", ["bench/speed_error.csv"]
+    return Section("rivals", title, blocks, text, sources)
 
 
 _ABOUT = (

@@ -41,7 +41,8 @@ def costs(inputs: Inputs) -> list[dict[str, Any]]:
         ``dense_terabytes`` of T as float32,
         ``capture_s`` at the rig's stated seconds a pattern, ``processing_s``: wall seconds of
         the run's processing jobs, or of the same acquisition within the sweep where there are
-        no benchmark files; NaN without either. ``minutes`` of both; of the capture alone where
+        no benchmark files; NaN without either. ``capture_jobs_s``: wall seconds of the capture
+        as it ran. ``minutes`` of both; of the capture alone where
         that is all that is known.
     """
     return [_cost(inputs, run) for run in inputs.runs]
@@ -51,7 +52,7 @@ def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
     height, width = run.settings.shape
     channels, camera_rays = run.settings.channels, math.prod(run.settings.camera_ray_shape)
     capture = run.patterns * inputs.config.capture.seconds_per_pattern
-    _, processing = _job_seconds(inputs, run)
+    simulated, processing = _job_seconds(inputs, run)
     if math.isnan(processing):
         processing = _in_process_seconds(inputs, run)
     return {
@@ -67,6 +68,7 @@ def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
         "megabytes": run.facts["bytes"] / 1e6,
         "dense_terabytes": run.rays * camera_rays * channels * _FLOAT_BYTES / 1e12,
         "capture_s": capture,
+        "capture_jobs_s": simulated,
         "processing_s": processing,
         "minutes": (capture + (0.0 if math.isnan(processing) else processing)) / 60,
     }
@@ -220,7 +222,8 @@ def errors_by_pattern(inputs: Inputs) -> Table:
             ("on the unlit pixels, %", len(names)),
         ],
         csv="errors.csv",
-        numbers=None,
+        numbers=inputs.errors,
+        is_written=True,
     )
 
 
@@ -271,7 +274,8 @@ def speed_table(inputs: Inputs) -> Table:
         ],
         [("", 3), ("cost", 4), ("mean error", 4)],
         csv="speed_error.csv",
-        numbers=None,
+        numbers=inputs.speed_error,
+        is_written=True,
     )
 
 
