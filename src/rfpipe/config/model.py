@@ -12,6 +12,7 @@ from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
 from rfpipe.config.base import Extent, MethodSettings, SectionsOf, Settings, Text, group_of
 from rfpipe.config.camera import CameraConfig
+from rfpipe.config.figures import FiguresConfig
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
 
@@ -186,6 +187,11 @@ class ReportConfig(Settings):
         min_length=1,
         description="Sides, in pixels, of the square domains in the plot of patterns against "
         "resolution [Fig. 3.8], 1 to 4096.",
+    )
+    figures: FiguresConfig | None = Field(
+        None,
+        description="The thesis' figures on physically based scenes, or null for none: side, "
+        "samples, positions and cache; they need the extra rfpipe[mitsuba].",
     )
 
 

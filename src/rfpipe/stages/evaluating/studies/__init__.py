@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,23 +17,39 @@ from rfpipe.units import RADIANCE_UNIT
 if TYPE_CHECKING:
     from rfpipe.config import Config
 
-__all__ = ["STUDIES", "run", "run_study"]
+__all__ = ["FIGURES", "STUDIES", "run", "run_study"]
 
 STUDIES = ("resolution", "stability", "mosaic")
 """Patterns against resolution [Fig. 3.8], numerically hard cases, colour normalization under a
 Bayer mosaic [Fig. B.1]."""
 
+FIGURES = {
+    "walk": "dual_pictures",
+    "box": "dual_pictures",
+    "bottle": "dual_pictures",
+    "samples": "dual_pictures",
+    "right_angles": "dual_pictures",
+}
+"""The studies behind the thesis' other figures, and their modules here; on physically based scenes,
+so they are made where ``report.figures`` is set."""
+
 
 def run_study(name: str, config: Config) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:
-    """Run one of `STUDIES`; return its table's rows as plain data, and its images.
+    """Run one of `STUDIES` or `FIGURES`; return its table's rows as plain data, and its images.
 
     Raises
     ------
     InputError
         If there is no such study.
     """
+    if name in FIGURES:
+        module = import_module(f"{__name__}.{FIGURES[name]}")
+        made: tuple[list[dict[str, Any]], dict[str, NDArray[Any]]] = getattr(
+            module, f"{name}_study"
+        )(config)
+        return made
     if name not in STUDIES:
-        raise InputError(f"study {name!r}: expected one of {', '.join(STUDIES)}")
+        raise InputError(f"study {name!r}: expected one of {', '.join((*STUDIES, *FIGURES))}")
     from rfpipe.stages.evaluating.studies import mosaic, resolution, stability
 
     of_name = {
@@ -49,7 +66,7 @@ def run(name: str, config: Config, manifest: Path, code: str) -> None:
     Parameters
     ----------
     name : str
-        One of `STUDIES`.
+        One of `STUDIES` or `FIGURES`.
     config : Config
     manifest : Path
         The store of images stands beside it; empty for a study without images.

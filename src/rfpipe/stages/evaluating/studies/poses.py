@@ -1,0 +1,45 @@
+"""Where the thesis' rigs stand before physically based scenes."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rfpipe.stages.evaluating.studies.physical import physical_scene
+
+if TYPE_CHECKING:
+    from rfpipe.config import Config
+    from rfpipe.scenes.mitsuba.scene import MitsubaScene
+    from rfpipe.scenes.mitsuba.views import View
+
+__all__ = ["aside", "turned"]
+
+_RIGHT, _UP = 22.0, 12.0  # degrees from the camera to the projector
+
+
+def turned(view: View, right: float, up: float = 0.0) -> dict[str, Any]:
+    """Return a pinhole as settings, gone round its target to the right and up, in degrees."""
+    target = np.array(view.target)
+    out = np.array(view.origin) - target
+    upward = np.array(view.up) / np.linalg.norm(view.up)
+    for degrees, axis in ((right, upward), (-up, np.cross(upward, out))):
+        out = _rotated(out, axis / np.linalg.norm(axis), np.radians(degrees))
+    origin = tuple(float(x) for x in target + out)
+    return {**asdict(view), "origin": origin}
+
+
+def _rotated(vector: Any, axis: Any, angle: float) -> Any:
+    """Turn a vector about a unit axis (Rodrigues)."""
+    along = axis * (axis @ vector)
+    return along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector)
+
+
+def aside(config: Config, name: str, **changes: Any) -> MitsubaScene:
+    """Return a scene seen by its first camera, the projector to the right of it and above."""
+    from rfpipe.scenes.mitsuba.worlds import WORLDS
+
+    camera = WORLDS[name].cameras[0]
+    rig = {"cameras": [asdict(camera)], "projectors": [turned(camera, _RIGHT, _UP)]}
+    return physical_scene(config, name, **rig, **changes)
