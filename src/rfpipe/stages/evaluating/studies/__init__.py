@@ -29,6 +29,11 @@ FIGURES = {
     "bottle": "dual_pictures",
     "samples": "dual_pictures",
     "right_angles": "dual_pictures",
+    "growth": "growth",
+    "arc": "arc",
+    "bears": "symmetric_pictures",
+    "flare": "symmetric_pictures",
+    "laws": "laws",
 }
 """The studies behind the thesis' other figures, and their modules here; on physically based scenes,
 so they are made where ``report.figures`` is set."""

@@ -1,0 +1,80 @@
+"""Dual photography's patterns against the projector's resolution [thesis Fig. 3.8]."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.evaluating.studies.physical import Arrays, Rows, acquired, physical_scene, white
+from rfpipe.stages.evaluating.studies.poses import aside
+
+if TYPE_CHECKING:
+    from rfpipe.config import Config
+    from rfpipe.scenes.mitsuba.scene import MitsubaScene
+
+__all__ = ["growth_study"]
+
+_SIZES = 5
+
+
+class _Coarse:
+    """A scene before a projector of larger pixels, each `factor` of the scene's own along a side.
+
+    The camera stays as it is, as the thesis' did.
+    """
+
+    def __init__(self, scene: MitsubaScene, factor: int) -> None:
+        self._scene, self._factor = scene, factor
+        height, width = scene.projector_shape
+        self.camera_shape = scene.camera_shape
+        self.projector_shape = (height // factor, width // factor)
+        self.channels = scene.channels
+
+    def apply(self, patterns: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Radiance (B, M, C) under patterns (B, N)."""
+        coarse = patterns.reshape(len(patterns), *self.projector_shape)
+        return self._scene.apply(coarse.repeat(self._factor, 1).repeat(self._factor, 2))
+
+
+def growth_study(config: Config) -> tuple[Rows, Arrays]:
+    """Acquire the box and the bottle at five resolutions of the projector, by dual photography.
+
+    Returns
+    -------
+    rows : list of dict
+        ``scene`` ("box", "bottle"), ``side``, ``rays``, ``levels`` of the block tree,
+        ``patterns``, and ``error`` of the floodlit picture relit.
+    arrays : dict
+        Empty.
+    """
+    from rfpipe.config.figures import FiguresConfig
+
+    asked = config.report.figures or FiguresConfig()
+    side = 2 ** int(np.ceil(np.log2(asked.side)))
+    shape = {"shape": (side, side)}
+    rows: Rows = []
+    for name, scene in (
+        ("box", aside(config, "two_blocks", **shape)),
+        ("bottle", physical_scene(config, "bottle", **shape)),
+    ):
+        full = scene.projector_shape[0]
+        for halvings in reversed(range(min(_SIZES, int(np.log2(full))))):
+            coarse = _Coarse(scene, 2**halvings)
+            result, _ = acquired(config, coarse, "dual")
+            light = white(coarse.projector_shape)
+            truth = coarse.apply(light[None]).reshape(*coarse.camera_shape, coarse.channels)
+            rows.append(
+                {
+                    "scene": name,
+                    "side": coarse.projector_shape[0],
+                    "rays": light.size,
+                    "levels": BlockTree(RayDomain(coarse.projector_shape)).n_levels,
+                    "patterns": result.patterns,
+                    "error": relative_rms(result.transport.relight(light), truth),
+                }
+            )
+    return rows, {}
