@@ -33,6 +33,8 @@ Float = NDArray[np.float32]
 Rows = list[dict[str, Any]]
 Arrays = dict[str, NDArray[Any]]
 
+_FILLED = 0.8  # of the full well, at most, by the floodlit picture
+
 # What a machine without LLVM renders, pattern by pattern, in minutes.
 _SLOW_SIDE, _SLOW_SAMPLES = 16, 64
 
@@ -94,16 +96,20 @@ def acquired(
     scene : Scene
     method : str
     light : float
-        Factor on the photons that the run's camera gets.
+        Factor on the photons that the run's camera gets; its aperture is closed so far that the
+        floodlit picture isn't saturated.
     **options
         The method's, in place of those of the run.
     """
     from rfpipe.stages.acquire import acquire
     from rfpipe.stages.settings import acquire_options
 
-    camera = config.camera and config.camera.model_copy(
-        update={"electrons_per_radiance": light * config.camera.electrons_per_radiance}
-    )
+    camera = config.camera
+    if camera is not None:
+        floodlit = white(scene.projector_shape).reshape(1, -1)
+        brightest = camera.full_well_electrons / camera.exposures[0] / scene.apply(floodlit).max()
+        electrons = min(light * camera.electrons_per_radiance, _FILLED * float(brightest))
+        camera = camera.model_copy(update={"electrons_per_radiance": electrons})
     rig = WatchedRig(scene, sensor_from_config(camera), config.seed)
     section = config.methods.get(method)
     asked = acquire_options(config, method, section) if section else {"method": method}
