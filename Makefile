@@ -7,6 +7,8 @@ PIP := $(VENV)/bin/python -m pip
 REPORT := results/report/index.html
 # the settings of a rig, for calibrate and serve
 RIG ?= config/bench.yaml
+# the settings of the thesis' figures; at full size config/figures_full.yaml
+FIGURES ?= config/figures.yaml
 # more options for snakemake, as in: make run ARGS="--dry-run"
 ARGS ?=
 
@@ -18,7 +20,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-.PHONY: help install run thesis calibrate serve unlock test lint format bench config lock clean
+.PHONY: help install run thesis figures calibrate serve unlock test lint format bench config lock clean
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
@@ -50,16 +52,24 @@ thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the fo
 	@snakemake --directory thesis --configfile config/thesis.yaml $(ARGS)
 	@echo "report: thesis/$(REPORT)"
 
+figures: $(INSTALLED) ## make every figure and table of the thesis, reduced, in the folder figures/
+	@python -c 'import mitsuba' 2>/dev/null || $(PIP) install --quiet --no-build-isolation --editable '.[mitsuba]' || \
+	  { echo "make: Mitsuba 3 can't be installed; the physically based scenes need it" >&2; exit 1; }
+	@snakemake --directory figures --configfile $(FIGURES) $(ARGS)
+	@echo "report: figures/$(REPORT)"
+
 calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (docs/rig.md)
 	@rfpipe calibrate $(RIG)
 
 serve: $(INSTALLED) ## run a rig's acquisition server until Ctrl-C: make serve RIG=config/rig.yaml
 	@rfpipe serve $(RIG)
 
-unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock run (or thesis)
+unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock run (or thesis, figures)
 	@snakemake --unlock
 	@if [ -d thesis ]; then \
 	  snakemake --directory thesis --configfile config/thesis.yaml --unlock; fi
+	@if [ -d figures ]; then \
+	  snakemake --directory figures --configfile $(FIGURES) --unlock; fi
 
 test: lint ## check everything: lint, types, layers, workflow, tests
 	pytest -n 2 --dist worksteal

@@ -3,6 +3,7 @@
 from rfpipe.config import load_config, parse_config
 from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
+from rfpipe.stages.evaluating.studies import FIGURES
 from rfpipe.stages.evaluating.sweep import is_swept
 from rfpipe.stages.jobs.code import acquisition_code, module_of, stage_code
 from rfpipe.stages.jobs.notify import notify
@@ -110,8 +111,11 @@ def sweep_code(wildcards):
 
 def study_code(wildcards):
     """Fingerprint of the code of the studies, which compare methods."""
-    methods = [module_of(METHODS, name) for name in method_names()]
-    return stage_code("stages.evaluating.studies", *methods)
+    made_with = [module_of(METHODS, name) for name in method_names()]
+    if wildcards.study in FIGURES:
+        made_with.append(f"rfpipe.stages.evaluating.studies.{FIGURES[wildcards.study]}")
+        made_with.append("rfpipe.scenes.kinds.mitsuba")
+    return stage_code("stages.evaluating.studies", *made_with)
 
 
 def report_code(wildcards):
@@ -129,7 +133,10 @@ def study_settings(wildcards):
     settings = {
         **SHAPING,
         "capture": {**SHAPING["capture"], "rig": "simulated"},
-        "report": {"resolutions": list(SETTINGS.report.resolutions)},
+        "report": {
+            name: SHAPING["report"][name]
+            for name in (["figures"] if wildcards.study in FIGURES else ["resolutions"])
+        },
     }
     del settings["scenes"]
     return settings

@@ -1,9 +1,11 @@
 import rfpipe
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.evaluating.studies import STUDIES
+from rfpipe.stages.evaluating.studies import FIGURES, STUDIES
 
 # Simulated scenes on which the methods are compared: no part of what a rig's report is about.
 SHOWN_STUDIES = STUDIES if SETTINGS.capture.rig == "simulated" else []
+if SETTINGS.report.figures is not None:
+    SHOWN_STUDIES = [*SHOWN_STUDIES, *FIGURES]
 
 PAGE_TEMPLATE = Path(rfpipe.__file__).parent / "report" / "page.html.j2"
 
@@ -17,7 +19,7 @@ rule studies:
     benchmark:
         "results/studies/{study}.benchmark.tsv"
     wildcard_constraints:
-        study="|".join(STUDIES),
+        study="|".join([*STUDIES, *FIGURES]),
     conda:
         "../envs/rfpipe.yaml"
     resources:

@@ -13,6 +13,7 @@ from rfpipe.report import (
     background,
     benchmarks,
     estimates,
+    figures,
     glance,
     light_fields,
     methods,
@@ -117,6 +118,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
         pictures = [sections.captured_section(inputs)]
     candidates = [
         glance.glance_section(inputs),
+        *figures.figures_sections(inputs),
         sections.speed_section(inputs),
         *pictures,
         sections.cost_section(inputs),

@@ -47,7 +47,8 @@ def arc_study(config: Config) -> tuple[Rows, Arrays]:
     from rfpipe.scenes.mitsuba.worlds import WORLDS
 
     asked = config.report.figures or FiguresConfig()
-    cameras = WORLDS[_WORLD].cameras
+    world = WORLDS[_WORLD]
+    cameras = world.cameras
     chosen = np.linspace(0, len(cameras) - 1, min(asked.positions, len(cameras))).round()
     small = max(2, asked.side // _CAMERA_SHARE)
 
@@ -56,6 +57,7 @@ def arc_study(config: Config) -> tuple[Rows, Arrays]:
             config,
             _WORLD,
             cameras=[asdict(cameras[index])],
+            projectors=[asdict(each) for each in world.projectors or ()],
             shape=(side, side),
             projector_shape=(asked.side, asked.side),
         )

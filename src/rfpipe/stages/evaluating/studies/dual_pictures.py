@@ -15,6 +15,7 @@ from rfpipe.stages.evaluating.studies.physical import (
     acquired,
     cost,
     dual_truth,
+    even_shape,
     matte,
     physical_scene,
     white,
@@ -32,6 +33,9 @@ __all__ = ["bottle_study", "box_study", "right_angles_study", "samples_study", "
 Float = NDArray[np.float32]
 
 _DIM = 0.1  # of the run's light, at which single pixels' inter-reflections sink into noise
+_MANY = 4.0  # times the camera pixels that a median projector pixel lights
+_LEAST_LIT = 0.01  # of the light of the projector pixel that most comes back from
+_COARSE = 3e-2  # tolerance of the patterns shown
 _TO_THE_PIXEL = 1e-9  # tolerance at which nothing is stored at a coarse level but noise
 
 
@@ -98,8 +102,9 @@ def box_study(config: Config) -> tuple[Rows, Arrays]:
         Float32 (H, W, 3): ``primal``, ``dual_truth``, ``dual_hierarchy``, ``dual_pixel``, and
         ``level_{k}``, what the hierarchy's level k adds to the dual picture.
     """
-    scene = aside(config, "two_blocks")
-    direct = aside(config, "two_blocks", bounces=1)
+    shape = {"shape": even_shape(config)}
+    scene = aside(config, "two_blocks", **shape)
+    direct = aside(config, "two_blocks", bounces=1, **shape)
     light, floodlit = white(scene.camera_shape), white(scene.projector_shape)
     truth, direct_truth = dual_truth(scene, light), dual_truth(direct, light)
     arrays: Arrays = {"primal": _primal(scene, floodlit), "dual_truth": truth}
@@ -162,14 +167,17 @@ def bottle_study(config: Config) -> tuple[Rows, Arrays]:
     Returns
     -------
     rows : list of dict
-        The row of Table 3.1, ``matte_error`` and ``primal_error``: relative RMS errors of the
-        pictures relit by the matte, and ``lit``: the lit fraction of the pattern shown, over all
-        pixels and over those whose light takes part in caustics.
+        The row of Table 3.1; ``dual_matte_error`` and ``primal_matte_relit_error``: relative RMS
+        errors of pictures relit by the matte; ``coarse``: the fraction of the dual picture's light
+        that is stored above the last level; ``together_at_glass`` and ``together_elsewhere``:
+        pixels lit together at the last level, where light is spread over much of the picture and
+        where not.
     arrays : dict of ndarray
-        Float32: ``primal``, ``dual``, ``dual_truth``, ``primal_matte``, ``primal_matte_truth``,
-        ``dual_matte``, ``dual_matte_truth``, ``pattern`` (projector_shape), ``pattern_seen``.
+        Float32 (H, W, 3): ``primal``; ``primal_relit``, ``primal_matte_relit``, ``dual`` and
+        ``dual_matte`` and the truth of each, ``{name}_truth``; ``pattern``, the one that lights
+        most pixels, and ``together`` (projector_shape); ``pattern_seen``.
     """
-    scene = physical_scene(config, "bottle")
+    scene = physical_scene(config, "bottle", shape=even_shape(config))
     return _pictures(config, scene, "Fig. 3.6, bottle", adapting=True)
 
 
@@ -191,8 +199,7 @@ def right_angles_study(config: Config) -> tuple[Rows, Arrays]:
     Returns
     -------
     rows : list of dict
-        As of `bottle_study`, and ``coarse``: the fraction of the dual picture's light that is
-        stored above the last level, of pixels with and without direct light.
+        As of `bottle_study`, without those on pixels lit together.
     arrays : dict of ndarray
         As of `bottle_study`.
     """
@@ -204,7 +211,7 @@ def _pictures(
     config: Config, scene: MitsubaScene, figure: str, *, adapting: bool = False
 ) -> tuple[Rows, Arrays]:
     """Acquire a scene; primal and dual pictures, floodlit and by a matte, with the truth."""
-    result, rig = acquired(config, scene, "dual")
+    result, _ = acquired(config, scene, "dual")
     seen, thrown = white(scene.camera_shape), white(scene.projector_shape)
     transport = result.transport
     arrays: Arrays = {"primal": _primal(scene, thrown)}
@@ -227,16 +234,30 @@ def _pictures(
     total = sum(float(part.sum(dtype=float)) for part in parts)
     more["coarse"] = 1 - float(parts[-1].sum(dtype=float)) / total
     if adapting:
+        # what the thesis' camera could tell from its noise is some hundredths, not a thousandth
+        _, rig = acquired(config, scene, "dual", tolerance=_COARSE)
         lit = [float(pattern.mean()) for pattern in rig.levels[transport.last_level]]
         chosen = rig.levels[transport.last_level][int(np.argmax(lit))]
         arrays["pattern"] = chosen
         arrays["pattern_seen"] = _primal(scene, chosen)
-        # how many patterns a region of the projector took: each pixel is in one pattern a level,
-        # so that a pattern is dark where few could be shown together
         arrays["together"] = _together(rig.levels[transport.last_level])
+        lights, spreads = _spread(scene)
+        more["together_at_glass"] = float(arrays["together"][lights & spreads].mean())
+        more["together_elsewhere"] = float(arrays["together"][lights & ~spreads].mean())
     images = arrays["dual"], arrays["dual_truth"]
     table = "3.1" if "10" not in figure else ""
     return [cost(table, figure, scene, result, images, **more)], arrays
+
+
+def _spread(scene: MitsubaScene) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Tell which projector pixels light anything, and which light much more than the median one."""
+    light = np.sum([scene.dense(channel) for channel in range(scene.channels)], axis=0)
+    total = light.sum(axis=0)
+    lights = total > _LEAST_LIT * total.max()
+    seen = total**2 / np.maximum(np.square(light).sum(axis=0), np.finfo(float).tiny)
+    spreads = seen > _MANY * np.median(seen[lights])
+    shape = scene.projector_shape
+    return lights.reshape(shape), spreads.reshape(shape)
 
 
 def _together(patterns: list[Float]) -> Float:

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.stages.evaluating.metrics import relative_rms
-from rfpipe.stages.evaluating.studies.physical import Arrays, Rows, acquired, physical_scene, white
+from rfpipe.stages.evaluating.studies.physical import (
+    Arrays,
+    Rows,
+    acquired,
+    even_shape,
+    physical_scene,
+    white,
+)
 from rfpipe.stages.evaluating.studies.poses import aside
 
 if TYPE_CHECKING:
@@ -51,11 +58,7 @@ def growth_study(config: Config) -> tuple[Rows, Arrays]:
     arrays : dict
         Empty.
     """
-    from rfpipe.config.figures import FiguresConfig
-
-    asked = config.report.figures or FiguresConfig()
-    side = 2 ** int(np.ceil(np.log2(asked.side)))
-    shape = {"shape": (side, side)}
+    shape = {"shape": even_shape(config)}
     rows: Rows = []
     for name, scene in (
         ("box", aside(config, "two_blocks", **shape)),

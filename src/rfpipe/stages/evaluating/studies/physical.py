@@ -25,6 +25,7 @@ __all__ = [
     "cost",
     "dual_truth",
     "matte",
+    "even_shape",
     "physical_scene",
     "white",
 ]
@@ -69,6 +70,15 @@ def physical_scene(config: Config, name: str, **changes: Any) -> MitsubaScene:
         options["samples"] = min(options["samples"], _SLOW_SAMPLES)
     scene: MitsubaScene = Mitsuba.make(MitsubaOptions(kind="mitsuba", scene=name, **options))
     return scene
+
+
+def even_shape(config: Config) -> tuple[int, int]:
+    """Return the size of the figures or more, so that all pixels stand at the tree's last level."""
+    from rfpipe.config.figures import FiguresConfig
+
+    asked = config.report.figures or FiguresConfig()
+    side = 2 ** int(np.ceil(np.log2(asked.side)))
+    return side, side
 
 
 class WatchedRig(SimulatedRig):
