@@ -56,6 +56,7 @@ figures: $(INSTALLED) ## make every figure and table of the thesis, reduced, in 
 	@python -c 'import mitsuba' 2>/dev/null || $(PIP) install --quiet --no-build-isolation --editable '.[mitsuba]' || \
 	  { echo "make: Mitsuba 3 can't be installed; the physically based scenes need it" >&2; exit 1; }
 	@snakemake --directory figures --configfile $(FIGURES) $(ARGS)
+	@rfpipe check-report figures/results/report
 	@echo "report: figures/$(REPORT)"
 
 calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (docs/rig.md)

@@ -88,7 +88,9 @@ def _box(rows: list[dict[str, Any]]) -> Iterator[Verdict]:
     )
     yield Verdict("Fig. 3.3", verdict, told)
     last = next(row for row in rows if row["case"] == "hierarchy")
-    yield Verdict("Fig. 3.4", _by_error(last["error"]), f"dual picture's error {percent(last['error'])} %")
+    yield Verdict(
+        "Fig. 3.4", _by_error(last["error"]), f"dual picture's error {percent(last['error'])} %"
+    )
 
 
 def _bottle(rows: list[dict[str, Any]]) -> Iterator[Verdict]:
@@ -113,7 +115,9 @@ def _samples(rows: list[dict[str, Any]]) -> Iterator[Verdict]:
 def _growth(rows: list[dict[str, Any]]) -> Iterator[Verdict]:
     import pandas as pd
 
-    fits = {scene: line_fit(own) for scene, own in pd.DataFrame(rows).groupby("scene", sort=False)}
+    fits = {
+        str(scene): line_fit(own) for scene, own in pd.DataFrame(rows).groupby("scene", sort=False)
+    }
     exponent = max(fit["exponent"] for fit in fits.values())
     straight = min(fit["explained"] for fit in fits.values())
     logarithmic = exponent < _FLAT or (straight > _STRAIGHT and exponent < _GROWS)

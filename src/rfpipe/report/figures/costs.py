@@ -10,7 +10,7 @@ from rfpipe.report.inputs import Inputs
 from rfpipe.report.text import fixed, number, percent
 from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1
 
-__all__ = ["costs_section", "cost_rows"]
+__all__ = ["cost_rows", "costs_section"]
 
 _FLOAT_BYTES = 4
 _COLOURS = 3

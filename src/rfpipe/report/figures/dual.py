@@ -46,7 +46,9 @@ def walk_section(study: Study) -> Section:
         "(lower right), so that their children are never lit in one frame. Brute force takes 64."
     )
     block = Illustration("Fig. 3.1", caption, "fig_3_1", figure, "Fig. 3.1")
-    return Section("walk", "Adaptive patterns, step by step (Fig. 3.1)", [block], (), [study.source])
+    return Section(
+        "walk", "Adaptive patterns, step by step (Fig. 3.1)", [block], (), [study.source]
+    )
 
 
 def _draw_frames(axis: Any, frames: Any) -> None:
@@ -192,7 +194,9 @@ def _relit_figure(study: Study, white: float, dual_white: float, prefix: str = "
         even = light_of(study, relit, f"{side}, even light", light, of)
         true = light_of(study, f"{prefix}{side}_truth", f"{side}, truth", light, of)
         striped = light_of(study, matte, f"{side}, matte", light, of)
-        striped_true = light_of(study, f"{prefix}{side}_matte_truth", f"{side}, matte truth", light, of)
+        striped_true = light_of(
+            study, f"{prefix}{side}_matte_truth", f"{side}, matte truth", light, of
+        )
         key = "primal_matte_relit_error" if side == "primal" else "dual_matte_error"
         rows.append(
             [
@@ -225,8 +229,8 @@ def samples_section(study: Study) -> Section:
         titles = [f"{words(row['world'])}: primal", "dual", "dual, ground truth"]
         panels.append(list(zip(titles, pictures, below, strict=True)))
     caption = (
-        "Two more scenes, the projector to the right of the camera and above: gloss and rough "
-        "metal in a box, and print, rings and checks at grazing angles. Left as the camera sees "
+        "Two more scenes, the projector aside from the camera and above: gloss and rough metal in "
+        "a box, and print, rings and checks at grazing angles. Left as the camera sees "
         "them, then from the projector in the camera's light. "
         f"{size_of(study.rows[0])}"
     )
@@ -240,14 +244,18 @@ def growth_section(study: Study) -> Section:
     import pandas as pd
 
     numbers = pd.DataFrame(study.rows)
-    fits = [{"scene": scene, **line_fit(own)} for scene, own in numbers.groupby("scene", sort=False)]
+    fits = [
+        {"scene": scene, **line_fit(own)} for scene, own in numbers.groupby("scene", sort=False)
+    ]
     caption = (
         "Patterns of dual photography against the projector's resolution, for the box of Fig. 3.4 "
         "and the bottle of Fig. 3.6 before the run's camera. Left, the number of pixels on a "
         "logarithmic scale: growth as O(log pq) is a straight line. Dashed: the line fitted to all "
         "sizes; its slope is patterns a level. Right, both logarithmic, with brute force."
     )
-    figure = Illustration("Fig. 3.8", caption, "fig_3_8_physical", _growth_figure(numbers, fits), "Fig. 3.8")
+    figure = Illustration(
+        "Fig. 3.8", caption, "fig_3_8_physical", _growth_figure(numbers, fits), "Fig. 3.8"
+    )
     return Section(
         "growth",
         "Patterns against resolution, box and bottle (Fig. 3.8)",

@@ -26,9 +26,7 @@ def exposure(*images: NDArray[Any]) -> float:
     return float(max(np.percentile(image, _BRIGHT) for image in images)) or 1.0
 
 
-def light_of(
-    study: Study, name: str, what: str, white: float, of: str = "", **more: Any
-) -> Light:
+def light_of(study: Study, name: str, what: str, white: float, of: str = "", **more: Any) -> Light:
     """Return a study's picture of this name, with the radiance that is shown as white."""
     return Light(of or study.rows[0].get("world", study.name), what, study.images.read(name), white,
                  **more)  # fmt: skip
@@ -67,7 +65,9 @@ def compared(rows: Sequence[Sequence[Panel]], pairs: Sequence[tuple[Light, Light
 
 def size_of(row: dict[str, Any]) -> str:
     """Say how large a study's pictures are, and how exact its ground truth."""
-    camera, projector = (" x ".join(map(str, row[f"{side}_shape"])) for side in ("camera", "projector"))
+    camera, projector = (
+        " x ".join(map(str, row[f"{side}_shape"])) for side in ("camera", "projector")
+    )
     noise = row.get("noise")
     exact = "" if noise is None else f"; the true matrix has {noise:.1%} of Monte-Carlo noise"
     return f"Camera {camera}, projector {projector} pixels{exact}."

@@ -102,9 +102,9 @@ def box_study(config: Config) -> tuple[Rows, Arrays]:
         Float32 (H, W, 3): ``primal``, ``dual_truth``, ``dual_hierarchy``, ``dual_pixel``, and
         ``level_{k}``, what the hierarchy's level k adds to the dual picture.
     """
-    shape = {"shape": even_shape(config)}
-    scene = aside(config, "two_blocks", **shape)
-    direct = aside(config, "two_blocks", bounces=1, **shape)
+    shape = even_shape(config)
+    scene = aside(config, "two_blocks", shape=shape)
+    direct = aside(config, "two_blocks", bounces=1, shape=shape)
     light, floodlit = white(scene.camera_shape), white(scene.projector_shape)
     truth, direct_truth = dual_truth(scene, light), dual_truth(direct, light)
     arrays: Arrays = {"primal": _primal(scene, floodlit), "dual_truth": truth}
@@ -158,7 +158,8 @@ def level_pictures(result: AcquisitionResult, light: Float) -> list[Float]:
 
 def _primal(scene: MitsubaScene, pattern: Float) -> Float:
     """Return the true picture (*camera_shape, C) under a pattern."""
-    return scene.apply(pattern[None])[0].reshape(*scene.camera_shape, scene.channels)
+    picture: Float = scene.apply(pattern[None])[0]
+    return picture.reshape(*scene.camera_shape, scene.channels)
 
 
 def bottle_study(config: Config) -> tuple[Rows, Arrays]:
@@ -185,8 +186,11 @@ def samples_study(config: Config) -> tuple[Rows, Arrays]:
     """Acquire two more scenes from aside [Fig. 3.7]; rows and pictures as `bottle_study`."""
     rows: Rows = []
     arrays: Arrays = {}
-    for place, world in (("top", "glossy_metal"), ("bottom", "foreshortened")):
-        scene = aside(config, world)
+    for place, world, pose in (
+        ("top", "glossy_metal", (22.0, 12.0)),
+        ("bottom", "foreshortened", (-8.0, 14.0)),
+    ):
+        scene = aside(config, world, *pose)
         own, pictures = _pictures(config, scene, f"Fig. 3.7, {place}")
         rows += own
         arrays |= {f"{place}_{name}": picture for name, picture in pictures.items()}

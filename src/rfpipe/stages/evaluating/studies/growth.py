@@ -58,11 +58,11 @@ def growth_study(config: Config) -> tuple[Rows, Arrays]:
     arrays : dict
         Empty.
     """
-    shape = {"shape": even_shape(config)}
+    shape = even_shape(config)
     rows: Rows = []
     for name, scene in (
-        ("box", aside(config, "two_blocks", **shape)),
-        ("bottle", physical_scene(config, "bottle", **shape)),
+        ("box", aside(config, "two_blocks", shape=shape)),
+        ("bottle", physical_scene(config, "bottle", shape=shape)),
     ):
         full = scene.projector_shape[0]
         for halvings in reversed(range(min(_SIZES, int(np.log2(full))))):

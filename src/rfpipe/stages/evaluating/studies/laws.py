@@ -51,7 +51,7 @@ def _duality(config: Config) -> tuple[Rows, Arrays]:
     scale = float((one * other).sum() / (other * other).sum())  # brightness is set for each
     pictures = [matrix.sum(axis=2).T.reshape(*forth.projector_shape, 3) for matrix in (one, other)]
     difference = _relative(pictures[0], scale * pictures[1])
-    noise = np.hypot(*(_noise(scene) for scene in (forth, back)))
+    noise = np.hypot(_noise(forth), _noise(back))
     coarse = [_blocks(matrix.sum(axis=0), forth.projector_shape[0]) for matrix in (one, other)]
     rows: Rows = [
         _row("duality", "dual picture: transpose against exchange", difference, float(noise)),
@@ -90,7 +90,11 @@ def _symmetry(config: Config) -> Rows:
         blocks = _blocks(np.asarray(total), scene.camera_shape[0])
         off = blocks - np.diag(np.diag(blocks))
         value = _relative(off, off.T)
-        rows.append(_row("symmetry", f"{name}: indirect light between blocks", value, _noise(scene, "unlit")))
+        rows.append(
+            _row(
+                "symmetry", f"{name}: indirect light between blocks", value, _noise(scene, "unlit")
+            )
+        )
     return rows
 
 

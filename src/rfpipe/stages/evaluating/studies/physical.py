@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,8 @@ __all__ = [
     "acquired",
     "cost",
     "dual_truth",
-    "matte",
     "even_shape",
+    "matte",
     "physical_scene",
     "white",
 ]
@@ -68,8 +68,8 @@ def physical_scene(config: Config, name: str, **changes: Any) -> MitsubaScene:
             if options.get(shape):
                 options[shape] = tuple(min(length, _SLOW_SIDE) for length in options[shape])
         options["samples"] = min(options["samples"], _SLOW_SAMPLES)
-    scene: MitsubaScene = Mitsuba.make(MitsubaOptions(kind="mitsuba", scene=name, **options))
-    return scene
+    made = Mitsuba.make(MitsubaOptions(kind="mitsuba", scene=name, **options))
+    return cast("MitsubaScene", made)
 
 
 def even_shape(config: Config) -> tuple[int, int]:

@@ -24,8 +24,9 @@ def turned(view: View, right: float, up: float = 0.0) -> dict[str, Any]:
     target = np.array(view.target)
     out = np.array(view.origin) - target
     upward = np.array(view.up) / np.linalg.norm(view.up)
-    for degrees, axis in ((right, upward), (-up, np.cross(upward, out))):
-        out = _rotated(out, axis / np.linalg.norm(axis), np.radians(degrees))
+    out = _rotated(out, upward, np.radians(right))
+    across = np.cross(upward, out)
+    out = _rotated(out, across / np.linalg.norm(across), -np.radians(up))
     origin = tuple(float(x) for x in target + out)
     return {**asdict(view), "origin": origin}
 
@@ -36,10 +37,12 @@ def _rotated(vector: Any, axis: Any, angle: float) -> Any:
     return along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector)
 
 
-def aside(config: Config, name: str, **changes: Any) -> MitsubaScene:
-    """Return a scene seen by its first camera, the projector to the right of it and above."""
+def aside(
+    config: Config, name: str, right: float = _RIGHT, up: float = _UP, **changes: Any
+) -> MitsubaScene:
+    """Return a scene seen by its first camera, the projector degrees to its right and above."""
     from rfpipe.scenes.mitsuba.worlds import WORLDS
 
     camera = WORLDS[name].cameras[0]
-    rig = {"cameras": [asdict(camera)], "projectors": [turned(camera, _RIGHT, _UP)]}
+    rig = {"cameras": [asdict(camera)], "projectors": [turned(camera, right, up)]}
     return physical_scene(config, name, **rig, **changes)

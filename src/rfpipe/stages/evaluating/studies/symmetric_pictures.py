@@ -88,8 +88,9 @@ def bears_study(config: Config) -> tuple[Rows, Arrays]:
 def _seen(scene: MitsubaScene, pattern: Float) -> Float:
     """Return the true picture from the first camera."""
     shape = (*scene.camera_shape, scene.channels)
-    picture = scene.apply(pattern[None])[0].reshape(shape)
-    return picture[0] if len(shape) > 3 else picture  # noqa: PLR2004 - views, height, width, colour
+    picture: Float = scene.apply(pattern[None])[0].reshape(shape)
+    first: Float = picture.reshape(-1, *shape[-3:])[0]
+    return first
 
 
 class _Flared:
