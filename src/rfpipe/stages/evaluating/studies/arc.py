@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["arc_study"]
 
 _WORLD = "still_life_arc"
-_AREA = 0.3  # of the arc that the area light takes, in its middle
+_AREA = (0.6, 0.9)  # of the arc that the area light takes: beside the projector, to show shadows
 _CAMERA_SHARE = 2  # the camera's pixels are so much larger: at a light they are all one
 
 
@@ -78,8 +78,8 @@ def arc_study(config: Config) -> tuple[Rows, Arrays]:
     fine, _ = acquired(config, middle, "dual")
     pattern = matte(middle.camera_shape)
     count = len(pictures)
-    half = max(1, round(_AREA * count)) // 2
-    area = slice(max(0, count // 2 - half), count // 2 + half + 1)
+    first, last = (round(share * (count - 1)) for share in _AREA)
+    area = slice(first, last + 1)
     thrown = white(middle.projector_shape)
     arrays: Arrays = {
         "primal": middle.apply(thrown[None])[0].reshape(*middle.camera_shape, 3),
