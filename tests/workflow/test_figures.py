@@ -28,6 +28,7 @@ _SCENES = {
     },
 }
 # Beside the physically based figures, of which one page shows some twice.
+_PATIENCE_SECONDS = 1200.0  # each study traces, and compiles, its own scenes
 _TABLES = {"Table 3.1", "Table 5.1"}
 
 
@@ -42,7 +43,9 @@ def test_make_figures_leaves_no_figure_missing_or_blank(tmp_path: Path) -> None:
             "figures": {"side": 8, "samples": 32, "positions": 3},
         },
     )
-    workflow.run()
+    process = workflow.start()
+    output, _ = process.communicate(timeout=_PATIENCE_SECONDS)
+    assert process.returncode == 0, output
     page = workflow.path("report")
     results = check_report(page)
     of_thesis = {figure.thesis.name for figure in results.figures if figure.thesis}

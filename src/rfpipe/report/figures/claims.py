@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 from rfpipe.report.blocks import Section, Tabulation, table_of
@@ -157,7 +158,7 @@ def _bears(rows: list[dict[str, Any]]) -> Iterator[Verdict]:
     )
     yield Verdict("Fig. 5.6", _by_error(worst), told)
     errors = [level["error"] for level in row["levels"]]
-    falling = sum(later < earlier for earlier, later in zip(errors, errors[1:], strict=False))
+    falling = sum(later < earlier for earlier, later in pairwise(errors))
     verdict = _HOLDS if falling == len(errors) - 1 else _PART if errors[-1] < errors[0] else _NOT
     told = "error by level: " + ", ".join(f"{percent(error)} %" for error in errors)
     yield Verdict("Fig. 5.7", verdict, told)

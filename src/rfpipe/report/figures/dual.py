@@ -347,8 +347,8 @@ def arc_section(study: Study) -> Section:
         f"A still life as the projector sees it, its transport acquired for {row['positions']} "
         "positions of the camera on an arc. Each position becomes a light: one on the left, one on "
         "the right, with the hard shadow that a point throws; a third of them on the right "
-        "together, an area light, whose shadows are soft; and a matte of diagonal stripes that one position "
-        f"throws. Below the same by the true matrix. {size_of(row)}"
+        "together, an area light, whose shadows are soft; and a matte of diagonal stripes that one "
+        f"position throws. Below the same by the true matrix. {size_of(row)}"
     )
     figure = Illustration("Fig. 3.9", caption, "fig_3_9", draw_panels(rows), "Fig. 3.9")
     return Section("arc", "A 6D field (Fig. 3.9)", [figure], (), [study.source])

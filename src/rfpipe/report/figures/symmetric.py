@@ -10,12 +10,15 @@ from rfpipe.report.text import number, percent
 
 __all__ = ["bears_section", "flare_section"]
 
+_BRIGHTER = 0.4  # of the radiance that is white elsewhere: the letters glow within dark sweets
+
 
 def bears_section(study: Study) -> Section:
     """Fig. 5.6 and 5.7."""
     row = study.rows[0]
     images = study.images.read
     whites = {name: exposure(images(f"{name}_truth")) for name in ("letters", "both")}
+    whites["letters"] *= _BRIGHTER
     rows, pairs = [], []
     for name, what in (("letters", "letters from the front"), ("both", "and even light behind")):
         relit, truth = (
@@ -89,16 +92,18 @@ def flare_section(study: Study) -> Section:
                 (
                     f"relit: {pictures[name].what}",
                     pictures[name],
-                    f"tolerance {row['tolerance']:g}, {row['patterns']} patterns\n"
-                    f"error {percent(row['error'])} %, at highlights {percent(row['around'])} %",
+                    (
+                        f"tolerance {row['tolerance']:g}, {row['patterns']} patterns\n"
+                        f"error {percent(row['error'])} %, at highlights {percent(row['around'])} %"
+                    ),
                 ),
             ]
         )
     pairs = [(panel[1][1], panel[0][1]) for panel in panels]
     caption = (
-        "Gloss and rough metal in a box, coaxial, its right half lit. The camera's aperture spreads "
-        "3 % of each pixel's light over a star of six arms; the projector has no flare, so that "
-        "the measured matrix isn't symmetric. Above at a tight threshold, in the middle at a loose "
+        "Gloss and rough metal in a box, coaxial, its right half lit. The camera's aperture "
+        "spreads 3 % of each pixel's light over a star of six arms; the projector has no flare, so "
+        "that the measured matrix isn't symmetric. Above at a tight threshold, in the middle at a loose "
         "one, below without flare for comparison."
     )
     figure = Illustration("Fig. 5.11", caption, "fig_5_11", compared(panels, pairs), "Fig. 5.11")

@@ -110,7 +110,7 @@ def _ranks(config: Config) -> Rows:
         scene = physical_scene(config, name)
         side = scene.camera_shape[0]
         blocks = _blocks(scene.dense(0), side)  # single entries are noise
-        across = _across(blocks, (1, int(np.sqrt(len(blocks)))))
+        across = _across(blocks, (int(np.sqrt(len(blocks))),) * 2)
         rows += _rank_rows(f"{name}, left to right, between blocks of pixels", across)[:2]
     return rows
 

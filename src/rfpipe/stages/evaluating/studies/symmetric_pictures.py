@@ -25,7 +25,7 @@ __all__ = ["bears_study", "flare_study"]
 
 Float = NDArray[np.float32]
 
-_LETTERS = "EGSR"
+_LETTERS = ("EG", "SR")
 _FLARE = 0.03  # of a pixel's light, that the aperture spreads over a star
 _ARMS = 6
 _TIGHT, _LOOSE = 1e-4, 3e-3
@@ -35,13 +35,13 @@ def letters(side: int) -> Float:
     """Return bright letters in the middle of a dark picture (side, side)."""
     from rfpipe.scenes.mitsuba.worlds.textures import lettering
 
-    dots = lettering([_LETTERS], ink=(1, 1, 1), paper=(0, 0, 0), fine=1)[..., 0]
+    dots = lettering(_LETTERS, ink=(1, 1, 1), paper=(0, 0, 0), fine=1)[..., 0]
     rows, columns = dots.shape
-    width = columns * (side // columns) or side
-    height = min(side, 2 * rows * width // columns)
+    height = rows * (side // rows) or side
+    width = max(1, columns * height // rows)
     drawn = dots[np.arange(height) * rows // height][:, np.arange(width) * columns // width]
     picture = np.zeros((side, side), np.float32)
-    top, left = (side - height) // 2, (side - width) // 2
+    top, left = max(0, (side - height) // 2 - side // 16), (side - width) // 2  # on the sweets
     picture[top : top + height, left : left + width] = drawn
     return picture
 
