@@ -10,7 +10,7 @@ from rfpipe.report.text import number, percent
 
 __all__ = ["bears_section", "flare_section"]
 
-_BRIGHTER = 0.4  # of the radiance that is white elsewhere: the letters glow within dark sweets
+_BRIGHTER = 0.6  # of the radiance that is white elsewhere: the letters glow within dark sweets
 
 
 def bears_section(study: Study) -> Section:
@@ -103,8 +103,8 @@ def flare_section(study: Study) -> Section:
     caption = (
         "Gloss and rough metal in a box, coaxial, its right half lit. The camera's aperture "
         "spreads 3 % of each pixel's light over a star of six arms; the projector has no flare, so "
-        "that the measured matrix isn't symmetric. Above at a tight threshold, in the middle at a loose "
-        "one, below without flare for comparison."
+        "that the measured matrix isn't symmetric. Above at a tight threshold, in the middle at a "
+        "loose one, below without flare for comparison."
     )
     figure = Illustration("Fig. 5.11", caption, "fig_5_11", compared(panels, pairs), "Fig. 5.11")
     table = table_of(
