@@ -20,12 +20,8 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-<<<<<<< HEAD
 .PHONY: help install run thesis figures calibrate serve unlock test lint format bench benchmark \
   config lock clean
-=======
-.PHONY: help install run thesis figures calibrate serve unlock test lint format bench config lock clean
->>>>>>> wt-figs12
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
