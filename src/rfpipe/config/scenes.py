@@ -80,8 +80,8 @@ class SceneSettings(Described):
 
     @property
     def is_light_field(self) -> bool:
-        """Whether the rig is an array of views, be it of a single pair."""
-        return len(self.ray_shape) > 2
+        """Whether either side of the rig is an array of views, be it of a single one."""
+        return max(len(self.ray_shape), len(self.camera_ray_shape)) > 2
 
     @property
     def is_coaxial(self) -> bool:

@@ -158,9 +158,10 @@ class Run:
         return self.images.read(name)
 
     def read_shown(self, name: str) -> NDArray[Any]:
-        """Read an array of radiance images (..., H, W, C): of a light field the middle view's."""
+        """Read an array of radiance images (..., H, W, C): of several cameras the middle one's."""
         images = self.read(name)
-        return images[..., self.middle_view, :, :, :] if self.settings.is_light_field else images
+        has_views = len(self.settings.camera_ray_shape) > 2
+        return images[..., self.middle_view, :, :, :] if has_views else images
 
 
 @dataclass(frozen=True)
@@ -239,8 +240,8 @@ class Inputs:
 
     @property
     def light_fields(self) -> list[Run]:
-        """The runs of light fields."""
-        return [run for run in self.runs if run.settings.is_light_field]
+        """The runs of light fields whose light moves from view to view."""
+        return [run for run in self.runs if "views_relit" in run.images.names]
 
     def of_method(self, method: str) -> list[Run]:
         """Return the runs of a method."""

@@ -63,5 +63,7 @@ def ray_size(scene: SceneSettings) -> str:
 
     With that of the camera's rays, where it differs.
     """
-    own = size(*(scene.view_grid if scene.is_light_field else ()), *scene.ray_shape[-2:])
-    return own if scene.is_coaxial else f"{own} to {size(*scene.camera_ray_shape[-2:])}"
+    if not scene.is_coaxial:
+        return f"{size(*scene.ray_shape)} to {size(*scene.camera_ray_shape)}"
+    views = scene.view_grid if scene.is_light_field else ()
+    return size(*views, *scene.ray_shape[-2:])

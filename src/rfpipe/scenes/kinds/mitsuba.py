@@ -106,6 +106,20 @@ class MitsubaOptions(SceneSettings):
             )
         return world_of_file(path)
 
+    def own_options(self) -> dict[str, Any]:
+        """Return the options of the kind, with the light that is followed in numbers."""
+        followed = {
+            "bounces": self.bounces or self.world.bounces,
+            "caustics": self.follows_caustics,
+        }
+        return {**super().own_options(), **followed}
+
+    @property
+    def follows_caustics(self) -> bool:
+        """Whether light is followed from the projectors, too; never where patterns are rendered."""
+        wanted = self.world.caustics if self.caustics is None else self.caustics
+        return wanted and self.light == "recorded"
+
     @property
     def is_coaxial(self) -> bool:
         """Whether camera and projector share their rays."""
@@ -173,7 +187,7 @@ class Mitsuba(SceneKind):
             coaxial=options.is_coaxial,
             samples=options.samples,
             bounces=options.bounces,
-            caustics=options.caustics,
+            caustics=options.follows_caustics,
             seed=options.seed,
             rendered=options.light == "rendered",
             cache=Path(options.cache),

@@ -1,0 +1,45 @@
+"""Physically based scenes in the workflow: a pair aside, many cameras, two pairs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from tests.physical import require_llvm
+from tests.workflow.harness import Workflow
+
+from rfpipe import open_transport
+from rfpipe.config import load_config
+from rfpipe.report import check_report
+from rfpipe.scenes import scene_from_config
+
+CASES = {
+    "aside": {"scene": "two_blocks_aside", "shape": [6, 8], "projector_shape": [5, 7]},
+    "arc": {"scene": "still_life_arc", "shape": [4, 4], "projector_shape": [6, 6]},
+    "pairs": {"scene": "sweets", "shape": [4, 5]},
+}
+
+
+def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path) -> None:
+    require_llvm()
+    workflow = Workflow(tmp_path)
+    light = {"kind": "mitsuba", "samples": 64, "bounces": 3}
+    workflow.configure(
+        scenes={name: light | case for name, case in CASES.items()},
+        methods={"brute_force": {}},
+        camera=None,
+        report={"resolutions": [4]},
+    )
+    workflow.run()
+    for name, scene in load_config(workflow.config).scenes.items():
+        relit = open_transport(workflow.path(f"{name}/brute_force/transport.zarr"))
+        pattern = np.linspace(0, 1, int(np.prod(scene.ray_shape)), dtype=np.float32)
+        cached = scene.model_copy(update={"cache": str(tmp_path / scene.cache)})
+        truth = scene_from_config(cached).apply(pattern[None])[0]
+        found = relit.relight(pattern.reshape(scene.ray_shape)).reshape(truth.shape)
+        assert truth.max() > 0
+        np.testing.assert_allclose(found, truth, atol=1e-5 * truth.max())
+    assert len(list((tmp_path / "results" / "recorded").glob("*/recording.json"))) == len(CASES)
+    check_report(workflow.path("report"))
+    page = workflow.path("report/index.html").read_text(encoding="utf-8")
+    assert "80\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}4" in page
