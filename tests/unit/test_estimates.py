@@ -2,6 +2,7 @@
 
 import logging
 import math
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -129,7 +130,7 @@ def made_up(with_truth: bool = True) -> Inputs:
     ]
     table = pd.DataFrame(errors if with_truth else [], columns=names)
     empty = pd.DataFrame()
-    return Inputs(CONFIG, runs, {}, table, empty, empty, {})
+    return Inputs(CONFIG, runs, {}, table, empty, empty, {}, Path(), (Path(), Path()))
 
 
 def test_estimates_stand_beside_the_mean_true_error() -> None:

@@ -11,7 +11,7 @@ from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.relight import images_of, one_view_at_a_time
 from rfpipe.testing import dot_test
 
-# Relative errors allowed in total at a tolerance of 1e-3; about 1.5 times what was measured. A spot
+# Relative errors allowed in total at a tolerance of 2e-3; about 1.5 times what was measured. A spot
 # of twelve pixels a view is little light for the tolerance, which is of the floodlit maximum.
 MARKS = {"spot": 0.05, "vertical_bar": 0.02, "one_view": 0.01, "noise": 0.008}
 USUAL_MARK = 0.013
@@ -24,7 +24,7 @@ def scene():
 
 @pytest.mark.parametrize("camera", [None, CameraModel()], ids=["exact", "camera"])
 def test_the_field_is_recovered_in_a_sixth_of_the_patterns_of_brute_force(scene, camera):
-    result = acquire(SimulatedRig(scene, camera, seed=1), tolerance=1e-3, progress=False)
+    result = acquire(SimulatedRig(scene, camera, seed=1), tolerance=2e-3, progress=False)
     assert result.transport.camera_shape == (9, 26, 40)
     levels = result.levels.set_index("level")
     assert list(levels["patterns"][:2]) == [1, 9]  # the tree first splits into views

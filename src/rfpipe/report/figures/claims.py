@@ -97,8 +97,9 @@ def _box(rows: list[dict[str, Any]]) -> Iterator[Verdict]:
 def _bottle(rows: list[dict[str, Any]]) -> Iterator[Verdict]:
     row = rows[0]
     inside, outside = row["together_at_glass"], row["together_elsewhere"]
-    told = f"pixels lit together: {inside:.0f} where the bottle is, {outside:.0f} elsewhere"
-    yield Verdict("Fig. 3.2", _HOLDS if inside < outside / 1.5 else _NOT, told)
+    if inside is not None and outside is not None:  # not so few pixels that none is at the bottle
+        told = f"pixels lit together: {inside:.0f} where the bottle is, {outside:.0f} elsewhere"
+        yield Verdict("Fig. 3.2", _HOLDS if inside < outside / 1.5 else _NOT, told)
     error = row["dual_matte_error"]
     told = (
         f"errors of pictures relit by the matte: primal {percent(row['primal_matte_relit_error'])} "

@@ -69,8 +69,8 @@ def _duality(config: Config) -> tuple[Rows, Arrays]:
 
 
 def _blocks(matrix: Double, side: int, length: int = 6) -> Double:
-    """Return transport between square blocks of two square pictures."""
-    length = max(d for d in range(1, length + 1) if side % d == 0)
+    """Return transport between square blocks of two square pictures, 3 or more a side."""
+    length = max(d for d in range(1, min(length, side // 3) + 1) if side % d == 0)
     parts = matrix.reshape(side // length, length, side // length, length, -1)
     rows = parts.sum(axis=(1, 3)).reshape(-1, matrix.shape[1])
     columns = rows.T.reshape(side // length, length, side // length, length, -1)
