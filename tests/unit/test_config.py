@@ -72,7 +72,7 @@ def test_thesis_file_has_the_default_scenes_at_full_size_and_a_light_field() -> 
     assert thesis.camera == default.camera
     assert thesis.scenes["light_field"].ray_shape == (9, 130, 200)
     field, plane = (thesis.methods_of(name)["symmetric"] for name in ("light_field", "planes_i"))
-    assert field.options()["tolerance"] == 2e-3
+    assert field.options()["tolerance"] == 3.5e-3
     assert plane == thesis.methods["symmetric"]
     assert plane.options()["tolerance"] == 1.5e-4
 
