@@ -25,9 +25,6 @@ _log = logging.getLogger("benchmark")
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run what is missing, then write the summary."""
-    logging.basicConfig(format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
-    _log.setLevel(logging.INFO)
-    logging.getLogger("rfpipe").setLevel(logging.ERROR)
     asked = parsed(arguments)
     table = asked.folder / "acquisitions.csv"
     known = known_keys(table)
@@ -84,4 +81,7 @@ def run(cases: Sequence[Case], table: Path, cache: Path, seconds: float) -> None
 
 
 if __name__ == "__main__":
+    logging.basicConfig(format="%(asctime)s %(message)s", datefmt="%H:%M:%S")
+    _log.setLevel(logging.INFO)
+    logging.getLogger("rfpipe").setLevel(logging.ERROR)
     main()

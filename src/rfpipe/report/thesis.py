@@ -48,7 +48,6 @@ class DualResult:
 
 
 _LIGHT_FIELD = "Fig. 5.8, 8D"
-_VIEWS = (3, 3)  # of that field
 
 TABLE_5_1 = {
     "Fig. 2.1 (I)": SymmetricResult(255, 44, 809, 108_500),
@@ -122,7 +121,7 @@ def numeral_of(scene: SceneSettings) -> str | None:
 
 def row_of(scene: SceneSettings) -> str | None:
     """Return the row of Table 5.1 that a configured scene can stand beside; None for others."""
-    if scene.is_coaxial and scene.view_grid == _VIEWS:
+    if scene.is_coaxial and min(scene.view_grid) > 1:  # a planar array
         return _LIGHT_FIELD
     numeral = numeral_of(scene)
     return numeral and f"Fig. 2.1 ({numeral})"
