@@ -54,8 +54,6 @@ thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the fo
 	@echo "report: thesis/$(REPORT)"
 
 figures: $(INSTALLED) ## make every figure and table of the thesis, reduced, in the folder figures/
-	@python -c 'import mitsuba' 2>/dev/null || $(PIP) install --quiet --no-build-isolation --editable '.[mitsuba]' || \
-	  { echo "make: Mitsuba 3 can't be installed; the physically based scenes need it" >&2; exit 1; }
 	@snakemake --directory figures --configfile $(FIGURES) $(ARGS)
 	@rfpipe check-report figures/results/report
 	@echo "report: figures/$(REPORT)"

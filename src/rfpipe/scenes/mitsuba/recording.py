@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 __all__ = ["Light", "Recording", "record"]
 
 Double = NDArray[np.float64]
-Float = NDArray[np.float32]
 
 _PIECE_BYTES = 192 * 2**20  # of the sums of one piece
 _WAIT_SECONDS = 1.0
@@ -192,7 +191,7 @@ def _record(
         if coaxial:
             back = _total(piece.first, piece.last, columns, rows)
             matrices = [_mean(one, other) for one, other in zip(matrices, back, strict=True)]
-        _write(folder / f"transport_{index:04d}.zarr", matrices, {}, {})
+        _write(folder / f"transport_{index:04d}.zarr", matrices, {})
     unlit = np.concatenate(
         [
             np.einsum("iok,po->pik", tracer.direct(piece.first, piece.last), lit) == 0
@@ -259,7 +258,7 @@ def _traced(
     )
     mean = ((halves[0] + halves[1]) / 2).astype(np.float32)
     matrices = [csr_array(mean[..., channel]) for channel in range(3)]
-    _write(path, matrices, {"forth": forth, "back": back}, {})
+    _write(path, matrices, {"forth": forth, "back": back})
     progress(f"{path.stem}: up to ray {last}")
     return _Piece(first, last, path, forth, back)
 
@@ -285,7 +284,6 @@ def _write(
     path: Path,
     matrices: list[csr_array[np.float32]],
     arrays: dict[str, Double],
-    attributes: dict[str, Any],
 ) -> None:
     """Write matrices, one a channel, with other arrays."""
     named: dict[str, NDArray[Any]] = dict(arrays)
@@ -293,7 +291,7 @@ def _write(
         named[f"values_{channel}"] = matrix.data.astype(np.float32)
         named[f"columns_{channel}"] = matrix.indices.astype(np.int32)
         named[f"starts_{channel}"] = matrix.indptr.astype(np.int64)
-    write_arrays(path, named, {**attributes, "others": matrices[0].shape[1]})
+    write_arrays(path, named, {"others": matrices[0].shape[1]})
 
 
 def _read(path: Path) -> list[csr_array[np.float32]]:
