@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
+from rfpipe.scenes.mitsuba.merging import RADIUS
 from rfpipe.scenes.mitsuba.recording import Light, Recording, record
 from rfpipe.scenes.mitsuba.variant import VECTORISED, load_mitsuba
 from rfpipe.scenes.mitsuba.views import Views
@@ -85,12 +86,13 @@ class MitsubaScene(Scene):
 
     def describe(self) -> dict[str, Any]:
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+        merged = {"radius": RADIUS} if self.light.caustics else {}
         return {
             "scene": "mitsuba",
             "world": self.world.describe(),
             "camera": self.camera.describe(),
             "projector": self.projector.describe(),
-            "light": asdict(self.light),
+            "light": asdict(self.light) | merged,
             "coaxial": self.coaxial,
             "channels": self.channels,
             "rendered": self.rendered,
