@@ -24,7 +24,9 @@ Double = NDArray[np.float64]
 
 _MOST_UNBENT = 16  # boundaries that a chain passes straight on
 _FEW = 8  # chains that are too few to tell a footprint
-_LEAST, _MOST = 0.125, 4.0  # bounds of a footprint, relative to that of light that isn't bent
+# Bounds of a footprint, relative to that of light that isn't bent. Where a lens gathers light in a
+# point that pinholes see through it, radiance has no bound but that of a finite disc.
+_LEAST, _MOST = 1.0, 4.0
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class ChainEnds:
         Mirrors and lenses met on the way, at least 1.
     footprint : ndarray, float32 (n,)
         How wide the pixel is there, in scene units: the narrower side of what its chains by the
-        same mirrors and lenses reach.
+        same mirrors and lenses reach, but no less than without them.
     """
 
     place: Single
@@ -76,14 +78,15 @@ def trace_chains(
     pixel, ray, sampler = begin(camera, 0, camera.views.rays, samples, seed)
     context = mi.BSDFContext()
     weight, bent, length = mi.Color3f(1 / samples), mi.UInt32(0), mi.Float(0)
-    track, active = mi.UInt32(0), dr.full(mi.Bool, True, len(pixel))
+    track: Any = mi.UInt32(0)
+    active: Any = mi.Bool(True)
     found = []
     for _ in range(bounces + _MOST_UNBENT):
         si = scene.ray_intersect(ray, active)
         active &= si.is_valid()
         bsdf = si.bsdf(ray)
         length += dr.select(active, si.t, 0)
-        track = track * 31 + dr.reinterpret_array(mi.UInt32, si.shape)
+        track = track * 31 + mi.UInt32(dr.reinterpret_array(mi.UInt32, si.shape))
         ends = active & (bent > 0) & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         at = dr.compress(ends)
         state = (si.p, si.n, -ray.d, weight, pixel, bent, length * camera.views.pitch, track)
@@ -91,15 +94,18 @@ def trace_chains(
 
         sample, value = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
         turned = is_bent(sample)
-        weight, bent = weight * value, bent + dr.select(turned, mi.UInt32(1), mi.UInt32(0))
+        weight, bent = weight * value, dr.select(turned, bent + 1, bent)
         track = track * 31 + sample.sampled_type
         active &= (turned | is_unbent(sample)) & dr.any(weight > 0) & (bent + 2 <= bounces)
         ray = si.spawn_ray(si.to_world(sample.wo))
         dr.eval(ray, weight, bent, length, track, active, sampler)
         if not dr.any(active):
             break
-    *ends, unbent, tracks = (np.concatenate(each) for each in zip(*found, strict=True))
-    return ChainEnds(*ends, footprint=_footprints(ends[0], ends[4], tracks, unbent))
+    place, normal, way, share, pixels, bends, unbent, tracks = (
+        np.concatenate(each) for each in zip(*found, strict=True)
+    )
+    footprint = _footprints(place, pixels, tracks, unbent)
+    return ChainEnds(place, normal, way, share, pixels, bends, footprint)
 
 
 def _to_numpy(values: Any, at: Any) -> NDArray[Any]:
@@ -118,9 +124,7 @@ def _footprints(
     _, group, count = np.unique(groups, return_inverse=True, return_counts=True)
 
     def mean(values: Double) -> Double:
-        return np.stack(
-            [np.bincount(group, each, len(count)) / count for each in values.T], axis=1
-        )
+        return np.stack([np.bincount(group, each, len(count)) / count for each in values.T], axis=1)
 
     centred = place - mean(place.astype(np.float64))[group]
     products = (centred[:, :, None] * centred[:, None, :]).reshape(-1, 9)

@@ -76,7 +76,7 @@ class Ends:
         level = octave.max() - octave
         self.levels = int(level.max()) + 1
         buckets, listed = _listed(ends, radius, level, np.exp2(octave))
-        count = min(_MOST_BUCKETS, 1 << int(len(listed)).bit_length())
+        count = min(_MOST_BUCKETS, 1 << len(listed).bit_length())
         entries = np.unique(
             (buckets & np.uint32(count - 1)).astype(np.uint64) << np.uint64(32) | listed
         )
@@ -125,7 +125,7 @@ class Ends:
             dr.gather(mi.UInt32, self._pixel, end, found),
             dr.gather(mi.UInt32, self._bounces, end, found),
             vector(self._way),
-            mi.Color3f(vector(self._weight)) * count,
+            mi.Color3f(vector(self._weight) * mi.Float(count)),
         )
 
 

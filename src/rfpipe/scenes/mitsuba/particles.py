@@ -1,11 +1,11 @@
 """Light that the projector throws by mirrors and lenses, followed from the projector.
 
 A path from the camera can't find it, since it meets a projector, a point, by chance only. So paths
-start at the projector's pixels too. Those that a mirror or a lens bends first are connected with the
-camera at each surface that scatters light, and merged with what the camera sees there by mirrors and
-lenses of its own. Each path of light has one way to be found: from the camera, if its last surface
-before the projector scatters; else by connection, if its first surface before the camera does; else
-by merging, where the camera's chain ends.
+start at the projector's pixels too. Those that a mirror or a lens bends first are connected with
+the camera at each surface that scatters light, and merged with what the camera sees there by
+mirrors and lenses of its own. Each path of light is found in one way: from the camera, if its last
+surface before the projector scatters; else by connection, if its first surface before the camera
+does; else by merging, where the camera's chain ends. What fills bodies plays no part.
 """
 
 from __future__ import annotations
@@ -60,7 +60,9 @@ def trace_particles(
     sent = projector.views.pitch**2
     per_pixel = sent / camera.views.pitch**2 * cameras
 
-    def merge(si: Any, bsdf: Any, weight: Any, done: Any, active: Any, sampler: Any) -> Any:
+    def merge(
+        ends: Ends, si: Any, bsdf: Any, weight: Any, done: Any, active: Any, sampler: Any
+    ) -> Any:
         def at_level(level: Any, sampler: Any) -> tuple[Any, ...]:
             near = ends.near(si, level, sampler.next_1d(active), active)
             found = near.found & (done + near.bounces < bounces)
@@ -92,7 +94,7 @@ def trace_particles(
         seen &= ~scene.ray_test(si.spawn_ray_to(look.origin), seen)
         sums.add(column, look.pixel, light, seen)
         if ends is not None:
-            sampler = merge(si, bsdf, weight, done, scatters, sampler)
+            sampler = merge(ends, si, bsdf, weight, done, scatters, sampler)
 
         sample, value = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
         unbent = is_unbent(sample)
