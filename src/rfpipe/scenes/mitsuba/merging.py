@@ -3,8 +3,9 @@
 No path connects a projector and a camera that both look through a lens. But where light from the
 projector comes to a surface near the end of a camera's chain, the two are taken to meet: light
 within a radius ``r`` of an end is that of a disc ``pi r^2`` about it (Jensen 1996; the merging of
-vertices of Georgiev et al. 2012). So pictures are blurred by such discs. They are as wide as a
-pixel's footprint at the end, so that they blur a picture by a pixel.
+vertices of Georgiev et al. 2012). So pictures are blurred by such discs, as wide as a pixel's
+footprint at the end: by a pixel. A radius that was half as long would move as much energy, half as
+far, but where a lens gathers light that is seen through it: that grows without bound.
 
 Ends lie in grids, one for each octave of their radii. Each is listed in all the cells that its disc
 meets, so that a place looks up one cell of each grid, and picks one end there by chance.
@@ -21,12 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.scenes.mitsuba.chains import ChainEnds
+from rfpipe.scenes.mitsuba.light import MERGING_RADIUS
 
-__all__ = ["RADIUS", "Ends", "Near"]
+__all__ = ["Ends", "Near"]
 
 Double = NDArray[np.float64]
-
-RADIUS = 0.5  # of the discs, relative to a pixel's footprint
 
 _FLAT = 0.25  # how far off the disc's plane a surface may be, relative to its radius
 _SAME_SIDE = 0.7  # least cosine between normals of the one surface
@@ -71,7 +71,7 @@ class Ends:
     """
 
     def __init__(self, ends: ChainEnds) -> None:
-        radius = ends.footprint * np.float32(RADIUS)
+        radius = ends.footprint * np.float32(MERGING_RADIUS)
         octave = np.floor(np.log2(radius)).astype(np.int64) + 1  # cells are wider than a radius
         level = octave.max() - octave
         self.levels = int(level.max()) + 1

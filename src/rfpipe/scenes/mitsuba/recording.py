@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError, IntegrityError, LockedError, StoreError
 from rfpipe.provenance import generator, versions
 from rfpipe.scenes.mitsuba.brightness import brightness
+from rfpipe.scenes.mitsuba.light import Light
 from rfpipe.scenes.mitsuba.views import Views
 from rfpipe.store import open_arrays, write_arrays
 from rfpipe.store.files import remove_tree
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 
     from rfpipe.scenes.mitsuba.tracing import Tracer
 
-__all__ = ["Light", "Recording", "record"]
+__all__ = ["Recording", "record"]
 
 Double = NDArray[np.float64]
 
@@ -43,28 +44,6 @@ _WAIT_SECONDS = 1.0
 _PROBES = ("half_lit", "random", "spot")
 _PROBE_SEED = 0
 _SPOT = 3  # pixels along either side
-
-
-@dataclass(frozen=True)
-class Light:
-    """What light is followed, and how long.
-
-    Attributes
-    ----------
-    bounces : int
-        Most vertices of a path between projector and camera, at least 1: direct light alone.
-    samples : int
-        Paths a pixel, at least 2: half of them for either half.
-    caustics : bool
-        Whether light that the projector sends by mirrors and lenses is followed, too.
-    seed : int
-        Of the random numbers.
-    """
-
-    bounces: int
-    samples: int
-    caustics: bool
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -170,7 +149,7 @@ def _record(
             "pieces": [[piece.first, piece.last] for piece in rows],
             "noise": _noise(halves, _unlit(tracer, rows, _probes(projector))),
             "scale": brightness(scene, projector),
-            "light": asdict(light),
+            "light": light.describe(),
             "versions": {**versions(), "mitsuba": metadata.version("mitsuba")},
         },
     )

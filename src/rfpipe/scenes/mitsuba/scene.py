@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import asdict
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -14,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-from rfpipe.scenes.mitsuba.merging import RADIUS
-from rfpipe.scenes.mitsuba.recording import Light, Recording, record
+from rfpipe.scenes.mitsuba.light import Light
+from rfpipe.scenes.mitsuba.recording import Recording, record
 from rfpipe.scenes.mitsuba.variant import VECTORISED, load_mitsuba
 from rfpipe.scenes.mitsuba.views import Views
 from rfpipe.scenes.mitsuba.world import World, load_scene
@@ -86,13 +85,12 @@ class MitsubaScene(Scene):
 
     def describe(self) -> dict[str, Any]:
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
-        merged = {"radius": RADIUS} if self.light.caustics else {}
         return {
             "scene": "mitsuba",
             "world": self.world.describe(),
             "camera": self.camera.describe(),
             "projector": self.projector.describe(),
-            "light": asdict(self.light) | merged,
+            "light": self.light.describe(),
             "coaxial": self.coaxial,
             "channels": self.channels,
             "rendered": self.rendered,

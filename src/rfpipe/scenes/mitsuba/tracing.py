@@ -23,7 +23,7 @@ from rfpipe.scenes.mitsuba.views import Views
 from rfpipe.scenes.mitsuba.volumes import trace_volumes
 
 if TYPE_CHECKING:
-    from rfpipe.scenes.mitsuba.recording import Light
+    from rfpipe.scenes.mitsuba.light import Light
 
 __all__ = ["Tracer"]
 
