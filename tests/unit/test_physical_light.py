@@ -17,6 +17,7 @@ from rfpipe.scenes.mitsuba.worlds.parts import (
     ball,
     body,
     box,
+    glass,
     matt,
     mirror,
     painted,
@@ -154,6 +155,64 @@ def test_a_mirror_throws_a_pattern_as_from_behind_it(tmp_path: Path) -> None:
     without = scene_of(tmp_path, thrown, caustics=False)
     with pytest.raises(InputError, match="no light comes back"):
         without.apply(np.ones((1, SIZE * SIZE)))
+
+
+WHITE = sheet((2, 0, 0), (0, 0, 2), (0, 2, 0), matt(0.5))
+INNER = slice(1, -1)  # pixels that a blur by a pixel takes no light from beyond the picture to
+
+
+def test_a_mirror_shows_what_it_throws_light_on_as_from_behind_it(tmp_path: Path) -> None:
+    both_ways = scene_of(tmp_path, world(MIRROR, WHITE, bounces=3, caustics=True), 4096)
+    directly = scene_of(tmp_path, world(WHITE, camera=IMAGE_OF_AHEAD, bounces=1), 4096)
+    seen, expected = (
+        flood(each)[INNER, INNER] / each.recording.scale for each in (both_ways, directly)
+    )
+    expected = 0.9**2 * expected[:, ::-1]
+    assert seen.sum() == pytest.approx(expected.sum(), rel=0.01)
+    assert differ(seen, expected) < 2 * both_ways.recording.noise["half_lit"]["whole"]
+    # A disc reaches no further than into the next pixels, which its own keeps the most of.
+    rows, columns = np.indices((SIZE, SIZE)).reshape(2, -1)
+    apart = np.maximum(abs(rows[:, None] - rows), abs(columns[:, None] - columns))
+    entries = both_ways.dense(1)
+    assert entries[apart > 1].sum() < 1e-3 * entries.sum()
+    assert entries[apart == 0].sum() > 0.6 * entries.sum()
+    too_short = scene_of(tmp_path, world(MIRROR, WHITE, bounces=2, caustics=True))
+    with pytest.raises(InputError, match="no light comes back"):
+        too_short.apply(np.ones((1, SIZE * SIZE)))
+
+
+def test_light_merged_forth_and_back_is_the_same_within_its_noise(tmp_path: Path) -> None:
+    wall = sheet((2, 0, 0), (0, 0, 2), (0, 2, 0), LETTER)
+    scene = scene_of(tmp_path, world(MIRROR, wall, projector=AHEAD, bounces=3, caustics=True), 4096)
+    lit = half_pattern(scene)
+    forth, back = (matrix @ lit for matrix in (scene.dense(1), scene.dense(1).T))
+    assert differ(forth, back) < 2 * np.sqrt(2) * scene.recording.noise["half_lit"]["whole"]
+
+
+REFLECTED = 0.2**2  # by either boundary of glass of index 1.5
+
+
+def test_a_plane_behind_a_plate_of_glass(tmp_path: Path) -> None:
+    thick, away = 0.2, 3
+    plane = sheet((0, 0, 0), (3, 0, 0), (0, 3, 0), matt(0.1))
+    plate = box((0, 0, 1), (4, 4, thick), 0, glass(1.5))
+    behind = world(plane, plate, bounces=10, caustics=True)
+    scenes = scene_of(tmp_path, behind, 4096), scene_of(tmp_path, world(plane, bounces=1), 4096)
+    seen, expected = (flood(each)[INNER, INNER].mean() / each.recording.scale for each in scenes)
+    passed = (1 - REFLECTED) / (1 + REFLECTED)  # with what is reflected to and fro within it
+    nearer = away / (away - thick * (1 - 1 / 1.5))
+    assert seen / expected == pytest.approx(passed**2 * nearer**2, rel=0.02)
+
+
+def test_a_plane_behind_a_window_is_lit_once(tmp_path: Path) -> None:
+    """A thin pane lets light pass unbent: no caustic, but paths from the camera pass it."""
+    plane = sheet((0, 0, 0), (3, 0, 0), (0, 3, 0), matt(0.1))
+    pane = {**sheet((0, 0, 1), (2, 0, 0), (0, 2, 0), {}), "bsdf": {"type": "thindielectric"}}
+    behind = world(plane, pane, bounces=4, caustics=True)
+    scenes = scene_of(tmp_path, behind, 4096), scene_of(tmp_path, world(plane, bounces=1), 4096)
+    seen, expected = (flood(each).mean() / each.recording.scale for each in scenes)
+    reflected = (0.5046 / 2.5046) ** 2  # of Mitsuba's default, BK7
+    assert seen / expected == pytest.approx(((1 - reflected) / (1 + reflected)) ** 2, rel=0.02)
 
 
 def test_a_body_that_absorbs_dims_what_is_behind_it(tmp_path: Path) -> None:

@@ -77,8 +77,8 @@ class MitsubaOptions(SceneSettings):
     )
     caustics: bool | None = Field(
         None,
-        description="Whether to follow light that mirrors or lenses throw on surfaces: true or "
-        "false; null for what the scene needs.",
+        description="Whether to follow light that the projector sends by mirrors or lenses: true "
+        "or false; null for what the scene needs.",
     )
     seed: int = Field(0, ge=0, description="Seed of the paths, 0 or more.")
     cache: str = Field(

@@ -15,25 +15,42 @@ import mitsuba as mi
 from rfpipe.scenes.mitsuba.pinholes import Pinholes
 from rfpipe.scenes.mitsuba.sums import Sums
 
-__all__ = ["begin", "survival", "trace_paths"]
+__all__ = ["begin", "is_bent", "is_unbent", "survival", "trace_paths"]
 
 _ROULETTE = 4  # bounces after which a dim path may end early
 
 
-def begin(pinholes: Pinholes, sums: Sums, samples: int, seed: int) -> tuple[Any, Any, Any]:
-    """Return the rows of paths, `samples` for each, their first rays, and random numbers."""
-    lanes = sums.count * samples
+def begin(
+    pinholes: Pinholes, first: int, count: int, samples: int, seed: int
+) -> tuple[Any, Any, Any]:
+    """Begin paths, `samples` for each of `count` pixels from a first one on.
+
+    Returns which of these pixels it is, counted from the first, rays, and random numbers.
+    """
+    lanes = count * samples
     row = dr.arange(mi.UInt32, lanes) // samples
     sampler = mi.load_dict({"type": "multijitter", "sample_count": samples})
     sampler.set_samples_per_wavefront(samples)
     sampler.seed(seed, lanes)
-    pixel = row + dr.opaque(mi.UInt32, sums.first)
+    pixel = row + dr.opaque(mi.UInt32, first)
     return row, pinholes.rays(pixel, sampler.next_2d()), sampler
 
 
 def survival(weight: Any, done: Any) -> Any:
     """Probability that a path goes on after some bounces (Russian roulette)."""
     return dr.select(done >= _ROULETTE, dr.clip(dr.max(weight), 0.05, 0.95), mi.Float(1))
+
+
+def is_bent(sample: Any) -> Any:
+    """Tell whether a surface turned light as a mirror or a lens does."""
+    kind = sample.sampled_type
+    reflected = mi.has_flag(kind, mi.BSDFFlags.DeltaReflection)
+    return reflected | mi.has_flag(kind, mi.BSDFFlags.DeltaTransmission)
+
+
+def is_unbent(sample: Any) -> Any:
+    """Tell whether light passed a boundary straight on, which counts as no bounce."""
+    return mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
 
 
 def trace_paths(
@@ -61,7 +78,7 @@ def trace_paths(
     seed
         Of the random numbers.
     """
-    row, ray, sampler = begin(camera, sums, samples, seed)
+    row, ray, sampler = begin(camera, sums.first, sums.count, samples, seed)
     context = mi.BSDFContext()
     projectors = len(projector.views.views)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError, IntegrityError, LockedError, StoreError
 from rfpipe.provenance import generator, versions
 from rfpipe.scenes.mitsuba.brightness import brightness
+from rfpipe.scenes.mitsuba.light import Light
 from rfpipe.scenes.mitsuba.views import Views
 from rfpipe.store import open_arrays, write_arrays
 from rfpipe.store.files import remove_tree
@@ -32,7 +33,9 @@ from rfpipe.store.manifest import read_manifest, write_manifest
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Light", "Recording", "record"]
+    from rfpipe.scenes.mitsuba.tracing import Tracer
+
+__all__ = ["Recording", "record"]
 
 Double = NDArray[np.float64]
 
@@ -41,28 +44,6 @@ _WAIT_SECONDS = 1.0
 _PROBES = ("half_lit", "random", "spot")
 _PROBE_SEED = 0
 _SPOT = 3  # pixels along either side
-
-
-@dataclass(frozen=True)
-class Light:
-    """What light is followed, and how long.
-
-    Attributes
-    ----------
-    bounces : int
-        Most vertices of a path between projector and camera, at least 1: direct light alone.
-    samples : int
-        Paths a pixel, at least 2: half of them for either half.
-    caustics : bool
-        Whether light is followed from the projector, too.
-    seed : int
-        Of the random numbers.
-    """
-
-    bounces: int
-    samples: int
-    caustics: bool
-    seed: int
 
 
 @dataclass(frozen=True)
@@ -158,7 +139,33 @@ def _record(
     from rfpipe.scenes.mitsuba.tracing import Tracer
 
     tracer = Tracer(scene, camera, projector, light)
-    scale = brightness(scene, projector)
+    rows, columns = _all_traced(tracer, camera, projector, light, folder, progress)
+    coaxial = coaxial and _symmetric(tracer)
+    halves = _halves(rows, columns, camera.rays, coaxial)
+    _put_together(folder, rows, columns, coaxial)
+    write_manifest(
+        folder / "recording.json",
+        {
+            "pieces": [[piece.first, piece.last] for piece in rows],
+            "noise": _noise(halves, _unlit(tracer, rows, _probes(projector))),
+            "scale": brightness(scene, projector),
+            "light": light.describe(),
+            "versions": {**versions(), "mitsuba": metadata.version("mitsuba")},
+        },
+    )
+    for piece in (*rows, *columns):
+        remove_tree(piece.path)
+
+
+def _all_traced(
+    tracer: Tracer,
+    camera: Views,
+    projector: Views,
+    light: Light,
+    folder: Path,
+    progress: Callable[[str], None],
+) -> tuple[list[_Piece], list[_Piece]]:
+    """Trace rows from the camera and, for caustics, columns from the projector."""
     seen, lit = _probes(camera), _probes(projector)
     rows = [
         _traced(folder / f"rows_{first:08d}.zarr", tracer.rows, first, last, lit, seen, progress)
@@ -171,46 +178,55 @@ def _record(
         for first, last in _runs(projector.rays, camera.rays)
         if light.caustics
     ]
-    halves = _pictures(rows, columns, camera.rays)
-    if coaxial and not tracer.is_whole:
-        coaxial = False
+    return rows, columns
+
+
+def _symmetric(tracer: Tracer) -> bool:
+    """Tell whether a coaxial rig's matrix is symmetric; warn if it isn't."""
+    if not tracer.is_whole:
         warnings.warn(
             "the scene has mirrors or lenses, but caustics aren't followed: the transport that is "
             "recorded isn't symmetric, which methods for coaxial rigs rely on",
             stacklevel=2,
         )
+    return tracer.is_whole
+
+
+def _halves(rows: list[_Piece], columns: list[_Piece], rays: int, coaxial: bool) -> Double:
+    """Return pictures (2, P, rays, 3) of the probes by either half, of the mean if coaxial.
+
+    Raises
+    ------
+    InputError
+        When they are dark.
+    """
+    halves = _pictures(rows, columns, rays)
     if coaxial:
-        halves = (halves + _pictures(columns, rows, camera.rays)) / 2
+        halves = (halves + _pictures(columns, rows, rays)) / 2
     if not halves.any():
         raise InputError(
             "no light comes back to the camera: nothing that it sees is lit by the projector; turn "
             "them towards the same part of the scene, and look whether one stands within a body"
         )
+    return halves
+
+
+def _put_together(folder: Path, rows: list[_Piece], columns: list[_Piece], coaxial: bool) -> None:
+    """Write the matrix, in runs of rows; the mean of it and its transpose if coaxial."""
     for index, piece in enumerate(rows):
         matrices = _total(piece.first, piece.last, rows, columns)
         if coaxial:
             back = _total(piece.first, piece.last, columns, rows)
             matrices = [_mean(one, other) for one, other in zip(matrices, back, strict=True)]
         _write(folder / f"transport_{index:04d}.zarr", matrices, {})
-    unlit = np.concatenate(
-        [
-            np.einsum("iok,po->pik", tracer.direct(piece.first, piece.last), lit) == 0
-            for piece in rows
-        ],
-        axis=1,
-    )
-    write_manifest(
-        folder / "recording.json",
-        {
-            "pieces": [[piece.first, piece.last] for piece in rows],
-            "noise": _noise(halves, unlit),
-            "scale": scale,
-            "light": asdict(light),
-            "versions": {**versions(), "mitsuba": metadata.version("mitsuba")},
-        },
-    )
-    for piece in (*rows, *columns):
-        remove_tree(piece.path)
+
+
+def _unlit(tracer: Tracer, rows: list[_Piece], lit: Double) -> NDArray[np.bool_]:
+    """Tell which pixels no direct light comes from, under each probe: (P, rays, 3)."""
+    dark = [
+        np.einsum("iok,po->pik", tracer.direct(piece.first, piece.last), lit) == 0 for piece in rows
+    ]
+    return np.concatenate(dark, axis=1)
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from rfpipe.scenes.mitsuba.views import View, Views
 from rfpipe.scenes.mitsuba.world import World, load_scene
 
 if TYPE_CHECKING:
-    from rfpipe.scenes.mitsuba.recording import Light
+    from rfpipe.scenes.mitsuba.light import Light
 
 __all__ = ["Renderer"]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import asdict
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -14,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-from rfpipe.scenes.mitsuba.recording import Light, Recording, record
+from rfpipe.scenes.mitsuba.light import Light
+from rfpipe.scenes.mitsuba.recording import Recording, record
 from rfpipe.scenes.mitsuba.variant import VECTORISED, load_mitsuba
 from rfpipe.scenes.mitsuba.views import Views
 from rfpipe.scenes.mitsuba.world import World, load_scene
@@ -90,7 +90,7 @@ class MitsubaScene(Scene):
             "world": self.world.describe(),
             "camera": self.camera.describe(),
             "projector": self.projector.describe(),
-            "light": asdict(self.light),
+            "light": self.light.describe(),
             "coaxial": self.coaxial,
             "channels": self.channels,
             "rendered": self.rendered,

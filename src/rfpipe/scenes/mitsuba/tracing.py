@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
@@ -12,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.provenance import generator
+from rfpipe.scenes.mitsuba.chains import trace_chains
+from rfpipe.scenes.mitsuba.merging import Ends
 from rfpipe.scenes.mitsuba.particles import trace_particles
 from rfpipe.scenes.mitsuba.paths import trace_paths
 from rfpipe.scenes.mitsuba.pinholes import Pinholes
@@ -20,13 +23,15 @@ from rfpipe.scenes.mitsuba.views import Views
 from rfpipe.scenes.mitsuba.volumes import trace_volumes
 
 if TYPE_CHECKING:
-    from rfpipe.scenes.mitsuba.recording import Light
+    from rfpipe.scenes.mitsuba.light import Light
 
 __all__ = ["Tracer"]
 
 Double = NDArray[np.float64]
 
 _LANES = 2**20  # paths at a time
+_CHAINS = 2**18  # of mirrors and lenses, from all camera pixels
+_MOST_CHAINS, _LEAST_CHAINS = 256, 16  # a pixel
 _DIRECT_SAMPLES = 32  # a pixel, to tell where direct light falls
 
 
@@ -57,7 +62,9 @@ class Tracer:
             shape.is_medium_transition() for shape in scene.shapes()
         )
         self._trace_rows = trace_volumes if through else trace_paths
-        self.is_whole = light.caustics or not any(_has(scene, flag) for flag in bent)
+        self._bends = any(_has(scene, flag) for flag in bent)
+        self.is_whole = light.caustics or not self._bends
+        self._ends: dict[int, Ends | None] = {}
 
     def rows(self, half: int, first: int, last: int) -> Double:
         """Trace rows [first, last) of one half: float64 (last - first, N, 3)."""
@@ -65,7 +72,22 @@ class Tracer:
 
     def columns(self, half: int, first: int, last: int) -> Double:
         """Trace what caustics add to columns [first, last) of one half: (last - first, M, 3)."""
-        return self._traced(trace_particles, self._camera, 2 * half + 1, first, last)
+        if half not in self._ends:
+            self._ends[half] = self._chain_ends(half) if self._bends else None
+        trace = partial(trace_particles, ends=self._ends[half])
+        return self._traced(trace, self._camera, 2 * half + 1, first, last)
+
+    def _chain_ends(self, half: int) -> Ends | None:
+        """Trace what the camera sees by mirrors and lenses, if anything."""
+        wanted = np.clip(_CHAINS // self._camera.views.rays, _LEAST_CHAINS, _MOST_CHAINS)
+        ends = trace_chains(
+            self._scene,
+            self._camera,
+            samples=4 ** int(np.log2(wanted) / 2),
+            bounces=self._light.bounces,
+            seed=int(generator(self._light.seed, 2 * half + 5).integers(2**31)),
+        )
+        return Ends(ends) if len(ends.pixel) else None
 
     def direct(self, first: int, last: int) -> Double:
         """Trace rows [first, last) of direct light alone, roughly."""

@@ -11,7 +11,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from rfpipe.scenes.mitsuba.paths import begin, survival
+from rfpipe.scenes.mitsuba.paths import begin, is_unbent, survival
 from rfpipe.scenes.mitsuba.pinholes import Pinholes
 from rfpipe.scenes.mitsuba.sums import Sums
 
@@ -35,7 +35,7 @@ def trace_volumes(
     The same as `rfpipe.scenes.mitsuba.paths.trace_paths`, for scenes with media; each scattering is
     a bounce, and a boundary that lets light pass unbent is none. The camera stands outside.
     """
-    row, ray, sampler = begin(camera, sums, samples, seed)
+    row, ray, sampler = begin(camera, sums.first, sums.count, samples, seed)
     context, phase_context = mi.BSDFContext(), mi.PhaseFunctionContext()
     projectors = len(projector.views.views)
 
@@ -78,7 +78,7 @@ def trace_volumes(
         medium = dr.select(surface & si.is_medium_transition(), si.target_medium(onward.d), medium)
         ray = dr.select(scattered, mi.Ray3f(interaction.p, turned), onward)
         weight *= dr.select(scattered, mi.Color3f(turned_weight), value)
-        unbent = surface & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
+        unbent = surface & is_unbent(sample)
         done = dr.select(unbent, done, done + 1)
         goes_on = dr.select(unbent, mi.Float(1), survival(weight, done))
         active &= dr.any(weight > 0) & (done < bounces) & (sampler.next_1d() < goes_on)
