@@ -88,10 +88,13 @@ def _bottle() -> dict[str, Any]:
 
 
 def _glass_and_ring() -> dict[str, Any]:
-    """A mirror's ring, within which light gathers where the camera sees it, and a ball of glass."""
+    """A mirror's ring, within which light gathers where the camera sees it, and a block of glass.
+
+    A ball would be a cat's eye: lit and seen through it, its focus outshines all else.
+    """
     return _table() | {
         "ring": pillar((-0.5, -0.999, 0.1), 0.32, 0.5, {"type": "twosided", "m": mirror()}),
-        "ball": ball((0.5, -0.68, 0.1), 0.32, glass()),
+        "block": box((0.5, -0.74, 0.15), (0.55, 0.5, 0.4), 25, glass()),
         "check": sheet((0.5, -0.3, -1.29), (0.6, 0, 0), (0, 0.3, 0), painted(checks(3, 6))),
     }
 
@@ -149,7 +152,8 @@ CLEAR = (
     ),
     World(
         "glass_and_ring",
-        "caustics of a coaxial rig: within a ring of a mirror, and about a ball of glass",
+        "caustics of a coaxial rig: within a ring of a mirror, and about a block of glass, which is "
+        "lit and seen through",
         _glass_and_ring,
         (View((0, 1.9, 3.2), (0, -0.8, 0), degrees=32),),
         bounces=10,
