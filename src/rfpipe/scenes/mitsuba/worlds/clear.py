@@ -152,7 +152,7 @@ CLEAR = (
     ),
     World(
         "glass_and_ring",
-        "caustics of a coaxial rig: within a ring of a mirror, and about a block of glass, which is "
+        "caustics of a coaxial rig: within a ring of a mirror, and about a block of glass, that is "
         "lit and seen through",
         _glass_and_ring,
         (View((0, 1.9, 3.2), (0, -0.8, 0), degrees=32),),
