@@ -5,15 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rfpipe.calibration.symmetry import (
-    measure_symmetry,
-    random_signs,
-    symmetry_findings,
-    take_symmetry,
-)
+from rfpipe.calibration.symmetry import symmetry_findings, take_symmetry
 from rfpipe.config import SceneSettings
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
+from rfpipe.photometry.symmetry import measure_symmetry, random_signs
 from rfpipe.rigs import OperatorRig
 from rfpipe.scenes import scene_from_config
 

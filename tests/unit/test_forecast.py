@@ -44,7 +44,9 @@ def test_a_method_that_descends_shows_at_most_every_block() -> None:
     assert only.levels == 4
     assert only.most.patterns == 1 + 4 + 16 + 35
     assert only.expected.patterns == 35  # the thesis' scenes took 434 for four levels
-    assert only.most.seconds == 2.0 * (56 + 2)
+    assert only.most.seconds == 2.0 * (
+        56 + 2 + 6
+    )  # with the random patterns that tell whether the rig is coaxial
 
 
 def test_the_command_says_what_does_not_fit(

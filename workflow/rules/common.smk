@@ -55,6 +55,7 @@ def stages(wildcards):
     return {
         "capture_options": {
             "references": [capture.black_frames, capture.floodlit_frames],
+            "symmetry_frames": capture.symmetry_frames,
             "batch_patterns": capture.batch_patterns,
             "drift_patterns": capture.drift_patterns,
             "keep_raw": capture.keep_raw,
@@ -64,6 +65,7 @@ def stages(wildcards):
         "merge_options": {**plain(SETTINGS.merge), "keep_raw": capture.keep_raw},
         "normalization": SETTINGS.normalization,
         "number_format": SETTINGS.storage.number_format,
+        "asymmetry": capture.asymmetry,
         "code": acquisition_code(module_of(METHODS, plan(wildcards)["method"])),
     }
 

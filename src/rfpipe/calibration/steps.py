@@ -33,7 +33,7 @@ from rfpipe.calibration.linearity import (
 )
 from rfpipe.calibration.mapping import SmoothMap
 from rfpipe.calibration.rays import RayFit, fit_rays
-from rfpipe.calibration.symmetry import measure_symmetry, symmetry_findings, take_symmetry
+from rfpipe.calibration.symmetry import symmetry_findings, take_symmetry
 from rfpipe.calibration.transfer import (
     levels_of,
     measure_transfer,
@@ -43,6 +43,7 @@ from rfpipe.calibration.transfer import (
 from rfpipe.calibration.views import find_views, layout_of_views, map_of_pixels, maps_of_views
 from rfpipe.config import CalibrationConfig
 from rfpipe.photometry import CameraModel, ResampledSensor, Resampling
+from rfpipe.photometry.symmetry import measure_symmetry
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout

@@ -10,7 +10,15 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from rfpipe.config.base import Extent, MethodSettings, SectionsOf, Settings, Text, group_of
+from rfpipe.config.base import (
+    Extent,
+    Fraction,
+    MethodSettings,
+    SectionsOf,
+    Settings,
+    Text,
+    group_of,
+)
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.figures import FiguresConfig
 from rfpipe.config.scenes import SceneSettings
@@ -76,6 +84,18 @@ class CaptureConfig(Settings):
         description="Brackets of the all-on pattern, averaged: 1 to 1024. A level's images are "
         "scaled to them, so that they set the noise of the direct light.",
     )
+    symmetry_frames: int = Field(
+        6,
+        ge=0,
+        le=1024,
+        description="Brackets of random patterns that follow them where a method needs a coaxial "
+        "rig, to see whether it is one: 0 (not looked at), or 2 to 1024.",
+    )
+    asymmetry: Fraction = Field(
+        0.05,
+        description="Error in relit pictures, as a fraction of their norm between 0 and 1, that "
+        "taking the rig for a coaxial one may make; above it, the acquisition ends.",
+    )
     batch_patterns: Batch = Field(
         16, description="Patterns captured and stored at a time, 1 to 1024."
     )
@@ -103,6 +123,13 @@ class CaptureConfig(Settings):
         description="What to do with a level's pictures when a changed setting changes its "
         "patterns: recapture (it says so first) or refuse.",
     )
+
+    @field_validator("symmetry_frames")
+    @classmethod
+    def _make_pairs(cls, frames: int) -> int:
+        if frames == 1:
+            raise ValueError("one random pattern makes no pair; take 2 or more, or 0")
+        return frames
 
     @property
     def rule(self) -> Literal["simulated", "hardware"]:

@@ -249,15 +249,17 @@ class Inputs:
 
     @property
     def without_references(self) -> str:
-        """What to add where a time is without the all-off and all-on brackets, as the costs are."""
+        """What to add where a time is without the brackets that come first, as the costs are."""
         capture = self.config.capture
         if self.config.camera is None:
             return ""
         brackets = capture.black_frames + capture.floodlit_frames
         minutes = brackets * capture.seconds_per_pattern / 60
+        looks = capture.symmetry_frames
+        more = f"; {looks} random patterns more, to see whether a rig is coaxial" if looks else ""
         return (
             f", without the reference brackets ({capture.black_frames} all-off and "
-            f"{capture.floodlit_frames} all-on ones, {minutes:.1f} min)"
+            f"{capture.floodlit_frames} all-on ones, {minutes:.1f} min{more})"
         )
 
     @property

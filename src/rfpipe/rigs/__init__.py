@@ -4,6 +4,7 @@ from rfpipe.rigs.base import (
     BLACK_LEVEL_KEY,
     DRIFT_KEY,
     FLOODLIT_KEY,
+    SYMMETRY_KEY,
     WARM_UP_KEY,
     Rig,
 )
@@ -18,6 +19,7 @@ __all__ = [
     "BLACK_LEVEL_KEY",
     "DRIFT_KEY",
     "FLOODLIT_KEY",
+    "SYMMETRY_KEY",
     "WARM_UP_KEY",
     "Camera",
     "DeviceRig",

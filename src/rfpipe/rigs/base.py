@@ -15,6 +15,7 @@ __all__ = [
     "BLACK_LEVEL_KEY",
     "DRIFT_KEY",
     "FLOODLIT_KEY",
+    "SYMMETRY_KEY",
     "WARM_UP_KEY",
     "PatternOperator",
     "Rig",
@@ -35,6 +36,9 @@ DRIFT_KEY = 1_000_002
 
 WARM_UP_KEY = 1_000_003
 """The same of those that are shown while the lamp warms up, and not kept."""
+
+SYMMETRY_KEY = 1_000_004
+"""The same of the random patterns that tell whether a rig is coaxial: (this, i)."""
 
 
 class PatternOperator(Protocol):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -17,7 +17,7 @@ from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
 from rfpipe.rigs import Rig
-from rfpipe.stages.capturing.shown import reference_patterns
+from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
 from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.stages.merging.images import (
     ImagesInMemory,
@@ -27,6 +27,7 @@ from rfpipe.stages.merging.images import (
     normalize_level,
 )
 from rfpipe.stages.merging.merger import LevelSum, Merger, runs
+from rfpipe.stages.symmetry import measure
 from rfpipe.transport import Transport
 from rfpipe.transport.filling import fill_from_transpose
 
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _BATCH = 16
+
+_Patterns = Callable[[int, int], tuple[NDArray[np.float32], Keys]]
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,8 @@ def acquire(
     normalization: Mode = "per_channel",
     black_frames: int = 8,
     floodlit_frames: int = 64,
+    symmetry_frames: int = 6,
+    asymmetry: float = 0.05,
     mask_defects: bool = True,
     saturation_fraction: float = 0.98,
     **options: Any,
@@ -106,6 +111,12 @@ def acquire(
     floodlit_frames : int
         All-on brackets to whose mean each level's images are scaled; at least 1. Exact radiance
         takes one.
+    symmetry_frames : int
+        Brackets of random patterns by which methods for coaxial rigs see whether it is one, 2 or
+        more; 0 for none.
+    asymmetry : float
+        Error in relit pictures, relative to their norm, that taking the rig for a coaxial one may
+        make.
     mask_defects : bool
         Whether dead and hot pixels are left out. On a coaxial rig, what other pixels see of their
         light fills them in at the end; otherwise their rows of T are zero.
@@ -125,7 +136,8 @@ def acquire(
     InputError
         If the method lacks an option, one is out of range, or the method does not fit the rig.
     CaptureError
-        If the rig fails or returns what can't be a picture.
+        If the rig fails or returns what can't be a picture, or isn't coaxial and the method needs
+        it.
     """
     chosen = get_method(method)
     asked = options_of(chosen, **options)
@@ -134,6 +146,8 @@ def acquire(
             f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
             "at least one of each is needed"
         )
+    if symmetry_frames < 0 or symmetry_frames == 1:
+        raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 2 or more, are needed")
     began = perf_counter()
     camera, projector = RayDomain(rig.camera_shape), RayDomain(rig.projector_shape)
     n_levels = chosen.n_levels(camera, projector)
@@ -145,6 +159,8 @@ def acquire(
         saturation_fraction=saturation_fraction,
         mask_defects=mask_defects,
     )
+    if chosen.needs_coaxial_rig and symmetry_frames:
+        session.check_symmetry(symmetry_frames, asymmetry)
     shown = saturated = 0
     for _ in range(n_levels):
         schedule = chosen.schedule(state)
@@ -184,6 +200,14 @@ class _Session:
             rig.sensor, self._reference(off, 0, off), self._reference(off, off, off + on), **merging
         )
 
+    def check_symmetry(self, count: int, accepted: float) -> None:
+        """Raise CaptureError where the rig isn't coaxial."""
+
+        def patterns(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+            return symmetry_patterns(self.rig.projector_shape, count, first, last)
+
+        measure(self.merger, self._shown(patterns, 0, count), count).check(accepted)
+
     def capture(self, schedule: Schedule) -> tuple[ImagesInMemory, LevelSum]:
         """Capture and merge the patterns of a level; also return their sum."""
         from tqdm import tqdm
@@ -213,10 +237,21 @@ class _Session:
 
     def _reference(self, black_frames: int, first: int, last: int) -> Iterator[NDArray[Any]]:
         """Take the brackets that an acquisition begins with, a few at a time."""
+
+        def patterns(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+            return reference_patterns(self.rig.projector_shape, black_frames, first, last)
+
+        return self._shown(patterns, first, last)
+
+    def _shown(
+        self,
+        patterns: Callable[[int, int], tuple[NDArray[np.float32], Keys]],
+        first: int,
+        last: int,
+    ) -> Iterator[NDArray[Any]]:
+        """Show patterns, a few at a time."""
         for start in range(first, last, _BATCH):
-            stop = min(start + _BATCH, last)
-            shown = reference_patterns(self.rig.projector_shape, black_frames, start, stop)
-            yield self._show(*shown)
+            yield self._show(*patterns(start, min(start + _BATCH, last)))
 
     def _show(self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]) -> NDArray[Any]:
         began = perf_counter()

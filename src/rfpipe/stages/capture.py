@@ -16,10 +16,10 @@ from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run
 from rfpipe.stages.capturing.drift import DRIFT
 from rfpipe.stages.capturing.sensors import write_sensor
-from rfpipe.stages.capturing.shown import Keys, reference_patterns
+from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
 from rfpipe.stages.capturing.warm_up import seconds_since_capture, warm_up
 from rfpipe.stages.capturing.watch import watch_of
-from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
+from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.results import standing_manifest
 from rfpipe.stages.schedule import read_schedule
@@ -39,6 +39,7 @@ def run(
     level: int,
     *,
     references: tuple[int, int],
+    symmetry_frames: int = 0,
     batch_patterns: int = 16,
     when_patterns_change: Literal["recapture", "refuse"] = "recapture",
     expected_patterns: int = 0,
@@ -57,6 +58,8 @@ def run(
         Level 0 begins with the reference brackets.
     references : (int, int)
         All-off and all-on brackets; exact radiance takes one of each whatever stands here.
+    symmetry_frames : int
+        Brackets of random patterns that follow them, for `rfpipe.stages.symmetry.run`.
     batch_patterns : int
         Patterns shown, then stored, at a time; fewer where memory is short.
     when_patterns_change : {"recapture", "refuse"}
@@ -91,20 +94,31 @@ def run(
     def of_references(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
         return reference_patterns(rig.projector_shape, counts[0], first, last)
 
+    def of_symmetry(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+        return symmetry_patterns(rig.projector_shape, symmetry_frames, first, last)
+
     def of_schedule(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
         return schedule.batch(first, last), [(level, index) for index in range(first, last)]
 
     shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
     path = folder.store(level, "capture")
     of_level = Brackets(rig, path, f"level {level}", schedule.count, shown, of_schedule)
-    parts = [of_level]
+    before: dict[str, Brackets] = {}
+    facts: dict[str, dict[str, Any]] = {REFERENCE: counted, SYMMETRY: {"frames": symmetry_frames}}
     if level == 0:
-        path = folder.store(level, REFERENCE)
         of_rig = {**counted, "rig": described}
-        parts.insert(
-            0, Brackets(rig, path, "reference brackets", sum(counts), of_rig, of_references)
+        path = folder.store(level, REFERENCE)
+        before[REFERENCE] = Brackets(
+            rig, path, "reference brackets", sum(counts), of_rig, of_references
         )
-    if folder.believing and _stands(folder, level, parts):
+    if level == 0 and symmetry_frames:
+        of_rig = {"symmetry_frames": symmetry_frames, "rig": described}
+        path = folder.store(level, SYMMETRY)
+        before[SYMMETRY] = Brackets(
+            rig, path, "brackets of random patterns", symmetry_frames, of_rig, of_symmetry
+        )
+    parts = [*before.values(), of_level]
+    if folder.believing and _stands(folder, level, of_level, before):
         _log.info("%s: all %d patterns are captured", of_level.name, schedule.count)
         return
     for part in parts:
@@ -113,7 +127,7 @@ def run(
     if to_capture:
         camera = rig.sensor, tuple(rig.camera_shape), rig.channels
         if level == 0 and expected_patterns:
-            brackets = sum(counts) + keep_raw * expected_patterns
+            brackets = sum(counts) + symmetry_frames + keep_raw * expected_patterns
             need = DiskNeed.of(*camera, brackets, expected_patterns)
             check_run(need, expected_patterns, folder.path, keep_raw=keep_raw)
         merged = folder.store(level, "merge")  # of a capture before: replaced
@@ -124,8 +138,8 @@ def run(
             warm_up(rig, warm_up_minutes)
     batch = (resources or Resources()).fitting(_bytes_in_hand(rig), batch_patterns)
     beside: dict[str, Any] = {} if level else write_sensor(folder, rig.sensor)
-    for part in parts[:-1]:
-        beside[REFERENCE] = {**part.capture(batch), **counted}
+    for name, part in before.items():
+        beside[name] = {**part.capture(batch), **facts[name]}
     with watch_of(of_level, folder, level, drift_patterns if level else 0) as watch:
         captured = of_level.capture(batch, watch)
         if watch:
@@ -146,11 +160,14 @@ def run(
     )
 
 
-def _stands(folder: AcquisitionFolder, level: int, parts: list[Brackets]) -> bool:
+def _stands(
+    folder: AcquisitionFolder, level: int, of_level: Brackets, before: dict[str, Brackets]
+) -> bool:
     """Whether the level's manifest stands there and is about these brackets."""
-    stated = standing_manifest(folder.manifest(level, "capture"), parts[-1].made_for)
-    of_rig = (stated or {}).get(REFERENCE, {}).get("fingerprint")
-    return stated is not None and all(part.made_for == of_rig for part in parts[:-1])
+    stated = standing_manifest(folder.manifest(level, "capture"), of_level.made_for)
+    return stated is not None and all(
+        stated.get(name, {}).get("fingerprint") == part.made_for for name, part in before.items()
+    )
 
 
 def frame_settings(rig: Rig) -> dict[str, Any]:

@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from rfpipe.errors import IntegrityError
 from rfpipe.store import FrameStore, open_arrays, read_manifest
 
-__all__ = ["REFERENCE", "AcquisitionFolder", "advice_on_damage"]
+__all__ = ["REFERENCE", "SYMMETRY", "AcquisitionFolder", "advice_on_damage"]
 
 REFERENCE = "reference"
 """The all-off and all-on brackets, taken with level 0: their store and their manifest's key."""
+
+SYMMETRY = "symmetry"
+"""Brackets of random patterns, taken with level 0: their store, their key, and a stage's name."""
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ from time import perf_counter
 from typing import Any
 
 from rfpipe.photometry.normalize import Mode
-from rfpipe.stages import assemble, merge, normalize, refine, schedule
+from rfpipe.stages import assemble, merge, normalize, refine, schedule, symmetry
 from rfpipe.stages.capturing.sensors import read_sensor
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
@@ -38,6 +38,7 @@ def run(
     merge_options: Mapping[str, Any],
     normalization: Mode,
     number_format: NumberFormat,
+    asymmetry: float,
     resources: Resources,
 ) -> None:
     """Acquire a scene by a method, or what is missing of it; ``transport.json`` comes last.
@@ -54,10 +55,13 @@ def run(
     code : mapping of str to str
         As `rfpipe.stages.jobs.code.acquisition_code`.
     capture_options, merge_options : mapping
-        Keyword arguments of `rfpipe.stages.capture.run` and `rfpipe.stages.merge.run`.
+        Keyword arguments of `rfpipe.stages.capture.run` and `rfpipe.stages.merge.run`; no method
+        but those for coaxial rigs takes ``symmetry_frames``.
     normalization : {"none", "per_channel", "total_energy"}
     number_format : {"float32", "uint16", "uint8"}
         Of the stored transport.
+    asymmetry : float
+        Error that taking the rig for a coaxial one may make, as `rfpipe.stages.symmetry.run`.
     resources : Resources
 
     Raises
@@ -69,9 +73,18 @@ def run(
         As the stages; what is done is kept.
     """
     expected = plan.method.expected_patterns(plan.camera, plan.projector, plan.options)
+    if not plan.method.needs_coaxial_rig:
+        capture_options = {**capture_options, "symmetry_frames": 0}
 
     def refined(level: int) -> None:
         plan.carry(level + 1, refine.run(plan, folder, level, code["refine"], resources))
+
+    def judge() -> None:
+        symmetry.run(
+            read_sensor(folder), folder,
+            saturation_fraction=merge_options["saturation_fraction"], accepted=asymmetry,
+            code=code["symmetry"], keep_raw=capture_options["keep_raw"],
+        )  # fmt: skip
 
     stages: dict[str, Callable[[int], None]] = {
         "schedule": lambda level: schedule.run(plan, folder, level, code["schedule"]),
@@ -93,6 +106,9 @@ def run(
             for name, stage in stages.items():
                 with _stage(folder.manifest(level, name)):
                     stage(level)
+                if level == 0 and name == "merge":
+                    with _stage(folder.manifest(level, SYMMETRY)):
+                        judge()
         manifest = folder.path / "transport.json"
         with _stage(manifest):
             assemble.run(plan, folder, manifest, scene, number_format, code["assemble"])

@@ -10,13 +10,15 @@ if TYPE_CHECKING:
 
 __all__ = ["acquire_options"]
 
+_CAPTURE = ("black_frames", "floodlit_frames", "symmetry_frames", "asymmetry")
+
 
 def acquire_options(config: Config, name: str, section: MethodSettings) -> dict[str, Any]:
     """Return keyword arguments of `acquire` for a method's section of this name."""
     return {
         "method": section.method or name,
         **section.options(),
-        **config.capture.model_dump(include={"black_frames", "floodlit_frames"}),
+        **config.capture.model_dump(include=set(_CAPTURE)),
         **config.merge.model_dump(exclude={"divide_out_drift"}),  # in process none is watched
         "normalization": config.normalization,
     }

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY
+from rfpipe.photometry.symmetry import random_signs
+from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY
 
-__all__ = ["Keys", "reference_patterns"]
+__all__ = ["Keys", "reference_patterns", "symmetry_patterns"]
 
 Keys = list[tuple[int, ...]]
 """A key a pattern: for the rig's random numbers, and for messages."""
@@ -29,3 +30,11 @@ def reference_patterns(
         for index in indices
     ]
     return patterns, keys
+
+
+def symmetry_patterns(
+    projector_shape: tuple[int, ...], count: int, first: int, last: int
+) -> tuple[NDArray[np.float32], Keys]:
+    """Return some of the `count` random patterns that tell whether a rig is coaxial, and keys."""
+    lit = random_signs(projector_shape, 1, count, seed=0)[first:last] > 0
+    return lit.astype(np.float32), [(SYMMETRY_KEY, index) for index in range(first, last)]

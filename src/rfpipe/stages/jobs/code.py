@@ -68,6 +68,7 @@ def acquisition_code(method: str) -> dict[str, str]:
     of_method = ("schedule", "normalize", "refine", "assemble")
     return {
         "merge": stage_code("stages.merge", MERGED_WITH),
+        "symmetry": stage_code("stages.symmetry", MERGED_WITH),
         **{stage: stage_code(f"stages.{stage}", method) for stage in of_method},
     }
 

@@ -1,0 +1,131 @@
+"""What a few random patterns tell of rigs that aren't coaxial, and what symmetric photography does.
+
+Usage: ``python benchmarks/bench_symmetry.py [SCENE ...]``, ``wedge`` or scenes of Mitsuba by name
+(ten minutes). A scene's matrix at 32 x 32 is spoilt as usual rigs spoil it: a camera that stands
+beside the projector by a part of a pixel, vignetting, a camera out of focus, less light. For each:
+the error that the check predicts, and that of relit pictures by symmetric photography without it.
+Writes results/bench/symmetry.csv.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+import rfpipe
+from rfpipe.calibration.symmetry import take_symmetry
+from rfpipe.photometry import CameraModel
+from rfpipe.photometry.symmetry import measure_symmetry
+from rfpipe.scenes import planes_scene
+from rfpipe.scenes.kinds.mitsuba import Mitsuba, MitsubaOptions
+from rfpipe.scenes.relighting import relighting_patterns
+from rfpipe.stages.evaluating.metrics import relative_rms
+
+OUTPUT = Path("results/bench/symmetry.csv")
+SCENES = ("wedge", "two_blocks", "translucent")
+SIDE = 32
+SEEDS = (0, 1, 2)
+FRAMES = (4, 6, 8)
+_BRIGHTEST = 1.9  # radiance of the floodlit image, of 2 that the camera takes
+_FLOODLIT = 64
+_LIGHT = CameraModel().electrons_per_radiance
+
+Array = NDArray[np.float64]
+
+
+def matrix_of(scene: str) -> Array:
+    """Return a scene's matrix, (N, N), as bright as the camera takes it."""
+    if scene == "wedge":
+        made: Any = planes_scene("wedge", ("white", "texture"), (SIDE, SIDE), channels=1, seed=0)
+    else:
+        kind = "rfpipe.scenes.kinds.mitsuba:Mitsuba"
+        made = Mitsuba.make(
+            MitsubaOptions(kind=kind, scene=scene, shape=(SIDE, SIDE), samples=16384)
+        )
+    matrix = made.apply(np.eye(SIDE * SIDE))[..., 0].T.astype(np.float64)
+    return np.asarray(matrix * _BRIGHTEST / matrix.sum(axis=1).max())
+
+
+def beside(pixels: float) -> Callable[[Array], Array]:
+    """Let the camera stand beside the projector."""
+
+    def spoil(matrix: Array) -> Array:
+        images = matrix.reshape(SIDE, SIDE, -1)
+        moved = np.concatenate([images[:, :1], images[:, :-1]], axis=1)
+        return np.asarray((1 - pixels) * images + pixels * moved).reshape(matrix.shape)
+
+    return spoil
+
+
+def vignetted(share: float) -> Callable[[Array], Array]:
+    """Let the camera lose light from one side to the other."""
+    gain = np.broadcast_to(np.linspace(1 - share, 1, SIDE), (SIDE, SIDE)).reshape(-1, 1)
+    return lambda matrix: np.asarray(gain * matrix)
+
+
+def blurred(pixels: float) -> Callable[[Array], Array]:
+    """Let the camera be out of focus, by a Gaussian's standard deviation."""
+
+    def spoil(matrix: Array) -> Array:
+        images = matrix.reshape(SIDE, SIDE, -1)
+        return np.asarray(gaussian_filter(images, (pixels, pixels, 0))).reshape(matrix.shape)
+
+    return spoil
+
+
+RIGS: dict[str, tuple[Callable[[Array], Array], float]] = {
+    "right": (beside(0), 1.0),
+    "right, a sixteenth of the light": (beside(0), 1 / 16),
+    "a tenth of a pixel beside": (beside(0.1), 1.0),
+    "a quarter": (beside(0.25), 1.0),
+    "half a pixel": (beside(0.5), 1.0),
+    "half a pixel, a sixteenth of the light": (beside(0.5), 1 / 16),
+    "one pixel": (beside(1), 1.0),
+    "10 % vignetting": (vignetted(0.1), 1.0),
+    "30 % vignetting": (vignetted(0.3), 1.0),
+    "camera's blur of 0.5 pixels": (blurred(0.5), 1.0),
+    "camera's blur of 1 pixel": (blurred(1), 1.0),
+}
+
+
+def predicted(rig: rfpipe.OperatorRig, count: int, seed: int) -> float:
+    """Return the error that `count` random patterns of single rays predict."""
+    floodlit, variance, pictures = take_symmetry(rig, count, _FLOODLIT, seed)
+    return measure_symmetry(floodlit, variance, pictures[:1]).worst.predicted
+
+
+def main() -> None:
+    lit = np.stack(list(relighting_patterns((SIDE, SIDE)).values())).astype(np.float32)
+    rows = []
+    for scene in sys.argv[1:] or SCENES:
+        right = matrix_of(scene)
+        for name, (spoil, light) in RIGS.items():
+            matrix = spoil(right)
+            camera = replace(CameraModel(), electrons_per_radiance=light * _LIGHT)
+            rig = rfpipe.OperatorRig(matrix, (SIDE, SIDE), (SIDE, SIDE), camera)
+            told = {
+                f"predicted_{count}": np.mean([predicted(rig, count, seed) for seed in SEEDS])
+                for count in FRAMES
+            }
+            found = rfpipe.acquire(
+                rig, "symmetric", tolerance=3e-3, symmetry_frames=0, progress=False
+            )
+            truth = lit.reshape(len(lit), -1) @ matrix.T
+            images = found.transport.relight_batch(lit).reshape(truth.shape)
+            error = np.mean([relative_rms(*pair) for pair in zip(images, truth, strict=True)])
+            rows.append({"scene": scene, "rig": name, **told, "symmetric": error})
+            print(rows[-1], flush=True)
+    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
+    pd.DataFrame(rows).to_csv(OUTPUT, index=False)
+
+
+if __name__ == "__main__":
+    main()

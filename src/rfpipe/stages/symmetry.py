@@ -1,0 +1,165 @@
+"""Stage: whether a rig is the coaxial one that a method takes it for, by a few random patterns.
+
+Symmetric photography on a rig that is half a pixel off is wrong by 45 %, and nothing in its own
+pictures tells. Random patterns of single rays do: for any two of them, and for the floodlit one,
+light from the one to where the other is lit must be what goes back (reciprocity, 2.10).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError, IntegrityError, StoreError
+from rfpipe.photometry.sensor import Sensor
+from rfpipe.photometry.symmetry import CONFIDENCE, Pictures, measure_symmetry, random_signs
+from rfpipe.provenance import fingerprint
+from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
+from rfpipe.stages.merging.merger import Merger
+from rfpipe.stages.merging.raw import RawFrames
+from rfpipe.stages.merging.references import REFERENCES, read_merger
+from rfpipe.store import drop, read_manifest, write_manifest
+
+__all__ = ["Asymmetry", "measure", "run"]
+
+# Symmetric photography is off by one and a half times the error that is predicted; what is worth a
+# word is a fifth of what is refused.
+_WORTH_A_WORD = 0.2
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Asymmetry:
+    """What relit pictures would be wrong by, relative to their norm, if T were symmetric.
+
+    Attributes
+    ----------
+    error, standard_error : float
+        The former 0 where nothing but noise is seen.
+    """
+
+    error: float
+    standard_error: float
+
+    def check(self, accepted: float) -> None:
+        """Raise CaptureError where the error is surely above `accepted`; warn near it."""
+        least = self.error - CONFIDENCE * self.standard_error
+        found = (
+            "light doesn't go from camera to projector as it comes: taking the rig for a coaxial "
+            f"one makes an error of {self.error:.1%} +- {self.standard_error:.1%} in relit pictures"
+        )
+        if least > accepted:
+            raise CaptureError(
+                f"{found}, and {accepted:.1%} are accepted (capture.asymmetry). Align the two "
+                "devices' centres to a fraction of a pixel, and focus both; or use a method for "
+                "any rig, such as dual photography"
+            )
+        if least > _WORTH_A_WORD * accepted:
+            _log.warning("%s; %.1f%% are accepted (capture.asymmetry)", found, 100 * accepted)
+
+
+def measure(merger: Merger, frames: Iterable[NDArray[Any]], count: int) -> Asymmetry:
+    """Measure asymmetry from brackets of `rfpipe.stages.capturing.shown.symmetry_patterns`.
+
+    Parameters
+    ----------
+    merger : Merger
+        Of the same acquisition.
+    frames : iterable of ndarray, shape (B, E, ...)
+        All `count` brackets, a few at a time.
+    count : int
+        At least 2.
+    """
+    shape = merger.floodlit.shape
+    radiance, variance = [], []
+    first = 0
+    for brackets in frames:
+        merged = merger.merge(brackets, first)
+        radiance.append(merged.radiance)
+        variance.append(merged.variance)
+        first += len(brackets)
+    taken = _flat(np.concatenate(radiance)), _flat(np.concatenate(variance))
+    floodlit = _flat(merger.floodlit[None])[0], _flat(merger.floodlit_variance[None])[0]
+    signs = random_signs(shape[:-1], 1, count, seed=0)
+    worst = measure_symmetry(*floodlit, [Pictures.of(signs, taken, floodlit, 1)]).worst
+    return Asymmetry(worst.predicted, worst.predicted_error)
+
+
+def _flat(images: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return images as (B, N, C); pixels that aren't known are 0, and so is their variance.
+
+    Their direct light is missing forth and back alike.
+    """
+    flat = images.reshape(len(images), -1, images.shape[-1]).astype(np.float64)
+    return np.where(np.isfinite(flat), flat, 0.0)
+
+
+def run(
+    sensor: Sensor,
+    folder: AcquisitionFolder,
+    *,
+    saturation_fraction: float,
+    accepted: float,
+    code: str,
+    keep_raw: bool = True,
+) -> None:
+    """Judge a rig by the random patterns that level 0 began with, and write the manifest.
+
+    Parameters
+    ----------
+    sensor : Sensor
+        The one that took the frames.
+    folder : AcquisitionFolder
+    saturation_fraction : float
+        As `rfpipe.stages.merge.run`.
+    accepted : float
+        Error of relit pictures that asymmetry may make.
+    code : str
+        Fingerprint of the code behind the stage.
+    keep_raw : bool
+        Whether the brackets stay when they are measured.
+
+    Raises
+    ------
+    CaptureError
+        When the rig isn't coaxial enough.
+    """
+    captured = folder.read_manifest(0, "capture").get(SYMMETRY)
+    if captured is None:
+        return
+    references = folder.read_manifest(0, "merge")[REFERENCES]
+    made_from = fingerprint([captured["digest"], references["digest"], code])
+    manifest = folder.manifest(0, SYMMETRY)
+    raw = RawFrames(folder, 0, SYMMETRY)
+    facts = _standing(manifest)
+    if facts is None or (facts["fingerprint"] != made_from and not raw.dropped):
+        raw.must_be_there("what they told is missing")
+        merger = read_merger(sensor, folder, saturation_fraction)
+        with folder.frames(0, "capture", SYMMETRY) as frames:
+            count = frames.shape[0]
+            found = measure(merger, (frames.read(i, i + 1) for i in range(count)), count)
+        facts = {
+            "stage": SYMMETRY,
+            "error": found.error,
+            "standard_error": found.standard_error,
+            "frames": count,
+            "fingerprint": made_from,
+        }
+        write_manifest(manifest, facts)
+    Asymmetry(facts["error"], facts["standard_error"]).check(accepted)
+    if not keep_raw:
+        drop(folder.store(0, SYMMETRY))
+
+
+def _standing(manifest: Path) -> dict[str, Any] | None:
+    try:
+        return read_manifest(manifest)
+    except (StoreError, IntegrityError):
+        return None

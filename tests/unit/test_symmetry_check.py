@@ -1,0 +1,97 @@
+"""Rigs that aren't the coaxial ones that a method takes them for are refused, right ones aren't."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rfpipe
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.provenance import generator
+from rfpipe.scenes import planes_scene
+
+SIDE = 16
+SHAPE = (SIDE, SIDE)
+COAXIAL = ("symmetric", "near_far", "low_rank")
+FEW = {"floodlit_frames": 8, "progress": False}
+DIM = replace(CameraModel(), electrons_per_radiance=CameraModel().electrons_per_radiance / 16)
+
+
+def wedge() -> np.ndarray:
+    scene = planes_scene("wedge", ("white", "texture"), SHAPE, channels=1, seed=3)
+    matrix = scene.apply(np.eye(SIDE * SIDE))[..., 0].T.astype(np.float64)
+    return np.asarray(matrix * 1.9 / matrix.sum(axis=1).max())
+
+
+def beside(matrix: np.ndarray, pixels: float) -> np.ndarray:
+    """What a camera sees that stands some pixels, up to one, beside the projector."""
+    images = matrix.reshape(*SHAPE, -1)
+    moved = np.concatenate([images[:, :1], images[:, :-1]], axis=1)
+    return np.asarray((1 - pixels) * images + pixels * moved).reshape(matrix.shape)
+
+
+def vignetted(matrix: np.ndarray) -> np.ndarray:
+    """What a camera sees that loses a tenth of the light from one side to the other."""
+    share = np.broadcast_to(np.linspace(0.9, 1, SIDE), SHAPE)
+    return np.asarray(share.reshape(-1, 1) * matrix)
+
+
+def rig(matrix: np.ndarray, camera: CameraModel | None) -> rfpipe.OperatorRig:
+    return rfpipe.OperatorRig(matrix, SHAPE, SHAPE, camera)
+
+
+@pytest.mark.parametrize("camera", [None, CameraModel(), DIM])
+@pytest.mark.parametrize("method", COAXIAL)
+@pytest.mark.parametrize("pixels", [0.25, 0.5, 1.0])
+def test_a_misaligned_rig_is_refused(
+    method: str, pixels: float, camera: CameraModel | None
+) -> None:
+    with pytest.raises(CaptureError, match=r"doesn't go from camera to projector.*dual"):
+        rfpipe.acquire(rig(beside(wedge(), pixels), camera), method, **FEW)
+
+
+@pytest.mark.parametrize("camera", [None, CameraModel(), DIM])
+@pytest.mark.parametrize("change", [lambda matrix: matrix, vignetted])
+def test_a_right_rig_is_not(change, camera: CameraModel | None, caplog) -> None:
+    matrix = change(wedge())
+    with caplog.at_level(logging.WARNING):
+        found = rfpipe.acquire(rig(matrix, camera), "symmetric", tolerance=1e-2, **FEW)
+    assert "as it comes" not in caplog.text
+    lit = (generator(1).random((3, *SHAPE)) < 0.5).astype(np.float32)
+    truth = lit.reshape(3, -1) @ matrix.T
+    relit = found.transport.relight_batch(lit).reshape(truth.shape)
+    assert np.linalg.norm(relit - truth) < 0.03 * np.linalg.norm(truth)
+
+
+def test_dead_pixels_are_no_asymmetry() -> None:
+    class Spoilt(rfpipe.OperatorRig):
+        def capture(self, patterns, keys):
+            frames = super().capture(patterns, keys)
+            frames[:, :, dead] = 5
+            return frames
+
+    dead = generator(2).random(SHAPE) < 0.1
+    found = rfpipe.acquire(Spoilt(wedge(), SHAPE, SHAPE, CameraModel()), "symmetric", **FEW)
+    assert np.array_equal(found.masked, dead)
+
+
+def test_what_is_accepted_may_be_said(caplog) -> None:
+    wrong = rig(beside(wedge(), 0.25), CameraModel())
+    with caplog.at_level(logging.WARNING):
+        rfpipe.acquire(wrong, "symmetric", asymmetry=0.5, tolerance=1e-2, **FEW)
+    assert "capture.asymmetry" in caplog.text
+    caplog.clear()
+    rfpipe.acquire(wrong, "symmetric", symmetry_frames=0, tolerance=1e-2, **FEW)
+    rfpipe.acquire(wrong, "dual", tolerance=1e-2, **FEW)
+    assert not caplog.text
+    with pytest.raises(InputError, match="symmetry_frames is 1"):
+        rfpipe.acquire(wrong, "symmetric", symmetry_frames=1, **FEW)
+
+
+def test_a_black_scene_has_no_asymmetry() -> None:
+    found = rfpipe.acquire(rig(np.zeros((SIDE**2, SIDE**2)), None), "symmetric", **FEW)
+    assert found.patterns == 1

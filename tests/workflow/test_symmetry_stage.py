@@ -1,0 +1,111 @@
+"""On files: a rig that isn't coaxial ends an acquisition that needs it, before its first level."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.workflow.harness import STAGES
+from tests.workflow.stagewise import CODE, RAYS, SHAPE, Acquisition, matrix_rig, symmetric_matrix
+
+from rfpipe import acquire
+from rfpipe.errors import CaptureError
+from rfpipe.photometry import CameraModel
+from rfpipe.provenance import generator
+from rfpipe.stages import capture, levels, symmetry
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.plan import Plan
+from rfpipe.store import FrameStore, read_manifest
+
+FRAMES = 6
+
+
+@pytest.fixture(autouse=True)
+def _logs_are_closed() -> Iterator[None]:
+    """A stage that fails leaves its log open: its job ends then."""
+    log = logging.getLogger("rfpipe")
+    before = list(log.handlers)
+    yield
+    for handler in set(log.handlers) - set(before):
+        log.removeHandler(handler)
+        handler.close()
+
+
+def judge(acquisition: Acquisition, accepted: float = 0.05, **options: Any) -> dict[str, Any]:
+    symmetry.run(
+        acquisition.rig.sensor, acquisition.folder,
+        saturation_fraction=0.98, accepted=accepted, code=CODE, **options,
+    )  # fmt: skip
+    return read_manifest(acquisition.folder.manifest(0, "symmetry"))
+
+
+def begun(path: Path, matrix: np.ndarray) -> Acquisition:
+    acquisition = Acquisition(path, matrix_rig(matrix, CameraModel()))
+    acquisition.schedule(0)
+    acquisition.capture(0, symmetry_frames=FRAMES)
+    acquisition.merge(0)
+    return acquisition
+
+
+def crooked() -> np.ndarray:
+    return np.asarray(generator(3).random((RAYS, RAYS)) / RAYS)
+
+
+def test_a_crooked_rig_is_refused_and_a_right_one_is_not(tmp_path: Path) -> None:
+    right = judge(begun(tmp_path / "right", symmetric_matrix()))
+    assert right["error"] < 2.5 * right["standard_error"]
+    wrong = begun(tmp_path / "wrong", crooked())
+    with pytest.raises(CaptureError, match=r"capture\.asymmetry"):
+        judge(wrong)
+    told = judge(wrong, accepted=0.9)
+    assert told["error"] > 0.05
+    assert told["frames"] == FRAMES
+
+
+def test_the_same_is_found_in_process(tmp_path: Path) -> None:
+    told = judge(begun(tmp_path, crooked()), accepted=0.9)
+    frames = {"black_frames": 2, "floodlit_frames": 2, "progress": False}
+    rig = matrix_rig(crooked(), CameraModel())
+    with pytest.raises(CaptureError, match=rf"error of {told['error']:.1%} \+- "):
+        acquire(rig, "symmetric", **frames)
+
+
+def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
+    acquisition = begun(tmp_path, symmetric_matrix())
+    told = judge(acquisition, keep_raw=False)
+    store = acquisition.folder.store(0, "symmetry")
+    assert FrameStore.open(store).dropped
+    assert judge(acquisition, keep_raw=False) == told
+    acquisition.capture(0, symmetry_frames=FRAMES)  # none is missing
+    assert FrameStore.open(store).dropped
+
+
+def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
+    def run(method: str, frames: int) -> AcquisitionFolder:
+        folder = AcquisitionFolder(tmp_path / f"{method}_{frames}")
+        levels.run(
+            Plan(method, method, SHAPE, SHAPE, 1), folder, "crooked",
+            partial(capture.run, matrix_rig(crooked(), CameraModel())),
+            code=dict.fromkeys([*STAGES, "symmetry", "assemble"], CODE),
+            capture_options={"references": (2, 2), "symmetry_frames": frames, "keep_raw": True},
+            merge_options={"saturation_fraction": 0.98, "mask_defects": True},
+            normalization="none", number_format="float32", asymmetry=0.05, resources=Resources(),
+        )  # fmt: skip
+        return folder
+
+    with pytest.raises(CaptureError, match=r"doesn't go from camera to projector.*dual"):
+        run("symmetric", FRAMES)
+    stopped = AcquisitionFolder(tmp_path / f"symmetric_{FRAMES}")
+    assert stopped.manifest(0, "symmetry").exists()
+    assert not stopped.manifest(0, "normalize").exists()
+    for method, frames in (("symmetric", 0), ("brute_force", FRAMES)):
+        folder = run(method, frames)
+        assert (folder.path / "transport.json").exists()
+        assert not folder.manifest(0, "symmetry").exists()
+        assert not folder.store(0, "symmetry").exists()
