@@ -23,9 +23,9 @@ _NUMERICAL = (
 _FAULTS = (
     "Bad input, a rig that fails, and runs that are stopped or damaged, on scene IV at 16 x 16 "
     "pixels (files: 8 x 8); and the hard scenes by a method that hands over to another where light "
-    "isn't smooth. Error: relative RMS of the floodlit picture. Frames are spoilt one by one, or "
-    "two of the camera's pixels in all; signals are sent while the capture's third level runs. "
-    "Stops in every stage, and rigs that answer late, are left to the tests."
+    "isn't smooth. Error: the largest relative RMS error of a relit image. Frames are "
+    "spoilt one by one, or two of the camera's pixels in all; runs are stopped while the third "
+    "level is captured. Stops in every other stage are left to the tests."
 )
 
 

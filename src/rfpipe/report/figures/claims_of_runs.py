@@ -66,7 +66,7 @@ def _matrices(symmetric: _Runs, dual: _Runs) -> Verdict:
         found.append(by_error(asymmetry))
         told.append(f"T by dual photography differs from its transpose by {percent(asymmetry)} %")
     line = symmetric["I"].read("line_relit").sum(axis=-1)
-    aside = float(1 - np.trace(line) / line.sum())
+    aside = abs(float(1 - np.trace(line) / line.sum()))
     found.append(by_error(aside))
     told.append(f"scene I: {percent(aside)} % of T beside the diagonal")
     walls = {name: run for name, run in symmetric.items() if name != "I" and run.has_leaf_levels}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rfpipe.report import methods
 from rfpipe.report.blocks import Section, Table, Tabulation, table_of
@@ -11,6 +11,9 @@ from rfpipe.report.inputs import Inputs
 from rfpipe.report.tables import results
 from rfpipe.report.text import fixed, number, percent, words
 from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1, numeral_of, row_of
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["cost_rows", "costs_section"]
 
@@ -29,6 +32,17 @@ _THESIS_RAYS = {
 """Projector pixels of the thesis: of Table 3.1 what its days of a brute-force scan come to."""
 
 _ORDER = [*TABLE_3_1, *TABLE_5_1]
+
+_NAMES = ("table", "figure", "world")
+_MEASURED = (
+    *_NAMES, "camera_rays", "rays", "positions", "scan", "brute_force_days", "dense_terabytes",
+    "patterns", "processing_s", "minutes", "megabytes", "error", "noise",
+)  # fmt: skip
+_EXTRAPOLATED = (
+    *_NAMES, "extrapolated", "extrapolated_power",
+    "thesis_patterns", "thesis_scan", "thesis_megabytes", "thesis_minutes",
+)  # fmt: skip
+"""Columns of the tables' CSV files."""
 
 _FITTED_ON = {"Fig. 3.6, bottle": "bottle"}
 
@@ -160,6 +174,7 @@ def _measured(rows: list[dict[str, Any]], csv: str) -> Table:
         ],
         [("", 2), ("brute force, computed at this size", 3), ("measured at this size", 4)],
         csv=csv,
+        numbers=_numbers(rows, _MEASURED),
     )
 
 
@@ -177,4 +192,11 @@ def _beside_the_thesis(rows: list[dict[str, Any]]) -> Table:
         ],
         [("", 2), ("ours, extrapolated to the thesis' size", 2), ("the thesis, measured", 4)],
         csv="tables_extrapolated.csv",
+        numbers=_numbers(rows, _EXTRAPOLATED),
     )
+
+
+def _numbers(rows: list[dict[str, Any]], names: tuple[str, ...]) -> pd.DataFrame:
+    import pandas as pd
+
+    return pd.DataFrame([{name: row.get(name) for name in names} for row in rows])

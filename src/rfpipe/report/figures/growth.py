@@ -58,9 +58,9 @@ _FITS = (
 
 _LEVELS = (
     "At the finest projector, by level: blocks of the level, patterns that light them, and how "
-    "many of the blocks above a camera pixel sees that have to be subdivided for it, in the mean. All "
-    "blocks that one pixel sees conflict with each other, so that a level takes four patterns for "
-    "each of them at least."
+    "many of the blocks above a camera pixel sees that have to be subdivided for it, in the mean. "
+    "All blocks that one pixel sees conflict with each other, so that a level takes four "
+    "patterns for each of them at least."
 )
 
 

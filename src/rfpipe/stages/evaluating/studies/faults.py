@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -15,6 +16,7 @@ from rfpipe.errors import RfpipeError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes.hard import hard_cases
 from rfpipe.scenes.reference import reference_scene
+from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.evaluating.studies import stopping
 from rfpipe.stages.evaluating.studies.physical import Arrays, Rows
@@ -46,8 +48,8 @@ def faults_study(config: Config) -> tuple[Rows, Arrays]:
     -------
     rows : list of dict
         ``case``, ``scene``, ``method``, ``camera``; ``rays``, ``patterns`` and ``relight_error``
-        where something was acquired, else None: relative RMS of the floodlit picture; and
-        ``happened``, in words.
+        where something was acquired, else None: the largest relative RMS error of a reference
+        pattern's picture; and ``happened``, in words.
     arrays : dict
         Empty.
     """
@@ -129,6 +131,11 @@ def _frames(config: Config) -> Iterator[dict[str, Any]]:
         below = np.maximum(2 * off - frame.astype(int), 0)
         return np.asarray(below, frame.dtype)
 
+    def late(frame: Frames, key: tuple[int, ...]) -> Frames:
+        if key == _BAD_KEY:
+            time.sleep(_PATIENCE)
+        return frame
+
     def as_it_is(frame: Frames, _key: tuple[int, ...]) -> Frames:
         return frame
 
@@ -137,6 +144,7 @@ def _frames(config: Config) -> Iterator[dict[str, Any]]:
         ("infinite frame", at_one_pattern(np.inf), scene, None),
         ("negative frame", at_one_pattern(-1.0), scene, None),
         ("frame of another size", lambda frame, _: frame[:, 1:], scene, sensor),
+        ("rig answers late", late, scene, sensor),
         ("a dead and a hot pixel", defective, scene, sensor),
         ("saturated at every exposure", as_it_is, scene, saturating),
         ("floodlit image all black", as_it_is, dark, sensor),
@@ -158,14 +166,17 @@ def _acquired(
         result = acquire(rig, method, progress=False)
     except RfpipeError as error:
         return {**row, "happened": f"refused: {_first_line(error)}"}
-    light = np.ones(rig.projector_shape, np.float32)
-    truth = scene.apply(light[None]).reshape(*rig.camera_shape, rig.channels)
+    patterns = np.stack(list(relighting_patterns(rig.projector_shape).values()))
+    relit = result.transport.relight_batch(patterns)
+    truth = scene.apply(patterns.reshape(len(patterns), -1)).reshape(relit.shape)
+    errors = [relative_rms(*pictures) for pictures in zip(relit, truth, strict=True)]
+    rays = int(np.prod(rig.projector_shape))
     return {
         **row,
-        "rays": light.size,
+        "rays": rays,
         "patterns": result.patterns,
-        "relight_error": relative_rms(result.transport.relight(light), truth),
-        "happened": _told(result, method, light.size),
+        "relight_error": max((e for e in errors if not np.isnan(e)), default=float("nan")),
+        "happened": _told(result, method, rays),
     }
 
 
@@ -173,7 +184,8 @@ def _told(result: AcquisitionResult, method: str, rays: int) -> str:
     """Say what an acquisition did beside the usual."""
     told = []
     if result.masked.any():
-        told.append(f"{int(result.masked.sum())} camera pixels left out and filled in")
+        count = int(result.masked.sum())
+        told.append(f"{count} camera pixels left out, and filled from what others see of them")
     if result.saturated:
         told.append(f"{result.saturated:,} samples clipped")
     if result.patterns > rays:
@@ -181,7 +193,7 @@ def _told(result: AcquisitionResult, method: str, rays: int) -> str:
     # its own levels subdivide nothing, those of symmetric photography that follow them do
     if method == _HANDS_OVER and result.levels["subdivided"].any():
         told.append("handed over to symmetric photography")
-    return ", ".join(told) or "acquired"
+    return "; ".join(told) or "acquired"
 
 
 def _rigs() -> Iterator[dict[str, Any]]:

@@ -165,5 +165,6 @@ def _alter(chunk: Path) -> None:
 
 
 def _named(error: Exception, folder: Path) -> str:
-    """Return what an error says, on one line and without where the study works."""
-    return " ".join(str(error).replace(f"{folder}/", "").split())
+    """Return what an error says, on one line and without where and as what the study runs."""
+    told = str(error).replace(f"{folder}/", "").replace(f"process {os.getpid()}", "a process")
+    return " ".join(told.split())
