@@ -128,9 +128,10 @@ def _levels_figure(study: Study, row: dict[str, Any], white: float) -> Illustrat
         radiance = study.images.read(f"level_{level}")
         own = min(white, exposure(radiance)) if radiance.max() > 0 else white
         light = Light(row["world"], f"level {level + 1}", radiance, own)
-        panels.append((f"level {level + 1}", light, f"{patterns} patterns\nwhite at {own:.2g}"))
+        shown = f"white at {own:.2g}" if radiance.max() > 0 else "nothing is stored here"
+        panels.append((f"level {level + 1}", light, f"patterns {patterns}\n{shown}"))
     ours = light_of(study, "dual_hierarchy", "their sum", white, row["world"])
-    last = ("their sum", ours, f"{row['patterns']} patterns\nwhite at {white:.2g}")
+    last = ("their sum", ours, f"patterns {row['patterns']}\nwhite at {white:.2g}")
     caption = (
         "The dual picture, and what each level of the hierarchy adds to it, coarse to fine, each "
         "brightened so that it can be seen: its white is below it. Coarse levels hold the soft "

@@ -54,7 +54,7 @@ def _levels_figure(study: Study, white: float) -> Illustration:
     panels = []
     for level in study.rows[0]["levels"]:
         light = light_of(study, f"level_{level['level']}", f"level {level['level']}", white)
-        below = f"{level['patterns']} patterns\nerror {percent(level['error'])} %"
+        below = f"patterns {level['patterns']}\nerror {percent(level['error'])} %"
         panels.append((f"level {level['level']}", light, below))
     truth = light_of(study, "letters_truth", "ground truth", white)
     caption = (
