@@ -79,12 +79,19 @@ def _where_they_go(row: dict[str, Any]) -> str:
         "goes from each to all parts of the scene that the camera sees: coarser projectors show "
         "brute force, which grows with the pixels."
     )
-    return told + "".join(
+    told += "".join(
         f" Level {level['level']} lights its {number(level['blocks'])} blocks in "
         f"{number(level['patterns'])} patterns; a camera pixel tells {level['told_apart']:.0f} "
         "blocks above apart in the mean, which can't be lit together."
         for level in shared
     )
+    peak = max(row["by_level"], key=lambda level: level["patterns"])
+    if peak["level"] < row["by_level"][-1]["level"]:
+        told += (
+            f" Beyond level {peak['level']} more and more responses are below the threshold and "
+            "stored, so that fewer blocks are left to tell apart."
+        )
+    return told
 
 
 def _levels_table(rows: list[dict[str, Any]]) -> Table:
