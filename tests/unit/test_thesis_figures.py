@@ -131,6 +131,19 @@ def test_costs_are_judged_by_orders_of_magnitude(patterns: int, verdict: str) ->
     assert (found.figure, found.verdict) == ("Table 5.1", verdict)
 
 
+@pytest.mark.parametrize(
+    ("loose", "without", "verdict"),
+    [(0.01, 0.01, "holds"), (0.01, 0.03, "in part"), (0.03, 0.03, "does not")],
+)
+def test_flare_corrupts_only_what_is_worse_than_without_it(
+    loose: float, without: float, verdict: str
+) -> None:
+    errors = {"tight": 0.03, "loose": loose, "without": without}
+    rows = [{"case": case, "around": error} for case, error in errors.items()]
+    (found,) = verdicts(_inputs(flare=rows))
+    assert (found.figure, found.verdict) == ("Fig. 5.11", verdict)
+
+
 def test_fine_detail_is_kept_by_the_same_picture_and_lost_by_a_blurred_one() -> None:
     picture = np.random.default_rng(0).random((20, 30, 3))
     blurred = uniform_filter(picture, (7, 7, 1))
