@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rfpipe.provenance import versions
-from rfpipe.report import charts, methods, pictures, tables
+from rfpipe.report import charts, hard_cases, methods, pictures, tables
 from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation, table_of
 from rfpipe.report.inputs import Inputs, Study
 from rfpipe.report.text import fixed, number, percent, ray_size, size, wishes, words
@@ -102,46 +101,10 @@ def _mosaic_table(study: Study) -> Table:
     )
 
 
-def _stability_section(_inputs: Inputs, study: Study) -> Section:
-    """Numerically hard cases."""
-    caption = (
-        "Small scenes that are hard to acquire, at the run's tolerance. Errors: relative "
-        "Frobenius error of the whole matrix; the largest relative RMS error of a relit image; "
-        "and the floodlit image summed in float32 by relighting against a sum in float64. The "
-        "camera is the run's without its mosaic, its aperture set to the scene's brightness, "
-        "except for the photon-starved scene. Misalignment by half a pixel breaks the symmetry "
-        "that symmetric photography builds on; dual photography doesn't need it."
-    )
-    hard_cases = Tabulation("Hard cases", caption, _stability_table(study))
-    return Section("stability", "Numerical stability", [hard_cases], sources=[study.source])
-
-
-def _stability_table(study: Study) -> Table:
-    scientific = partial(number, form=".1e")
-    return table_of(
-        study.rows,
-        [("case", "case", words), ("method", "method", methods.title), ("camera", "camera", str)],
-        [
-            ("patterns", "patterns", number),
-            ("brute force", "rays", number),
-            ("of T", "matrix_error", scientific),
-            ("of an image", "relight_error", scientific),
-            ("of float32 sums", "accumulation", scientific),
-            ("", "refused", _refusal),
-        ],
-        [("", 5), ("relative error", 3), ("", 1)],
-        csv="stability.csv",
-    )
-
-
-def _refusal(reason: str) -> str:
-    return f"refused: {reason.split(':', maxsplit=1)[0]}" if reason else ""
-
-
 _STUDIES = {
     "resolution": _resolution_section,
     "mosaic": _mosaic_section,
-    "stability": _stability_section,
+    "stability": hard_cases.hard_cases_section,
 }
 
 

@@ -35,7 +35,7 @@ __all__ = [
 # Stages of an acquisition in order; all but the capture are processing.
 _STAGES = ("schedule", "capture", "merge", "normalize", "refine", "assemble")
 _KINDS = (
-    ("rank1", "rank-1 leaves", "#3a6fb0"),
+    ("rank1", "rank-1 leaves (dual: stored)", "#3a6fb0"),
     ("rank_k", "rank-k leaves", "#7d5ba6"),
     ("scalar", "scalar leaves", "#9dc0e6"),
     ("empty", "empty", "#b9b9b9"),
@@ -74,7 +74,7 @@ def leaves_figure(rows: Sequence[Sequence[Run]]) -> Figure:
     for axis in axes[-1]:
         axis.set_xlabel("level", fontsize=8)
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=8.5, frameon=False)
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=8.5, frameon=False)
     return figure
 
 

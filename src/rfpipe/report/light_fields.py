@@ -5,20 +5,28 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation, table_of
 from rfpipe.report.drawing import Drawing, new_figure
-from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.inputs import Inputs
 from rfpipe.report.light import Light
 from rfpipe.report.text import percent, size
 from rfpipe.stages.evaluating.metrics import relative_rms
 
-__all__ = ["light_fields_section", "view_errors", "views_figure"]
+__all__ = ["SHARED", "draw_views", "light_fields_section", "view_errors"]
 
 _GRID = 3.9  # inches that an array of pictures is wide
 _ARRAYS = 3  # relit, true, and their difference
 _GAP = 0.12  # between two arrays, of a picture's width
 _BRIGHT = 99.5  # percentile of the true pictures' radiance that is shown as white
+SHARED = (
+    "each picture where its view is in the array; on the left relit, with its relative RMS error, "
+    "in the middle ground truth, on the right relit minus true. The framed picture is seen and lit "
+    "from the same place."
+)
+"""What there is to say of every array of pictures."""
+
 _SAME = "#e0914a"  # frame of the picture whose view is also the light
 
 
@@ -37,16 +45,17 @@ def light_fields_section(inputs: Inputs) -> Section | None:
     for run in runs:
         views = size(*run.settings.view_grid)
         of = f"{run.title}, {run.method_title.lower()}"
-        shared = (
-            f"{of}: {views} views, each picture where its view is in the array; on the left "
-            "relit, with its relative RMS error, in the middle ground truth, on the right relit "
-            "minus true. The framed picture is seen and lit from the same place."
-        )
+        shared = f"{of}: {views} views, {SHARED}"
+        stored = run.read("views_relit"), run.read("views_truth")
         for letter, name, what in (
             ("a", "light moves", "The middle view, in the light of each view's projector in turn."),
             ("b", "view moves", "The light of the middle view's projector, seen from each view."),
         ):
-            drawing = views_figure(run, is_light_moving=letter == "a")
+            relit, truth = (
+                images[:, run.middle_view] if letter == "a" else images[run.middle_view]
+                for images in stored
+            )
+            drawing = draw_views(run.title, run.settings.view_grid, relit, truth)
             slug = f"fig_5_8_{letter}_{run.scene}_{run.method}"
             title, told = f"Fig. 5.8 ({letter}), the {name}", f"{what} {shared}"
             blocks.append(
@@ -61,24 +70,22 @@ def light_fields_section(inputs: Inputs) -> Section | None:
     return Section("light_fields", "8D reflectance fields (Fig. 5.8)", blocks, [text], sources)
 
 
-def views_figure(run: Run, *, is_light_moving: bool) -> Drawing:
+def draw_views(of: str, grid: tuple[int, int], relit: NDArray[Any], truth: NDArray[Any]) -> Drawing:
     """Draw an array of pictures as relit, beside the true ones and the errors.
 
     Parameters
     ----------
-    run : Run
-        Of a light field.
-    is_light_moving : bool
-        Whether the light moves before the middle view, or the view in the middle one's light.
+    of : str
+        The scene.
+    grid : (int, int)
+        Rows and columns of the array.
+    relit, truth : ndarray of float, shape (V, H, W, C)
+        One picture a place; that in the middle is seen and lit from there, and framed.
     """
-    rows, columns = run.settings.view_grid
-    middle = run.middle_view
-    relit, truth = (
-        images[:, middle] if is_light_moving else images[middle]
-        for images in (run.read("views_relit"), run.read("views_truth"))
-    )
+    rows, columns = grid
+    middle = rows // 2 * columns + columns // 2
     white = float(np.percentile(truth, _BRIGHT)) or 1.0
-    height, width = run.settings.shape
+    height, width = truth.shape[1:3]
     panel = _GRID / columns
     size = (_ARRAYS * _GRID + 2 * _GAP * panel, rows * (panel * height / width + 0.2) + 0.25)
     widths = ([1.0] * columns + [_GAP]) * _ARRAYS
@@ -89,7 +96,7 @@ def views_figure(run: Run, *, is_light_moving: bool) -> Drawing:
         row, column = divmod(index, columns)
         place = f"row {row + 1}, column {column + 1}"
         pictures = [
-            Light(run.title, f"{what}, {place}", radiance, white)
+            Light(of, f"{what}, {place}", radiance, white)
             for what, radiance in (("relit", image), ("ground truth", true))
         ]
         ours, beside, error = (drawing.axes[row, first + column] for first in firsts.values())

@@ -116,12 +116,14 @@ def make_sections(inputs: Inputs) -> list[Section]:
         ]
     else:
         pictures = [sections.captured_section(inputs)]
+    of_thesis = figures.figures_sections(inputs)  # with Tables 3.1 and 5.1 of their own
+    costs = [] if of_thesis else [sections.cost_section(inputs)]
     candidates = [
         glance.glance_section(inputs),
-        *figures.figures_sections(inputs),
+        *of_thesis,
         sections.speed_section(inputs),
         *pictures,
-        sections.cost_section(inputs),
+        *costs,
         estimates.estimates_section(inputs),
         sections.leaves_section(inputs),
         *background.studies_sections(inputs),

@@ -13,6 +13,7 @@ from rfpipe.report.drawing import (
     Drawing,
     colour_bar,
     head,
+    label_below,
     label_left,
     new_figure,
     new_panels,
@@ -217,8 +218,13 @@ def matrices_figure(runs: Sequence[Run]) -> Drawing:
     for column, run in zip(drawing.axes.T, runs, strict=True):
         _draw_column(drawing, column, run, with_levels)
     head(drawing.axes[0], [run.title for run in runs])
-    names = ["(a)  albedo", f"(b)  T {TIMES} floodlight", "(c)  T along the line", "true T"]
-    names += ["(d)  level of the leaf"] if with_levels else []
+    names = [
+        "(a)  albedo",
+        f"(b)  T {TIMES} floodlight",
+        "(c)  T along the line\ncamera ray",
+        "true T\ncamera ray",
+    ]
+    names += ["(d)  level of the leaf\ncamera ray"] if with_levels else []
     names += [f"(e)  T {TIMES} vertical bar", "true radiance", _ERROR]
     for axis, name in zip(drawing.axes[:, 0], names, strict=True):
         label_left(axis, name)
@@ -237,9 +243,13 @@ def _draw_column(drawing: Drawing, column: NDArray[Any], run: Run, with_levels: 
     drawing.show(axis, run.light("floodlit, relit", floodlit), f"error {error:.2%}")
     axis.axhline(run.facts["row"], color="#ffd84a", linewidth=1.6, alpha=0.55)
     for name in ("line_relit", "line_truth"):
-        _show_line(next(panels), run.read(name), run)
+        axis = next(panels)
+        _show_line(axis, run.read(name), run)
+        label_below(axis, "projector ray")
     if with_levels:
-        _show_levels(next(panels), run)
+        axis = next(panels)
+        _show_levels(axis, run)
+        label_below(axis, "projector ray")
     pattern, relit, truth = (run.read(name)[0] for name in ("patterns", "relit", "truth"))
     gain = unlit_gain(pattern) if run.is_coaxial else 1.0
     ours = run.light("vertical bar, relit", relit, gain)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError
+from rfpipe.errors import CaptureError, InputError
 from rfpipe.methods import Method, get_method, options_of
 from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
@@ -257,4 +257,10 @@ class _Session:
         began = perf_counter()
         frames = self.rig.capture(patterns, keys)
         self.capture_seconds += perf_counter() - began
+        expected = self.rig.sensor.frame_shape(self.rig.camera_shape, self.rig.channels)
+        if frames.shape != (len(patterns), *expected):
+            raise CaptureError(
+                f"pattern {tuple(keys[0])}: the rig returned frames of shape {frames.shape[1:]}; "
+                f"expected {tuple(expected)}. Check the camera's size, pixel format and exposures"
+            )
         return frames

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rfpipe.report.blocks import Section
-from rfpipe.report.figures import claims, costs, dual, laws, symmetric
+from rfpipe.report.figures import claims, costs, dual, growth, laws, symmetric, views
 from rfpipe.report.inputs import Inputs
 
 __all__ = ["figures_sections"]
@@ -13,11 +13,12 @@ _OF_STUDY = {
     "box": dual.box_section,
     "bottle": dual.bottle_section,
     "samples": dual.samples_section,
-    "growth": dual.growth_section,
+    "growth": growth.growth_section,
     "arc": dual.arc_section,
     "right_angles": dual.right_angles_section,
     "bears": symmetric.bears_section,
     "flare": symmetric.flare_section,
+    "views": views.views_section,
     "laws": laws.laws_section,
 }
 

@@ -1,14 +1,19 @@
-"""Tables 3.1 and 5.1 on physically based scenes: measured here, and extrapolated from it."""
+"""Tables 3.1 and 5.1: measured here, and apart from it extrapolated to the thesis' size."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rfpipe.report.blocks import Section, Tabulation, table_of
+from rfpipe.report import methods
+from rfpipe.report.blocks import Section, Table, Tabulation, table_of
 from rfpipe.report.figures.fits import line_fit, patterns_at
 from rfpipe.report.inputs import Inputs
-from rfpipe.report.text import fixed, number, percent
-from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1
+from rfpipe.report.tables import results
+from rfpipe.report.text import fixed, number, percent, words
+from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1, numeral_of, row_of
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["cost_rows", "costs_section"]
 
@@ -23,9 +28,21 @@ _THESIS_RAYS = {
     "Fig. 3.7, bottom": 298_800,
     "Fig. 3.6, bottle": 578 * 680,
     "Fig. 3.9, 80 positions": 80 * 162_900,
-    "Fig. 5.6, gummy bears": 91_176,
 }
 """Projector pixels of the thesis: of Table 3.1 what its days of a brute-force scan come to."""
+
+_ORDER = [*TABLE_3_1, *TABLE_5_1]
+
+_NAMES = ("table", "figure", "world")
+_MEASURED = (
+    *_NAMES, "camera_rays", "rays", "positions", "scan", "brute_force_days", "dense_terabytes",
+    "patterns", "processing_s", "minutes", "megabytes", "error", "noise",
+)  # fmt: skip
+_EXTRAPOLATED = (
+    *_NAMES, "extrapolated", "extrapolated_power",
+    "thesis_patterns", "thesis_scan", "thesis_megabytes", "thesis_minutes",
+)  # fmt: skip
+"""Columns of the tables' CSV files."""
 
 _FITTED_ON = {"Fig. 3.6, bottle": "bottle"}
 
@@ -36,75 +53,133 @@ def cost_rows(inputs: Inputs) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        What the studies measured, and: ``brute_force_days``, ``dense_terabytes`` and ``minutes``
-        at this size, at the thesis' seconds a pattern; ``extrapolated`` and
-        ``extrapolated_power``: patterns at the thesis' size by either curve of Fig. 3.8, None
-        where none was fitted; ``thesis_patterns``, ``thesis_megabytes``, ``thesis_minutes``.
+        What was measured: ``table``, ``figure``, ``world``, ``rays``, ``camera_rays``,
+        ``patterns``, ``megabytes``, ``processing_s``, ``error``; and ``scan``: patterns of brute
+        force, ``brute_force_days``, ``dense_terabytes`` and ``minutes`` at this size, at the
+        thesis' seconds a pattern. ``extrapolated`` and ``extrapolated_power``: patterns at the
+        thesis' size by either curve of Fig. 3.8, None where none was fitted. What the thesis has:
+        ``thesis_patterns``, ``thesis_megabytes``, ``thesis_minutes``, ``thesis_scan``.
     """
+    fits = _fits(inputs)
+    measured = [row for study in inputs.studies.values() for row in study.rows if row.get("table")]
+    found = [_cost_row(row, fits) for row in [*measured, *_planes(inputs)]]
+    return sorted(found, key=lambda row: (row["table"], _ORDER.index(row["figure"])))
+
+
+def _fits(inputs: Inputs) -> dict[str, dict[str, float]]:
+    """Return the curves of Fig. 3.8 by their scenes."""
     import pandas as pd
 
     growth = inputs.studies.get("growth")
-    fits = {}
-    if growth is not None:
-        numbers = pd.DataFrame(growth.rows)
-        fits = {str(scene): line_fit(own) for scene, own in numbers.groupby("scene")}
+    if growth is None:
+        return {}
+    numbers = pd.DataFrame(growth.rows)
+    return {str(scene): line_fit(own) for scene, own in numbers.groupby("scene")}
+
+
+def _planes(inputs: Inputs) -> list[dict[str, Any]]:
+    """Return the rows of scenes I to IV of Fig. 2.1, which are acquisitions of the run."""
+    scenes = inputs.config.scenes
+    chosen = methods.of_table("5.1", inputs.methods)
     found = []
-    for study in inputs.studies.values():
-        for row in study.rows:
-            if not row.get("table"):
-                continue
-            figure = row["figure"]
-            is_dual = row["table"] == "3.1"
-            theirs: Any = (TABLE_3_1 if is_dual else TABLE_5_1)[figure]
-            positions = row.get("positions", 1)
-            scan = row["rays"] * positions
-            seconds = 24 * 3600 / _DUAL_RATE if is_dual else _HDR_SECONDS
-            fit = fits.get(_FITTED_ON.get(figure, "box")) if is_dual else None
-            line = power = None
-            if fit is not None:
-                own = row["patterns"] / positions
-                at = _THESIS_RAYS[figure] // (80 if positions > 1 else 1)
-                line, power = (
-                    positions * value for value in patterns_at(fit, at, (row["rays"], own))
-                )
-            dense = row["rays"] * row["camera_rays"] * positions * _COLOURS * _FLOAT_BYTES
-            found.append(
-                {
-                    **row,
-                    "scan": scan,
-                    "brute_force_days": scan * seconds / 86_400,
-                    "dense_terabytes": dense / _BYTES_A_TERABYTE,
-                    "minutes": (row["patterns"] * seconds + row["processing_s"]) / 60,
-                    "extrapolated": line,
-                    "extrapolated_power": power,
-                    "thesis_patterns": theirs.patterns,
-                    "thesis_megabytes": theirs.megabytes,
-                    "thesis_minutes": theirs.minutes,
-                    "thesis_scan": _THESIS_RAYS[figure],
-                }
-            )
-    return sorted(found, key=lambda row: (row["table"], row["figure"]))
+    for row in results(inputs).to_dict("records") if inputs.runs else ():
+        figure = row_of(scenes[row["scene"]])
+        if row["method"] in chosen and figure and numeral_of(scenes[row["scene"]]):
+            more = {"table": "5.1", "figure": figure, "world": row["title"]}
+            more |= {"camera_rays": row["rays"], "error": row["mean_error"]}
+            found.append({str(key): value for key, value in row.items()} | more)
+    return found
+
+
+def _cost_row(row: dict[str, Any], fits: dict[str, dict[str, float]]) -> dict[str, Any]:
+    """Set what brute force would cost, and the thesis' numbers, beside a measured row."""
+    figure = row["figure"]
+    is_dual = row["table"] == "3.1"
+    theirs: Any = (TABLE_3_1 if is_dual else TABLE_5_1)[figure]
+    positions = row.get("positions", 1)
+    scan = row["rays"] * positions
+    seconds = 24 * 3600 / _DUAL_RATE if is_dual else _HDR_SECONDS
+    fit = fits.get(_FITTED_ON.get(figure, "box")) if is_dual else None
+    line = power = None
+    if fit is not None:
+        own = row["patterns"] / positions
+        at = _THESIS_RAYS[figure] // (80 if positions > 1 else 1)
+        line, power = (positions * value for value in patterns_at(fit, at, (row["rays"], own)))
+    dense = row["rays"] * row["camera_rays"] * positions * _COLOURS * _FLOAT_BYTES
+    return {
+        **row,
+        "scan": scan,
+        "brute_force_days": scan * seconds / 86_400,
+        "dense_terabytes": dense / _BYTES_A_TERABYTE,
+        "minutes": (row["patterns"] * seconds + row["processing_s"]) / 60,
+        "extrapolated": line,
+        "extrapolated_power": power,
+        "thesis_patterns": theirs.patterns,
+        "thesis_megabytes": theirs.megabytes,
+        "thesis_minutes": theirs.minutes,
+        "thesis_scan": theirs.brute_force_patterns if not is_dual else _THESIS_RAYS[figure],
+    }
 
 
 def costs_section(inputs: Inputs) -> Section:
-    """Tables 3.1 and 5.1 of the physically based scenes, and their extrapolation."""
+    """Tables 3.1 and 5.1, and their extrapolation."""
     rows = cost_rows(inputs)
-    measured = table_of(
+    blocks = []
+    for table_number, name, rate in (
+        ("3.1", "dual photography", "25 patterns a minute"),
+        ("5.1", "symmetric photography", "2 s a pattern"),
+    ):
+        about = (
+            "What was shown, stored and found at the size of this run; nothing here is "
+            "extrapolated. Brute force is computed as the thesis does: a pattern a projector pixel "
+            f"(and a camera position), {rate}; dense T is three 32-bit floats an entry. The time "
+            "is that of the patterns at this rate with the processing as it took here."
+        )
+        if table_number == "5.1":
+            about += (
+                " Error: of scenes I to IV the mean over the relighting patterns, of the others "
+                "that of the pictures in their figures."
+            )
+        own = [row for row in rows if row["table"] == table_number]
+        title = f"Table {table_number}, {name}, measured"
+        table = _measured(own, f"table_{table_number.replace('.', '_')}.csv")
+        if own:
+            thesis = f"Table {table_number}"
+            blocks.append(Tabulation(title, about, table, is_folded=False, thesis=thesis))
+    further = (
+        "Patterns at the thesis' resolution, extrapolated from ours by the two curves fitted in "
+        "Fig. 3.8, beside what the thesis measured. Nothing on the left was measured. The line "
+        "grows with the number of levels as the thesis claims; the power law with the pixels as "
+        "found between our sizes. Table 5.1 has no such fit."
+    )
+    name = "Tables 3.1 and 5.1, extrapolated, beside the thesis"
+    blocks.append(Tabulation(name, further, _beside_the_thesis(rows), is_folded=False))
+    sources = [study.source for study in inputs.studies.values()]
+    title = "Size, time and patterns (Tables 3.1 and 5.1)"
+    return Section("costs", title, blocks, (), [*inputs.run_sources, *sources])
+
+
+def _measured(rows: list[dict[str, Any]], csv: str) -> Table:
+    return table_of(
         rows,
-        [("table", "table", str), ("thesis' figure", "figure", str), ("our scene", "world", str)],
+        [("thesis' figure", "figure", str), ("our scene", "world", words)],
         [
-            ("patterns", "patterns", number),
-            ("brute force", "scan", number),
-            ("of it, days", "brute_force_days", fixed(2)),
+            ("patterns", "scan", number),
+            ("time, days", "brute_force_days", fixed(2)),
             ("dense T, GB", "dense_terabytes", fixed(2, 1000)),
-            ("stored, MB", "megabytes", fixed(1)),
+            ("patterns", "patterns", number),
             ("time, min", "minutes", fixed(1)),
+            ("size, MB", "megabytes", fixed(1)),
             ("error, %", "error", percent),
         ],
-        [("", 3), ("measured at this size", 7)],
-        csv="tables_3_1_and_5_1.csv",
+        [("", 2), ("brute force, computed at this size", 3), ("measured at this size", 4)],
+        csv=csv,
+        numbers=_numbers(rows, _MEASURED),
     )
-    theirs = table_of(
+
+
+def _beside_the_thesis(rows: list[dict[str, Any]]) -> Table:
+    return table_of(
         rows,
         [("table", "table", str), ("thesis' figure", "figure", str)],
         [
@@ -116,28 +191,12 @@ def costs_section(inputs: Inputs) -> Section:
             ("min", "thesis_minutes", number),
         ],
         [("", 2), ("ours, extrapolated to the thesis' size", 2), ("the thesis, measured", 4)],
-        csv="tables_3_1_and_5_1_extrapolated.csv",
+        csv="tables_extrapolated.csv",
+        numbers=_numbers(rows, _EXTRAPOLATED),
     )
-    about = (
-        "What was shown, stored and found at the size of this run. Brute force is computed as the "
-        "thesis does: a pattern a projector pixel (and a camera position), 25 patterns a minute in "
-        "Table 3.1 and 2 s a pattern in Table 5.1; dense T is three 32-bit floats an entry. The "
-        "time is that of the patterns at this rate with the processing as it took here."
-    )
-    further = (
-        "Patterns at the thesis' resolution, extrapolated from ours by the two curves fitted in "
-        "Fig. 3.8, beside what the thesis measured. Nothing on the left was measured. The line "
-        "grows with the number of levels as the thesis claims; the power law with the pixels as "
-        "found between our sizes. Table 5.1 has no such fit."
-    )
-    sources = [study.source for study in inputs.studies.values()]
-    return Section(
-        "costs_physical",
-        "Tables 3.1 and 5.1 on physically based scenes",
-        [
-            Tabulation("Measured", about, measured, is_folded=False),
-            Tabulation("Extrapolated, beside the thesis", further, theirs, is_folded=False),
-        ],
-        (),
-        sources,
-    )
+
+
+def _numbers(rows: list[dict[str, Any]], names: tuple[str, ...]) -> pd.DataFrame:
+    import pandas as pd
+
+    return pd.DataFrame([{name: row.get(name) for name in names} for row in rows])

@@ -1,27 +1,30 @@
-"""Dual photography's figures [thesis Fig. 3.1 to 3.10]."""
+"""Dual photography's pictures [thesis Fig. 3.1 to 3.7, 3.9, 3.10]."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from rfpipe.report.blocks import Illustration, Section, Table, Tabulation, table_of
-from rfpipe.report.drawing import Drawing, draw_method, new_figure, show_image
-from rfpipe.report.figures.fits import line_fit
-from rfpipe.report.figures.panels import compared, draw_panels, exposure, light_of, size_of
+from rfpipe.report.blocks import Illustration, Section
+from rfpipe.report.drawing import Drawing, new_figure, show_image
+from rfpipe.report.figures.panels import (
+    compared,
+    draw_levels,
+    draw_panels,
+    exposure,
+    light_of,
+    size_of,
+    with_errors_below,
+)
 from rfpipe.report.inputs import Study
 from rfpipe.report.light import Light
-from rfpipe.report.text import number, percent, words
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from rfpipe.report.text import percent, words
 
 __all__ = [
     "arc_section",
     "bottle_section",
     "box_section",
-    "growth_section",
     "right_angles_section",
     "samples_section",
     "walk_section",
@@ -89,7 +92,7 @@ def box_section(study: Study) -> Section:
         )
     )
     kept = {case: percent(row["kept"]) for case, row in rows.items()}
-    drawing = draw_panels(
+    drawing = with_errors_below(
         [
             [
                 ("primal: the camera's view", primal, ""),
@@ -97,7 +100,8 @@ def box_section(study: Study) -> Section:
                 ("dual: hierarchy", ours, f"keeps {kept['hierarchy']} % of\ninter-reflected light"),
                 ("dual: ground truth", truth, ""),
             ]
-        ]
+        ],
+        [None, (pixel, truth), (ours, truth)],
     )
     caption = (
         "A box with a red and a green wall and two white blocks, camera in front, projector to its "
@@ -124,17 +128,16 @@ def _levels_figure(study: Study, row: dict[str, Any], white: float) -> Illustrat
         radiance = study.images.read(f"level_{level}")
         own = min(white, exposure(radiance)) if radiance.max() > 0 else white
         light = Light(row["world"], f"level {level + 1}", radiance, own)
-        panels.append((f"level {level + 1}", light, f"{patterns} patterns\nwhite at {own:.2g}"))
+        shown = f"white at {own:.2g}" if radiance.max() > 0 else "nothing is stored here"
+        panels.append((f"level {level + 1}", light, f"patterns {patterns}\n{shown}"))
     ours = light_of(study, "dual_hierarchy", "their sum", white, row["world"])
-    panels.append(("their sum", ours, f"{row['patterns']} patterns\nwhite at {white:.2g}"))
-    half = -(-len(panels) // 2)
+    last = ("their sum", ours, f"patterns {row['patterns']}\nwhite at {white:.2g}")
     caption = (
         "The dual picture, and what each level of the hierarchy adds to it, coarse to fine, each "
         "brightened so that it can be seen: its white is below it. Coarse levels hold the soft "
         "inter-reflected light, the last one direct light, edges and texture."
     )
-    drawing = draw_panels([panels[:half], panels[half:]])
-    return Illustration("Fig. 3.4", caption, "fig_3_4", drawing, "Fig. 3.4")
+    return Illustration("Fig. 3.4", caption, "fig_3_4", draw_levels(panels, last), "Fig. 3.4")
 
 
 def bottle_section(study: Study) -> Section:
@@ -239,91 +242,6 @@ def samples_section(study: Study) -> Section:
     return Section("samples", "More dual pictures (Fig. 3.7)", [figure], (), [study.source])
 
 
-def growth_section(study: Study) -> Section:
-    """Fig. 3.8."""
-    import pandas as pd
-
-    numbers = pd.DataFrame(study.rows)
-    fits = [
-        {"scene": scene, **line_fit(own)} for scene, own in numbers.groupby("scene", sort=False)
-    ]
-    caption = (
-        "Patterns of dual photography against the projector's resolution, for the box of Fig. 3.4 "
-        "and the bottle of Fig. 3.6 before the run's camera. Left, the number of pixels on a "
-        "logarithmic scale: growth as O(log pq) is a straight line. Dashed: the line fitted to all "
-        "sizes; its slope is patterns a level. Right, both logarithmic, with brute force."
-    )
-    figure = Illustration(
-        "Fig. 3.8", caption, "fig_3_8_physical", _growth_figure(numbers, fits), "Fig. 3.8"
-    )
-    return Section(
-        "growth",
-        "Patterns against resolution, box and bottle (Fig. 3.8)",
-        [
-            figure,
-            Tabulation("Patterns by resolution", "As measured.", _growth_table(numbers)),
-            Tabulation("Lines fitted to them", _FITS, _fits_table(fits), is_folded=False),
-        ],
-        (),
-        [study.source],
-    )
-
-
-_FITS = (
-    "Slope: patterns that a further level (twice the pixels along a side) takes, fitted to all "
-    "sizes; share of the variance that the line explains; and the exponent of pixels in a power "
-    "law fitted to the same numbers: 0 is logarithmic growth, 1 is brute force."
-)
-
-
-def _growth_figure(numbers: Any, fits: list[dict[str, Any]]) -> Figure:
-    figure, axes = new_figure(1, 2, (8.6, 3.4))
-    colours = dict(zip([fit["scene"] for fit in fits], ("#c4611a", "#3a6fb0"), strict=False))
-    sides = numbers.drop_duplicates("rays").sort_values("rays")
-    for axis in axes[0]:
-        for fit in fits:
-            own = numbers[numbers["scene"] == fit["scene"]]
-            colour = colours[fit["scene"]]
-            axis.plot(own["rays"], own["patterns"], "o-", color=colour, label=fit["scene"])
-            if axis is axes[0, 0]:
-                fitted = fit["base"] + fit["slope"] * own["levels"]
-                axis.plot(own["rays"], fitted, "--", color=colour, linewidth=0.9)
-        axis.set_xscale("log", base=2)
-        axis.set_xticks(sides["rays"], [f"{side}²" for side in sides["side"]])
-        axis.set_xlabel("projector pixels", fontsize=8.5)
-        axis.set_ylabel("patterns", fontsize=8.5)
-        axis.grid(True, linewidth=0.4, color="#dddddd")
-    draw_method(axes[0, 1], sides["rays"], sides["rays"], "brute_force")
-    axes[0, 1].set_yscale("log")
-    for axis in axes[0]:
-        axis.legend(fontsize=8, frameon=False)
-    return figure
-
-
-def _growth_table(numbers: Any) -> Table:
-    patterns = numbers.pivot(index="scene", columns="side", values="patterns")
-    return table_of(
-        patterns.reset_index(),
-        [("scene", "scene", str)],
-        [(f"{side} x {side}", side, number) for side in patterns.columns],
-        csv="growth.csv",
-        numbers=numbers,
-    )
-
-
-def _fits_table(fits: list[dict[str, Any]]) -> Table:
-    return table_of(
-        fits,
-        [("scene", "scene", str)],
-        [
-            ("patterns a level", "slope", number),
-            ("variance explained, %", "explained", percent),
-            ("exponent of pixels", "exponent", lambda value: f"{value:.2f}"),
-        ],
-        csv="growth_fits.csv",
-    )
-
-
 def arc_section(study: Study) -> Section:
     """Fig. 3.9."""
     row = study.rows[0]
@@ -335,22 +253,24 @@ def arc_section(study: Study) -> Section:
         "matte": "high-resolution matte",
     }
     whites = dict.fromkeys(titles, white) | {"matte": exposure(study.images.read("matte_truth"))}
-    rows = []
-    for suffix, how in (("", "relit"), ("_truth", "ground truth")):
-        rows.append(
-            [
-                (title, light_of(study, name + suffix, f"{title}, {how}", whites[name]), how)
-                for name, title in titles.items()
-            ]
-        )
+    rows = [
+        [
+            (title, light_of(study, name + suffix, f"{title}, {how}", whites[name]), how)
+            for name, title in titles.items()
+        ]
+        for suffix, how in (("", "relit"), ("_truth", "ground truth"))
+    ]
+    pairs = [(ours[1], true[1]) for ours, true in zip(*rows, strict=True)]
     caption = (
-        f"A still life as the projector sees it, its transport acquired for {row['positions']} "
-        "positions of the camera on an arc. Each position becomes a light: one on the left, one on "
-        "the right, with the hard shadow that a point throws; a third of them on the right "
-        "together, an area light, whose shadows are soft; and a matte of diagonal stripes that one "
-        f"position throws. Below the same by the true matrix. {size_of(row)}"
+        "A still life as the projector sees it, its transport acquired for "
+        f"{row['positions']} positions of the camera on an arc. Each position becomes a light: one "
+        "on the left, one on the right, with the hard shadow that a point throws; a third of them "
+        "on the right together, an area light, whose shadows are soft; and a matte of diagonal "
+        "stripes that one position throws. In the middle the same by the true matrix, below the "
+        f"difference. {size_of(row)}"
     )
-    figure = Illustration("Fig. 3.9", caption, "fig_3_9", draw_panels(rows), "Fig. 3.9")
+    drawing = with_errors_below(rows, pairs)
+    figure = Illustration("Fig. 3.9", caption, "fig_3_9", drawing, "Fig. 3.9")
     return Section("arc", "A 6D field (Fig. 3.9)", [figure], (), [study.source])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rfpipe.report.blocks import Illustration, Section, Tabulation, table_of
-from rfpipe.report.figures.panels import compared, draw_panels, exposure, light_of, size_of
+from rfpipe.report.figures.panels import compared, draw_levels, exposure, light_of, size_of
 from rfpipe.report.inputs import Study
 from rfpipe.report.light import Light
 from rfpipe.report.text import number, percent
@@ -54,17 +54,16 @@ def _levels_figure(study: Study, white: float) -> Illustration:
     panels = []
     for level in study.rows[0]["levels"]:
         light = light_of(study, f"level_{level['level']}", f"level {level['level']}", white)
-        below = f"{level['patterns']} patterns\nerror {percent(level['error'])} %"
+        below = f"patterns {level['patterns']}\nerror {percent(level['error'])} %"
         panels.append((f"level {level['level']}", light, below))
     truth = light_of(study, "letters_truth", "ground truth", white)
-    panels.append(("ground truth", truth, ""))
-    half = -(-len(panels) // 2)
     caption = (
         "The picture by the letters as if the acquisition had stopped at each level, with the "
         "patterns shown up to there. Each picture has full resolution, but the letters' light is "
-        "spread over whole blocks, which shrink level by level until the letters stand there."
+        "spread over whole blocks, which shrink level by level until the letters stand there. "
+        "Below each picture its difference from the truth."
     )
-    drawing = draw_panels([panels[:half], panels[half:]])
+    drawing = draw_levels(panels, ("ground truth", truth, ""), truth)
     return Illustration("Fig. 5.7", caption, "fig_5_7_physical", drawing, "Fig. 5.7")
 
 

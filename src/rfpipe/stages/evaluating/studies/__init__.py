@@ -33,10 +33,12 @@ FIGURES = {
     "arc": "arc",
     "bears": "symmetric_pictures",
     "flare": "symmetric_pictures",
+    "views": "views",
     "laws": "laws",
+    "faults": "faults",
 }
-"""The studies behind the thesis' other figures, and their modules here; on physically based scenes,
-so they are made where ``report.figures`` is set."""
+"""The studies behind the thesis' other figures, most on physically based scenes, and what bad input
+leads to; with their modules here. Made where ``report.figures`` is set."""
 
 
 def run_study(name: str, config: Config) -> tuple[list[dict[str, Any]], dict[str, NDArray[Any]]]:

@@ -22,6 +22,7 @@ from rfpipe.stages.evaluating.studies.poses import aside
 if TYPE_CHECKING:
     from rfpipe.config import Config
     from rfpipe.scenes.mitsuba.scene import MitsubaScene
+    from rfpipe.stages.acquire import AcquisitionResult
 
 __all__ = ["growth_study"]
 
@@ -54,7 +55,10 @@ def growth_study(config: Config) -> tuple[Rows, Arrays]:
     -------
     rows : list of dict
         ``scene`` ("box", "bottle"), ``side``, ``rays``, ``levels`` of the block tree,
-        ``patterns``, and ``error`` of the floodlit picture relit.
+        ``patterns``, ``blocks``: those of all levels, each lit alone by brute force, and ``error``
+        of the floodlit picture relit. ``by_level``: of each level ``level``, ``blocks``,
+        ``patterns``, and ``told_apart``: how many of the blocks above a camera pixel sees that are
+        subdivided for it, in the mean over the camera; these conflict with each other.
     arrays : dict
         Empty.
     """
@@ -70,6 +74,7 @@ def growth_study(config: Config) -> tuple[Rows, Arrays]:
             result, _ = acquired(config, coarse, "dual")
             light = white(coarse.projector_shape)
             truth = coarse.apply(light[None]).reshape(*coarse.camera_shape, coarse.channels)
+            by_level = _by_level(result, coarse)
             rows.append(
                 {
                     "scene": name,
@@ -77,7 +82,29 @@ def growth_study(config: Config) -> tuple[Rows, Arrays]:
                     "rays": light.size,
                     "levels": BlockTree(RayDomain(coarse.projector_shape)).n_levels,
                     "patterns": result.patterns,
+                    "blocks": sum(level["blocks"] for level in by_level),
+                    "by_level": by_level,
                     "error": relative_rms(result.transport.relight(light), truth),
                 }
             )
     return rows, {}
+
+
+def _by_level(result: AcquisitionResult, scene: _Coarse) -> list[dict[str, float]]:
+    """Tell where the patterns of an acquisition went."""
+    tree = BlockTree(RayDomain(scene.projector_shape))
+    pixels = int(np.prod(scene.camera_shape))
+    subdivided = 0
+    told = []
+    for row in result.levels.to_dict("records"):
+        level = int(row["level"])
+        told.append(
+            {
+                "level": level,
+                "blocks": tree.n_blocks(level),
+                "patterns": int(row["patterns"]),
+                "told_apart": subdivided / pixels,
+            }
+        )
+        subdivided = int(row["subdivided"])
+    return told
