@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, StoreError
-from rfpipe.photometry.response import srgb
 from rfpipe.store.files import hidden_sibling
 from rfpipe.units import RADIANCE_UNIT
 
@@ -23,6 +22,7 @@ __all__ = [
     "exposure_text",
     "read_exr",
     "round_limit",
+    "tone_mapped",
     "write_exr",
 ]
 
@@ -73,7 +73,31 @@ class Light:
     def shown(self) -> NDArray[np.float64]:
         """The picture as sRGB in [0, 1], shape (H, W, 3)."""
         gain = np.asarray(self.gain)
-        return srgb(self.radiance * gain.reshape(*gain.shape, 1), self.white)
+        return tone_mapped(self.radiance * gain.reshape(*gain.shape, 1), self.white)
+
+
+def tone_mapped(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
+    """Render radiance for a screen by colour-science's curve of sRGB (IEC 61966-2-1).
+
+    The colour library takes seconds to load, once in a process.
+
+    Parameters
+    ----------
+    radiance : ndarray of float, shape (*shape, C)
+        C is 1 or 3.
+    white : float
+        Radiance shown as white; more is cut off.
+
+    Returns
+    -------
+    ndarray of float64, shape (*shape, 3)
+        In [0, 1].
+    """
+    import colour
+
+    linear = np.clip(np.asarray(radiance, np.float64) / white, 0, 1)
+    encoded = np.asarray(colour.cctf_encoding(linear, function="sRGB"), np.float64)
+    return np.broadcast_to(encoded, (*encoded.shape[:-1], 3))
 
 
 def exposure_text(lights: Iterable[Light]) -> str:

@@ -83,7 +83,7 @@ def run(
         symmetry.run(
             read_sensor(folder), folder,
             saturation_fraction=merge_options["saturation_fraction"], accepted=asymmetry,
-            code=code["symmetry"], keep_raw=capture_options["keep_raw"],
+            code=code["symmetry"], keep_raw=capture_options.get("keep_raw", True),
         )  # fmt: skip
 
     stages: dict[str, Callable[[int], None]] = {

@@ -71,6 +71,7 @@ def _acquire(path: Path, stop: str = "") -> int:
         merge_options={"saturation_fraction": 0.98, "mask_defects": True},
         normalization="per_channel",
         number_format="float32",
+        asymmetry=0.05,
         resources=Resources(),
     )
     return rig.shown
