@@ -36,7 +36,8 @@ means over seeds. Nothing is extrapolated: what wasn't run isn't there.
 - **Errors** are relative RMS of relit pictures: two bars, noise, a binary picture, three small
   spots (12 and twice 4 pixels), the concave edges where surfaces meet; the mean over them, the
   worst, and on the pixels that a pattern leaves dark (rigs whose two sides share their rays).
-- **Cost**: patterns; brackets, with the 8 all-off and 64 all-on ones; seconds of exposure;
+- **Cost**: patterns; brackets, with the 8 all-off and 64 all-on ones, and the 6 that tell whether a
+  rig is coaxial where a method asks; seconds of exposure;
   `light_s`, the projector's light in it: seconds times the share of it that was sent.
 - **Held out** are scenes and seeds by the parity of their names' digest
   (`benchmarks.methods.cases.is_held_out`). Methods are worked on with the open ones alone; the held
