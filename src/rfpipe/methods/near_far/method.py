@@ -85,6 +85,8 @@ class NearFarState(MethodState):
         Whether no more probes are asked for.
     symmetric : SymmetricState, optional
         Where symmetric photography has taken over.
+    of_hierarchy : tuple of float
+        The hierarchy's error after each of its levels, by the same held-out pictures.
     """
 
     options: NearFarOptions
@@ -95,6 +97,12 @@ class NearFarState(MethodState):
     estimates: tuple[Estimate, ...] = ()
     done: bool = False
     symmetric: SymmetricState | None = None
+    of_hierarchy: tuple[float, ...] = ()
+
+    @property
+    def model_is_better(self) -> bool:
+        """Whether the smooth model predicts the held-out pictures better than the hierarchy."""
+        return not self.of_hierarchy or self.estimates[-1].error < self.of_hierarchy[-1]
 
     @property
     def shown(self) -> int:
@@ -107,7 +115,8 @@ class NearFar(PackingMethod[NearFarState]):
 
     Rounds of random patterns are fitted until the estimate of the error, from pictures that no fit
     sees, is at most ``target_error``. Where the light isn't smooth at any scale, symmetric
-    photography begins, and the held-out pictures decide at the end which of both is better.
+    photography begins, and goes on until it is as good; the held-out pictures decide which of both
+    is returned, whenever that is asked.
     """
 
     name = "near_far"
@@ -119,7 +128,7 @@ class NearFar(PackingMethod[NearFarState]):
     Options = NearFarOptions
     trades = "target_error"
     trials = (0.05, 0.01, 0.003)
-    packing = Packing(("level", "new", "done", "rows"))
+    packing = Packing(("level", "new", "done", "rows", "of_hierarchy"))
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return the floodlit level, the rounds, and the levels of symmetric photography."""
@@ -151,7 +160,9 @@ class NearFar(PackingMethod[NearFarState]):
         if level == 0:
             return Schedule.floodlit(shape)
         if level > len(ROUNDS):
-            return handover.schedule(state.projector, state.symmetric, level)
+            goal = state.options.target_error
+            reached = bool(state.of_hierarchy) and state.of_hierarchy[-1] <= goal
+            return handover.schedule(state.projector, None if reached else state.symmetric, level)
         count = self._probes(state)
         held, found = np.zeros((0, *shape), np.bool_), None
         if level == 1 and count:
@@ -208,7 +219,7 @@ class NearFar(PackingMethod[NearFarState]):
     def transport(self, state: NearFarState) -> Transport:
         """Return direct, near-range and far-range light as parts of a sum; or the hierarchy."""
         rows = list(state.rows)
-        if state.symmetric is not None and not _model_is_better(state):
+        if state.symmetric is not None and not state.model_is_better:
             hierarchy = Symmetric().transport(state.symmetric)
             return SumTransport([hierarchy], rows, [len(ROUNDS)])
         pictures = state.pictures
@@ -216,7 +227,8 @@ class NearFar(PackingMethod[NearFarState]):
             dark = np.zeros((state.channels, state.projector.size), np.float32)
             nothing = dark[None][:0]
             pictures = Pictures(dark, dark, nothing[:, 0] > 0, nothing, nothing)
-        return as_transport(state.projector.shape, rows, state.model, pictures)
+        fitted = len(state.estimates)
+        return as_transport(state.projector.shape, rows, state.model, pictures, fitted)
 
     def pack(self, state: NearFarState) -> Pack:
         """Return the last level's pictures, the model, and what symmetric photography found."""
@@ -322,22 +334,27 @@ def _skipped(state: NearFarState) -> NearFarState:
 def _refine_symmetric(state: NearFarState, images: LevelImages, memory_bytes: int) -> NearFarState:
     """Let symmetric photography refine a level of its own, if it has taken over."""
     level = state.level
-    if state.symmetric is None:
+    if state.symmetric is None or not images.schedule.count:
         return _skipped(state)
     inner = handover.refine(state.symmetric, images, memory_bytes)
+    errors = (*state.of_hierarchy, _error_of(inner, state))
+    of_model = state.estimates[-1].error
     own = state.rows[: len(ROUNDS) + 1]
-    rows = [{**row, "level": row["level"] + len(ROUNDS)} for row in inner.rows[1:]]
-    return replace(state, level=level + 1, new=0, symmetric=inner, rows=(*own, *rows))
+    rows = [
+        {**row, "level": row["level"] + len(ROUNDS), "estimated_error": min(error, of_model)}
+        for row, error in zip(inner.rows[1:], errors, strict=True)
+    ]
+    return replace(
+        state, level=level + 1, new=0, symmetric=inner, of_hierarchy=errors, rows=(*own, *rows)
+    )
 
 
-def _model_is_better(state: NearFarState) -> bool:
-    """Whether the smooth model predicts the held-out pictures better than the whole hierarchy."""
-    if state.symmetric is None or state.symmetric.level < state.symmetric.tree.n_levels:
-        return False
+def _error_of(hierarchy: SymmetricState, state: NearFarState) -> float:
+    """Estimate the hierarchy's error, nodes that are still open at their estimate."""
     assert state.held is not None
     assert state.pictures is not None
     known = state.pictures.known
     patterns = state.held.lit.reshape(-1, *state.projector.shape).astype(np.float32)
-    relit = Symmetric().transport(state.symmetric).relight_batch(patterns)
+    relit = Symmetric().transport(hierarchy).relight_batch(patterns)
     planar = np.moveaxis(relit.reshape(len(patterns), -1, state.channels), -1, 1)
-    return state.estimates[-1].error < estimate(planar[..., known], state.held.at(known)).error
+    return estimate(planar[..., known], state.held.at(known)).error

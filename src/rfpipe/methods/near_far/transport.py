@@ -78,7 +78,11 @@ def light_range(shape: tuple[int, ...], model: Model, floodlit: Float) -> LightR
 
 
 def as_transport(
-    shape: tuple[int, ...], rows: list[dict[str, Any]], model: Model | None, pictures: Pictures
+    shape: tuple[int, ...],
+    rows: list[dict[str, Any]],
+    model: Model | None,
+    pictures: Pictures,
+    fitted: int,
 ) -> SumTransport:
     """Return direct light, and near-range and far-range light where there is any, as a sum.
 
@@ -88,10 +92,12 @@ def as_transport(
     ----------
     shape : tuple of int
     rows : list of dict
-        The table of levels; the model is known from the last one on that was fitted.
+        The table of levels.
     model : Model or None
         None before there is one: all light counts as direct.
     pictures : Pictures
+    fitted : int
+        The last level that the model was fitted after.
     """
     floodlit, channels, known = pictures.floodlit, pictures.channels, pictures.known
     if model is None:
@@ -114,7 +120,6 @@ def as_transport(
             "cores": np.ascontiguousarray(model.cores[:, found]),
         }
         parts.append(MultiscaleTransport(shape, channels, [], arrays))
-    fitted = max((row["level"] for row in rows if "estimated_error" in row), default=0)
     return SumTransport([direct, *parts], rows, [0, *[fitted] * len(parts)])
 
 
