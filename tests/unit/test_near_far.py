@@ -143,6 +143,16 @@ def test_where_nothing_is_smooth_symmetric_photography_takes_over(
     assert apart[0] < 1.1 * apart[1] + 1e-7
     if noise is None and make is not caustics:
         assert apart[0] < 1e-6
+    # what is estimated is the error of the transport that is returned, not of the model before it
+    lit = (generator(8).random((4, *shape)) < 0.3).astype(np.float32)
+    truth = lit.reshape(4, -1) @ matrix.T
+    relit = found.transport.relight_batch(lit).reshape(truth.shape)
+    true = np.mean([relative_rms(*pair) for pair in zip(relit, truth, strict=True)])
+    told = found.history["estimated_error"]
+    floor = 1e-3 if noise is None else 5e-3  # that noise of two pictures leaves
+    assert 0.4 * true - floor < told.iloc[-1] < 2.5 * true + floor
+    assert told.iloc[0] > 10 * told.iloc[-1]
+    assert found.history["patterns"].iloc[-1] == found.patterns
 
 
 def test_a_few_caustics_in_a_small_picture_cost_little_more_than_symmetric_photography() -> None:

@@ -115,8 +115,8 @@ class NearFar(PackingMethod[NearFarState]):
 
     Rounds of random patterns are fitted until the estimate of the error, from pictures that no fit
     sees, is at most ``target_error``. Where the light isn't smooth at any scale, symmetric
-    photography begins, and goes on until it is as good; the held-out pictures decide which of both
-    is returned, whenever that is asked.
+    photography begins, and the held-out pictures decide which of both is returned, whenever that is
+    asked, and how good it is.
     """
 
     name = "near_far"
@@ -160,9 +160,7 @@ class NearFar(PackingMethod[NearFarState]):
         if level == 0:
             return Schedule.floodlit(shape)
         if level > len(ROUNDS):
-            goal = state.options.target_error
-            reached = bool(state.of_hierarchy) and state.of_hierarchy[-1] <= goal
-            return handover.schedule(state.projector, None if reached else state.symmetric, level)
+            return handover.schedule(state.projector, state.symmetric, level)
         count = self._probes(state)
         held, found = np.zeros((0, *shape), np.bool_), None
         if level == 1 and count:
@@ -334,7 +332,7 @@ def _skipped(state: NearFarState) -> NearFarState:
 def _refine_symmetric(state: NearFarState, images: LevelImages, memory_bytes: int) -> NearFarState:
     """Let symmetric photography refine a level of its own, if it has taken over."""
     level = state.level
-    if state.symmetric is None or not images.schedule.count:
+    if state.symmetric is None:
         return _skipped(state)
     inner = handover.refine(state.symmetric, images, memory_bytes)
     errors = (*state.of_hierarchy, _error_of(inner, state))
