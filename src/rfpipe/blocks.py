@@ -213,6 +213,10 @@ class BlockTree:
         """Number of levels; level 0 is the root, the last level has single-ray blocks."""
         return len(self.starts)
 
+    def splits_views(self, level: int) -> bool:
+        """Whether the children of a level's blocks are whole views."""
+        return level == 0 and self.split == "views_first" and self.domain.views > 1
+
     def n_blocks(self, level: int) -> int:
         """Count the blocks of a level."""
         return len(self.starts[level]) - 1

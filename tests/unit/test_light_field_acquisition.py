@@ -5,7 +5,8 @@ import pytest
 
 from rfpipe import acquire
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs import SimulatedRig
+from rfpipe.provenance import generator
+from rfpipe.rigs import OperatorRig, SimulatedRig
 from rfpipe.scenes import relighting_patterns, room_scene
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.relight import images_of, one_view_at_a_time
@@ -46,3 +47,17 @@ def test_the_field_is_recovered_in_a_sixth_of_the_patterns_of_brute_force(scene,
     between = [relative_rms(relit[a, b], truth[a, b]) for a in range(9) for b in range(9)]
     assert max(between) < 0.02
     dot_test(result.transport)
+
+
+@pytest.mark.parametrize("tolerance", [3e-2, 1e-2, 3e-3])
+def test_views_that_see_the_same_spots_alike_are_not_taken_for_smooth(tolerance):
+    """Whole views light all views alike, whatever each ray does."""
+    spots = generator(4).uniform(0.2, 1.0, 64)
+    one = np.diag(spots) + 0.02 * np.outer(spots, spots)
+    shape = (4, 8, 8)
+    matrix = np.kron(np.ones((4, 4)), one) / 8
+    found = acquire(OperatorRig(matrix, shape, shape), tolerance=tolerance, progress=False)
+    lit = (generator(5).random((3, *shape)) < 0.5).astype(np.float32)
+    truth = (lit.reshape(3, -1) @ matrix.T).reshape(lit.shape)
+    relit = found.transport.relight_batch(lit).reshape(lit.shape)
+    assert relative_rms(relit, truth) < 3 * tolerance

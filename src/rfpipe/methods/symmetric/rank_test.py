@@ -90,7 +90,9 @@ def rank_test(divided: Subdivided, limits: Limits) -> NDArray[np.int8]:
     """Tell how well each unknown node predicts its children's pieces (thesis §5.1).
 
     A node passes only on evidence: where a single child on either side has nearly all the energy,
-    its image is the node's own again, whatever lies underneath.
+    its image is the node's own again, whatever lies underneath. So are the images that whole views
+    light: they are as alike as can be where all views see the same spots, each of which is lit by
+    few rays of any of them.
 
     Parameters
     ----------
@@ -130,6 +132,8 @@ def rank_test(divided: Subdivided, limits: Limits) -> NDArray[np.int8]:
         allowed = limits.allowed(noise / samples, samples, share)
         verdict[(ssd / samples <= allowed).all(axis=0)] = outcome
     verdict[~evident.all(axis=0)] = UNTOLD
+    if tree.splits_views(level):
+        verdict[:] = UNTOLD
     return verdict
 
 
