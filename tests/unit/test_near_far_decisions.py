@@ -9,6 +9,7 @@ from tests.helpers import acquire_matrix
 from rfpipe.methods.near_far.estimate import Estimate
 from rfpipe.methods.near_far.method import NearFar, NearFarState
 from rfpipe.scenes import reference_scene
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
 
 @pytest.fixture(scope="module")
@@ -45,3 +46,18 @@ def test_a_round_that_helps_or_has_none_to_compare_with_is_followed_by_another(
     after = decided(after_a_round, errors, noise)
     assert not after.done
     assert after.symmetric is None
+
+
+def test_what_is_left_dark_after_a_handover_is_known_from_the_hierarchy(
+    after_a_round: NearFarState,
+) -> None:
+    """The model may be better still, and be returned; normalization rests on what is refined."""
+    method, before = NearFar(), decided(after_a_round, [0.3, 0.2, 0.19])
+    assert before.symmetric is not None
+    for of_hierarchy, better in (((), True), ((0.5,), True), ((0.5, 0.1), False)):
+        state = replace(before, of_hierarchy=of_hierarchy)
+        assert state.model_is_better is better
+        assert isinstance(method.known(state), HierarchicalTransport)
+        [*parts] = method.transport(state).parts
+        assert isinstance(parts[0], HierarchicalTransport) is not better
+    assert method.known(after_a_round).nbytes == method.transport(after_a_round).nbytes

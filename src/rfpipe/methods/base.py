@@ -210,6 +210,13 @@ class Method(ABC, Generic[State]):
         `rfpipe.transport.filling` takes them from their columns.
         """
 
+    def known(self, state: State) -> Transport:
+        """Return what tells the light of rays that the next level leaves dark, for normalization.
+
+        `transport` unless a method would return, so far, another one than it goes on with.
+        """
+        return self.transport(state)
+
     @abstractmethod
     def pack(self, state: State) -> Pack:
         """Return what the last refinement added, and what the next one needs."""

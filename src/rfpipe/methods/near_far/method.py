@@ -228,6 +228,12 @@ class NearFar(PackingMethod[NearFarState]):
         fitted = len(state.estimates)
         return as_transport(state.projector.shape, rows, state.model, pictures, fitted)
 
+    def known(self, state: NearFarState) -> Transport:
+        """Return the hierarchy once it is refined, however far off it still is."""
+        if state.symmetric is None:
+            return self.transport(state)
+        return Symmetric().transport(state.symmetric)
+
     def pack(self, state: NearFarState) -> Pack:
         """Return the last level's pictures, the model, and what symmetric photography found."""
         assert state.pictures is not None

@@ -64,7 +64,7 @@ def known_light(method: Method[Any], state: Any, schedule: Schedule) -> Float | 
     """
     if schedule.complete or not schedule.count or schedule.pattern_of_ray is None:
         return None
-    transport: Transport = method.transport(state)
+    transport: Transport = method.known(state)
     return transport.relight(schedule.pattern_of_ray < 0)
 
 
