@@ -95,3 +95,23 @@ def test_what_is_accepted_may_be_said(caplog) -> None:
 def test_a_black_scene_has_no_asymmetry() -> None:
     found = rfpipe.acquire(rig(np.zeros((SIDE**2, SIDE**2)), None), "symmetric", **FEW)
     assert found.patterns == 1
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1])
+def test_unknown_pixels_of_a_body_that_spreads_all_light_are_no_asymmetry(share: float) -> None:
+    random = generator(6)
+    half = random.random((SIDE**2, SIDE**2))
+    rig_of = rfpipe.OperatorRig((half + half.T) / SIDE**2, SHAPE, SHAPE, CameraModel())
+    dead = random.random(SHAPE) < share
+
+    class Spoilt:
+        def __getattr__(self, name: str) -> object:
+            return getattr(rig_of, name)
+
+        def capture(self, patterns, keys):
+            frames = rig_of.capture(patterns, keys)
+            frames[:, :, dead] = 5
+            return frames
+
+    found = rfpipe.acquire(Spoilt(), "symmetric", tolerance=0.1, **FEW)
+    assert np.array_equal(found.masked, dead)

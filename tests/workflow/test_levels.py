@@ -26,11 +26,12 @@ def acquire(path: Path, method: str = "symmetric") -> AcquisitionFolder:
         folder,
         "matrix",
         partial(capture.run, matrix_rig(noise=CAMERA)),
-        code=dict.fromkeys(STAGES, CODE),
+        code=dict.fromkeys([*STAGES, "symmetry"], CODE),
         capture_options={"references": (2, 2)},
         merge_options={"saturation_fraction": 0.98, "mask_defects": True},
         normalization="per_channel",
         number_format="float32",
+        asymmetry=0.05,
         resources=Resources(),
     )
     return folder

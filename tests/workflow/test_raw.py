@@ -244,7 +244,7 @@ def test_a_run_without_raw_exposures(copy: Workflow, undisturbed: Workflow) -> N
     assert "patterns in" not in output
     assert list(folder.glob("L*/capture.zarr/c.*")) == []
     left, expected = copy.contents("tiny/symmetric"), undisturbed.contents("tiny/symmetric")
-    raw = re.compile(r"L\d\d/(capture|reference)\.zarr/c\.")
+    raw = re.compile(r"L\d\d/(capture|reference|symmetry)\.zarr/c\.")
     assert {name for name in expected if name not in left} == set(filter(raw.match, expected))
     assert all(content == expected.get(name, content) for name, content in left.items())
     output = copy.run(TINY, "--forcerun", "acquire_simulated")

@@ -32,6 +32,10 @@ __all__ = ["Asymmetry", "measure", "run"]
 # word is a fifth of what is refused.
 _WORTH_A_WORD = 0.2
 
+# Squared error that a share of pixels which aren't known may seem to make, for that share: their
+# light as it adds up in the floodlit image, and as much again in random ones, over 16 |T p|^2.
+_MASKED = 0.5
+
 _log = logging.getLogger(__name__)
 
 
@@ -89,7 +93,9 @@ def measure(merger: Merger, frames: Iterable[NDArray[Any]], count: int) -> Asymm
     floodlit = _flat(merger.floodlit[None])[0], _flat(merger.floodlit_variance[None])[0]
     signs = random_signs(shape[:-1], 1, count, seed=0)
     worst = measure_symmetry(*floodlit, [Pictures.of(signs, taken, floodlit, 1)]).worst
-    return Asymmetry(worst.predicted, worst.predicted_error)
+    # Light from pixels that aren't known is seen one way alone: at most so much, if indirect.
+    unseen = _MASKED * float(np.mean(~np.isfinite(merger.floodlit_variance)))
+    return Asymmetry(float(np.sqrt(max(worst.predicted**2 - unseen, 0))), worst.predicted_error)
 
 
 def _flat(images: NDArray[np.float32]) -> NDArray[np.float64]:
