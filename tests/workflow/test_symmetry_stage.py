@@ -87,8 +87,8 @@ def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
 
 
 def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
-    def run(method: str, frames: int) -> AcquisitionFolder:
-        folder = AcquisitionFolder(tmp_path / f"{method}_{frames}")
+    def run(method: str, frames: int, name: str = "") -> AcquisitionFolder:
+        folder = AcquisitionFolder(tmp_path / (name or f"{method}_{frames}"), believing=True)
         levels.run(
             Plan(method, method, SHAPE, SHAPE, 1), folder, "crooked",
             partial(capture.run, matrix_rig(crooked(), CameraModel())),
@@ -109,3 +109,6 @@ def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
         assert (folder.path / "transport.json").exists()
         assert not folder.manifest(0, "symmetry").exists()
         assert not folder.store(0, "symmetry").exists()
+    # whoever was refused and doesn't want to be looked at isn't
+    folder = run("symmetric", 0, f"symmetric_{FRAMES}")
+    assert (folder.path / "transport.json").exists()

@@ -75,6 +75,7 @@ def run(
     expected = plan.method.expected_patterns(plan.camera, plan.projector, plan.options)
     if not plan.method.needs_coaxial_rig:
         capture_options = {**capture_options, "symmetry_frames": 0}
+    is_judged = capture_options.get("symmetry_frames", 0) > 0
 
     def refined(level: int) -> None:
         plan.carry(level + 1, refine.run(plan, folder, level, code["refine"], resources))
@@ -106,7 +107,7 @@ def run(
             for name, stage in stages.items():
                 with _stage(folder.manifest(level, name)):
                     stage(level)
-                if level == 0 and name == "merge":
+                if is_judged and level == 0 and name == "merge":
                     with _stage(folder.manifest(level, SYMMETRY)):
                         judge()
         manifest = folder.path / "transport.json"

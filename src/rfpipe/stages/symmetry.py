@@ -137,9 +137,7 @@ def run(
     CaptureError
         When the rig isn't coaxial enough.
     """
-    captured = folder.read_manifest(0, "capture").get(SYMMETRY)
-    if captured is None:
-        return
+    captured = folder.read_manifest(0, "capture")[SYMMETRY]
     references = folder.read_manifest(0, "merge")[REFERENCES]
     made_from = fingerprint([captured["digest"], references["digest"], code])
     manifest = folder.manifest(0, SYMMETRY)
