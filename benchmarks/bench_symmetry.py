@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from localise_errors import recorded
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
@@ -25,7 +26,6 @@ from rfpipe.calibration.symmetry import take_symmetry
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.symmetry import measure_symmetry
 from rfpipe.scenes import planes_scene
-from rfpipe.scenes.kinds.mitsuba import Mitsuba, MitsubaOptions
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.stages.evaluating.metrics import relative_rms
 
@@ -46,10 +46,7 @@ def matrix_of(scene: str) -> Array:
     if scene == "wedge":
         made: Any = planes_scene("wedge", ("white", "texture"), (SIDE, SIDE), channels=1, seed=0)
     else:
-        kind = "rfpipe.scenes.kinds.mitsuba:Mitsuba"
-        made = Mitsuba.make(
-            MitsubaOptions(kind=kind, scene=scene, shape=(SIDE, SIDE), samples=16384)
-        )
+        made = recorded(scene, SIDE)
     matrix = made.apply(np.eye(SIDE * SIDE))[..., 0].T.astype(np.float64)
     return np.asarray(matrix * _BRIGHTEST / matrix.sum(axis=1).max())
 

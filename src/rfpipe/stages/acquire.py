@@ -243,12 +243,7 @@ class _Session:
 
         return self._shown(patterns, first, last)
 
-    def _shown(
-        self,
-        patterns: Callable[[int, int], tuple[NDArray[np.float32], Keys]],
-        first: int,
-        last: int,
-    ) -> Iterator[NDArray[Any]]:
+    def _shown(self, patterns: _Patterns, first: int, last: int) -> Iterator[NDArray[Any]]:
         """Show patterns, a few at a time."""
         for start in range(first, last, _BATCH):
             yield self._show(*patterns(start, min(start + _BATCH, last)))

@@ -24,10 +24,8 @@ __all__ = ["views_study"]
 
 Float = NDArray[np.float32]
 
-_SHARE, _LEAST = (
-    3,
-    12,
-)  # a view's side, of the figures' and at least: there are 9 x 9 pairs of views
+_SHARE = 3  # of the figures' side: there are 9 x 9 pairs of views
+_LEAST = 12  # pixels a view's side
 _TOLERANCE = 3e-3  # below it noise of so few paths of light is subdivided
 _PERIOD = 4  # pixels, of the matte
 
