@@ -16,7 +16,8 @@ from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.methods import Pack, get_method, options_of
-from rfpipe.methods.near_far.method import HELD_OUT, MOST, ROUNDS, NearFar
+from rfpipe.methods.near_far.method import NearFar
+from rfpipe.methods.near_far.state import HELD_OUT, MOST, ROUNDS
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import generator
 from rfpipe.scenes import Scene, hard_cases, reference_scene, scene_patterns
@@ -92,7 +93,7 @@ def test_a_wedge_is_known_from_far_fewer_patterns_than_symmetric_photography_tak
     many = run(scene, "symmetric", noise, tolerance=6e-3)
     found, rival = errors(scene, few.transport), errors(scene, many.transport)
     assert len(found) == 6
-    # 0.37 and 0.71 % from 21 patterns, against 0.72 and 0.76 % from 65
+    # 0.37 and 0.70 % from 23 patterns, against 0.72 and 0.76 % from 65
     assert np.mean(found) < 0.01
     assert np.mean(found) < np.mean(rival)
     assert max(found) < max(rival)
@@ -111,7 +112,7 @@ def test_a_smaller_target_takes_more_patterns_and_is_reached() -> None:
 
 def test_a_scene_of_direct_light_ends_after_the_first_round_with_no_error_beyond_noise() -> None:
     scene = reference_scene("I", (32, 32), channels=1)
-    first = 1 + HELD_OUT[1] + ROUNDS[0]
+    first = 1 + HELD_OUT + ROUNDS[0]
     exact, noisy = (run(scene, "near_far", noise) for noise in (None, CameraConfig()))
     assert exact.patterns == noisy.patterns == first
     assert max(errors(scene, exact.transport)) < 1e-6
@@ -129,10 +130,11 @@ def test_where_nothing_is_smooth_symmetric_photography_takes_over(
 ) -> None:
     matrix, shape = make(24), (24, 24)
     rig = OperatorRig(matrix, shape, shape, noise)
-    found, rival = (acquire(rig, name, progress=False) for name in ("near_far", "symmetric"))
-    assert rival.patterns < found.patterns <= 1.3 * rival.patterns
-    [part] = found.transport.parts
-    assert isinstance(part, HierarchicalTransport)
+    found = acquire(rig, "near_far", progress=False)
+    rival = acquire(rig, "symmetric", progress=False, tolerance=0.01)
+    # a round's probes, and the held-out pictures
+    assert found.patterns <= rival.patterns + ROUNDS[0] + 3 * HELD_OUT
+    assert any(isinstance(part, HierarchicalTransport) for part in found.transport.parts)
     rows = found.transport.level_rows
     assert [row["level"] for row in rows] == list(range(len(rows)))
     assert sum(row["patterns"] for row in rows) == found.patterns
@@ -157,9 +159,9 @@ def test_where_nothing_is_smooth_symmetric_photography_takes_over(
 
 def test_a_few_caustics_in_a_small_picture_cost_little_more_than_symmetric_photography() -> None:
     scene = CASES["caustics"]()
-    found, rival = (run(scene, name, None) for name in ("near_far", "symmetric"))
-    assert rival.patterns < found.patterns <= 1.3 * rival.patterns
-    assert np.mean(errors(scene, found.transport)) < 2e-3
+    found, rival = run(scene, "near_far", None), run(scene, "symmetric", None, tolerance=0.01)
+    assert found.patterns <= 1.3 * rival.patterns
+    assert np.mean(errors(scene, found.transport)) < 0.01
 
 
 # --- states
@@ -185,9 +187,8 @@ def test_states_go_through_a_store_at_every_level(case: str, tmp_path: Path) -> 
         arrays = {name: bundle.read(name) for name in bundle.names}
         packs.append(Pack(arrays, bundle.attributes["state"]))
         restored, after = method.restore(start, packs), done.states[level + 1]
-        assert (restored.level, restored.done, restored.shown, restored.estimates) == (
-            after.level, after.done, after.shown, after.estimates,
-        )  # fmt: skip
+        told = [(s.level, s.following, s.shown, s.estimates) for s in (restored, after)]
+        assert told[0] == told[1]
         expected, about = method.transport(after).pack()
         found, restored_about = method.transport(restored).pack()
         assert restored_about == about

@@ -130,7 +130,7 @@ def test_a_priori_light_falls_with_distance_and_is_then_learned_by_groups() -> N
 
 
 def held_out(
-    wrong: float, sigma: float, seed: int, pairs: int = 2, rays: int = 2000
+    wrong: float, sigma: float, seed: int, pairs: int = 3, rays: int = 2000
 ) -> tuple[np.ndarray, Held, float]:
     """Return a prediction, the pictures, and the prediction's true error."""
     random = np.random.default_rng(seed)
@@ -142,12 +142,13 @@ def held_out(
         np.linalg.norm(amiss[first]) / np.linalg.norm(truth[first])
         for first in range(0, 2 * pairs, 2)
     ]
-    true = ratio[0] if pairs == 1 else (2 * ratio[0] + ratio[1]) / 3
+    shapes, strip, spots = ratio if pairs == 3 else 3 * ratio
+    true = (4 * shapes + strip + 3 * spots) / 8
     return (truth + amiss).astype(np.float32), Held(lit, taken.astype(np.float32)), float(true)
 
 
 @pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("pairs", [1, 2])
+@pytest.mark.parametrize("pairs", [1, 3])
 @pytest.mark.parametrize("sigma", [0.0, 0.003, 0.01])
 def test_the_estimate_is_the_error_without_the_noise(seed: int, pairs: int, sigma: float) -> None:
     predicted, held, true = held_out(0.005, sigma, seed, pairs)
@@ -170,12 +171,16 @@ def test_of_no_error_the_estimate_is_what_chance_could_be(seed: int, sigma: floa
         assert chance / 1.5 <= found.error <= 2 * chance + 1e-6
 
 
-def test_the_worst_is_that_of_the_strip() -> None:
+def test_the_worst_is_that_of_the_picture_that_is_predicted_worst() -> None:
     predicted, held, _ = held_out(0.0, 0.0, 0)
-    predicted[2:] *= 1.1
+    predicted[2:4] *= 1.1
     found = estimate(predicted, held)
-    assert found.worst == pytest.approx(0.1, rel=1e-4)
-    assert found.error == pytest.approx(0.1 / 3, rel=1e-4)
+    assert found.worst == found.strip == pytest.approx(0.1, rel=1e-4)
+    assert found.error == pytest.approx(0.1 / 8, rel=1e-4)
+    predicted[4:] *= 1.2
+    found = estimate(predicted, held)
+    assert found.worst == found.spots == pytest.approx(0.2, rel=1e-4)
+    assert found.error == pytest.approx((0.1 + 3 * 0.2) / 8, rel=1e-4)
     assert found.dark == 0
 
 
@@ -186,14 +191,14 @@ def test_the_worst_is_that_of_the_strip() -> None:
 def test_noise_is_on_lit_pixels_and_everywhere_alike(
     dark: float, worst: float, expected: bool
 ) -> None:
-    found = Estimate((2 * 0.01 + worst) / 3, worst, dark, 0.1)
+    found = Estimate(0.01, worst, 0.01, dark, 0.1)
     assert found.is_noise is expected
 
 
 def test_of_darkness_the_estimate_is_nought() -> None:
-    nothing = np.zeros((4, 1, 9), np.float32)
-    found = estimate(nothing, Held(np.zeros((4, 9), np.bool_), nothing))
-    assert found == Estimate(0.0, 0.0, 0.0, 0.0)
+    nothing = np.zeros((6, 1, 9), np.float32)
+    found = estimate(nothing, Held(np.zeros((6, 9), np.bool_), nothing))
+    assert found == Estimate(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_light_predicted_of_black_pictures_is_an_error_of_one() -> None:

@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.near_far.beyond import cells_of
 from rfpipe.methods.near_far.patterns import (
-    held_out_strip_twice,
-    held_out_twice,
+    block_patterns,
+    held_out_shapes,
+    held_out_spots,
+    held_out_strip,
     probe_patterns,
 )
 from rfpipe.methods.near_far.transport import LightRange
@@ -96,17 +100,41 @@ def test_without_a_range_there_are_no_strips() -> None:
     assert (probe_patterns(SHAPE, 2, 8).mean(axis=(1, 2)) == 0.5).all()
 
 
-def test_the_held_out_pattern_is_shown_twice() -> None:
-    first, second = held_out_twice(SHAPE)
-    np.testing.assert_array_equal(first, second)
-    assert first.mean() == pytest.approx(0.3, abs=1e-3)
-    assert not any((first == probe).all() for probe in probe_patterns(SHAPE, 1, 6))
+def test_the_held_out_shapes_are_no_probe() -> None:
+    shapes = held_out_shapes(SHAPE)
+    assert shapes.mean() == pytest.approx(0.3, abs=1e-3)
+    assert not any((shapes == probe).all() for probe in probe_patterns(SHAPE, 1, 6))
 
 
 def test_the_held_out_strip_is_where_most_light_stays_near() -> None:
-    first, second = held_out_strip_twice(crease())
-    np.testing.assert_array_equal(first, second)
-    assert first.sum() == first.size // 32
+    strip = held_out_strip(crease())
+    assert strip.sum() == strip.size // 32
     # of equal pixels the first: both columns of the crease from the top
-    assert np.flatnonzero(first.any(axis=0)).tolist() == [19, 20]
-    assert first[:20, 19:21].all()
+    assert np.flatnonzero(strip.any(axis=0)).tolist() == [19, 20]
+    assert strip[:20, 19:21].all()
+
+
+@pytest.mark.parametrize("shape", [(48, 64), (3, 24, 30), (1, 9), (310, 350), (1, 1)])
+def test_small_spots_are_few_in_every_view(shape: tuple[int, ...]) -> None:
+    views, height, width = RayDomain(shape).stack_shape
+    largest = max(2, min(height, width) / 12 + 0.5)
+    for view in held_out_spots(shape).reshape(views, height, width):
+        assert view.any()
+        assert view.sum() <= 8 * largest**2
+        assert view.sum() < view.size / 4 or view.size < 100
+
+
+@pytest.mark.parametrize("shape", [(48, 48), (2, 13, 31), (1, 5), (200, 220)])
+def test_blocks_are_of_cells_and_of_one_size_a_pattern(shape: tuple[int, ...]) -> None:
+    cells = cells_of(shape)
+    found = block_patterns(cells, 9, 8)
+    assert found.shape == (8, *shape)
+    for pattern in found.reshape(8, -1):
+        # all pixels of a cell are lit or none
+        for lit in (pattern, ~pattern):
+            assert not np.intersect1d(cells.of_ray[lit], cells.of_ray[~lit]).size
+    np.testing.assert_array_equal(found, block_patterns(cells, 9, 8))
+    if min(RayDomain(shape).image_shape) > 20:
+        assert 0.2 < found.mean() < 0.4
+        edges = (found[:, :, 1:] != found[:, :, :-1]).mean(axis=(1, 2))
+        assert (np.diff(edges[:4]) < 0).all()

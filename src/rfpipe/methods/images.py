@@ -25,16 +25,16 @@ def batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
 
 
 def planar_batches(
-    images: LevelImages, channels: int, rays: int
+    images: LevelImages, channels: int, rays: int, count: int | None = None
 ) -> Iterator[tuple[slice, Float, Float]]:
-    """Read a level's images a few at a time, channel by channel.
+    """Read a level's images, or the first `count` of them, a few at a time, channel by channel.
 
     Yields
     ------
     slice, ndarray of float32 (C, k, rays), ndarray of float32 (C, k, rays)
         Which images; their radiance; its variance, with that of `rounding`, above 0.
     """
-    for first, last in batches(images.schedule.count, channels * rays):
+    for first, last in batches(images.schedule.count if count is None else count, channels * rays):
         radiance, variance = (
             np.moveaxis(part.reshape(last - first, rays, channels), -1, 0)
             for part in images.read(first, last)

@@ -18,6 +18,7 @@ _CLASSES = {
     "multiscale": ("rfpipe.transport.multiscale.transport", "MultiscaleTransport"),
     "multilevel": ("rfpipe.transport.multilevel.transport", "MultilevelTransport"),
     "sum": ("rfpipe.transport.sum", "SumTransport"),
+    "wavelet": ("rfpipe.transport.wavelet.transport", "WaveletTransport"),
 }
 
 _FORMATS = get_args(NumberFormat)

@@ -11,9 +11,9 @@ from rfpipe.methods.base import Float
 
 __all__ = ["Estimate", "Held", "estimate"]
 
-# The strip where most light stays near is the worst case; of the pictures that people relight,
-# about one in so many lights such places by much.
-_WORST = 3
+# Of eight pictures that people relight, four light large shapes, three small spots, and one the
+# strip where most light stays near.
+_SPOTS, _STRIP = 3 / 8, 1 / 8
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class Held:
 
     Attributes
     ----------
-    lit : ndarray of bool, shape (2 or 4, N)
-        A pattern of random shapes, then the strip where most light stays near.
-    radiance : ndarray of float32, shape (2 or 4, C, N)
+    lit : ndarray of bool, shape (2 or 6, N)
+        A pattern of random shapes, then the strip where most light stays near and small spots.
+    radiance : ndarray of float32, shape (2 or 6, C, N)
     """
 
     lit: NDArray[np.bool_]
@@ -41,29 +41,40 @@ class Estimate:
 
     Attributes
     ----------
-    error : float
-        Expected of a picture: of random shapes mostly, sometimes of the strip.
-    worst : float
-        Of the strip, as far as it is known.
+    shapes : float
+        Of a picture of random shapes.
+    strip, spots : float
+        Of the strip, and of small spots; as of shapes where neither was shown.
     dark : float
         Of random shapes on pixels that the projector leaves dark, where light is indirect.
     indirect : float
         All light on those pixels, in the same unit.
     """
 
-    error: float
-    worst: float
+    shapes: float
+    strip: float
+    spots: float
     dark: float
     indirect: float
+
+    @property
+    def error(self) -> float:
+        """Expected of a picture."""
+        rest = 1 - _SPOTS - _STRIP
+        return rest * self.shapes + _SPOTS * self.spots + _STRIP * self.strip
+
+    @property
+    def worst(self) -> float:
+        """Of the picture that is predicted worst."""
+        return max(self.shapes, self.strip, self.spots)
 
     @property
     def is_noise(self) -> bool:
         """Whether most of the error is the noise of direct light, which no more pictures change.
 
-        Dark pixels have none of it, and the strip no more than others.
+        Dark pixels have none of it, and other pictures no more than random shapes.
         """
-        typical = (_WORST * self.error - self.worst) / (_WORST - 1)
-        return self.dark < typical / 2 and self.worst < 2 * typical
+        return self.dark < self.shapes / 2 and self.worst < 2 * self.shapes
 
 
 def estimate(predicted: Float, held: Held) -> Estimate:
@@ -74,20 +85,22 @@ def estimate(predicted: Float, held: Held) -> Estimate:
 
     Parameters
     ----------
-    predicted : ndarray of float32, shape (2 or 4, C, N)
+    predicted : ndarray of float32, shape (2 or 6, C, N)
     held : Held
     """
     dark = ~held.lit[0]
-    everywhere = np.ones_like(dark)
-    typical, light, chance = _products(predicted[:2], held.radiance[:2], everywhere)
-    on_dark, indirect, _ = _products(predicted[:2], held.radiance[:2], dark)
+    pairs = [(predicted[k : k + 2], held.radiance[k : k + 2]) for k in range(0, len(predicted), 2)]
+    (shapes, light), *others = [_error(*pair) for pair in pairs]
+    strip, spots = (error for error, _ in others) if others else (shapes, shapes)
+    on_dark, indirect, _ = _products(*pairs[0], dark)
+    return Estimate(shapes, strip, spots, _ratio(on_dark, light), _ratio(indirect, light))
+
+
+def _error(predicted: Float, taken: Float) -> tuple[float, float]:
+    """Return the relative error of a pattern's picture, and its squared light."""
+    wrong, light, chance = _products(predicted, taken, np.ones(taken.shape[-1], np.bool_))
     # what chance makes of a sum of products is the least error that it can tell from none
-    error = worst = _ratio(max(typical, chance), light)
-    if len(held.lit) > 2:
-        on_strip, strip, chance = _products(predicted[2:], held.radiance[2:], everywhere)
-        worst = _ratio(max(on_strip, chance), strip)
-        error = ((_WORST - 1) * error + worst) / _WORST
-    return Estimate(error, worst, _ratio(on_dark, light), _ratio(indirect, light))
+    return _ratio(max(wrong, chance), light), light
 
 
 def _products(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import Float, LevelImages, Pack
+from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Pack
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.states import unprefixed
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
@@ -44,22 +44,19 @@ class _Floodlit:
         return radiance[first:last], variance[first:last]
 
 
-def begin(domain: RayDomain, options: SymmetricOptions, pictures: Pictures) -> SymmetricState:
+def begin(domain: RayDomain, options: ErrorOptions, pictures: Pictures) -> SymmetricState:
     """Start from the floodlit image, which is there already."""
     method, shape = Symmetric(), (1, *domain.shape, pictures.channels)
     radiance, variance = (
         np.ascontiguousarray(image.T).reshape(shape)
         for image in (pictures.floodlit, pictures.floodlit_variance)
     )
-    begun = method.start(domain, domain, pictures.channels, options)
+    begun = method.start(domain, domain, pictures.channels, _own(options))
     return method.refine(begun, _Floodlit(Schedule.floodlit(domain.shape), (radiance, variance)))
 
 
-def schedule(domain: RayDomain, state: SymmetricState | None, level: int) -> Schedule:
-    """Return the next patterns under a level's number; none where there is no state."""
-    if state is None:
-        nothing = np.full(domain.shape, -1, np.int32)
-        return Schedule(level, domain.shape, 0, pattern_of_ray=nothing)
+def schedule(state: SymmetricState, level: int) -> Schedule:
+    """Return the next patterns under a level's number."""
     return replace(Symmetric().schedule(state), level=level)
 
 
@@ -77,7 +74,7 @@ def packed(state: SymmetricState) -> tuple[dict[str, NDArray[Any]], dict[str, An
 
 
 def restored(
-    domain: RayDomain, channels: int, options: SymmetricOptions, packs: Sequence[Pack]
+    domain: RayDomain, channels: int, options: ErrorOptions, packs: Sequence[Pack]
 ) -> SymmetricState | None:
     """Return the state after the last of packs, None where none of them has any."""
     own = [
@@ -88,4 +85,14 @@ def restored(
     if not own:
         return None
     method = Symmetric()
-    return method.restore(method.start(domain, domain, channels, options), own)
+    return method.restore(method.start(domain, domain, channels, _own(options)), own)
+
+
+def _own(options: ErrorOptions) -> SymmetricOptions:
+    """Return symmetric photography's options: a hierarchy that takes part of the way to the target.
+
+    Relit pictures are off by some two tolerances, which the pictures of all levels together halve.
+    """
+    return SymmetricOptions(
+        noise_significance=options.noise_significance, tolerance=options.target_error
+    )

@@ -4,10 +4,13 @@ White noise holds too little of the large shapes that far-range light depends on
 little of the small ones: here every octave of size has the same power. Once the range of indirect
 light is known, bands of about equal range are lit together, too, since pictures of random detail
 say little of long thin shapes along a crease.
+
+What smooth functions leave is looked for with random blocks, of one size a pattern.
 """
 
 from __future__ import annotations
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -16,8 +19,15 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.near_far.transport import LightRange
 from rfpipe.provenance import generator
+from rfpipe.transport.wavelet.cells import Cells
 
-__all__ = ["held_out_strip_twice", "held_out_twice", "probe_patterns"]
+__all__ = [
+    "block_patterns",
+    "held_out_shapes",
+    "held_out_spots",
+    "held_out_strip",
+    "probe_patterns",
+]
 
 _SEED = 2006
 # How strong the bands are beside the noise, in its standard deviations, and how many octaves of
@@ -29,6 +39,10 @@ _STRIPS = 4
 _NARROWEST, _WIDEST = 0.01, 0.3
 # Parts of the image that held-out patterns light.
 _HELD_OUT, _HELD_OUT_STRIP = 0.3, 1 / 32
+# Small spots in each view: how many, and their sides, from two pixels to this part of the image's.
+_SPOTS, _LARGEST_SPOT = 8, 1 / 12
+# Sides of blocks in cells, and the part of them that is lit: at 48 x 48, a tenth does as well.
+_BLOCKS, _BLOCKS_LIT = (1, 2, 4, 8), 0.3
 
 
 def probe_patterns(
@@ -64,16 +78,49 @@ def probe_patterns(
     return patterns
 
 
-def held_out_twice(shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return a pattern of random shapes, twice, bool (2, *shape)."""
-    lit = _brightest(_noise(shape, generator(_SEED, 0, 0)), _HELD_OUT)
-    return np.stack([lit, lit])
+def block_patterns(cells: Cells, level: int, count: int) -> NDArray[np.bool_]:
+    """Return patterns of random blocks of cells, bool (count, *shape).
+
+    Parameters
+    ----------
+    cells : Cells
+    level : int
+        Of the acquisition: another level has other patterns.
+    count : int
+    """
+    views, height, width = cells.stack
+    patterns = np.zeros((count, *cells.shape), np.bool_)
+    for index in range(count):
+        random = generator(_SEED, level, index)
+        side = _BLOCKS[index % len(_BLOCKS)]
+        down, across = random.integers(0, side, 2)
+        grid = (views, height // side + 2, width // side + 2)
+        lit = (random.random(grid) < _BLOCKS_LIT).repeat(side, axis=1).repeat(side, axis=2)
+        cut = lit[:, down : down + height, across : across + width]
+        patterns[index] = cut.reshape(-1)[cells.of_ray].reshape(cells.shape)
+    return patterns
 
 
-def held_out_strip_twice(found: LightRange) -> NDArray[np.bool_]:
-    """Return the strip where most light stays near, twice, bool (2, *shape)."""
-    lit = _brightest(found.nearness, _HELD_OUT_STRIP)
-    return np.stack([lit, lit])
+def held_out_shapes(shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return a pattern of random shapes, bool (*shape)."""
+    return _brightest(_noise(shape, generator(_SEED, 0, 0)), _HELD_OUT)
+
+
+def held_out_strip(found: LightRange) -> NDArray[np.bool_]:
+    """Return the strip where most light stays near, bool (*shape)."""
+    return _brightest(found.nearness, _HELD_OUT_STRIP)
+
+
+def held_out_spots(shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Return a few small spots in each view, bool (*shape)."""
+    views, height, width = RayDomain(shape).stack_shape
+    spots, random = np.zeros((views, height, width), np.bool_), generator(_SEED, 0, 1)
+    most = max(2.0, _LARGEST_SPOT * min(height, width))
+    for view, _ in product(range(views), range(_SPOTS)):
+        side = min(round(np.exp(random.uniform(np.log(2), np.log(most)))), height, width)
+        top, left = random.integers(0, height - side + 1), random.integers(0, width - side + 1)
+        spots[view, top : top + side, left : left + side] = True
+    return spots.reshape(shape)
 
 
 def _brightest(image: NDArray[np.floating[Any]], part: float) -> NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
 from rfpipe.methods.near_far.model import Model
 from rfpipe.methods.near_far.pictures import Pictures
+from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multiscale.basis import coarsest_scale
 from rfpipe.transport.multiscale.transport import MultiscaleTransport, bounced
@@ -83,10 +85,12 @@ def as_transport(
     model: Model | None,
     pictures: Pictures,
     fitted: int,
+    more: Sequence[tuple[Transport, int]] = (),
 ) -> SumTransport:
-    """Return direct light, and near-range and far-range light where there is any, as a sum.
+    """Return direct light, near-range and far-range light where there is any, as a sum.
 
-    The direct light of pixels that the pictures don't show stays dark.
+    Direct is what the floodlit image has and the other parts don't, so that rows have the energy
+    that was measured; of pixels that the pictures don't show it stays dark.
 
     Parameters
     ----------
@@ -98,29 +102,37 @@ def as_transport(
     pictures : Pictures
     fitted : int
         The last level that the model was fitted after.
+    more : sequence of (Transport, int)
+        Other parts of indirect light, and the levels at which they begin.
     """
-    floodlit, channels, known = pictures.floodlit, pictures.channels, pictures.known
-    if model is None:
-        return SumTransport([_direct(shape, floodlit * known)], rows)
-    everything = np.ones((1, floodlit.shape[1]), np.float32)
-    direct = _direct(shape, (floodlit - indirect(model, floodlit, everything)[0]) * known)
+    parts = [*(() if model is None else _parts(shape, model, pictures, fitted)), *more]
+    everything = np.ones((1, pictures.channels, pictures.floodlit.shape[1]), np.float32)
+    direct = pictures.floodlit.copy()
+    for part, _ in parts:
+        direct -= part.forward(everything, range(pictures.channels))[0]
+    begun = [(_direct(shape, direct * pictures.known), 0), *parts]
+    return SumTransport([part for part, _ in begun], rows, [first for _, first in begun])
+
+
+def _parts(
+    shape: tuple[int, ...], model: Model, pictures: Pictures, fitted: int
+) -> Iterator[tuple[Transport, int]]:
+    """Yield near-range and far-range light, where there is any, and when they begin."""
     basis = model.basis
     coarser = np.maximum(basis.scales[basis.first], basis.scales[basis.second])
     near = coarser * _NEAR < coarsest_scale(shape)
-    parts = []
     for chosen in (near, ~near):
         found: NDArray[np.bool_] = chosen & model.cores.any(axis=0)
         if not found.any():
             continue
         pairs = np.stack([basis.first[found], basis.second[found]])
         arrays = {
-            "factor": floodlit,
+            "factor": pictures.floodlit,
             "functions": basis.functions,
             "pairs": pairs,
             "cores": np.ascontiguousarray(model.cores[:, found]),
         }
-        parts.append(MultiscaleTransport(shape, channels, [], arrays))
-    return SumTransport([direct, *parts], rows, [0, *[fitted] * len(parts)])
+        yield MultiscaleTransport(shape, pictures.channels, [], arrays), fitted
 
 
 def _direct(shape: tuple[int, ...], diagonal: Float) -> LowRankTransport:

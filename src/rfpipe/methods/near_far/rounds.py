@@ -1,0 +1,299 @@
+"""The rounds of a near/far acquisition: what they show, what is made of it, and what follows."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.methods.base import Float, LevelImages
+from rfpipe.methods.images import planar_batches
+from rfpipe.methods.near_far import handover
+from rfpipe.methods.near_far.beyond import all_pictures, canvas_of, cells_of, taken
+from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
+from rfpipe.methods.near_far.model import fit
+from rfpipe.methods.near_far.patterns import (
+    block_patterns,
+    held_out_shapes,
+    held_out_spots,
+    held_out_strip,
+    probe_patterns,
+)
+from rfpipe.methods.near_far.pictures import Pictures, completed
+from rfpipe.methods.near_far.state import BLOCKS, HELD_OUT, ROUNDS, NearFarState, kind_of
+from rfpipe.methods.near_far.transport import as_transport, light_range
+from rfpipe.methods.residual.estimate import Residual
+from rfpipe.methods.residual.estimate import estimate as estimate_residual
+from rfpipe.methods.states import joined, level_row
+from rfpipe.methods.symmetric.method import Symmetric
+from rfpipe.patterns import Schedule
+from rfpipe.transport.base import Transport
+from rfpipe.transport.sum import SumTransport
+
+__all__ = ["begin", "best", "beyond", "decide", "judge", "patterns", "refine_hierarchy", "smooth"]
+
+# A round that leaves more than this of the error before it has shown that more won't help; rounds
+# of blocks, which grow with what was shown before, cut it less.
+_STALLED, _STALLED_BLOCKS = 0.85, 0.93
+# A model that leaves so much of the indirect light's norm unexplained is the wrong one: after the
+# first round, whose probes are few, and later.
+_UNEXPLAINED_AT_FIRST, _UNEXPLAINED = 0.5, 0.25
+_BEFORE_HIERARCHY = len(ROUNDS) + len(BLOCKS)
+
+_log = logging.getLogger(__name__)
+
+
+def patterns(state: NearFarState) -> Schedule:
+    """Return a round's patterns: held-out ones, then probes or blocks."""
+    shape, level = state.projector.shape, state.level
+    held, count = _asked(state)
+    if state.kind == "residual":
+        shown = block_patterns(cells_of(shape), level, count)
+    else:
+        found = None
+        if level > 1 and count:
+            assert state.model is not None
+            assert state.pictures is not None
+            found = light_range(shape, state.model, state.pictures.floodlit)
+        shown = probe_patterns(shape, level, count, found)
+    weights = np.concatenate([np.reshape(held, (len(held), *shape)), shown]).astype(np.float32)
+    return Schedule(level, shape, len(weights), weights=weights)
+
+
+def begin(state: NearFarState, images: LevelImages) -> NearFarState:
+    """Take the floodlit image."""
+    radiance, variance = _read(state, images, 1)
+    rays = state.projector.size
+    nothing = np.zeros((0, state.channels, rays), np.float32)
+    floodlit = completed(state.projector.shape, radiance[0], variance[0])
+    pictures = Pictures(floodlit, variance[0], np.zeros((0, rays), np.bool_), nothing, nothing)
+    return state.after(level_row(0, 1, rank_k=0, scalar=rays), pictures=pictures)
+
+
+def smooth(state: NearFarState, images: LevelImages) -> NearFarState:
+    """Fit smooth light to a round's pictures and all before them; and what it leaves of them."""
+    assert state.pictures is not None
+    count, first = images.schedule.count, len(_asked(state)[0])
+    lit = images.schedule.batch(0, count).reshape(count, -1) > 0
+    radiance, variance = _read(state, images, count)
+    pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
+    model = fit(state.projector.shape, pictures)
+    row = level_row(state.level, count, nodes=len(model.basis.first), rank_k=0)
+    held = _with_held(state, lit[:first], radiance[:first])
+    fitted = held.after(row, pictures=pictures, new=count - first, model=model, residual=None)
+    [(_, base)] = _bases(fitted)
+    if state.level == 1 or _estimate(fitted, base).error <= state.options.target_error:
+        return fitted
+    return replace(fitted, residual=_left_by(fitted, base))
+
+
+def beyond(state: NearFarState, images: LevelImages) -> NearFarState:
+    """Find what the better model leaves, from all pictures."""
+    assert state.pictures is not None
+    pictures, count, first = state.pictures, images.schedule.count, len(_asked(state)[0])
+    lit = images.schedule.batch(0, first).reshape(first, state.projector.size) > 0
+    state = _with_held(state, lit, _read(state, images, first)[0])
+    row = level_row(state.level, count, rank_k=0)
+    if count == first:
+        return state.after(row, new=0)
+    more = taken(canvas_of(state.projector.shape, pictures), images, first)
+    more = more if state.taken is None else joined([state.taken, more], axis=0)
+    state = replace(state, taken=more)
+    of_hierarchy, base = min(_bases(state), key=lambda each: _estimate(state, each[1]).error)
+    left = _left_by(state, base)
+    row["nodes"] = left.pairs.shape[1]
+    return state.after(row, new=count - first, residual=left, of_hierarchy=of_hierarchy)
+
+
+def _left_by(state: NearFarState, base: Transport) -> Residual:
+    """Find what a model leaves of all pictures."""
+    assert state.pictures is not None
+    canvas = canvas_of(state.projector.shape, state.pictures)
+    return estimate_residual(canvas, all_pictures(canvas, state.pictures, state.taken), base)
+
+
+def refine_hierarchy(state: NearFarState, images: LevelImages, memory_bytes: int) -> NearFarState:
+    """Let symmetric photography refine a level of its own; its pictures serve later rounds, too."""
+    assert state.symmetric is not None
+    assert state.pictures is not None
+    inner = handover.refine(state.symmetric, images, memory_bytes)
+    shared, count = state.rows[: _BEFORE_HIERARCHY + 1], images.schedule.count
+    errors = [row.get("estimated_error") for row in state.rows[len(shared) :]]
+    own = [
+        {**row, "level": row["level"] + _BEFORE_HIERARCHY}
+        | ({} if error is None else {"estimated_error": error})
+        for row, error in zip(inner.rows[1:], [*errors, None], strict=True)
+    ]
+    more = state.taken
+    if count:
+        found = taken(canvas_of(state.projector.shape, state.pictures), images)
+        more = found if more is None else joined([more, found], axis=0)
+    ended = state.level == _BEFORE_HIERARCHY + state.hierarchy - 1
+    after = replace(
+        state,
+        level=state.level + 1,
+        rows=(*shared, *own),
+        symmetric=inner,
+        taken=more,
+        new=count,
+        new_held=0,
+        following="residual" if ended else "hierarchy",
+    )
+    return judge(after) if count else after
+
+
+def judge(state: NearFarState) -> NearFarState:
+    """Estimate the error of what would be returned after the last level."""
+    _, found = best(state)
+    row = {**state.rows[-1], "estimated_error": found.error}
+    return replace(state, rows=(*state.rows[:-1], row), estimates=(*state.estimates, found))
+
+
+def decide(state: NearFarState) -> NearFarState:
+    """Go on, go another way, or end."""
+    found, limit, target = state.estimates[-1], state.options.patterns, state.options.target_error
+    just, first = kind_of(state.level - 1, state.hierarchy), len(state.estimates) == 1
+    # the first estimate knows neither strip nor spots: it bounds the error if nothing is indirect
+    known = len(state.held.lit) > HELD_OUT if state.held else False
+    reached = found.error <= target and (known or found.indirect <= target)
+    stalled = state.kind != just or _slow(state, _STALLED if just == "smooth" else _STALLED_BLOCKS)
+    share = _UNEXPLAINED_AT_FIRST if first else _UNEXPLAINED
+    lost = just == "smooth" and found.dark > share * found.indirect
+    if reached or (limit and state.shown >= limit) or (stalled and found.is_noise):
+        return replace(state, following="done")
+    if not limit and state.symmetric is None and (lost or (stalled and just == "residual")):
+        _log.info("light goes to single places; going on with symmetric photography")
+        assert state.pictures is not None
+        begun = handover.begin(state.projector, state.options, state.pictures)
+        return replace(state, following="hierarchy", symmetric=begun)
+    if just == "smooth" and stalled:
+        _log.info("smooth light is not all there is; going on with random blocks")
+        return replace(state, following="residual")
+    return replace(state, following="done") if stalled else state
+
+
+def best(state: NearFarState) -> tuple[Transport, Estimate]:
+    """Return what predicts the held-out pictures best, and how well."""
+    found = list(_candidates(state))
+    if state.held is None:
+        return found[0], Estimate(1.0, 1.0, 1.0, 1.0, 1.0)
+    estimates = [_estimate(state, each) for each in found]
+    chosen = min(range(len(found)), key=lambda index: estimates[index].error)
+    return found[chosen], estimates[chosen]
+
+
+def _candidates(state: NearFarState) -> Iterator[Transport]:
+    """Yield the models there are, and what is returned with what one of them leaves."""
+    for of_hierarchy, base in _bases(state):
+        yield base
+        if state.residual is None or state.of_hierarchy is not of_hierarchy:
+            continue
+        assert state.pictures is not None
+        shape = state.projector.shape
+        rest = state.residual.transport(canvas_of(shape, state.pictures))
+        began = _last_level(state, "residual")
+        if of_hierarchy:
+            assert state.symmetric is not None
+            hierarchy = Symmetric().transport(state.symmetric)
+            more: list[tuple[Transport, int]] = [(hierarchy, _BEFORE_HIERARCHY), (rest, began)]
+            yield as_transport(shape, list(state.rows), None, state.pictures, 0, more)
+        else:
+            fitted = _last_level(state, "smooth")
+            yield as_transport(
+                shape, list(state.rows), state.model, state.pictures, fitted, [(rest, began)]
+            )
+
+
+def _bases(state: NearFarState) -> Iterator[tuple[bool, Transport]]:
+    """Yield smooth light, and the hierarchy if there is one, and whether it is that."""
+    rows, pictures = list(state.rows), state.pictures
+    if pictures is None:
+        dark = np.zeros((state.channels, state.projector.size), np.float32)
+        nothing = dark[None][:0]
+        pictures = Pictures(dark, dark, nothing[:, 0] > 0, nothing, nothing)
+    fitted = _last_level(state, "smooth")
+    yield False, as_transport(state.projector.shape, rows, state.model, pictures, fitted)
+    if state.symmetric is not None:
+        yield (
+            True,
+            SumTransport([Symmetric().transport(state.symmetric)], rows, [_BEFORE_HIERARCHY]),
+        )
+
+
+def _last_level(state: NearFarState, kind: str) -> int:
+    """Return the last level of a kind that had patterns, 0 if none had."""
+    shown = (row["level"] for row in state.rows if row["patterns"])
+    return max((each for each in shown if kind_of(each, state.hierarchy) == kind), default=0)
+
+
+def _estimate(state: NearFarState, transport: Transport) -> Estimate:
+    """Compare a transport's pictures with the held-out ones, where pixels are known."""
+    assert state.held is not None
+    assert state.pictures is not None
+    known, held = state.pictures.known, state.held
+    light = np.broadcast_to(
+        held.lit[::2, None].astype(np.float32),
+        (len(held.lit) // 2, state.channels, state.projector.size),
+    )
+    relit = transport.forward(light, range(state.channels)).repeat(2, axis=0)
+    return estimate(relit[..., known], held.at(known))
+
+
+def _slow(state: NearFarState, share: float) -> bool:
+    """Tell whether the last round left more than a share of the error before it."""
+    # the first estimate knows large shapes alone
+    if len(state.estimates) < 3:
+        return False
+    before, found = state.estimates[-2:]
+    return found.error > share * before.error
+
+
+def _asked(state: NearFarState) -> tuple[list[NDArray[np.bool_]], int]:
+    """Return a round's held-out patterns, each as often as it is shown, and how many others."""
+    held = [each for each in _not_held_yet(state) for _ in range(HELD_OUT)]
+    if state.kind == "smooth":
+        count = ROUNDS[state.level - 1]
+    elif state.estimates[-1].error <= state.options.target_error:
+        return held, 0  # all that is left is to see whether spots are as good
+    else:
+        before = _BEFORE_HIERARCHY + state.hierarchy if state.symmetric else len(ROUNDS) + 1
+        count = BLOCKS[state.level - before]
+    if not state.options.patterns:
+        return held, count
+    room = state.options.patterns - state.shown
+    if room > len(held):
+        return held, min(count, room - len(held))
+    # without held-out pictures of its own, the first round would say nothing of the error
+    return [], max(room, 0) if state.level > 1 and state.held is not None else 0
+
+
+def _not_held_yet(state: NearFarState) -> Iterator[NDArray[np.bool_]]:
+    """Yield the held-out patterns that are due: shapes at first, then what a model tells."""
+    shape = state.projector.shape
+    if state.level == 1:
+        yield held_out_shapes(shape)
+    elif state.held is not None and len(state.held.lit) == HELD_OUT:
+        assert state.model is not None
+        assert state.pictures is not None
+        yield held_out_strip(light_range(shape, state.model, state.pictures.floodlit))
+        yield held_out_spots(shape)
+
+
+def _with_held(state: NearFarState, lit: NDArray[np.bool_], radiance: Float) -> NearFarState:
+    """Return a state that has more held-out pictures."""
+    more = Held(lit, radiance)
+    held = more if state.held is None else joined([state.held, more], axis=0)
+    return replace(state, held=held, new_held=len(lit))
+
+
+def _read(state: NearFarState, images: LevelImages, count: int) -> tuple[Float, Float]:
+    """Read the first images of a level, radiance and variance (M, C, N)."""
+    channels, rays = state.channels, state.projector.size
+    radiance = np.empty((count, channels, rays), np.float32)
+    variance = np.empty_like(radiance)
+    for part, seen, spread in planar_batches(images, channels, rays, count):
+        radiance[part], variance[part] = np.moveaxis(seen, 0, 1), np.moveaxis(spread, 0, 1)
+    return radiance, variance

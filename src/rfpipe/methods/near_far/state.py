@@ -1,0 +1,103 @@
+"""What a near/far acquisition knows before a level, and which level is of which kind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from rfpipe.methods.base import ErrorOptions
+from rfpipe.methods.near_far.estimate import Estimate, Held
+from rfpipe.methods.near_far.model import Model
+from rfpipe.methods.near_far.pictures import Pictures
+from rfpipe.methods.residual.estimate import Residual
+from rfpipe.methods.residual.pictures import CellPictures
+from rfpipe.methods.states import MethodState
+from rfpipe.methods.symmetric.method import SymmetricState
+
+__all__ = ["BLOCKS", "HELD_OUT", "MOST", "ROUNDS", "Kind", "NearFarState", "kind_of"]
+
+Kind = Literal["floodlit", "smooth", "residual", "hierarchy", "done"]
+
+# Probes of each round, a level: a round should cut the error, and end soon where the target is met.
+ROUNDS = (6, 10, 8, 12, 16, 24, 32)
+# Block patterns of each round of what the model leaves: some 1.4 times all before it.
+BLOCKS = (12, 20, 28, 40, 60, 88)
+# Pictures of each held-out pattern: random shapes; the strip; small spots.
+HELD_OUT = 2
+MOST = 1 + 3 * HELD_OUT + sum(ROUNDS) + sum(BLOCKS)
+"""Patterns of all rounds, those after a hierarchy not counted."""
+
+
+def kind_of(level: int, hierarchy: int) -> Kind:
+    """Return what a level is for.
+
+    Rounds of smooth light come first, then rounds of what they leave, then the levels of symmetric
+    photography below its floodlit one, then rounds of what those leave.
+
+    Parameters
+    ----------
+    level : int
+    hierarchy : int
+        Levels of symmetric photography, the floodlit one included.
+    """
+    ends = (0, len(ROUNDS), len(ROUNDS) + len(BLOCKS), len(ROUNDS) + len(BLOCKS) + hierarchy - 1)
+    kinds: tuple[Kind, ...] = ("floodlit", "smooth", "residual", "hierarchy")
+    for kind, end in zip(kinds, ends, strict=True):
+        if level <= end:
+            return kind
+    return "residual"
+
+
+@dataclass(frozen=True)
+class NearFarState(MethodState):
+    """The state of a near/far acquisition, beside what all states have.
+
+    Attributes
+    ----------
+    hierarchy : int
+        Levels that symmetric photography has of this rig.
+    following : Kind
+        What is asked for next. Levels that are for something else show nothing.
+    pictures : Pictures, optional
+        All pictures of smooth light's rounds; None before the floodlit image.
+    taken : CellPictures, optional
+        Those of all other levels, which are looked at in cells alone.
+    new, new_held : int
+        How many of either, and of `held`, the last level brought.
+    held : Held, optional
+        Pictures that no fit sees; None before the first round.
+    model : Model, optional
+        Smooth light.
+    symmetric : SymmetricState, optional
+        Where symmetric photography has taken over.
+    residual : Residual, optional
+        What a model leaves, as it was found last.
+    of_hierarchy : bool
+        Whether that is what the hierarchy leaves.
+    estimates : tuple of Estimate
+        After each level that had images, of what is returned from then on.
+    """
+
+    options: ErrorOptions
+    hierarchy: int
+    following: Kind = "smooth"
+    pictures: Pictures | None = None
+    taken: CellPictures | None = None
+    new: int = 0
+    new_held: int = 0
+    held: Held | None = None
+    model: Model | None = None
+    symmetric: SymmetricState | None = None
+    residual: Residual | None = None
+    of_hierarchy: bool = False
+    estimates: tuple[Estimate, ...] = ()
+
+    @property
+    def kind(self) -> Kind:
+        """What the next level is for."""
+        return kind_of(self.level, self.hierarchy)
+
+    @property
+    def shown(self) -> int:
+        """Patterns shown so far."""
+        return sum(row["patterns"] for row in self.rows)

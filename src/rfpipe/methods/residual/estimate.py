@@ -1,0 +1,154 @@
+"""What all pictures together say of the light that a model leaves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.methods.base import Float
+from rfpipe.methods.residual.fit import Evidence, Posterior
+from rfpipe.methods.residual.pictures import Canvas, CellPictures
+from rfpipe.transport.base import Transport
+from rfpipe.transport.wavelet.transport import WaveletTransport
+
+__all__ = ["Residual", "estimate"]
+
+# What a picture may be wrong by in any case, of the brightest light.
+_EXPECTED = 5e-4
+# How often variances are learned, light made to be not negative, and iterations of each solution.
+_LEARNED, _CLIPPED, _ITERATIONS = 2, 8, 8
+# Of a picture's norm, what may be lost with the cores that are not kept.
+_DROPPED = 1e-3
+_BATCH = 64
+_TINY = float(np.finfo(np.float32).tiny)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What a model leaves, as `WaveletTransport` has it.
+
+    Attributes
+    ----------
+    pairs : ndarray of int32, shape (2, pairs)
+    cores : ndarray of float32, shape (C, pairs)
+    """
+
+    pairs: NDArray[np.int32]
+    cores: Float
+
+    def transport(self, canvas: Canvas) -> WaveletTransport:
+        """Return it as a transport."""
+        cells = canvas.cells
+        arrays = {
+            "side": np.array([cells.side], np.int32),
+            "factor": canvas.factor,
+            "pairs": self.pairs,
+            "cores": self.cores,
+        }
+        return WaveletTransport(cells.shape, len(canvas.factor), [], arrays)
+
+
+def estimate(canvas: Canvas, pictures: CellPictures, model: Transport) -> Residual:
+    """Find what is most probable given all pictures.
+
+    Parameters
+    ----------
+    canvas : Canvas
+    pictures : CellPictures
+        The floodlit one among them.
+    model : Transport
+        What is known already; need not be good.
+    """
+    channels, haar = len(canvas.factor), canvas.cells.haar
+    left = pictures.seen - _predicted(canvas, pictures.lit, model)
+    cores = np.zeros((channels, haar.size, haar.size), np.float32)
+    weights = np.zeros((channels, haar.size))
+    prior: Float | None = None
+    # the brightest channel tells most of the ways that light takes; others take the same
+    brightest = int(np.argmax(canvas.brightest))
+    for channel in sorted(range(channels), key=lambda index: index != brightest):
+        share = canvas.brightest[channel] / max(canvas.brightest[brightest], _TINY)
+        if not share > 0:
+            continue
+        light = canvas.cells.total(pictures.lit * canvas.factor[channel])
+        expected = np.square(np.float32(_EXPECTED) * canvas.brightest[channel])
+        evidence = Evidence(light, left[:, channel].T, pictures.variance[:, channel].T + expected)
+        posterior = Posterior(haar, evidence)
+        if prior is None:
+            prior = _learned(posterior)
+        found = _not_negative(posterior, prior * share**2, _between(canvas, model, channel))
+        half = haar.forward(found)
+        cores[channel] = haar.forward(np.ascontiguousarray(half.T))
+        energy = np.square(pictures.seen[:, channel], dtype=np.float64).sum(axis=1).mean()
+        weights[channel] = np.square(posterior.light, dtype=np.float64).mean(axis=1) / energy
+    return _kept(cores, weights)
+
+
+def _learned(posterior: Posterior) -> Float:
+    """Return the variances that the pictures suggest."""
+    prior = posterior.guessed()
+    for _ in range(_LEARNED):
+        posterior.prepare(prior)
+        posterior.solve(posterior.seen, _ITERATIONS)
+        prior = posterior.relearned()
+    return prior
+
+
+def _not_negative(posterior: Posterior, prior: Float, model: Float) -> Float:
+    """Return K, (cells, cells), that takes no more light from between cells than is there.
+
+    Clip what is negative, find what the pictures then lack, and again. Noise would be fitted the
+    more often the more often that is done; so pictures are taken for as much noisier.
+    """
+    posterior.prepare(prior)
+    posterior.solve(posterior.seen, 2 * _ITERATIONS)
+    found, direct = posterior.matrix(), posterior.direct
+    posterior.prepare(prior, _CLIPPED)
+    between = ~np.eye(len(found), dtype=np.bool_)
+    for _ in range(_CLIPPED):
+        np.maximum(found, -model, out=found, where=between)
+        told = found @ posterior.cells + direct[:, None] * posterior.cells
+        posterior.solve(posterior.left(told), _ITERATIONS)
+        found += posterior.matrix()
+        direct = direct + posterior.direct
+    return found
+
+
+def _between(canvas: Canvas, model: Transport, channel: int) -> Float:
+    """Return the light that a model has between cells, over F on both sides, (cells, cells)."""
+    cells, factor = canvas.cells, canvas.factor[channel]
+    found = np.empty((cells.count, cells.count), np.float32)
+    scaled: Float = factor / cells.total(np.square(factor)[None])[cells.of_ray, 0]
+    for first in range(0, cells.count, _BATCH):
+        chosen = np.arange(first, min(first + _BATCH, cells.count))
+        lit = cells.of_ray == chosen[:, None]
+        images = model.forward((lit * scaled)[:, None], [channel])
+        found[:, chosen] = canvas.reduced_channel(images[:, 0], channel).T
+    return np.float32(0.5) * (found + found.T)
+
+
+def _predicted(canvas: Canvas, lit: NDArray[np.bool_], model: Transport) -> Float:
+    """Return a model's pictures of patterns, as `CellPictures.seen`."""
+    channels = range(len(canvas.factor))
+    found = np.empty((len(lit), len(canvas.factor), canvas.cells.count), np.float32)
+    for first in range(0, len(lit), _BATCH):
+        some = lit[first : first + _BATCH, None].astype(np.float32)
+        images = model.forward(
+            np.broadcast_to(some, (len(some), len(channels), some.shape[-1])), channels
+        )
+        found[first : first + _BATCH] = canvas.reduced(images)
+    return found
+
+
+def _kept(cores: Float, weights: NDArray[np.float64]) -> Residual:
+    """Keep the cores without which a picture would change by more than it may."""
+    first, second = np.triu_indices(cores.shape[1])
+    both = weights[:, first] + np.where(first != second, weights[:, second], 0)
+    entries = cores[:, first, second]
+    change = (np.square(entries) * both).max(axis=0)
+    order = np.argsort(change, kind="stable")
+    kept = np.sort(order[np.cumsum(change[order]) > _DROPPED**2])
+    pairs = np.stack([first[kept], second[kept]]).astype(np.int32)
+    return Residual(pairs, np.ascontiguousarray(entries[:, kept]))

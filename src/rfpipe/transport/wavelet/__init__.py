@@ -1,0 +1,1 @@
+"""Symmetric transport of any shape by Haar wavelets on cells of pixels."""

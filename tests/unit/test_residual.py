@@ -1,0 +1,236 @@
+"""What a model leaves, from all pictures: wavelets, the most probable exchange, and its bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rfpipe.methods.residual.estimate import estimate
+from rfpipe.methods.residual.fit import Evidence, Posterior
+from rfpipe.methods.residual.pictures import Canvas
+from rfpipe.methods.residual.prior import first_guess, learned
+from rfpipe.provenance import generator
+from rfpipe.scenes import reference_scene
+from rfpipe.testing import dot_test
+from rfpipe.transport import open_transport, save_transport
+from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.wavelet.cells import Cells, cell_side
+from rfpipe.transport.wavelet.haar import Haar
+from rfpipe.transport.wavelet.transport import WaveletTransport
+
+STACKS = st.tuples(st.integers(1, 3), st.integers(1, 27), st.integers(1, 27))
+
+
+# --- wavelets and cells
+
+
+@given(STACKS, st.integers(0, 2**31))
+def test_the_transform_is_orthonormal(stack: tuple[int, int, int], seed: int) -> None:
+    haar, random = Haar(stack), np.random.default_rng(seed)
+    images = random.standard_normal((int(np.prod(stack)), 3)).astype(np.float32)
+    found = haar.forward(images)
+    np.testing.assert_allclose(haar.inverse(found), images, atol=2e-6)
+    other = random.standard_normal(found.shape).astype(np.float32)
+    # the inverse is the transpose
+    assert np.vdot(found, other) == pytest.approx(np.vdot(images, haar.inverse(other)), abs=2e-3)
+    numbers = np.concatenate([rows for group in haar.groups for rows in group.alike()])
+    assert sorted(numbers) == list(range(haar.size))
+
+
+def test_a_function_is_where_its_group_says() -> None:
+    haar = Haar((2, 24, 40))
+    for group in haar.groups:
+        for place, (row, column) in enumerate(group.centres()):
+            unit = np.zeros((haar.size, 1), np.float32)
+            unit[group.start + place] = 1
+            lit = np.argwhere(haar.inverse(unit).reshape(haar.stack))
+            assert len(np.unique(lit[:, 0])) == 1
+            assert np.ptp(lit[:, 1:], axis=0).tolist() == [group.side - 1] * 2
+            np.testing.assert_allclose(lit[:, 1:].mean(axis=0) + 0.5, (row, column))
+
+
+@pytest.mark.parametrize(
+    ("shape", "most", "side"),
+    [((48, 48), 4096, 1), ((65, 64), 4096, 2), ((310, 350), 4096, 6), ((9, 8, 8), 100, 3),
+     ((9, 8, 8), 5, 8), ((1, 1), 1, 1)],
+)  # fmt: skip
+def test_cells_are_as_small_as_they_may_be(shape: tuple[int, ...], most: int, side: int) -> None:
+    assert cell_side(shape, most) == side
+    cells = Cells(shape, side)
+    assert cells.count == len(np.unique(cells.of_ray))
+    images = np.random.default_rng(0).random((3, len(cells.of_ray))).astype(np.float32)
+    totals = cells.total(images)
+    for cell in {0, cells.count // 2, cells.count - 1}:
+        np.testing.assert_allclose(totals[cell], images[:, cells.of_ray == cell].sum(axis=1), 1e-5)
+    np.testing.assert_array_equal(cells.spread(totals)[1], totals[cells.of_ray, 1])
+
+
+def made(shape: tuple[int, ...], side: int, channels: int = 2) -> WaveletTransport:
+    cells, random = Cells(shape, side), np.random.default_rng(3)
+    pairs = np.sort(random.integers(0, cells.haar.size, (2, 300)), axis=0).astype(np.int32)
+    arrays = {
+        "side": np.array([side], np.int32),
+        "factor": random.random((channels, len(cells.of_ray))).astype(np.float32),
+        "pairs": np.unique(pairs, axis=1),
+    }
+    arrays["cores"] = random.standard_normal((channels, arrays["pairs"].shape[1])).astype("f4")
+    return WaveletTransport(shape, channels, [], arrays)
+
+
+@pytest.mark.parametrize(("shape", "side"), [((12, 12), 1), ((2, 13, 17), 2)])
+def test_the_transport_is_its_definition_and_symmetric(shape, side, tmp_path) -> None:
+    transport = made(shape, side)
+    dot_test(transport)
+    haar, held = transport.cells.haar, transport.pack()[0]
+    core = np.zeros((haar.size, haar.size))
+    first, second = held["pairs"]
+    core[first, second] = core[second, first] = held["cores"][1]
+    of_cells = haar.inverse(haar.inverse(core.astype(np.float32)).T.copy())
+    cell, factor = transport.cells.of_ray, held["factor"][1]
+    expected = factor[:, None] * of_cells[np.ix_(cell, cell)] * factor
+    found = transport.channel(1) @ np.eye(len(cell))
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    save_transport(transport, tmp_path / "transport.zarr", "uint8")
+    np.testing.assert_array_equal(
+        open_transport(tmp_path / "transport.zarr").channel(1) @ np.eye(len(cell)), found
+    )
+
+
+# --- the fit
+
+
+def evidence_of(matrix: np.ndarray, count: int, deviation: float) -> Evidence:
+    random = generator(0, 7)
+    light = (random.random((len(matrix), count)) < 0.4).astype(np.float32)
+    seen = matrix @ light + deviation * random.standard_normal(light.shape)
+    return Evidence(light, seen.astype(np.float32), np.full(light.shape, deviation**2, np.float32))
+
+
+def symmetric_matrix(haar: Haar, prior: np.ndarray) -> np.ndarray:
+    """A matrix of cells that is as likely as the prior says."""
+    core = np.triu(generator(0, 8).standard_normal(prior.shape) * np.sqrt(prior))
+    core = core + np.triu(core, 1).T
+    return haar.inverse(haar.inverse(core.astype(np.float32)).T.copy()).astype(np.float64)
+
+
+def test_the_solution_is_the_mean_of_the_posterior() -> None:
+    """Against all entries at once, by dense algebra."""
+    haar = Haar((1, 6, 6))
+    prior = first_guess(haar, 1.0)
+    matrix = symmetric_matrix(haar, prior)
+    evidence = evidence_of(matrix, 5, 0.01)
+    posterior = Posterior(haar, evidence)
+    posterior.prepare(prior)
+    posterior.solve(posterior.seen, 300)
+    size, count = haar.size, 5
+    first, second = np.triu_indices(size)
+    told = np.zeros((size, count, len(first)))
+    light = haar.forward(evidence.light)
+    pair = np.arange(len(first))
+    for picture in range(count):
+        told[first, picture, pair] += light[second, picture]
+        off = first != second
+        told[second[off], picture, pair[off]] += light[first[off], picture]
+    seen = haar.forward(evidence.seen)
+    # the direct light of each cell is unknown, too
+    cells = np.eye(size, dtype=np.float32)[:, None] * evidence.light[:, :, None]
+    direct = np.stack([haar.forward(np.ascontiguousarray(cells[..., k])) for k in range(size)], -1)
+    told = np.concatenate([told, direct], axis=2).reshape(size * count, -1)
+    # in units of the prior's deviation; off the diagonal, an entry is there twice
+    variance = np.concatenate([np.where(first == second, 2, 1) * prior[first, second],
+                               np.full(size, posterior._direct)])  # fmt: skip
+    covariance = (told * variance) @ told.T + 0.01**2 * np.eye(size * count)
+    expected = variance * (told.T @ np.linalg.solve(covariance, seen.reshape(-1)))
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(
+        posterior.core[first, second], expected[: len(first)], atol=2e-3 * scale
+    )
+    np.testing.assert_allclose(posterior.direct, expected[len(first) :], atol=2e-3 * scale)
+
+
+def test_variances_are_learned_from_pictures() -> None:
+    """Light between two places alone: theirs grow, the others' shrink."""
+    haar = Haar((1, 12, 12))
+    matrix = np.zeros((12, 12, 12, 12))
+    matrix[:4, :4, 8:, 8:] = matrix[8:, 8:, :4, :4] = 0.01
+    posterior = Posterior(haar, evidence_of(matrix.reshape(144, 144), 40, 1e-4))
+    found = posterior.guessed()
+    for _ in range(4):
+        posterior.prepare(found)
+        posterior.solve(posterior.seen, 30)
+        found = posterior.relearned()
+    np.testing.assert_array_equal(found, found.T)
+    assert (found > 0).all()
+    coarse = haar.groups[-1]
+    assert coarse.grid == (1, 3, 3)
+    one, other, far = coarse.start, coarse.start + 8, coarse.start + 2
+    assert found[one, other] > 0.3 * (0.01 * 4 * 4) ** 2
+    assert found[one, far] < 0.1 * found[one, other]
+
+
+def test_pooled_variances_are_those_of_pairs_of_scales_where_nothing_else_is_known() -> None:
+    haar = Haar((2, 12, 12))
+    energy = np.ones((haar.size, haar.size), np.float32)
+    np.testing.assert_allclose(learned(haar, energy), 1, rtol=1e-5)
+    places = haar.groups[0]
+    energy[places.rows, places.rows] = 4
+    found = learned(haar, energy)
+    np.testing.assert_allclose(found[places.rows, places.rows], 4, rtol=1e-5)
+    np.testing.assert_allclose(found[places.rows.stop :, places.rows.stop :], 1, rtol=1e-5)
+
+
+# --- the estimate
+
+
+def pictures_of(matrix: np.ndarray, canvas: Canvas, count: int, known: np.ndarray):
+    """All-on and random pictures of a matrix (C, N, N), exact."""
+    random = generator(0, 9)
+    rays = matrix.shape[1]
+    cells = random.random((count, canvas.cells.count)) < 0.3
+    lit = np.concatenate([np.ones((1, rays), bool), cells[:, canvas.cells.of_ray]])
+    images = np.einsum("cij,mj->mci", matrix, lit).astype(np.float32)
+    variance = np.where(known, np.float32(1e-10), np.float32(np.inf))
+    return canvas.taken(lit, np.where(known, images, 0), np.broadcast_to(variance, images.shape))
+
+
+@pytest.mark.parametrize(("side", "unknown"), [(1, 0), (1, 20), (2, 0)])
+def test_it_finds_what_a_model_leaves_and_no_darkness_below_nought(side: int, unknown: int) -> None:
+    """Of a wedge, from a model that knows the direct light alone; in cells, one without texture."""
+    shape, channels = (16, 16), 3
+    scene = reference_scene("IV" if side == 1 else "II", shape, channels=channels)
+    matrix = np.stack([scene.dense(channel) for channel in range(channels)])
+    known = np.ones(256, np.bool_)
+    known[generator(0, 4).permutation(256)[:unknown]] = False
+    floodlit = matrix.sum(axis=2).astype(np.float32)
+    canvas = Canvas(Cells(shape, side), floodlit, known)
+    direct = np.einsum("cii->ci", matrix)[..., None] * np.eye(256)
+    model = DenseTransport(shape, shape, channels, [], {"matrix": direct.astype(np.float32)})
+    found = estimate(canvas, pictures_of(matrix, canvas, 60, known), model)
+    left = found.transport(canvas)
+    for channel in range(channels):
+        cell = canvas.cells.of_ray
+        off = (cell[:, None] != cell) & known[:, None] & known
+        truth = np.where(off, matrix[channel], 0)
+        relit = np.where(off, left.channel(channel) @ np.eye(256), 0)
+        cells = generator(0, 5).random((canvas.cells.count, 8)) < 0.5
+        pictures = cells[canvas.cells.of_ray].astype(float)
+        relit_cells, true_cells = (
+            canvas.cells.total((each @ pictures).T) for each in (relit, truth)
+        )
+        wrong = np.linalg.norm(relit_cells - true_cells) / np.linalg.norm(true_cells)
+        assert wrong < 0.12
+        assert relit.min() > -0.02 * truth.max()
+
+
+def test_a_dark_channel_leaves_nothing() -> None:
+    shape = (12, 12)
+    scene = reference_scene("IV", shape, channels=1)
+    matrix = np.stack([scene.dense(), np.zeros((144, 144))])
+    known = np.ones(144, np.bool_)
+    canvas = Canvas(Cells(shape, 1), matrix.sum(axis=2).astype(np.float32), known)
+    model = DenseTransport(shape, shape, 2, [], {"matrix": np.zeros((2, 144, 144), np.float32)})
+    found = estimate(canvas, pictures_of(matrix, canvas, 30, known), model)
+    assert found.cores[0].any()
+    assert not found.cores[1].any()
