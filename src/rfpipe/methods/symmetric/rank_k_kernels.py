@@ -109,7 +109,8 @@ def _weights_without(core, left_out, limit, amplified, of_columns, of_rows, weig
     products = np.empty((columns - 1, columns - 1))
     carried = np.empty(columns - 1, np.bool_)
     for k in range(columns - 1):
-        others[:, k] = core[:, k + (k >= left_out)]
+        for j in range(rows):  # to copy a slice takes longer to compile
+            others[j, k] = core[j, k + (k >= left_out)]
         for j in range(columns - 1):
             products[j, k] = of_columns[j + (j >= left_out), k + (k >= left_out)]
     _decompose(others, vectors)
@@ -125,6 +126,18 @@ def _weights_without(core, left_out, limit, amplified, of_columns, of_rows, weig
             shared += others[k, r] * core[k, left_out]
         for k in range(columns - 1):
             weights[k + (k >= left_out)] -= vectors[k, r] * shared / square
+
+
+@numba.njit(cache=True)
+def _over_all(products):  # type: ignore[no-untyped-def]
+    """Sum inner products over the blocks: ``products.sum(axis=0)``, which takes long to compile."""
+    blocks, rows, columns = products.shape
+    whole = np.zeros((rows, columns))
+    for block in range(blocks):
+        for j in range(rows):
+            for k in range(columns):
+                whole[j, k] += products[block, j, k]
+    return whole
 
 
 @numba.njit(cache=True)
@@ -147,7 +160,7 @@ def _residual(core, limit, amplified, products, of_rows, noise):  # type: ignore
     columns = core.shape[1]
     weights = np.empty(columns)
     error, expected = 0.0, 0.0
-    whole = of_rows.sum(axis=0)
+    whole = _over_all(of_rows)
     for column in range(columns):
         _weights_without(core, column, limit, amplified, products, whole - of_rows[column], weights)
         square = 0.0
@@ -271,10 +284,10 @@ def leave_one_out(  # type: ignore[no-untyped-def]
                 values[c], first_pair[n], offset_a, offset_b, starts_a, starts_b
             )
             error_a, expected_a = _residual(
-                core, limit, amplified, over_a.sum(axis=0), over_b, noise_a
+                core, limit, amplified, _over_all(over_a), over_b, noise_a
             )
             error_b, expected_b = _residual(
-                core.T.copy(), limit, amplified, over_b.sum(axis=0), over_a, noise_b
+                core.T.copy(), limit, amplified, _over_all(over_b), over_a, noise_b
             )
             ssd[c, n] = error_a + error_b
             noise[c, n] = expected_a + expected_b
@@ -312,9 +325,7 @@ def invert_cores(  # type: ignore[no-untyped-def]
             over_a, over_b = _over_both_sides(
                 values[c], first_pair[n], offset_a, offset_b, starts_a, starts_b
             )
-            _carried(
-                core, vectors, limit, amplified, over_a.sum(axis=0), over_b.sum(axis=0), carried
-            )
+            _carried(core, vectors, limit, amplified, _over_all(over_a), _over_all(over_b), carried)
             terms = 0
             for r in range(columns):
                 value = 0.0
