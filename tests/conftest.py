@@ -1,5 +1,6 @@
 """Shared by all tests: examples are the same in every run, and loggers as they were before each."""
 
+import fcntl
 import logging
 import os
 from collections.abc import Iterator
@@ -25,9 +26,37 @@ _LOGGERS = (logging.getLogger(), logging.getLogger("rfpipe"), logging.getLogger(
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Whole runs come first: they are the longest, and what comes last can be shared out finely.
 
-    The kernels that their jobs compile are then there for the tests in process.
+    Tests in process come after the kernels; of the whole runs, the shared one does.
     """
     items.sort(key=lambda item: _WORKFLOW not in item.path.parents)
+    for item in items:
+        if _WORKFLOW not in item.path.parents and isinstance(item, pytest.Function):
+            item.fixturenames.insert(0, "kernels")
+
+
+@pytest.fixture(scope="session")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all workers have in common."""
+    base = tmp_path_factory.getbasetemp()
+    return base.parent if base.name.startswith("popen-") else base
+
+
+@pytest.fixture(scope="session")
+def kernels(shared: Path) -> None:
+    """The kernels, compiled by one worker: it takes a minute, and as much again for each at once.
+
+    A worker alone compiles what its tests need.
+    """
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
+    from tests.kernels import compile_kernels
+
+    folder = shared / "kernels"
+    with (shared / "kernels.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not folder.exists():
+            folder.mkdir()
+            compile_kernels(folder)
 
 
 @pytest.fixture(autouse=True)

@@ -15,10 +15,8 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Workflow:
+def undisturbed(shared: Path, kernels: None) -> Workflow:
     """Run `tiny` by symmetric and dual photography and `long` by brute force; leave it as it is."""
-    base = tmp_path_factory.getbasetemp()
-    shared = base.parent if base.name.startswith("popen-") else base
     folder = shared / "undisturbed"
     with (shared / "undisturbed.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -1,0 +1,23 @@
+"""Compiling the kernels once, for all workers and the jobs that they start."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from rfpipe import OperatorRig, acquire, open_transport
+from rfpipe.config import CameraConfig
+from rfpipe.scenes import reference_scene
+from rfpipe.transport import save_transport
+
+
+def compile_kernels(folder: Path) -> None:
+    """Acquire, store and relight a small scene: numba keeps what it compiles."""
+    shape = (24, 24)
+    rig = OperatorRig(reference_scene("IV", shape, channels=1), shape, shape, CameraConfig())
+    for method in ("symmetric", "dual", "near_far"):
+        transport = acquire(rig, method, progress=False).transport
+        path = folder / f"{method}.zarr"
+        save_transport(transport, path, number_format="uint8")
+        open_transport(path).relight(np.ones(shape))
