@@ -177,6 +177,12 @@ def versions() -> dict[str, str]:
     dict
         Name to version, sorted by name; a package that isn't installed is left out.
     """
+    return dict(_versions())
+
+
+@cache
+def _versions() -> dict[str, str]:
+    # kept, since a package's version is looked for on the disk, and every manifest names it
     found = {"python": platform.python_version()}
     for name in _RECORDED_PACKAGES:
         with suppress(metadata.PackageNotFoundError):

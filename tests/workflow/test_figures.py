@@ -18,10 +18,11 @@ from rfpipe.report.thesis import CLAIMS
 pytest.importorskip("mitsuba")
 
 _PLANE = {"shape": [8, 9], "sweep": False}
+_SYMMETRIC = {"methods": {"symmetric": {}}}  # the one scene tells dual photography's figures
 _SCENES = {
-    "planes_i": {"kind": "plane", "surfaces": ["texture"], **_PLANE},
+    "planes_i": {"kind": "plane", "surfaces": ["texture"], **_PLANE, **_SYMMETRIC},
     "planes_iv": {"kind": "wedge", "surfaces": ["texture", "texture"], **_PLANE},
-    "planes_ii": {"kind": "wedge", "surfaces": ["white", "white"], **_PLANE},
+    "planes_ii": {"kind": "wedge", "surfaces": ["white", "white"], **_PLANE, **_SYMMETRIC},
 }
 # Beside the physically based figures, of which one page shows some twice.
 _PATIENCE_SECONDS = 1200.0  # each study traces, and compiles, its own scenes
