@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,8 +11,9 @@ from hypothesis import strategies as st
 
 from rfpipe.methods.residual.estimate import estimate
 from rfpipe.methods.residual.fit import Evidence, Posterior
-from rfpipe.methods.residual.pictures import Canvas
+from rfpipe.methods.residual.pictures import Canvas, CellPictures
 from rfpipe.methods.residual.prior import first_guess, learned
+from rfpipe.methods.states import joined
 from rfpipe.provenance import generator
 from rfpipe.scenes import reference_scene
 from rfpipe.testing import dot_test
@@ -234,3 +237,21 @@ def test_a_dark_channel_leaves_nothing() -> None:
     found = estimate(canvas, pictures_of(matrix, canvas, 30, known), model)
     assert found.cores[0].any()
     assert not found.cores[1].any()
+
+
+def test_of_too_many_pictures_those_tell_that_the_model_predicts_worst(monkeypatch) -> None:
+    """Half of them show what the model has already."""
+    shape = (12, 12)
+    matrix = reference_scene("IV", shape, channels=1).dense()[None]
+    known = np.ones(144, np.bool_)
+    canvas = Canvas(Cells(shape, 1), matrix.sum(axis=2).astype(np.float32), known)
+    direct = (np.eye(144) * matrix).astype(np.float32)
+    model = DenseTransport(shape, shape, 1, [], {"matrix": direct})
+    told, known_light = (pictures_of(each, canvas, 30, known) for each in (matrix, direct))
+    both = joined([told, CellPictures(*(each[1:] for each in astuple(known_light)))], axis=0)
+    few = estimate(canvas, told, model)
+    monkeypatch.setattr("rfpipe.methods.residual.estimate._MOST_PICTURES", 31)
+    for pictures in (told, both):
+        found = estimate(canvas, pictures, model)
+        np.testing.assert_array_equal(found.pairs, few.pairs)
+        np.testing.assert_array_equal(found.cores, few.cores)

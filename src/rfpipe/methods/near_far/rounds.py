@@ -23,7 +23,7 @@ from rfpipe.methods.near_far.patterns import (
     probe_patterns,
 )
 from rfpipe.methods.near_far.pictures import Pictures, completed
-from rfpipe.methods.near_far.state import BLOCKS, HELD_OUT, ROUNDS, NearFarState, kind_of
+from rfpipe.methods.near_far.state import BLOCKS, HELD_OUT, ROUNDS, Kind, NearFarState, kind_of
 from rfpipe.methods.near_far.transport import as_transport, light_range
 from rfpipe.methods.residual.estimate import Residual
 from rfpipe.methods.residual.estimate import estimate as estimate_residual
@@ -194,7 +194,7 @@ def _candidates(state: NearFarState) -> Iterator[Transport]:
         assert state.pictures is not None
         shape = state.projector.shape
         rest = state.residual.transport(canvas_of(shape, state.pictures))
-        began = _last_level(state, "residual")
+        began = _last_level(state, "smooth", "residual")
         if of_hierarchy:
             assert state.symmetric is not None
             hierarchy = Symmetric().transport(state.symmetric)
@@ -223,10 +223,10 @@ def _bases(state: NearFarState) -> Iterator[tuple[bool, Transport]]:
         )
 
 
-def _last_level(state: NearFarState, kind: str) -> int:
-    """Return the last level of a kind that had patterns, 0 if none had."""
+def _last_level(state: NearFarState, *kinds: Kind) -> int:
+    """Return the last level of some kinds that had patterns, 0 if none had."""
     shown = (row["level"] for row in state.rows if row["patterns"])
-    return max((each for each in shown if kind_of(each, state.hierarchy) == kind), default=0)
+    return max((each for each in shown if kind_of(each, state.hierarchy) in kinds), default=0)
 
 
 def _estimate(state: NearFarState, transport: Transport) -> Estimate:
@@ -244,8 +244,8 @@ def _estimate(state: NearFarState, transport: Transport) -> Estimate:
 
 def _slow(state: NearFarState, share: float) -> bool:
     """Tell whether the last round left more than a share of the error before it."""
-    # the first estimate knows large shapes alone
-    if len(state.estimates) < 3:
+    # by other held-out pictures, errors don't compare
+    if state.new_held or len(state.estimates) < 3:
         return False
     before, found = state.estimates[-2:]
     return found.error > share * before.error

@@ -22,6 +22,9 @@ _LEARNED, _CLIPPED, _ITERATIONS = 2, 8, 8
 # Of a picture's norm, what may be lost with the cores that are not kept.
 _DROPPED = 1e-3
 _BATCH = 64
+# Of more pictures, those are fitted that the model predicts worst: time grows with their square,
+# and so does memory, to 1.3 GB with as many cells as there may be.
+_MOST_PICTURES = 512
 _TINY = float(np.finfo(np.float32).tiny)
 
 
@@ -57,12 +60,18 @@ def estimate(canvas: Canvas, pictures: CellPictures, model: Transport) -> Residu
     ----------
     canvas : Canvas
     pictures : CellPictures
-        The floodlit one among them.
+        The floodlit one first.
     model : Transport
         What is known already; need not be good.
     """
     channels, haar = len(canvas.factor), canvas.cells.haar
     left = pictures.seen - _predicted(canvas, pictures.lit, model)
+    # what a picture may be wrong by in any case is added to what it is
+    expected = np.square(np.float32(_EXPECTED) * canvas.brightest)
+    variance = pictures.variance + expected[:, None]
+    telling = _telling(left, variance)
+    lit, seen = pictures.lit[telling], pictures.seen[telling]
+    left, variance = left[telling], variance[telling]
     cores = np.zeros((channels, haar.size, haar.size), np.float32)
     weights = np.zeros((channels, haar.size))
     prior: Float | None = None
@@ -72,18 +81,26 @@ def estimate(canvas: Canvas, pictures: CellPictures, model: Transport) -> Residu
         share = canvas.brightest[channel] / max(canvas.brightest[brightest], _TINY)
         if not share > 0:
             continue
-        light = canvas.cells.total(pictures.lit * canvas.factor[channel])
-        expected = np.square(np.float32(_EXPECTED) * canvas.brightest[channel])
-        evidence = Evidence(light, left[:, channel].T, pictures.variance[:, channel].T + expected)
-        posterior = Posterior(haar, evidence)
+        light = canvas.cells.total(lit * canvas.factor[channel])
+        posterior = Posterior(haar, Evidence(light, left[:, channel].T, variance[:, channel].T))
         if prior is None:
             prior = _learned(posterior)
         found = _not_negative(posterior, prior * share**2, _between(canvas, model, channel))
         half = haar.forward(found)
         cores[channel] = haar.forward(np.ascontiguousarray(half.T))
-        energy = np.square(pictures.seen[:, channel], dtype=np.float64).sum(axis=1).mean()
+        energy = np.square(seen[:, channel], dtype=np.float64).sum(axis=1).mean()
         weights[channel] = np.square(posterior.light, dtype=np.float64).mean(axis=1) / energy
     return _kept(cores, weights)
+
+
+def _telling(left: Float, variance: Float) -> NDArray[np.int64]:
+    """Return which pictures to fit: all, or the first and those that a model predicts worst."""
+    if len(left) <= _MOST_PICTURES:
+        return np.arange(len(left))
+    known = np.isfinite(variance) & (variance > 0)
+    share = np.divide(np.square(left), variance, where=known, out=np.zeros_like(left))
+    worst = np.argsort(-share[1:].sum(axis=(1, 2), dtype=np.float64), kind="stable")
+    return np.concatenate([[0], np.sort(worst[: _MOST_PICTURES - 1]) + 1])
 
 
 def _learned(posterior: Posterior) -> Float:
