@@ -18,16 +18,16 @@ __all__ = ["all_pictures", "canvas_of", "cells_of", "taken"]
 _MOST_CELLS = 4096
 
 
-def cells_of(shape: tuple[int, ...]) -> Cells:
-    """Return the cells in which a ray domain is looked at."""
-    return Cells(shape, cell_side(shape, _MOST_CELLS))
+def cells_of(shape: tuple[int, ...], most: int = _MOST_CELLS) -> Cells:
+    """Return the cells in which a ray domain is looked at, at most so many."""
+    return Cells(shape, cell_side(shape, most))
 
 
-def canvas_of(shape: tuple[int, ...], pictures: Pictures) -> Canvas:
+def canvas_of(shape: tuple[int, ...], pictures: Pictures, most: int = _MOST_CELLS) -> Canvas:
     """Return what the pictures of an acquisition share; a channel of noise alone is dark."""
     shining = [pictures.channel(index).shine() for index in range(pictures.channels)]
     floodlit = pictures.floodlit * np.reshape(shining, (-1, 1))
-    return Canvas(cells_of(shape), floodlit, pictures.known)
+    return Canvas(cells_of(shape, most), floodlit, pictures.known)
 
 
 def taken(canvas: Canvas, images: LevelImages, first: int = 0) -> CellPictures:

@@ -27,6 +27,7 @@ from rfpipe.methods.near_far.state import BLOCKS, HELD_OUT, ROUNDS, Kind, NearFa
 from rfpipe.methods.near_far.transport import as_transport, light_range
 from rfpipe.methods.residual.estimate import Residual
 from rfpipe.methods.residual.estimate import estimate as estimate_residual
+from rfpipe.methods.residual.pictures import Canvas
 from rfpipe.methods.states import joined, level_row
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.patterns import Schedule
@@ -41,6 +42,9 @@ _STALLED, _STALLED_BLOCKS = 0.85, 0.93
 # A model that leaves so much of the indirect light's norm unexplained is the wrong one: after the
 # first round, whose probes are few, and later.
 _UNEXPLAINED_AT_FIRST, _UNEXPLAINED = 0.5, 0.25
+# What smooth light leaves is first looked at in so many cells, and then only if the error is less
+# than this part of what it is without.
+_ROUGHLY, _HELPS = 1024, 0.95
 _BEFORE_HIERARCHY = len(ROUNDS) + len(BLOCKS)
 
 _log = logging.getLogger(__name__)
@@ -80,14 +84,27 @@ def smooth(state: NearFarState, images: LevelImages) -> NearFarState:
     lit = images.schedule.batch(0, count).reshape(count, -1) > 0
     radiance, variance = _read(state, images, count)
     pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
-    model = fit(state.projector.shape, pictures)
+    domain = state.projector.shape
+    model = fit(domain, pictures)
     row = level_row(state.level, count, nodes=len(model.basis.first), rank_k=0)
     held = _with_held(state, lit[:first], radiance[:first])
     fitted = held.after(row, pictures=pictures, new=count - first, model=model, residual=None)
     [(_, base)] = _bases(fitted)
-    if state.level == 1 or _estimate(fitted, base).error <= state.options.target_error:
+    if state.level == 1 or not _leaves_much(fitted, base):
         return fitted
-    return replace(fitted, residual=_left_by(fitted, base))
+    return replace(fitted, residual=_left_by(fitted, base, canvas_of(domain, pictures)))
+
+
+def _leaves_much(state: NearFarState, base: Transport) -> bool:
+    """Tell whether the target isn't met, and what smooth light leaves helps: by a rough look."""
+    assert state.pictures is not None
+    shape, error = state.projector.shape, _estimate(state, base).error
+    if error <= state.options.target_error:
+        return False
+    canvas = canvas_of(shape, state.pictures, _ROUGHLY)
+    roughly = _left_by(state, base, canvas)
+    both = _with_rest(state, roughly.transport(canvas), of_hierarchy=False)
+    return _estimate(state, both).error < _HELPS * error
 
 
 def beyond(state: NearFarState, images: LevelImages) -> NearFarState:
@@ -103,15 +120,14 @@ def beyond(state: NearFarState, images: LevelImages) -> NearFarState:
     more = more if state.taken is None else joined([state.taken, more], axis=0)
     state = replace(state, taken=more)
     of_hierarchy, base = min(_bases(state), key=lambda each: _estimate(state, each[1]).error)
-    left = _left_by(state, base)
+    left = _left_by(state, base, canvas_of(state.projector.shape, pictures))
     row["nodes"] = left.pairs.shape[1]
     return state.after(row, new=count - first, residual=left, of_hierarchy=of_hierarchy)
 
 
-def _left_by(state: NearFarState, base: Transport) -> Residual:
+def _left_by(state: NearFarState, base: Transport, canvas: Canvas) -> Residual:
     """Find what a model leaves of all pictures."""
     assert state.pictures is not None
-    canvas = canvas_of(state.projector.shape, state.pictures)
     return estimate_residual(canvas, all_pictures(canvas, state.pictures, state.taken), base)
 
 
@@ -189,22 +205,27 @@ def _candidates(state: NearFarState) -> Iterator[Transport]:
     """Yield the models there are, and what is returned with what one of them leaves."""
     for of_hierarchy, base in _bases(state):
         yield base
-        if state.residual is None or state.of_hierarchy is not of_hierarchy:
-            continue
-        assert state.pictures is not None
-        shape = state.projector.shape
-        rest = state.residual.transport(canvas_of(shape, state.pictures))
-        began = _last_level(state, "smooth", "residual")
-        if of_hierarchy:
-            assert state.symmetric is not None
-            hierarchy = Symmetric().transport(state.symmetric)
-            more: list[tuple[Transport, int]] = [(hierarchy, _BEFORE_HIERARCHY), (rest, began)]
-            yield as_transport(shape, list(state.rows), None, state.pictures, 0, more)
-        else:
-            fitted = _last_level(state, "smooth")
-            yield as_transport(
-                shape, list(state.rows), state.model, state.pictures, fitted, [(rest, began)]
-            )
+        if state.residual is not None and state.of_hierarchy is of_hierarchy:
+            assert state.pictures is not None
+            rest = state.residual.transport(canvas_of(state.projector.shape, state.pictures))
+            yield _with_rest(state, rest, of_hierarchy)
+
+
+def _with_rest(state: NearFarState, rest: Transport, of_hierarchy: bool) -> Transport:
+    """Return smooth light, or the hierarchy, and what it leaves."""
+    assert state.pictures is not None
+    parts: list[tuple[Transport, int]] = [(rest, _last_level(state, "smooth", "residual"))]
+    if of_hierarchy:
+        assert state.symmetric is not None
+        parts.insert(0, (Symmetric().transport(state.symmetric), _BEFORE_HIERARCHY))
+    return as_transport(
+        state.projector.shape,
+        list(state.rows),
+        None if of_hierarchy else state.model,
+        state.pictures,
+        _last_level(state, "smooth"),
+        parts,
+    )
 
 
 def _bases(state: NearFarState) -> Iterator[tuple[bool, Transport]]:
