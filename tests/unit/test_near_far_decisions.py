@@ -64,7 +64,9 @@ def test_light_that_no_smooth_model_explains_needs_a_hierarchy(
 def test_blocks_that_hardly_help_are_followed_by_a_hierarchy(
     after_a_round: NearFarState, left: float, expected: str
 ) -> None:
-    state = replace(after_a_round, level=len(ROUNDS) + 2)
+    """The error should fall with the fifth root of the patterns, here to 0.936."""
+    rows = ({"level": 1, "patterns": 72}, {"level": len(ROUNDS) + 1, "patterns": 28})
+    state = replace(after_a_round, level=len(ROUNDS) + 2, rows=rows)
     assert decided(state, [0.3, 0.2, left * 0.2]).following == expected
     assert decided(state, [0.3, 0.2, left * 0.2], noise=True).following == (
         "done" if expected == "hierarchy" else expected

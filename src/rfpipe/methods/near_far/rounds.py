@@ -36,9 +36,9 @@ from rfpipe.transport.sum import SumTransport
 
 __all__ = ["begin", "best", "beyond", "decide", "judge", "patterns", "refine_hierarchy", "smooth"]
 
-# A round that leaves more than this of the error before it has shown that more won't help; rounds
-# of blocks, which grow with what was shown before, cut it less.
-_STALLED, _STALLED_BLOCKS = 0.85, 0.93
+# A round that leaves more than this of the error before it has shown that more won't help. Rounds
+# of blocks vary in size: there the error should fall with this power of the patterns shown.
+_STALLED, _STALLED_BLOCKS = 0.85, 0.2
 # A model that leaves so much of the indirect light's norm unexplained is the wrong one: after the
 # first round, whose probes are few, and later.
 _UNEXPLAINED_AT_FIRST, _UNEXPLAINED = 0.5, 0.25
@@ -175,7 +175,7 @@ def decide(state: NearFarState) -> NearFarState:
     # the first estimate knows neither strip nor spots: it bounds the error if nothing is indirect
     known = len(state.held.lit) > HELD_OUT if state.held else False
     reached = found.error <= target and (known or found.indirect <= target)
-    stalled = state.kind != just or _slow(state, _STALLED if just == "smooth" else _STALLED_BLOCKS)
+    stalled = state.kind != just or _slow(state)
     share = _UNEXPLAINED_AT_FIRST if first else _UNEXPLAINED
     lost = just == "smooth" and found.dark > share * found.indirect
     if reached or (limit and state.shown >= limit) or (stalled and found.is_noise):
@@ -263,12 +263,15 @@ def _estimate(state: NearFarState, transport: Transport) -> Estimate:
     return estimate(relit[..., known], held.at(known))
 
 
-def _slow(state: NearFarState, share: float) -> bool:
-    """Tell whether the last round left more than a share of the error before it."""
+def _slow(state: NearFarState) -> bool:
+    """Tell whether the last round cut the error too little for more of its kind to be worth it."""
     # by other held-out pictures, errors don't compare
     if state.new_held or len(state.estimates) < 3:
         return False
     before, found = state.estimates[-2:]
+    share = _STALLED
+    if kind_of(state.level - 1, state.hierarchy) == "residual":
+        share = (1 - state.rows[-1]["patterns"] / state.shown) ** _STALLED_BLOCKS
     return found.error > share * before.error
 
 
