@@ -143,7 +143,7 @@ def held_out(
         for first in range(0, 2 * pairs, 2)
     ]
     shapes, strip, spots = ratio if pairs == 3 else 3 * ratio
-    true = (4 * shapes + strip + 3 * spots) / 8
+    true = (2 * shapes + strip + spots) / 4
     return (truth + amiss).astype(np.float32), Held(lit, taken.astype(np.float32)), float(true)
 
 
@@ -176,11 +176,11 @@ def test_the_worst_is_that_of_the_picture_that_is_predicted_worst() -> None:
     predicted[2:4] *= 1.1
     found = estimate(predicted, held)
     assert found.worst == found.strip == pytest.approx(0.1, rel=1e-4)
-    assert found.error == pytest.approx(0.1 / 8, rel=1e-4)
+    assert found.error == pytest.approx(0.1 / 4, rel=1e-4)
     predicted[4:] *= 1.2
     found = estimate(predicted, held)
     assert found.worst == found.spots == pytest.approx(0.2, rel=1e-4)
-    assert found.error == pytest.approx((0.1 + 3 * 0.2) / 8, rel=1e-4)
+    assert found.error == pytest.approx((0.1 + 0.2) / 4, rel=1e-4)
     assert found.dark == 0
 
 

@@ -11,9 +11,9 @@ from rfpipe.methods.base import Float
 
 __all__ = ["Estimate", "Held", "estimate"]
 
-# Of eight pictures that people relight, four light large shapes, three small spots, and one the
-# strip where most light stays near.
-_SPOTS, _STRIP = 3 / 8, 1 / 8
+# Of the pictures that people relight, so many light small spots, and such places as the strip where
+# most light stays near, rather than large shapes.
+_SPOTS, _STRIP = 1 / 4, 1 / 4
 
 
 @dataclass(frozen=True)
