@@ -28,12 +28,13 @@ __all__ = ["write_plots"]
 
 
 def write_plots(folder: Path, summary: pd.DataFrame) -> list[str]:
-    """Draw each section and light; return the names of the files, relative to the folder."""
+    """Draw each section, light and size; return the names of the files, relative to the folder."""
     names = []
-    for (section, light), rows in summary.groupby(["section", "light"], sort=False):
+    by = ["section", "light", "side"]
+    for (section, light, side), rows in summary.groupby(by, sort=False):
         done = rows[rows["ended"] > 0]
         if len(done):
-            names.append(f"errors_{section}_{light}.png".replace(" ", "_"))
+            names.append(f"errors_{section}_{light}_{side}.png".replace(" ", "_"))
             write_atomically(folder / names[-1], _curves(done))
     known = summary.dropna(subset=["ratio"])
     if len(known):

@@ -92,7 +92,7 @@ def test_the_page_says_what_was_run_and_what_was_not(run):
     assert page.index("## Open scenes and seeds") < page.index("## Held out scenes and seeds")
     row = next(line for line in page.splitlines() if line.startswith("| wedge_iv | "))
     assert "(64)" in row
-    for name in ("errors_open_full.png", "errors_held_out_full.png", "estimates.png"):
+    for name in ("errors_open_full_8.png", "errors_held_out_full_8.png", "estimates.png"):
         assert f"]({run.name}/{name})" in page
         assert (run / name).stat().st_size > 10_000
     benchmark.main([*SMALL, "--seeds", "0", "1", "--table-only", "--folder", str(run)])
