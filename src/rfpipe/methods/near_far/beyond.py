@@ -12,18 +12,18 @@ from rfpipe.methods.residual.pictures import Canvas, CellPictures
 from rfpipe.methods.states import joined
 from rfpipe.transport.wavelet.cells import Cells, cell_side
 
-__all__ = ["all_pictures", "canvas_of", "cells_of", "taken"]
+__all__ = ["MOST_CELLS", "all_pictures", "canvas_of", "cells_of", "taken"]
 
 # Of so many cells, the covariance of all pairs takes 64 MiB.
-_MOST_CELLS = 4096
+MOST_CELLS = 4096
 
 
-def cells_of(shape: tuple[int, ...], most: int = _MOST_CELLS) -> Cells:
+def cells_of(shape: tuple[int, ...], most: int = MOST_CELLS) -> Cells:
     """Return the cells in which a ray domain is looked at, at most so many."""
     return Cells(shape, cell_side(shape, most))
 
 
-def canvas_of(shape: tuple[int, ...], pictures: Pictures, most: int = _MOST_CELLS) -> Canvas:
+def canvas_of(shape: tuple[int, ...], pictures: Pictures, most: int = MOST_CELLS) -> Canvas:
     """Return what the pictures of an acquisition share; a channel of noise alone is dark."""
     shining = [pictures.channel(index).shine() for index in range(pictures.channels)]
     floodlit = pictures.floodlit * np.reshape(shining, (-1, 1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from rfpipe.methods.base import Float, LevelImages
 from rfpipe.methods.images import planar_batches
 from rfpipe.methods.near_far import handover
-from rfpipe.methods.near_far.beyond import all_pictures, canvas_of, cells_of, taken
+from rfpipe.methods.near_far.beyond import MOST_CELLS, all_pictures, canvas_of, cells_of, taken
 from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far.model import fit
 from rfpipe.methods.near_far.patterns import (
@@ -27,7 +28,7 @@ from rfpipe.methods.near_far.state import BLOCKS, HELD_OUT, ROUNDS, Kind, NearFa
 from rfpipe.methods.near_far.transport import as_transport, light_range
 from rfpipe.methods.residual.estimate import Residual
 from rfpipe.methods.residual.estimate import estimate as estimate_residual
-from rfpipe.methods.residual.pictures import Canvas
+from rfpipe.methods.residual.pictures import Canvas, CellPictures
 from rfpipe.methods.states import joined, level_row
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.patterns import Schedule
@@ -46,6 +47,8 @@ _UNEXPLAINED_AT_FIRST, _UNEXPLAINED = 0.5, 0.25
 # than this part of what it is without.
 _ROUGHLY, _HELPS = 1024, 0.95
 _BEFORE_HIERARCHY = len(ROUNDS) + len(BLOCKS)
+
+S = TypeVar("S", Held, CellPictures)
 
 _log = logging.getLogger(__name__)
 
@@ -90,21 +93,23 @@ def smooth(state: NearFarState, images: LevelImages) -> NearFarState:
     held = _with_held(state, lit[:first], radiance[:first])
     fitted = held.after(row, pictures=pictures, new=count - first, model=model, residual=None)
     [(_, base)] = _bases(fitted)
-    if state.level == 1 or not _leaves_much(fitted, base):
-        return fitted
-    return replace(fitted, residual=_left_by(fitted, base, canvas_of(domain, pictures)))
+    return fitted if state.level == 1 else replace(fitted, residual=_if_it_helps(fitted, base))
 
 
-def _leaves_much(state: NearFarState, base: Transport) -> bool:
-    """Tell whether the target isn't met, and what smooth light leaves helps: by a rough look."""
+def _if_it_helps(state: NearFarState, base: Transport) -> Residual | None:
+    """Find what smooth light leaves where the target isn't met and a rough look says it helps."""
     assert state.pictures is not None
     shape, error = state.projector.shape, _estimate(state, base).error
     if error <= state.options.target_error:
-        return False
-    canvas = canvas_of(shape, state.pictures, _ROUGHLY)
-    roughly = _left_by(state, base, canvas)
-    both = _with_rest(state, roughly.transport(canvas), of_hierarchy=False)
-    return _estimate(state, both).error < _HELPS * error
+        return None
+    roughly, canvas = (canvas_of(shape, state.pictures, most) for most in (_ROUGHLY, MOST_CELLS))
+    left = _left_by(state, base, roughly)
+    both = _with_rest(state, left.transport(roughly), of_hierarchy=False)
+    if _estimate(state, both).error >= _HELPS * error:
+        return None
+    # of small pictures, the rough look is the close one
+    same = roughly.cells.side == canvas.cells.side
+    return left if same else _left_by(state, base, canvas)
 
 
 def beyond(state: NearFarState, images: LevelImages) -> NearFarState:
@@ -117,8 +122,7 @@ def beyond(state: NearFarState, images: LevelImages) -> NearFarState:
     if count == first:
         return state.after(row, new=0)
     more = taken(canvas_of(state.projector.shape, pictures), images, first)
-    more = more if state.taken is None else joined([state.taken, more], axis=0)
-    state = replace(state, taken=more)
+    state = replace(state, taken=_appended(state.taken, more))
     of_hierarchy, base = min(_bases(state), key=lambda each: _estimate(state, each[1]).error)
     left = _left_by(state, base, canvas_of(state.projector.shape, pictures))
     row["nodes"] = left.pairs.shape[1]
@@ -145,8 +149,7 @@ def refine_hierarchy(state: NearFarState, images: LevelImages, memory_bytes: int
     ]
     more = state.taken
     if count:
-        found = taken(canvas_of(state.projector.shape, state.pictures), images)
-        more = found if more is None else joined([more, found], axis=0)
+        more = _appended(more, taken(canvas_of(state.projector.shape, state.pictures), images))
     ended = state.level == _BEFORE_HIERARCHY + state.hierarchy - 1
     after = replace(
         state,
@@ -308,9 +311,11 @@ def _not_held_yet(state: NearFarState) -> Iterator[NDArray[np.bool_]]:
 
 def _with_held(state: NearFarState, lit: NDArray[np.bool_], radiance: Float) -> NearFarState:
     """Return a state that has more held-out pictures."""
-    more = Held(lit, radiance)
-    held = more if state.held is None else joined([state.held, more], axis=0)
-    return replace(state, held=held, new_held=len(lit))
+    return replace(state, held=_appended(state.held, Held(lit, radiance)), new_held=len(lit))
+
+
+def _appended(before: S | None, more: S) -> S:
+    return more if before is None else joined([before, more], axis=0)
 
 
 def _read(state: NearFarState, images: LevelImages, count: int) -> tuple[Float, Float]:

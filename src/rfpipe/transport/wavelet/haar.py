@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.transport.base import Float
 
-__all__ = ["Group", "Haar", "padded"]
+__all__ = ["Group", "Haar"]
 
 _HALF = np.float32(0.5)
 _COARSEST = 3  # cells along the shorter side of the coarsest grid, at least
@@ -64,7 +64,7 @@ class Group:
         return places
 
 
-def padded(side: int, octaves: int) -> int:
+def _padded(side: int, octaves: int) -> int:
     """Return the cells along a side that halves so many times."""
     cell = 1 << octaves
     return -(-side // cell) * cell
@@ -82,7 +82,7 @@ class Haar:
     def __init__(self, stack: tuple[int, int, int]) -> None:
         views, height, width = self.stack = stack
         self.octaves = max(0, int(np.log2(max(1.0, min(height, width) / _COARSEST))))
-        self.grid = (views, padded(height, self.octaves), padded(width, self.octaves))
+        self.grid = (views, _padded(height, self.octaves), _padded(width, self.octaves))
         self.size = math.prod(self.grid)
 
     @cached_property
