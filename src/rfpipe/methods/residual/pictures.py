@@ -15,6 +15,9 @@ __all__ = ["Canvas", "CellPictures"]
 
 # Part of its mean that is added to the floodlit image: dim pixels may exchange light, too.
 _LIFTED = 0.02
+# F is this power of it: half of what a surface returns goes with the light that it gets, half with
+# the light that it sends.
+_EXPONENT = 0.5
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Canvas:
         light = np.maximum(floodlit, 0)
         self.brightest: Float = light.max(axis=1)
         lifted = light + np.float32(_LIFTED) * light.mean(axis=1, keepdims=True)
-        root = np.sqrt(lifted)
+        root = np.power(lifted, np.float32(_EXPONENT))
         mean = root.mean(axis=1, keepdims=True)
         self.factor: Float = np.divide(root, mean, out=np.zeros_like(root), where=mean > 0)
         """F, float32 (C, N), of mean 1."""
