@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,14 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
 from rfpipe.methods import Method
 from rfpipe.methods.brute_force import BruteForce
-from rfpipe.methods.symmetric.method import Symmetric
+from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.stages import capture, levels, symmetry
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.symmetry import Asymmetry
 from rfpipe.store import FrameStore, read_manifest
 
 FRAMES = 6
@@ -46,7 +48,7 @@ def judge(acquisition: Acquisition, accepted: float = 0.05, **options: Any) -> d
         acquisition.rig.sensor, acquisition.folder,
         saturation_fraction=0.98, code=CODE, **options,
     )  # fmt: skip
-    assert found.judge(Symmetric(), accepted).name == "symmetric"
+    assert found.judge(Symmetric(), SymmetricOptions(), accepted).name == "symmetric"
     return read_manifest(acquisition.folder.manifest(0, "symmetry"))
 
 
@@ -130,6 +132,15 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
     result = acquire(matrix_rig(matrix, CameraModel()), Choice(), **frames)
     assert type(result.transport) is type(stored)
     assert result.patterns == stored.levels["patterns"].sum()
+
+
+def test_a_choice_asks_for_its_target_where_that_is_tighter() -> None:
+    found = Asymmetry(0.03, 0.001)
+    for target, chosen in ((None, Symmetric), (0.05, Symmetric), (0.01, BruteForce)):
+        options = SimpleNamespace(target_error=target)
+        assert type(found.judge(Choice(), options, 0.05)) is chosen
+    # whoever has no choice is warned of no more than before
+    assert isinstance(found.judge(Symmetric(), SimpleNamespace(target_error=0.01), 0.05), Symmetric)
 
 
 def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:

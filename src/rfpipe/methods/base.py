@@ -161,13 +161,12 @@ class Method(ABC, Generic[State]):
         return self.needs_coaxial_rig
 
     def on_rig(self, coaxial: bool) -> Method[Any]:
-        """Return the method that goes on after the floodlit image; any but a choice is itself.
+        """Return the method that goes on where `asks_symmetry` was answered; most are themselves.
 
         Parameters
         ----------
         coaxial : bool
-            Whether camera and projector have been found to share their rays; False, too, where
-            `asks_symmetry` doesn't ask.
+            Whether camera and projector have been found to share their rays.
         """
         return self
 

@@ -160,9 +160,7 @@ def acquire(
         mask_defects=mask_defects,
     )
     if asks_symmetry:
-        chosen = session.symmetry(symmetry_frames).judge(chosen, asymmetry)
-    else:
-        chosen = chosen.on_rig(coaxial=False)
+        chosen = session.symmetry(symmetry_frames).judge(chosen, asked, asymmetry)
     state = chosen.start(camera, projector, rig.channels, asked)
     shown = saturated = 0
     for _ in range(chosen.n_levels(camera, projector)):

@@ -83,15 +83,13 @@ def run(
         plan.carry(level + 1, refine.run(plan, folder, level, code["refine"], resources))
 
     def settled() -> Method[Any]:
-        if not is_judged:
-            return plan.method.on_rig(coaxial=False)
         with _stage(folder.manifest(0, SYMMETRY)):
             found = symmetry.run(
                 read_sensor(folder), folder,
                 saturation_fraction=merge_options["saturation_fraction"], code=code["symmetry"],
                 keep_raw=capture_options.get("keep_raw", True),
             )  # fmt: skip
-            return found.judge(plan.method, asymmetry)
+            return found.judge(plan.method, plan.options, asymmetry)
 
     stages: dict[str, Callable[[int], None]] = {
         "schedule": lambda level: schedule.run(plan, folder, level, code["schedule"]),
@@ -114,7 +112,7 @@ def run(
             for name, stage in stages.items():
                 with _stage(folder.manifest(level, name)):
                     stage(level)
-                if level == 0 and name == "merge":
+                if is_judged and level == 0 and name == "merge":
                     plan.settle(settled())
             level += 1
         manifest = folder.path / "transport.json"

@@ -27,7 +27,7 @@ from rfpipe.stages.merging.references import REFERENCES, read_merger
 from rfpipe.store import drop, read_manifest, write_manifest
 
 if TYPE_CHECKING:
-    from rfpipe.methods import Method
+    from rfpipe.methods import Method, Options
 
 __all__ = ["Asymmetry", "measure", "run"]
 
@@ -60,8 +60,10 @@ class Asymmetry:
         """What the error surely is, at least."""
         return self.error - CONFIDENCE * self.standard_error
 
-    def judge(self, method: Method[Any], accepted: float) -> Method[Any]:
+    def judge(self, method: Method[Any], options: Options, accepted: float) -> Method[Any]:
         """Return the method to go on with on a rig whose error is surely above `accepted`, or not.
+
+        Where a method has the choice, it is less than `accepted` if its target is.
 
         Raises
         ------
@@ -73,16 +75,20 @@ class Asymmetry:
             f"one makes an error of {self.error:.1%} +- {self.standard_error:.1%} in relit pictures"
         )
         accepts = f"{accepted:.1%} are accepted (capture.asymmetry)"
-        coaxial = self.least <= accepted
-        if method.needs_coaxial_rig and not coaxial:
+        if method.needs_coaxial_rig and self.least > accepted:
             raise CaptureError(
                 f"{found}, and {accepts}. Align the two "
                 "devices' centres to a fraction of a pixel, and focus both; or use a method for "
                 "any rig, such as dual photography"
             )
-        chosen = method.on_rig(coaxial)
-        if not coaxial:
-            _log.info("%s, and %s; going on by %s", found, accepts, chosen.title.lower())
+        wished: float = min(accepted, getattr(options, "target_error", None) or accepted)
+        chosen = method.on_rig(self.least <= wished)
+        if chosen is not method:
+            _log.info(
+                "taking the rig for a coaxial one makes an error of %.1f%% +- %.1f%% in relit "
+                "pictures: going on by %s",
+                100 * self.error, 100 * self.standard_error, chosen.title.lower(),
+            )  # fmt: skip
         elif self.least > _WORTH_A_WORD * accepted:
             _log.warning("%s; %s", found, accepts)
         return chosen
