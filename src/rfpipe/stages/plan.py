@@ -47,11 +47,12 @@ class Plan:
         options: Mapping[str, Any] | None = None,
     ) -> None:
         self.name = name
-        self.method: Method[Any] = get_method(method)
+        named = get_method(method)
         self.camera = RayDomain(tuple(camera_shape))
         self.projector = RayDomain(tuple(projector_shape))
         self.channels = channels
-        self.options = options_of(self.method, **(options or {}))
+        self.options = options_of(named, **(options or {}))
+        self.method: Method[Any] = named.with_options(self.options)
         self._carried: tuple[int, Any] | None = None
 
     @property

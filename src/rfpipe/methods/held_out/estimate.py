@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float
+from rfpipe.methods.held_out.patterns import HELD_OUT
+from rfpipe.transport.base import Transport
 
-__all__ = ["Estimate", "Held", "estimate"]
+__all__ = ["Estimate", "Held", "error_of", "estimate"]
 
 # Of the pictures that people relight, so many light small spots, and such places as the strip where
 # most light stays near, rather than large shapes.
@@ -24,15 +26,11 @@ class Held:
     ----------
     lit : ndarray of bool, shape (2 or 6, N)
         A pattern of random shapes, then the strip where most light stays near and small spots.
-    radiance : ndarray of float32, shape (2 or 6, C, N)
+    radiance : ndarray of float32, shape (2 or 6, C, M)
     """
 
     lit: NDArray[np.bool_]
     radiance: Float
-
-    def at(self, pixels: NDArray[np.bool_]) -> Held:
-        """Return what some pixels (N,) show."""
-        return Held(self.lit[:, pixels], self.radiance[..., pixels])
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,28 @@ class Estimate:
         return self.dark < self.shapes / 2 and self.worst < 2 * self.shapes
 
 
-def estimate(predicted: Float, held: Held) -> Estimate:
+def error_of(
+    transport: Transport, held: Held, known: NDArray[np.bool_], dark: NDArray[np.bool_]
+) -> Estimate:
+    """Compare a transport's pictures with held-out ones, where pixels are known.
+
+    Parameters
+    ----------
+    transport : Transport
+    held : Held
+    known : ndarray of bool, shape (M,)
+        Camera pixels that the pictures show.
+    dark : ndarray of bool, shape (M,)
+        Those to which the first pattern sends no direct light.
+    """
+    patterns = held.lit[::HELD_OUT, None].astype(np.float32)
+    shape = (len(patterns), transport.channels, held.lit.shape[1])
+    relit = transport.forward(np.broadcast_to(patterns, shape), range(transport.channels))
+    predicted = relit.repeat(HELD_OUT, axis=0)
+    return estimate(predicted[..., known], held.radiance[..., known], dark[known])
+
+
+def estimate(predicted: Float, taken: Float, dark: NDArray[np.bool_]) -> Estimate:
     """Compare predicted with held-out pictures.
 
     Two pictures of one pattern have independent noise, so that the mean product of what is wrong
@@ -85,11 +104,11 @@ def estimate(predicted: Float, held: Held) -> Estimate:
 
     Parameters
     ----------
-    predicted : ndarray of float32, shape (2 or 6, C, N)
-    held : Held
+    predicted, taken : ndarray of float32, shape (2 or 6, C, M)
+    dark : ndarray of bool, shape (M,)
+        Pixels to which the first pattern sends no direct light.
     """
-    dark = ~held.lit[0]
-    pairs = [(predicted[k : k + 2], held.radiance[k : k + 2]) for k in range(0, len(predicted), 2)]
+    pairs = [(predicted[k : k + 2], taken[k : k + 2]) for k in range(0, len(predicted), HELD_OUT)]
     (shapes, light), *others = [_error(*pair) for pair in pairs]
     strip, spots = (error for error, _ in others) if others else (shapes, shapes)
     on_dark, indirect, _ = _products(*pairs[0], dark)
