@@ -81,8 +81,9 @@ class TargetOptions(Options):
     target_error: Fraction | None = Field(
         None,
         description="Mean error of relit pictures at which to end, as a fraction of their norm, "
-        "between 0 and 1, estimated from six pictures more; null to go by the tolerance alone, "
-        "which otherwise follows from it, unless another than the default is given and smaller.",
+        "between 0 and 1, estimated from six more pictures; the tolerance then follows from it, or "
+        "is the one given, if not the default, where that is smaller. null goes by the tolerance "
+        "alone.",
     )
 
 

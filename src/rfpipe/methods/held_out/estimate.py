@@ -44,7 +44,8 @@ class Estimate:
     strip, spots : float
         Of the strip, and of small spots; as of shapes where neither was shown.
     dark : float
-        Of random shapes on pixels that the projector leaves dark, where light is indirect.
+        Of random shapes on pixels that the projector leaves dark, where light is indirect; NaN
+        where these aren't known.
     indirect : float
         All light on those pixels, in the same unit.
     """
@@ -76,7 +77,10 @@ class Estimate:
 
 
 def error_of(
-    transport: Transport, held: Held, known: NDArray[np.bool_], dark: NDArray[np.bool_]
+    transport: Transport,
+    held: Held,
+    known: NDArray[np.bool_],
+    dark: NDArray[np.bool_] | None = None,
 ) -> Estimate:
     """Compare a transport's pictures with held-out ones, where pixels are known.
 
@@ -86,17 +90,18 @@ def error_of(
     held : Held
     known : ndarray of bool, shape (M,)
         Camera pixels that the pictures show.
-    dark : ndarray of bool, shape (M,)
-        Those to which the first pattern sends no direct light.
+    dark : ndarray of bool, shape (M,), optional
+        Those to which the first pattern sends no direct light, where that is known.
     """
     patterns = held.lit[::HELD_OUT, None].astype(np.float32)
     shape = (len(patterns), transport.channels, held.lit.shape[1])
     relit = transport.forward(np.broadcast_to(patterns, shape), range(transport.channels))
     predicted = relit.repeat(HELD_OUT, axis=0)
-    return estimate(predicted[..., known], held.radiance[..., known], dark[known])
+    of_dark = None if dark is None else dark[known]
+    return estimate(predicted[..., known], held.radiance[..., known], of_dark)
 
 
-def estimate(predicted: Float, taken: Float, dark: NDArray[np.bool_]) -> Estimate:
+def estimate(predicted: Float, taken: Float, dark: NDArray[np.bool_] | None = None) -> Estimate:
     """Compare predicted with held-out pictures.
 
     Two pictures of one pattern have independent noise, so that the mean product of what is wrong
@@ -105,12 +110,14 @@ def estimate(predicted: Float, taken: Float, dark: NDArray[np.bool_]) -> Estimat
     Parameters
     ----------
     predicted, taken : ndarray of float32, shape (2 or 6, C, M)
-    dark : ndarray of bool, shape (M,)
-        Pixels to which the first pattern sends no direct light.
+    dark : ndarray of bool, shape (M,), optional
+        Pixels to which the first pattern sends no direct light, where that is known.
     """
     pairs = [(predicted[k : k + 2], taken[k : k + 2]) for k in range(0, len(predicted), HELD_OUT)]
     (shapes, light), *others = [_error(*pair) for pair in pairs]
     strip, spots = (error for error, _ in others) if others else (shapes, shapes)
+    if dark is None:
+        return Estimate(shapes, strip, spots, np.nan, np.nan)
     on_dark, indirect, _ = _products(*pairs[0], dark)
     return Estimate(shapes, strip, spots, _ratio(on_dark, light), _ratio(indirect, light))
 

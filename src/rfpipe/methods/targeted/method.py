@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import astuple, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Method, Pack, TargetOptions
-from rfpipe.methods.held_out.estimate import Estimate, Held, error_of
+from rfpipe.methods.base import MEMORY_BYTES, LevelImages, Method, Pack, TargetOptions
+from rfpipe.methods.held_out.estimate import Held, error_of
 from rfpipe.methods.held_out.patterns import (
     HELD_OUT,
     MOST_HELD_OUT,
@@ -21,7 +19,7 @@ from rfpipe.methods.held_out.patterns import (
     held_out_strip,
 )
 from rfpipe.methods.images import read_planar, renumbered
-from rfpipe.methods.states import Descent, appended, arrays_of, unprefixed
+from rfpipe.methods.states import Descent, MethodState, appended, arrays_of, unprefixed
 from rfpipe.methods.targeted.nearness import nearness
 from rfpipe.methods.targeted.state import Kind, Shown, TargetedState
 from rfpipe.patterns import Schedule
@@ -29,13 +27,7 @@ from rfpipe.transport.base import Transport
 
 __all__ = ["Targeted"]
 
-# A level that leaves more than this of the error before it has shown that more may not help.
-_STALLED = 0.85
-# A pixel with less than this part of its light under random shapes has no direct light from them.
-_DARK = 0.5
 _INNER, _HELD = "inner_", "held_"
-
-_log = logging.getLogger(__name__)
 
 
 class Targeted(Method[TargetedState]):
@@ -115,15 +107,15 @@ class Targeted(Method[TargetedState]):
         if kind == "done":
             return state.after(Shown(kind, 0, None), "done")
         if kind == "held":
-            state = self._judged_anew(self._with_held(state, images))
+            state = self._with_held(state, images)
+            state = self._judged(replace(state, error=self._error(state, state.best)))
         else:
             own = renumbered(images, state.inner.level)
             state = replace(state, inner=self.inner.refine(state.inner, own, memory_bytes))
             state = self._judged(state) if count and state.held else state
         if state.held is None:
             return replace(state, best=state.inner).after(Shown(kind, count, None), "held")
-        assert state.estimate is not None
-        error = state.estimate.error if count else None
+        error = state.error if count else None
         return state.after(Shown(kind, count, error), self._following(state))
 
     def _with_held(self, state: TargetedState, images: LevelImages) -> TargetedState:
@@ -131,54 +123,29 @@ class Targeted(Method[TargetedState]):
         count, inner = images.schedule.count, state.inner
         lit = images.schedule.batch(0, count).reshape(count, -1) > 0
         radiance, variance = read_planar(images, inner.channels, inner.camera.size, count)
-        if state.held is None:
-            known = np.asarray(np.isfinite(variance).all(axis=(0, 1)))
-            state = replace(state, known=known, dark=self._dark(inner, lit[0], radiance))
-        return replace(state, held=appended(state.held, Held(lit, radiance)))
-
-    def _dark(self, inner: Any, shapes: NDArray[np.bool_], pictures: Float) -> NDArray[np.bool_]:
-        """Tell which camera pixels have no direct light from random shapes (N,)."""
-        if self.needs_coaxial_rig:
-            return ~shapes
-        white = np.ones((1, inner.channels, inner.projector.size), np.float32)
-        floodlit = self.inner.transport(inner).forward(white, range(inner.channels))[0]
-        return np.asarray(pictures.mean(axis=0).sum(axis=0) < _DARK * floodlit.sum(axis=0))
+        known = np.asarray(np.isfinite(variance).all(axis=(0, 1)))
+        return replace(state, held=appended(state.held, Held(lit, radiance)), known=known)
 
     def _judged(self, state: TargetedState) -> TargetedState:
-        """Estimate the error of the inner method's transport; keep it where it is the best."""
-        found = self._estimate(state, state.inner)
-        stalled = found.shapes > _STALLED * state.latest
-        state = replace(state, latest=found.shapes, stalled=stalled)
-        if state.estimate is not None and found.error > state.estimate.error:
+        """Take the inner method's transport for the best where it is no worse."""
+        assert state.error is not None
+        if state.best is state.inner:
             return state
-        return replace(state, best=state.inner, estimate=found)
+        error = self._error(state, state.inner)
+        return state if error > state.error else replace(state, best=state.inner, error=error)
 
-    def _judged_anew(self, state: TargetedState) -> TargetedState:
-        """Estimate errors from all held-out pictures, after there were more of them."""
-        found = self._estimate(state, state.best)
-        state = replace(state, estimate=found, latest=min(state.latest, found.shapes))
-        if state.best.level == state.inner.level:
-            return state
-        other = self._estimate(state, state.inner)
-        if other.error > found.error:
-            return state
-        return replace(state, best=state.inner, estimate=other)
-
-    def _estimate(self, state: TargetedState, inner: Any) -> Estimate:
+    def _error(self, state: TargetedState, inner: MethodState) -> float:
+        """Estimate the error of the transport of a state of the inner method's."""
         assert state.held is not None
         assert state.known is not None
-        assert state.dark is not None
-        return error_of(self.inner.transport(inner), state.held, state.known, state.dark)
+        return error_of(self.inner.transport(inner), state.held, state.known).error
 
     def _following(self, state: TargetedState) -> Kind:
         """Go on down the tree, ask for what held-out pictures are missing, or end."""
-        found, inner = state.estimate, state.inner
-        assert found is not None
-        noise = state.stalled and found.is_noise
-        reached = found.error <= state.target_error
-        if not (reached or noise) and inner.level < self.inner.n_levels(
-            inner.camera, inner.projector
-        ):
+        assert state.error is not None
+        inner = state.inner
+        last = inner.level == self.inner.n_levels(inner.camera, inner.projector)
+        if state.error > state.target_error and not last:
             return "inner"
         return "done" if state.all_held else "held"
 
@@ -199,9 +166,7 @@ class Targeted(Method[TargetedState]):
             "shown": list(astuple(last)),
             "following": state.following,
             "best": state.best.level,
-            "estimate": None if state.estimate is None else list(astuple(state.estimate)),
-            "latest": state.latest if state.held else None,
-            "stalled": state.stalled,
+            "error": state.error,
         }
         if last.kind == "inner":
             own = self.inner.pack(state.inner)
@@ -210,11 +175,10 @@ class Targeted(Method[TargetedState]):
         if last.kind == "done":
             return Pack({}, attributes)
         assert state.held is not None
-        latest = {name: a[-last.patterns :] for name, a in arrays_of(state.held, _HELD).items()}
-        masks = {"known": state.known, "dark": state.dark}
-        return Pack(
-            {**latest, **{name: a.astype(np.uint8) for name, a in masks.items()}}, attributes
-        )
+        assert state.known is not None
+        held = arrays_of(state.held, _HELD)
+        arrays = {name: array[-last.patterns :] for name, array in held.items()}
+        return Pack({**arrays, "known": state.known.astype(np.uint8)}, attributes)
 
     def restore(self, start: TargetedState, packs: Sequence[Pack]) -> TargetedState:
         """Return the state after the last of `packs`, one a level from level 0 on."""
@@ -234,23 +198,15 @@ class Targeted(Method[TargetedState]):
             best=inner if best == inner.level else self.inner.restore(start.inner, own[:best]),
             shown=tuple(Shown(*pack.attributes["shown"]) for pack in packs),
             following=about["following"],
-            stalled=about["stalled"],
+            error=about["error"],
         )
-        return _with_pictures(state, packs) if about["estimate"] else state
+        return state if state.error is None else _with_pictures(state, packs)
 
 
 def _with_pictures(state: TargetedState, packs: Sequence[Pack]) -> TargetedState:
-    """Return a state with the held-out pictures of packs, and what they told last."""
+    """Return a state with the held-out pictures of packs."""
     arrays = [pack.arrays for pack in packs if "known" in pack.arrays]
     held = None
     for pictures in (unprefixed(_HELD, own) for own in arrays):
         held = appended(held, Held(pictures["lit"].astype(np.bool_), pictures["radiance"]))
-    about = packs[-1].attributes
-    return replace(
-        state,
-        held=held,
-        known=arrays[0]["known"].astype(np.bool_),
-        dark=arrays[0]["dark"].astype(np.bool_),
-        estimate=Estimate(*about["estimate"]),
-        latest=about["latest"],
-    )
+    return replace(state, held=held, known=arrays[-1]["known"].astype(np.bool_))

@@ -76,4 +76,5 @@ def _share(pictures: NDArray[np.float64], floodlit: NDArray[np.float64]) -> NDAr
     """Return the share of each pixel's light that comes from beyond a square of the boards."""
     darkest = 2 * pictures.min(axis=0)
     share = np.divide(darkest, floodlit, out=np.zeros_like(floodlit), where=floodlit > 0)
-    return share.clip(0, 1)
+    clipped: NDArray[np.float64] = share.clip(0, 1)
+    return clipped

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.held_out.estimate import Estimate, Held
+from rfpipe.methods.held_out.estimate import Held
 from rfpipe.methods.held_out.patterns import MOST_HELD_OUT
 from rfpipe.methods.states import MethodState
 
@@ -51,15 +51,10 @@ class TargetedState:
         What the next level is for: the inner method, held-out pictures or nothing.
     held : Held, optional
         Pictures that the inner method doesn't see; None before there are any.
-    known, dark : ndarray of bool, shape (M,), optional
-        Camera pixels that the pictures show, and those to which the first held-out pattern sends no
-        direct light; None before.
-    estimate : Estimate, optional
-        Of `best`; None before there are held-out pictures.
-    latest : float
-        Error of random shapes after the inner method's last level that showed anything.
-    stalled : bool
-        Whether that level left about what there was before it.
+    known : ndarray of bool, shape (M,), optional
+        Camera pixels that the pictures show; None before.
+    error : float, optional
+        Estimated of `best`; None before there are held-out pictures.
     """
 
     inner: MethodState
@@ -69,10 +64,7 @@ class TargetedState:
     following: Kind = "inner"
     held: Held | None = None
     known: NDArray[np.bool_] | None = None
-    dark: NDArray[np.bool_] | None = None
-    estimate: Estimate | None = None
-    latest: float = float("inf")
-    stalled: bool = False
+    error: float | None = None
 
     @property
     def level(self) -> int:
