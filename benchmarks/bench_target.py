@@ -22,7 +22,7 @@ from benchmarks.methods.cases import CAMERAS, is_held_out
 from benchmarks.methods.scenes import KINDS, stage_of
 
 import rfpipe
-from rfpipe.errors import InputError
+from rfpipe.errors import RfpipeError
 from rfpipe.methods.dual import Dual
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.rigs import SimulatedRig
@@ -76,7 +76,7 @@ def _rows(asked: argparse.Namespace) -> Iterator[dict[str, object]]:
             try:
                 with patch.object(method, "tolerance_share", share):
                     found = _acquired(scene, method.name, asked, target_error=target)
-            except InputError:
+            except RfpipeError:
                 continue
             without = plain(scene, method.name, share * target)
             yield {**place, **found, "plain_patterns": without["patterns"],

@@ -1,4 +1,4 @@
-"""Methods whose patterns are no unions of blocks, or not all of them, through the stages on files."""
+"""Methods whose patterns are no unions of blocks, or not all, through the stages on files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from tests.workflow.stagewise import CAMERA, SHAPE, Acquisition, matrix_rig
 
 from rfpipe import acquire
 from rfpipe.stages.plan import Plan
-
 
 ASKED = {
     "hadamard": {},
