@@ -15,7 +15,7 @@ from rfpipe.methods import Method, Pack, get_method, options_of
 from rfpipe.methods.held_out.patterns import MOST_HELD_OUT, held_out_strip
 from rfpipe.methods.targeted.nearness import nearness
 from rfpipe.provenance import generator
-from rfpipe.scenes import reference_scene
+from rfpipe.scenes import hard_cases, reference_scene
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.plan import Plan
 from rfpipe.testing.methods import MethodRun, run_method
@@ -273,3 +273,19 @@ def test_the_stages_take_it_from_the_settings() -> None:
     result = rfpipe.acquire(rig, "symmetric", progress=False, target_error=0.01)
     assert result.history["estimated_error"].iloc[-1] <= 0.01
     assert result.patterns == result.levels["patterns"].sum()
+
+
+@BOTH
+@pytest.mark.parametrize("case", ["zero_transport", "one_row", "dark_channel", "photon_starved"])
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_hard_cases_end(name: str, case: str) -> None:
+    scene = hard_cases()[case]()
+    noise = rfpipe.CameraModel() if case in ("dark_channel", "photon_starved") else None
+    rig = rfpipe.OperatorRig(scene, scene.shape, scene.shape, noise)
+    result = rfpipe.acquire(rig, name, progress=False, target_error=0.01)
+    plain = rfpipe.acquire(
+        rig, name, progress=False, tolerance=0.01 * type(get_method(name)).tolerance_share
+    )
+    assert np.isfinite(result.history["estimated_error"]).all()
+    assert np.isfinite(result.transport.relight(np.ones(scene.shape))).all()
+    assert MOST_HELD_OUT < result.patterns <= 1.2 * plain.patterns + MOST_HELD_OUT
