@@ -11,6 +11,7 @@ from rfpipe.methods.held_out.estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far import solve as near_far_solve
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.near_far.solve import Observations, Prior, residual, solve
+from rfpipe.provenance import generator
 from rfpipe.scenes import reference_scene
 from rfpipe.transport.multiscale.basis import MultiscaleBasis, cells, functions_over
 
@@ -206,3 +207,17 @@ def test_light_predicted_of_black_pictures_is_an_error_of_one() -> None:
     found = estimate(predicted, np.zeros_like(predicted), ~held.lit[0])
     assert found.error == pytest.approx(1)
     assert 0 < found.dark < 1
+
+
+def test_pictures_that_noise_drowns_say_nothing() -> None:
+    """Of a pattern whose light hardly reaches the camera; shapes count for it."""
+    predicted, held, _ = held_out(0.005, 0.001, 0)
+    lit = estimate(predicted, held.radiance)
+    faint, taken = predicted.copy(), held.radiance.copy()
+    noise = generator(3).standard_normal(taken[4:].shape).astype(np.float32)
+    faint[4:], taken[4:] = 1e-2, 1e-3 + 0.01 * noise
+    found = estimate(faint, taken)
+    assert (found.shapes, found.strip) == (lit.shapes, lit.strip)
+    assert found.spots == found.shapes
+    taken[4:] = 1e-3
+    assert estimate(faint, taken).spots == pytest.approx(9)

@@ -259,6 +259,16 @@ def test_light_stays_near_at_the_crease(matrix: NDArray[np.float64]) -> None:
     assert strip[:, 10:14].sum() >= 17
 
 
+def test_rays_that_hardly_reach_the_camera_are_not_where_light_stays_near() -> None:
+    matrix = wedge((24, 24))
+    crease = 12 * 24 + 12
+    for light, there in ((1.0, True), (1e-5, False)):
+        matrix[0, :, 0] = 0
+        matrix[0, crease, 0] = light * matrix[0, crease, crease]
+        found = run_method(get_method("brute_force"), matrix, (24, 24), (24, 24)).transport
+        assert (nearness(found)[0, 0] > 0).item() is there
+
+
 def test_the_stages_take_it_from_the_settings() -> None:
     plan = Plan("fine", "symmetric", SHAPE, SHAPE, 1, {"target_error": 0.01})
     assert plan.method.estimates_error

@@ -101,7 +101,7 @@ class Dual(Descent[DualState]):
     marker = "s"
     thesis_table = "3.1"
     thesis_patterns = 7_382  # of scene IV
-    tolerance_share = 0.5
+    tolerance_share = 0.3
     Options = DualOptions
     trades = "tolerance"
     trials = TOLERANCES[:-1]  # beyond, responses are noise at the default camera

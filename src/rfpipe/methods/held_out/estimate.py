@@ -42,7 +42,8 @@ class Estimate:
     shapes : float
         Of a picture of random shapes.
     strip, spots : float
-        Of the strip, and of small spots; as of shapes where neither was shown.
+        Of the strip, and of small spots; as of shapes where they weren't shown, or noise drowns
+        them: relative to hardly any light, all is wrong.
     dark : float
         Of random shapes on pixels that the projector leaves dark, where light is indirect; NaN
         where these aren't known.
@@ -114,8 +115,9 @@ def estimate(predicted: Float, taken: Float, dark: NDArray[np.bool_] | None = No
         Pixels to which the first pattern sends no direct light, where that is known.
     """
     pairs = [(predicted[k : k + 2], taken[k : k + 2]) for k in range(0, len(predicted), HELD_OUT)]
-    (shapes, light), *others = [_error(*pair) for pair in pairs]
-    strip, spots = (error for error, _ in others) if others else (shapes, shapes)
+    shapes, light = _error(*pairs[0])
+    others = [shapes if _drowned(pair[1]) else _error(*pair)[0] for pair in pairs[1:]]
+    strip, spots = others or (shapes, shapes)
     if dark is None:
         return Estimate(shapes, strip, spots, np.nan, np.nan)
     on_dark, indirect, _ = _products(*pairs[0], dark)
@@ -127,6 +129,12 @@ def _error(predicted: Float, taken: Float) -> tuple[float, float]:
     wrong, light, chance = _products(predicted, taken, np.ones(taken.shape[-1], np.bool_))
     # what chance makes of a sum of products is the least error that it can tell from none
     return _ratio(max(wrong, chance), light), light
+
+
+def _drowned(taken: Float) -> bool:
+    """Tell whether two pictures of a pattern have more noise than light."""
+    one, other = taken.astype(np.float64)
+    return float((one * other).sum()) < float(np.square(one - other).sum() / 2)
 
 
 def _products(

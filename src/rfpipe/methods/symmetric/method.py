@@ -108,7 +108,7 @@ class Symmetric(Descent[SymmetricState]):
     needs_coaxial_rig = True
     thesis_table = "5.1"
     thesis_patterns = 1_085  # of scene II
-    tolerance_share = 0.5
+    tolerance_share = 0.3
     Options = SymmetricOptions
     trades = "tolerance"
     trials = TOLERANCES

@@ -11,6 +11,9 @@ from rfpipe.transport.base import Transport
 
 __all__ = ["nearness"]
 
+# Rays that send the camera less than this part of the mean ray's light say nothing.
+_DIM = 0.01
+
 
 def nearness(transport: Transport) -> Float:
     """Tell how much of the light that a ray sends reaches pixels from elsewhere, but from near.
@@ -36,7 +39,8 @@ def nearness(transport: Transport) -> Float:
     weights = np.stack([near, np.ones_like(near)]).astype(np.float32)[:, None]
     light = np.broadcast_to(weights, (2, transport.channels, len(near)))
     of_near, of_all = transport.adjoint(light, channels).sum(axis=1, dtype=np.float64)
-    mean = np.divide(of_near, of_all, out=np.zeros_like(of_all), where=of_all > 0)
+    bright = of_all > max(_DIM * of_all.mean(), 0)
+    mean = np.divide(of_near, of_all, out=np.zeros_like(of_all), where=bright)
     image: Float = mean.astype(np.float32).reshape(shape)
     return image
 
