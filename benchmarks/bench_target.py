@@ -32,7 +32,7 @@ OUTPUT = Path("results/bench")
 
 METHODS = (Symmetric, Dual)
 TARGETS = (0.02, 0.01, 0.005)
-SHARES = (0.2, 0.3, 0.5)
+SHARES = (0.3, 0.5)
 SAMPLES = 16384
 
 
