@@ -13,8 +13,12 @@ import pytest
 from tests.workflow.harness import STAGES
 from tests.workflow.stagewise import CODE, RAYS, SHAPE, Acquisition, matrix_rig, symmetric_matrix
 
-from rfpipe import acquire
+from rfpipe import acquire, open_transport
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
+from rfpipe.methods import Method
+from rfpipe.methods.brute_force import BruteForce
+from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.stages import capture, levels, symmetry
@@ -38,10 +42,11 @@ def _logs_are_closed() -> Iterator[None]:
 
 
 def judge(acquisition: Acquisition, accepted: float = 0.05, **options: Any) -> dict[str, Any]:
-    symmetry.run(
+    found = symmetry.run(
         acquisition.rig.sensor, acquisition.folder,
-        saturation_fraction=0.98, accepted=accepted, code=CODE, **options,
+        saturation_fraction=0.98, code=CODE, **options,
     )  # fmt: skip
+    assert found.judge(Symmetric(), accepted).name == "symmetric"
     return read_manifest(acquisition.folder.manifest(0, "symmetry"))
 
 
@@ -84,6 +89,47 @@ def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
     assert judge(acquisition, keep_raw=False) == told
     acquisition.capture(0, symmetry_frames=FRAMES)  # none is missing
     assert FrameStore.open(store).dropped
+
+
+class Choice(Symmetric):
+    """Symmetric photography where the rig is coaxial, else the yardstick."""
+
+    needs_coaxial_rig = False
+
+    def asks_symmetry(self, camera: RayDomain, projector: RayDomain) -> bool:
+        return True
+
+    def on_rig(self, coaxial: bool) -> Method[Any]:
+        return Symmetric() if coaxial else BruteForce()
+
+
+@pytest.mark.parametrize("coaxial", [True, False])
+def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> None:
+    matrix = symmetric_matrix() if coaxial else crooked()
+    name = f"{__file__}:Choice"
+    folder = AcquisitionFolder(tmp_path / "acquired", believing=True)
+
+    def run() -> str:
+        plan = Plan("choice", name, SHAPE, SHAPE, 1)
+        levels.run(
+            plan, folder, "matrix",
+            partial(capture.run, matrix_rig(matrix, CameraModel())),
+            code=dict.fromkeys([*STAGES, "symmetry", "assemble"], CODE),
+            capture_options={"references": (2, 2), "symmetry_frames": FRAMES, "keep_raw": True},
+            merge_options={"saturation_fraction": 0.98, "mask_defects": True},
+            normalization="none", number_format="float32", asymmetry=0.05, resources=Resources(),
+        )  # fmt: skip
+        return plan.method.name
+
+    assert run() == ("symmetric" if coaxial else "brute_force")
+    before = folder.manifest(0, "refine").stat().st_mtime_ns
+    assert run() == ("symmetric" if coaxial else "brute_force")
+    assert folder.manifest(0, "refine").stat().st_mtime_ns == before  # nothing to do again
+    stored = open_transport(folder.path / "transport.zarr")
+    frames = {"black_frames": 2, "floodlit_frames": 2, "progress": False}
+    result = acquire(matrix_rig(matrix, CameraModel()), Choice(), **frames)
+    assert type(result.transport) is type(stored)
+    assert result.patterns == stored.levels["patterns"].sum()
 
 
 def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:

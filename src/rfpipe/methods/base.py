@@ -172,6 +172,21 @@ class Method(ABC, Generic[State]):
                 "resample the camera onto the projector's grid"
             )
 
+    def asks_symmetry(self, camera: RayDomain, projector: RayDomain) -> bool:
+        """Tell whether it has to be known of such a rig if it is coaxial."""
+        return self.needs_coaxial_rig
+
+    def on_rig(self, coaxial: bool) -> Method[Any]:
+        """Return the method that goes on after the floodlit image; any but a choice is itself.
+
+        Parameters
+        ----------
+        coaxial : bool
+            Whether camera and projector have been found to share their rays; False, too, where
+            `asks_symmetry` doesn't ask.
+        """
+        return self
+
     @abstractmethod
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return the number of levels of a rig that the method fits."""

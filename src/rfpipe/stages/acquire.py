@@ -27,7 +27,7 @@ from rfpipe.stages.merging.images import (
     normalize_level,
 )
 from rfpipe.stages.merging.merger import LevelSum, Merger, runs
-from rfpipe.stages.symmetry import measure
+from rfpipe.stages.symmetry import Asymmetry, measure
 from rfpipe.transport import Transport
 from rfpipe.transport.filling import fill_from_transpose
 
@@ -112,8 +112,8 @@ def acquire(
         All-on brackets to whose mean each level's images are scaled; at least 1. Exact radiance
         takes one.
     symmetry_frames : int
-        Brackets of random patterns by which methods for coaxial rigs see whether it is one, 2 or
-        more; 0 for none.
+        Brackets of random patterns by which methods see whether the rig is coaxial, if they ask,
+        2 or more; 0 for none.
     asymmetry : float
         Error in relit pictures, relative to their norm, that taking the rig for a coaxial one may
         make.
@@ -151,8 +151,8 @@ def acquire(
         raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 2 or more, are needed")
     began = perf_counter()
     camera, projector = RayDomain(rig.camera_shape), RayDomain(rig.projector_shape)
-    n_levels = chosen.n_levels(camera, projector)
-    state = chosen.start(camera, projector, rig.channels, asked)
+    asks_symmetry = chosen.asks_symmetry(camera, projector) and symmetry_frames > 0
+    chosen.start(camera, projector, rig.channels, asked)  # refuses what it can't take
     session = _Session(
         rig,
         progress,
@@ -160,10 +160,13 @@ def acquire(
         saturation_fraction=saturation_fraction,
         mask_defects=mask_defects,
     )
-    if chosen.needs_coaxial_rig and symmetry_frames:
-        session.check_symmetry(symmetry_frames, asymmetry)
+    if asks_symmetry:
+        chosen = session.symmetry(symmetry_frames).judge(chosen, asymmetry)
+    else:
+        chosen = chosen.on_rig(coaxial=False)
+    state = chosen.start(camera, projector, rig.channels, asked)
     shown = saturated = 0
-    for _ in range(n_levels):
+    for _ in range(chosen.n_levels(camera, projector)):
         schedule = chosen.schedule(state)
         shown += schedule.count
         merged, level_sum = session.capture(schedule)
@@ -201,13 +204,13 @@ class _Session:
             rig.sensor, self._reference(off, 0, off), self._reference(off, off, off + on), **merging
         )
 
-    def check_symmetry(self, count: int, accepted: float) -> None:
-        """Raise CaptureError where the rig isn't coaxial."""
+    def symmetry(self, count: int) -> Asymmetry:
+        """Measure by random patterns whether the rig is coaxial."""
 
         def patterns(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
             return symmetry_patterns(self.rig.projector_shape, count, first, last)
 
-        measure(self.merger, self._shown(patterns, 0, count), count).check(accepted)
+        return measure(self.merger, self._shown(patterns, 0, count), count)
 
     def capture(self, schedule: Schedule) -> tuple[ImagesInMemory, LevelSum]:
         """Capture and merge the patterns of a level; also return their sum."""

@@ -14,6 +14,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+from rfpipe.methods import Method
 from rfpipe.photometry.normalize import Mode
 from rfpipe.stages import assemble, merge, normalize, refine, schedule, symmetry
 from rfpipe.stages.capturing.sensors import read_sensor
@@ -55,8 +56,8 @@ def run(
     code : mapping of str to str
         As `rfpipe.stages.jobs.code.acquisition_code`.
     capture_options, merge_options : mapping
-        Keyword arguments of `rfpipe.stages.capture.run` and `rfpipe.stages.merge.run`; no method
-        but those for coaxial rigs takes ``symmetry_frames``.
+        Keyword arguments of `rfpipe.stages.capture.run` and `rfpipe.stages.merge.run`;
+        ``symmetry_frames`` are taken where the method asks for them.
     normalization : {"none", "per_channel", "total_energy"}
     number_format : {"float32", "uint16", "uint8"}
         Of the stored transport.
@@ -70,22 +71,27 @@ def run(
         When another process works on the same acquisition, such as a job that outlived a
         workflow that was killed.
     RfpipeError
-        As the stages; what is done is kept.
+        As the stages; what is done is kept. `CaptureError`, too, when the method needs a coaxial
+        rig and this is none.
     """
     expected = plan.method.expected_patterns(plan.camera, plan.projector, plan.options)
-    if not plan.method.needs_coaxial_rig:
+    if not plan.asks_symmetry:
         capture_options = {**capture_options, "symmetry_frames": 0}
     is_judged = capture_options.get("symmetry_frames", 0) > 0
 
     def refined(level: int) -> None:
         plan.carry(level + 1, refine.run(plan, folder, level, code["refine"], resources))
 
-    def judge() -> None:
-        symmetry.run(
-            read_sensor(folder), folder,
-            saturation_fraction=merge_options["saturation_fraction"], accepted=asymmetry,
-            code=code["symmetry"], keep_raw=capture_options.get("keep_raw", True),
-        )  # fmt: skip
+    def settled() -> Method[Any]:
+        if not is_judged:
+            return plan.method.on_rig(coaxial=False)
+        with _stage(folder.manifest(0, SYMMETRY)):
+            found = symmetry.run(
+                read_sensor(folder), folder,
+                saturation_fraction=merge_options["saturation_fraction"], code=code["symmetry"],
+                keep_raw=capture_options.get("keep_raw", True),
+            )  # fmt: skip
+            return found.judge(plan.method, asymmetry)
 
     stages: dict[str, Callable[[int], None]] = {
         "schedule": lambda level: schedule.run(plan, folder, level, code["schedule"]),
@@ -103,13 +109,14 @@ def run(
         "refine": refined,
     }  # fmt: skip
     with StoreLock(folder.path):
-        for level in range(plan.n_levels):
+        level = 0
+        while level < plan.n_levels:
             for name, stage in stages.items():
                 with _stage(folder.manifest(level, name)):
                     stage(level)
-                if is_judged and level == 0 and name == "merge":
-                    with _stage(folder.manifest(level, SYMMETRY)):
-                        judge()
+                if level == 0 and name == "merge":
+                    plan.settle(settled())
+            level += 1
         manifest = folder.path / "transport.json"
         with _stage(manifest):
             assemble.run(plan, folder, manifest, scene, number_format, code["assemble"])

@@ -60,6 +60,15 @@ class Plan:
         """Number of levels; raises InputError where the method doesn't fit the rays."""
         return self.method.n_levels(self.camera, self.projector)
 
+    @property
+    def asks_symmetry(self) -> bool:
+        """Whether it has to be known if the rig is coaxial."""
+        return self.method.asks_symmetry(self.camera, self.projector)
+
+    def settle(self, method: Method[Any]) -> None:
+        """Go on by the method that a choice has come to, which takes the same options."""
+        self.method, self._carried = method, None
+
     def carry(self, level: int, state: Any) -> None:
         """Keep the method's state before a level for `state_before`; None for one to restore."""
         self._carried = None if state is None else (level, state)

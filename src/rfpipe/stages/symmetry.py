@@ -11,7 +11,7 @@ import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,9 @@ from rfpipe.stages.merging.merger import Merger
 from rfpipe.stages.merging.raw import RawFrames
 from rfpipe.stages.merging.references import REFERENCES, read_merger
 from rfpipe.store import drop, read_manifest, write_manifest
+
+if TYPE_CHECKING:
+    from rfpipe.methods import Method
 
 __all__ = ["Asymmetry", "measure", "run"]
 
@@ -52,21 +55,37 @@ class Asymmetry:
     error: float
     standard_error: float
 
-    def check(self, accepted: float) -> None:
-        """Raise CaptureError where the error is surely above `accepted`; warn near it."""
-        least = self.error - CONFIDENCE * self.standard_error
+    @property
+    def least(self) -> float:
+        """What the error surely is, at least."""
+        return self.error - CONFIDENCE * self.standard_error
+
+    def judge(self, method: Method[Any], accepted: float) -> Method[Any]:
+        """Return the method to go on with on a rig whose error is surely above `accepted`, or not.
+
+        Raises
+        ------
+        CaptureError
+            If it needs a coaxial rig, and this is none.
+        """
         found = (
             "light doesn't go from camera to projector as it comes: taking the rig for a coaxial "
             f"one makes an error of {self.error:.1%} +- {self.standard_error:.1%} in relit pictures"
         )
-        if least > accepted:
+        accepts = f"{accepted:.1%} are accepted (capture.asymmetry)"
+        coaxial = self.least <= accepted
+        if method.needs_coaxial_rig and not coaxial:
             raise CaptureError(
-                f"{found}, and {accepted:.1%} are accepted (capture.asymmetry). Align the two "
+                f"{found}, and {accepts}. Align the two "
                 "devices' centres to a fraction of a pixel, and focus both; or use a method for "
                 "any rig, such as dual photography"
             )
-        if least > _WORTH_A_WORD * accepted:
-            _log.warning("%s; %.1f%% are accepted (capture.asymmetry)", found, 100 * accepted)
+        chosen = method.on_rig(coaxial)
+        if not coaxial:
+            _log.info("%s, and %s; going on by %s", found, accepts, chosen.title.lower())
+        elif self.least > _WORTH_A_WORD * accepted:
+            _log.warning("%s; %s", found, accepts)
+        return chosen
 
 
 def measure(merger: Merger, frames: Iterable[NDArray[Any]], count: int) -> Asymmetry:
@@ -112,11 +131,10 @@ def run(
     folder: AcquisitionFolder,
     *,
     saturation_fraction: float,
-    accepted: float,
     code: str,
     keep_raw: bool = True,
-) -> None:
-    """Judge a rig by the random patterns that level 0 began with, and write the manifest.
+) -> Asymmetry:
+    """Measure a rig by the random patterns that level 0 began with, and write the manifest.
 
     Parameters
     ----------
@@ -125,17 +143,10 @@ def run(
     folder : AcquisitionFolder
     saturation_fraction : float
         As `rfpipe.stages.merge.run`.
-    accepted : float
-        Error of relit pictures that asymmetry may make.
     code : str
         Fingerprint of the code behind the stage.
     keep_raw : bool
         Whether the brackets stay when they are measured.
-
-    Raises
-    ------
-    CaptureError
-        When the rig isn't coaxial enough.
     """
     captured = folder.read_manifest(0, "capture")[SYMMETRY]
     references = folder.read_manifest(0, "merge")[REFERENCES]
@@ -157,9 +168,9 @@ def run(
             "fingerprint": made_from,
         }
         write_manifest(manifest, facts)
-    Asymmetry(facts["error"], facts["standard_error"]).check(accepted)
     if not keep_raw:
         drop(folder.store(0, SYMMETRY))
+    return Asymmetry(facts["error"], facts["standard_error"])
 
 
 def _standing(manifest: Path) -> dict[str, Any] | None:

@@ -88,7 +88,7 @@ def _need(settings: Config, sensor: Sensor, plan: Plan, patterns: int) -> Need:
     references = capture.black_frames + capture.floodlit_frames
     if isinstance(sensor, ExactSensor):
         references = 2
-    references += plan.method.needs_coaxial_rig * capture.symmetry_frames
+    references += plan.asks_symmetry * capture.symmetry_frames
     looks = item_count(patterns, capture.drift_patterns) if capture.drift_patterns else 0
     brackets = patterns + references + looks
     seconds = 60 * capture.warm_up_minutes + brackets * capture.seconds_per_pattern
