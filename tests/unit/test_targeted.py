@@ -13,6 +13,7 @@ import rfpipe
 from rfpipe.blocks import RayDomain
 from rfpipe.methods import Method, Pack, get_method, options_of
 from rfpipe.methods.held_out.patterns import MOST_HELD_OUT, held_out_strip
+from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.methods.targeted.nearness import nearness
 from rfpipe.provenance import generator
 from rfpipe.scenes import hard_cases, reference_scene
@@ -283,6 +284,24 @@ def test_the_stages_take_it_from_the_settings() -> None:
     result = rfpipe.acquire(rig, "symmetric", progress=False, target_error=0.01)
     assert result.history["estimated_error"].iloc[-1] <= 0.01
     assert result.patterns == result.levels["patterns"].sum()
+
+
+class Choice(Symmetric):
+    """Symmetric photography by way of a choice that is made when the rig is known."""
+
+    def with_options(self, options: Any) -> Method[Any]:
+        return self
+
+    def on_rig(self, coaxial: bool) -> Method[Any]:
+        return Symmetric()
+
+
+def test_what_is_chosen_for_a_rig_knows_the_target() -> None:
+    rig = rfpipe.OperatorRig(wedge()[0], camera_shape=SHAPE, projector_shape=SHAPE)
+    assert not rfpipe.acquire(rig, Choice(), progress=False, target_error=0.01).history.empty
+    plan = Plan("symmetric", "symmetric", SHAPE, SHAPE, 1, {"target_error": 0.01})
+    plan.settle(Choice().on_rig(coaxial=True))
+    assert plan.n_levels == 7
 
 
 @BOTH

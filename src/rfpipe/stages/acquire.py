@@ -164,6 +164,7 @@ def acquire(
         chosen = session.symmetry(symmetry_frames).judge(chosen, asymmetry)
     else:
         chosen = chosen.on_rig(coaxial=False)
+    chosen = chosen.with_options(asked)
     state = chosen.start(camera, projector, rig.channels, asked)
     shown = saturated = 0
     for _ in range(chosen.n_levels(camera, projector)):

@@ -67,7 +67,7 @@ class Plan:
 
     def settle(self, method: Method[Any]) -> None:
         """Go on by the method that a choice has come to, which takes the same options."""
-        self.method, self._carried = method, None
+        self.method, self._carried = method.with_options(self.options), None
 
     def carry(self, level: int, state: Any) -> None:
         """Keep the method's state before a level for `state_before`; None for one to restore."""
