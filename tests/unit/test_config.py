@@ -242,7 +242,7 @@ def test_a_scene_overrides_options_of_the_run() -> None:
         ("other", "symmetric"),
     ]
     found = settings.methods_of("other")["symmetric"].options()
-    assert found == {"noise_significance": 2, "tolerance": 0.02}
+    assert found == {"noise_significance": 2, "target_error": None, "tolerance": 0.02}
     assert settings.methods_of("one")["symmetric"].options()["tolerance"] == 1e-3
     assert parse_config(settings.model_dump(mode="json"), "again") == settings
 
@@ -260,8 +260,8 @@ def test_an_old_file_is_refused_with_the_new_spelling() -> None:
 
 
 def test_an_option_that_a_method_does_not_have_is_refused() -> None:
-    text = message({"methods": {"dual": {"target_error": 0.01}}})
-    assert "methods.dual.target_error is unknown" in text
+    text = message({"methods": {"dual": {"patterns": 100}}})
+    assert "methods.dual.patterns is unknown" in text
     assert "subtract_stored" in text
 
 

@@ -68,6 +68,22 @@ class TestCompressive(MethodContract):
         return Compressive()
 
 
+class TestDualToATarget(MethodContract):
+    options = {"target_error": 1e-4}  # noqa: RUF012
+    error = 0.1
+
+    def make_method(self) -> Method:
+        return Dual().with_options(options_of(Dual(), **self.options))
+
+
+class TestSymmetricToATarget(MethodContract):
+    options = {"target_error": 1e-4}  # noqa: RUF012
+    error = floodlit_error = 1e-3
+
+    def make_method(self) -> Method:
+        return Symmetric().with_options(options_of(Symmetric(), **self.options))
+
+
 def test_every_method_that_is_installed_is_tested_here() -> None:
     suites = MethodContract.__subclasses__()
     assert {suite().make_method().name for suite in suites} >= set(NAMES)

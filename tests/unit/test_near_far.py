@@ -16,8 +16,9 @@ from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.methods import Pack, get_method, options_of
+from rfpipe.methods.held_out.patterns import HELD_OUT
 from rfpipe.methods.near_far.method import NearFar
-from rfpipe.methods.near_far.state import HELD_OUT, MOST, ROUNDS
+from rfpipe.methods.near_far.state import MOST, ROUNDS
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import generator
 from rfpipe.scenes import Scene, hard_cases, reference_scene, scene_patterns

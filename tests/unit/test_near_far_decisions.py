@@ -7,7 +7,7 @@ import pytest
 from tests.helpers import acquire_matrix
 
 from rfpipe.methods.base import ErrorOptions
-from rfpipe.methods.near_far.estimate import Estimate
+from rfpipe.methods.held_out.estimate import Estimate
 from rfpipe.methods.near_far.method import NearFar
 from rfpipe.methods.near_far.rounds import decide
 from rfpipe.methods.near_far.state import BLOCKS, ROUNDS, NearFarState, kind_of

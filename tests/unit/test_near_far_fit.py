@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rfpipe.methods.held_out.estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far import solve as near_far_solve
-from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.near_far.solve import Observations, Prior, residual, solve
+from rfpipe.provenance import generator
 from rfpipe.scenes import reference_scene
 from rfpipe.transport.multiscale.basis import MultiscaleBasis, cells, functions_over
 
@@ -152,7 +153,7 @@ def held_out(
 @pytest.mark.parametrize("sigma", [0.0, 0.003, 0.01])
 def test_the_estimate_is_the_error_without_the_noise(seed: int, pairs: int, sigma: float) -> None:
     predicted, held, true = held_out(0.005, sigma, seed, pairs)
-    found = estimate(predicted, held)
+    found = estimate(predicted, held.radiance, ~held.lit[0])
     assert true / 1.5 < found.error < 1.5 * true
     assert (found.worst == found.error) is (pairs == 1)
     assert found.dark < found.error
@@ -163,7 +164,7 @@ def test_the_estimate_is_the_error_without_the_noise(seed: int, pairs: int, sigm
 @pytest.mark.parametrize("sigma", [0.0, 0.01, 1.0])
 def test_of_no_error_the_estimate_is_what_chance_could_be(seed: int, sigma: float) -> None:
     predicted, held, _ = held_out(0.0, sigma, seed)
-    found = estimate(predicted, held)
+    found = estimate(predicted, held.radiance, ~held.lit[0])
     light = float(np.linalg.norm(predicted[0]) ** 2)
     chance = np.sqrt(sigma**2 * np.sqrt(2000) / light)
     assert np.isfinite(found.error)
@@ -174,11 +175,11 @@ def test_of_no_error_the_estimate_is_what_chance_could_be(seed: int, sigma: floa
 def test_the_worst_is_that_of_the_picture_that_is_predicted_worst() -> None:
     predicted, held, _ = held_out(0.0, 0.0, 0)
     predicted[2:4] *= 1.1
-    found = estimate(predicted, held)
+    found = estimate(predicted, held.radiance, ~held.lit[0])
     assert found.worst == found.strip == pytest.approx(0.1, rel=1e-4)
     assert found.error == pytest.approx(0.1 / 4, rel=1e-4)
     predicted[4:] *= 1.2
-    found = estimate(predicted, held)
+    found = estimate(predicted, held.radiance, ~held.lit[0])
     assert found.worst == found.spots == pytest.approx(0.2, rel=1e-4)
     assert found.error == pytest.approx((0.1 + 0.2) / 4, rel=1e-4)
     assert found.dark == 0
@@ -197,12 +198,26 @@ def test_noise_is_on_lit_pixels_and_everywhere_alike(
 
 def test_of_darkness_the_estimate_is_nought() -> None:
     nothing = np.zeros((6, 1, 9), np.float32)
-    found = estimate(nothing, Held(np.zeros((6, 9), np.bool_), nothing))
+    found = estimate(nothing, nothing, np.ones(9, np.bool_))
     assert found == Estimate(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_light_predicted_of_black_pictures_is_an_error_of_one() -> None:
     predicted, held, _ = held_out(0.0, 0.0, 0)
-    found = estimate(predicted, replace(held, radiance=np.zeros_like(predicted)))
+    found = estimate(predicted, np.zeros_like(predicted), ~held.lit[0])
     assert found.error == pytest.approx(1)
     assert 0 < found.dark < 1
+
+
+def test_pictures_that_noise_drowns_say_nothing() -> None:
+    """Of a pattern whose light hardly reaches the camera; shapes count for it."""
+    predicted, held, _ = held_out(0.005, 0.001, 0)
+    lit = estimate(predicted, held.radiance)
+    faint, taken = predicted.copy(), held.radiance.copy()
+    noise = generator(3).standard_normal(taken[4:].shape).astype(np.float32)
+    faint[4:], taken[4:] = 1e-2, 1e-3 + 0.01 * noise
+    found = estimate(faint, taken)
+    assert (found.shapes, found.strip) == (lit.shapes, lit.strip)
+    assert found.spots == found.shapes
+    taken[4:] = 1e-3
+    assert estimate(faint, taken).spots == pytest.approx(9)

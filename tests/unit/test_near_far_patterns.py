@@ -4,14 +4,9 @@ import numpy as np
 import pytest
 
 from rfpipe.blocks import RayDomain
+from rfpipe.methods.held_out.patterns import held_out_shapes, held_out_spots, held_out_strip
 from rfpipe.methods.near_far.beyond import cells_of
-from rfpipe.methods.near_far.patterns import (
-    block_patterns,
-    held_out_shapes,
-    held_out_spots,
-    held_out_strip,
-    probe_patterns,
-)
+from rfpipe.methods.near_far.patterns import block_patterns, probe_patterns
 from rfpipe.methods.near_far.transport import LightRange
 
 SHAPE = (32, 40)
@@ -107,7 +102,7 @@ def test_the_held_out_shapes_are_no_probe() -> None:
 
 
 def test_the_held_out_strip_is_where_most_light_stays_near() -> None:
-    strip = held_out_strip(crease())
+    strip = held_out_strip(crease().nearness)
     assert strip.sum() == strip.size // 32
     # of equal pixels the first: both columns of the crease from the top
     assert np.flatnonzero(strip.any(axis=0)).tolist() == [19, 20]

@@ -1,4 +1,4 @@
-"""Methods whose patterns are no unions of blocks, through the stages on files."""
+"""Methods whose patterns are no unions of blocks, or not all, through the stages on files."""
 
 from __future__ import annotations
 
@@ -12,11 +12,20 @@ from tests.workflow.stagewise import CAMERA, SHAPE, Acquisition, matrix_rig
 from rfpipe import acquire
 from rfpipe.stages.plan import Plan
 
+ASKED = {
+    "hadamard": {},
+    "compressive": {"patterns": 20},
+    "low_rank": {"patterns": 20},
+    "near_far": {"patterns": 20},
+    "symmetric": {"target_error": 0.02},
+    "dual": {"target_error": 0.02},
+}
 
-@pytest.mark.parametrize("method", ["hadamard", "compressive", "low_rank", "near_far"])
+
+@pytest.mark.parametrize("method", ASKED)
 def test_the_files_hold_what_an_acquisition_in_process_finds(method: str, tmp_path: Path) -> None:
     acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
-    asked = {} if method == "hadamard" else {"patterns": 20}
+    asked = ASKED[method]
     acquisition.plan = Plan(method, method, SHAPE, SHAPE, 1, asked)
     for level in range(acquisition.plan.n_levels):
         acquisition.level(level)

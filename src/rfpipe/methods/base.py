@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,18 @@ class ErrorOptions(PatternOptions):
     )
 
 
+class TargetOptions(Options):
+    """The options of methods that have a tolerance, and may be told an error to end at."""
+
+    target_error: Fraction | None = Field(
+        None,
+        description="Mean error of relit pictures at which to end, as a fraction of their norm, "
+        "between 0 and 1, estimated from six more pictures; the tolerance then follows from it, or "
+        "is the one given, if not the default, where that is smaller. null goes by the tolerance "
+        "alone.",
+    )
+
+
 class LevelImages(Protocol):
     """The radiance images of one level, read a few patterns at a time."""
 
@@ -134,17 +146,21 @@ class Method(ABC, Generic[State]):
         Its values, from the coarsest, for plots of speed against error.
     """
 
-    name: ClassVar[str]
-    title: ClassVar[str]
-    colour: ClassVar[str]
-    marker: ClassVar[str] = "o"
-    line: ClassVar[str] = "-"
-    needs_coaxial_rig: ClassVar[bool] = False
-    estimates_error: ClassVar[bool] = False
-    thesis_table: ClassVar[str | None] = None
-    Options: ClassVar[type[Options]] = Options
-    trades: ClassVar[str | None] = None
-    trials: ClassVar[tuple[float, ...]] = ()
+    name: str
+    title: str
+    colour: str
+    marker: str = "o"
+    line: str = "-"
+    needs_coaxial_rig: bool = False
+    estimates_error: bool = False
+    thesis_table: str | None = None
+    Options: type[Options] = Options
+    trades: str | None = None
+    trials: tuple[float, ...] = ()
+
+    def with_options(self, options: Any) -> Method[Any]:
+        """Return the method that goes by these options: this one, or another made of it."""
+        return self
 
     def check(self, camera: RayDomain, projector: RayDomain) -> None:
         """Raise InputError if the method does not fit a rig of these rays."""

@@ -18,11 +18,13 @@ from rfpipe.methods.base import (
     TOLERANCES,
     Float,
     LevelImages,
-    Options,
+    Method,
     Pack,
+    TargetOptions,
 )
 from rfpipe.methods.images import batches
 from rfpipe.methods.states import Descent, MethodState, Packing, arrays_of, level_row, unprefixed
+from rfpipe.methods.targeted.method import Targeted
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
 from rfpipe.transport.multilevel.pairs import PairSet, fold, no_pairs
@@ -42,7 +44,7 @@ _TOGETHER = 28.0
 _DROPPED, _STORED, _OPEN = 0, 1, 2
 
 
-class DualOptions(Options):
+class DualOptions(TargetOptions):
     """What dual photography may be told."""
 
     tolerance: Fraction = Field(
@@ -99,6 +101,7 @@ class Dual(Descent[DualState]):
     marker = "s"
     thesis_table = "3.1"
     thesis_patterns = 7_382  # of scene IV
+    tolerance_share = 0.3
     Options = DualOptions
     trades = "tolerance"
     trials = TOLERANCES[:-1]  # beyond, responses are noise at the default camera
@@ -106,6 +109,10 @@ class Dual(Descent[DualState]):
         ("level", "floodlit_maximum", "floodlit_rms", "complete", "rows"),
         groups={"frontier": "frontier_"},
     )
+
+    def with_options(self, options: DualOptions) -> Method[Any]:
+        """Return the method that ends at the error asked for, where one is."""
+        return self if options.target_error is None else Targeted(self)
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: DualOptions

@@ -3,15 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rfpipe.methods.base import Float, LevelImages
+from rfpipe.patterns import Schedule
 
-__all__ = ["batches", "planar_batches", "rounding"]
+__all__ = ["RenumberedImages", "batches", "planar_batches", "read_planar", "renumbered", "rounding"]
 
 # Images read at a time.
 _BATCH_BYTES = 32 * 2**20
+
+
+@dataclass(frozen=True)
+class RenumberedImages:
+    """Images of a level under the number that another method has for it."""
+
+    schedule: Schedule
+    images: LevelImages
+
+    def read(self, first: int, last: int) -> tuple[Float, Float]:
+        """Return radiance and variance of some patterns."""
+        return self.images.read(first, last)
+
+
+def renumbered(images: LevelImages, level: int) -> RenumberedImages:
+    """Return a level's images under another number."""
+    return RenumberedImages(replace(images.schedule, level=level), images)
 
 
 def batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
@@ -40,6 +59,18 @@ def planar_batches(
             for part in images.read(first, last)
         )
         yield slice(first, last), radiance, variance + rounding(radiance)
+
+
+def read_planar(images: LevelImages, channels: int, rays: int, count: int) -> tuple[Float, Float]:
+    """Read the first images of a level, radiance and variance, float32 (count, C, rays).
+
+    As `planar_batches`.
+    """
+    radiance = np.empty((count, channels, rays), np.float32)
+    variance = np.empty_like(radiance)
+    for part, seen, spread in planar_batches(images, channels, rays, count):
+        radiance[part], variance[part] = np.moveaxis(seen, 0, 1), np.moveaxis(spread, 0, 1)
+    return radiance, variance
 
 
 def rounding(radiance: Float) -> Float:

@@ -17,6 +17,7 @@ __all__ = [
     "MethodState",
     "Packing",
     "PackingMethod",
+    "appended",
     "arrays_of",
     "joined",
     "level_row",
@@ -132,9 +133,12 @@ class Descent(PackingMethod[State]):
     ----------
     thesis_patterns : int
         Those of a scene of the thesis at 310 x 350 rays, in ten levels.
+    tolerance_share : float
+        The tolerance at which to meet a ``target_error``, as a share of it.
     """
 
     thesis_patterns: ClassVar[int]
+    tolerance_share: ClassVar[float]
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return the depth of the block tree."""
@@ -169,6 +173,11 @@ def joined(parts: Sequence[S], axis: int = -1) -> S:
         return parts[0]
     held = [_held(part) for part in parts]
     return replace(parts[0], **{n: np.concatenate([own[n] for own in held], axis) for n in held[0]})
+
+
+def appended(before: S | None, more: S) -> S:
+    """Put the arrays of a dataclass behind those of another, where there is one, by axis 0."""
+    return more if before is None else joined([before, more], axis=0)
 
 
 def unprefixed(prefix: str, arrays: Arrays) -> dict[str, NDArray[Any]]:

@@ -125,7 +125,7 @@ def acquire(
     **options
         The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
         a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
-        ``target_error``, the mean error of relit pictures at which "near_far" stops.
+        ``target_error``, the mean error of relit pictures at which these and "near_far" stop.
 
     Returns
     -------
@@ -141,6 +141,7 @@ def acquire(
     """
     chosen = get_method(method)
     asked = options_of(chosen, **options)
+    chosen = chosen.with_options(asked)
     if min(black_frames, floodlit_frames) < 1:
         raise InputError(
             f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
@@ -161,6 +162,7 @@ def acquire(
     )
     if asks_symmetry:
         chosen = session.symmetry(symmetry_frames).judge(chosen, asked, asymmetry)
+    chosen = chosen.with_options(asked)
     state = chosen.start(camera, projector, rig.channels, asked)
     shown = saturated = 0
     for _ in range(chosen.n_levels(camera, projector)):

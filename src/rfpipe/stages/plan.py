@@ -47,11 +47,12 @@ class Plan:
         options: Mapping[str, Any] | None = None,
     ) -> None:
         self.name = name
-        self.method: Method[Any] = get_method(method)
+        named = get_method(method)
         self.camera = RayDomain(tuple(camera_shape))
         self.projector = RayDomain(tuple(projector_shape))
         self.channels = channels
-        self.options = options_of(self.method, **(options or {}))
+        self.options = options_of(named, **(options or {}))
+        self.method: Method[Any] = named.with_options(self.options)
         self._carried: tuple[int, Any] | None = None
 
     @property
@@ -66,7 +67,7 @@ class Plan:
 
     def settle(self, method: Method[Any]) -> None:
         """Go on by the method that a choice has come to, which takes the same options."""
-        self.method, self._carried = method, None
+        self.method, self._carried = method.with_options(self.options), None
 
     def carry(self, level: int, state: Any) -> None:
         """Keep the method's state before a level for `state_before`; None for one to restore."""

@@ -116,7 +116,9 @@ def run_method(
     matrix = np.asarray(matrix, np.float64)
     matrix = matrix[None] if matrix.ndim == 2 else matrix
     camera, projector = RayDomain(camera_shape), RayDomain(projector_shape)
-    state = method.start(camera, projector, len(matrix), options_of(method, **options))
+    asked = options_of(method, **options)
+    method = method.with_options(asked)
+    state = method.start(camera, projector, len(matrix), asked)
     schedules, states, packs = [], [state], []
     for _ in range(method.n_levels(camera, projector)):
         schedule = method.schedule(state)

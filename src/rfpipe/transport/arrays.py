@@ -162,7 +162,8 @@ class ArrayTransport(HoldingTransport[Arrays]):
 class LevelTransport(HoldingTransport[Sequence[S]]):
     """A transport made of sets of arrays, each about the blocks of one level.
 
-    The sets stay in memory where all of them fit; else they are read each time.
+    The sets stay in memory where all of them fit; else they are read each time. The acquisition's
+    levels are those of the blocks, unless its rows say otherwise by a ``block_level``.
     """
 
     parts: ClassVar[tuple[str, ...]]
@@ -175,14 +176,26 @@ class LevelTransport(HoldingTransport[Sequence[S]]):
 
     @property
     def last_level(self) -> int:
-        """Finest level that `truncate` tells apart: single rays."""
+        """Finest level that `truncate` tells apart: that of single rays."""
+        return max(self._block_levels, default=self.finest)
+
+    @property
+    def finest(self) -> int:
+        """Level of the block tree that has single rays."""
         return self.tree.n_levels - 1
+
+    @property
+    def _block_levels(self) -> dict[int, int]:
+        """Level of the blocks by that of the acquisition, where the two differ."""
+        rows = self.level_rows
+        return {row["level"]: row["block_level"] for row in rows if "block_level" in row}
 
     def truncate(self, level: int) -> Transport:
         """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7)."""
         if not 0 <= level <= self.last_level:
             raise InputError(f"level {level} of a transport with levels 0..{self.last_level}")
-        return super().truncate(level)
+        rows = [row for row in self.level_rows if row["level"] <= level]
+        return self._truncated(self._block_levels.get(level, level), rows)
 
     def _bytes_in_memory(self) -> int:
         return sum(found.nbytes for found in self._held)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Pack
+from rfpipe.methods.images import renumbered
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.states import unprefixed
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
@@ -20,17 +21,6 @@ __all__ = ["begin", "packed", "refine", "restored", "schedule"]
 
 _PREFIX = "symmetric_"
 _COARSEST = 0.01  # tolerance
-
-
-@dataclass(frozen=True)
-class _Images:
-    """Images of a level under the number that they have in symmetric photography."""
-
-    schedule: Schedule
-    images: LevelImages
-
-    def read(self, first: int, last: int) -> tuple[Float, Float]:
-        return self.images.read(first, last)
 
 
 @dataclass(frozen=True)
@@ -63,8 +53,7 @@ def schedule(state: SymmetricState, level: int) -> Schedule:
 
 def refine(state: SymmetricState, images: LevelImages, memory_bytes: int) -> SymmetricState:
     """Refine a level."""
-    own = replace(images.schedule, level=state.level)
-    return Symmetric().refine(state, _Images(own, images), memory_bytes)
+    return Symmetric().refine(state, renumbered(images, state.level), memory_bytes)
 
 
 def packed(state: SymmetricState) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

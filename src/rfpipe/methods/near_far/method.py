@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, Pack
+from rfpipe.methods.held_out.estimate import Estimate, Held
 from rfpipe.methods.near_far import handover, rounds
-from rfpipe.methods.near_far.estimate import Estimate, Held
 from rfpipe.methods.near_far.model import Model
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.near_far.state import BLOCKS, MOST, ROUNDS, NearFarState, kind_of

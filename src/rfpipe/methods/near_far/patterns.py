@@ -10,26 +10,16 @@ What smooth functions leave is looked for with random blocks, of one size a patt
 
 from __future__ import annotations
 
-from itertools import product
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain
+from rfpipe.methods.held_out.patterns import SEED, brightest, octave_noise
 from rfpipe.methods.near_far.transport import LightRange
 from rfpipe.provenance import generator
 from rfpipe.transport.wavelet.cells import Cells
 
-__all__ = [
-    "block_patterns",
-    "held_out_shapes",
-    "held_out_spots",
-    "held_out_strip",
-    "probe_patterns",
-]
+__all__ = ["block_patterns", "probe_patterns"]
 
-_SEED = 2006
 # How strong the bands are beside the noise, in its standard deviations, and how many octaves of
 # range a band and its dark neighbour take together.
 _BANDS = 1.5
@@ -37,10 +27,6 @@ _OCTAVES = (2.0, 10.0)
 # One probe in so many is a strip; parts of the image that strips light.
 _STRIPS = 4
 _NARROWEST, _WIDEST = 0.01, 0.3
-# Parts of the image that held-out patterns light.
-_HELD_OUT, _HELD_OUT_STRIP = 0.3, 1 / 32
-# Small spots in each view: how many, and their sides, from two pixels to this part of the image's.
-_SPOTS, _LARGEST_SPOT = 8, 1 / 12
 # Sides of blocks in cells, and the part of them that is lit: at 48 x 48, a tenth does as well.
 _BLOCKS, _BLOCKS_LIT = (1, 2, 4, 8), 0.3
 
@@ -62,8 +48,8 @@ def probe_patterns(
     """
     patterns = np.zeros((count, *shape), np.bool_)
     for index in range(count):
-        random = generator(_SEED, level, index)
-        field = _noise(shape, random)
+        random = generator(SEED, level, index)
+        field = octave_noise(shape, random)
         if found is not None:
             octaves = 1 / random.uniform(1 / _OCTAVES[1], 1 / _OCTAVES[0])
             phase = random.uniform(0, 1)
@@ -74,7 +60,7 @@ def probe_patterns(
         patterns[index] = field > np.median(field)
         if found is not None and index % _STRIPS == 0:
             part = np.exp(random.uniform(np.log(_NARROWEST), np.log(_WIDEST)))
-            patterns[index] = _brightest(found.nearness, part) & side
+            patterns[index] = brightest(found.nearness, part) & side
     return patterns
 
 
@@ -91,7 +77,7 @@ def block_patterns(cells: Cells, level: int, count: int) -> NDArray[np.bool_]:
     views, height, width = cells.stack
     patterns = np.zeros((count, *cells.shape), np.bool_)
     for index in range(count):
-        random = generator(_SEED, level, index)
+        random = generator(SEED, level, index)
         side = _BLOCKS[index % len(_BLOCKS)]
         down, across = random.integers(0, side, 2)
         grid = (views, height // side + 2, width // side + 2)
@@ -99,47 +85,3 @@ def block_patterns(cells: Cells, level: int, count: int) -> NDArray[np.bool_]:
         cut = lit[:, down : down + height, across : across + width]
         patterns[index] = cut.reshape(-1)[cells.of_ray].reshape(cells.shape)
     return patterns
-
-
-def held_out_shapes(shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return a pattern of random shapes, bool (*shape)."""
-    return _brightest(_noise(shape, generator(_SEED, 0, 0)), _HELD_OUT)
-
-
-def held_out_strip(found: LightRange) -> NDArray[np.bool_]:
-    """Return the strip where most light stays near, bool (*shape)."""
-    return _brightest(found.nearness, _HELD_OUT_STRIP)
-
-
-def held_out_spots(shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Return a few small spots in each view, bool (*shape)."""
-    views, height, width = RayDomain(shape).stack_shape
-    spots, random = np.zeros((views, height, width), np.bool_), generator(_SEED, 0, 1)
-    most = max(2.0, _LARGEST_SPOT * min(height, width))
-    for view, _ in product(range(views), range(_SPOTS)):
-        side = min(round(np.exp(random.uniform(np.log(2), np.log(most)))), height, width)
-        top, left = random.integers(0, height - side + 1), random.integers(0, width - side + 1)
-        spots[view, top : top + side, left : left + side] = True
-    return spots.reshape(shape)
-
-
-def _brightest(image: NDArray[np.floating[Any]], part: float) -> NDArray[np.bool_]:
-    """Return the part of an image that is brightest; of equal pixels, the first."""
-    count = max(1, round(part * image.size))
-    chosen = np.zeros(image.size, np.bool_)
-    chosen[np.argsort(-image.ravel(), kind="stable")[:count]] = True
-    return chosen.reshape(image.shape)
-
-
-def _noise(shape: tuple[int, ...], random: np.random.Generator) -> NDArray[np.float64]:
-    """Return noise of equal power in every octave, with unit deviation, on the torus."""
-    height, width = RayDomain(shape).image_shape
-    frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
-    amplitude = 1 / np.maximum(frequency, 1 / max(height, width))
-    amplitude[0, 0] = 0
-    white = np.fft.rfft2(random.standard_normal(shape))
-    field = np.fft.irfft2(white * amplitude, s=(height, width), axes=(-2, -1))
-    spread = field.std()
-    # a single ray has no detail
-    noise: NDArray[np.float64] = field / spread if spread > 0 else random.standard_normal(shape)
-    return noise

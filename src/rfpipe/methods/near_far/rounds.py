@@ -5,31 +5,30 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float, LevelImages
-from rfpipe.methods.images import planar_batches
-from rfpipe.methods.near_far import handover
-from rfpipe.methods.near_far.beyond import MOST_CELLS, all_pictures, canvas_of, cells_of, taken
-from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
-from rfpipe.methods.near_far.model import fit
-from rfpipe.methods.near_far.patterns import (
-    block_patterns,
+from rfpipe.methods.held_out.estimate import Estimate, Held, error_of
+from rfpipe.methods.held_out.patterns import (
+    HELD_OUT,
     held_out_shapes,
     held_out_spots,
     held_out_strip,
-    probe_patterns,
 )
+from rfpipe.methods.images import read_planar
+from rfpipe.methods.near_far import handover
+from rfpipe.methods.near_far.beyond import MOST_CELLS, all_pictures, canvas_of, cells_of, taken
+from rfpipe.methods.near_far.model import fit
+from rfpipe.methods.near_far.patterns import block_patterns, probe_patterns
 from rfpipe.methods.near_far.pictures import Pictures, completed
-from rfpipe.methods.near_far.state import BLOCKS, HELD_OUT, ROUNDS, Kind, NearFarState, kind_of
+from rfpipe.methods.near_far.state import BLOCKS, ROUNDS, Kind, NearFarState, kind_of
 from rfpipe.methods.near_far.transport import as_transport, light_range
 from rfpipe.methods.residual.estimate import Residual
 from rfpipe.methods.residual.estimate import estimate as estimate_residual
-from rfpipe.methods.residual.pictures import Canvas, CellPictures
-from rfpipe.methods.states import joined, level_row
+from rfpipe.methods.residual.pictures import Canvas
+from rfpipe.methods.states import appended, level_row
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
@@ -50,8 +49,6 @@ _UNEXPLAINED_AT_FIRST, _UNEXPLAINED = 0.5, 0.25
 # than this part of what it is without.
 _ROUGHLY, _HELPS = 1024, 0.95
 _BEFORE_HIERARCHY = len(ROUNDS) + len(BLOCKS)
-
-S = TypeVar("S", Held, CellPictures)
 
 _log = logging.getLogger(__name__)
 
@@ -125,7 +122,7 @@ def beyond(state: NearFarState, images: LevelImages) -> NearFarState:
     if count == first:
         return state.after(row, new=0)
     more = taken(canvas_of(state.projector.shape, pictures), images, first)
-    state = replace(state, taken=_appended(state.taken, more))
+    state = replace(state, taken=appended(state.taken, more))
     of_hierarchy, base = min(_bases(state), key=lambda each: _estimate(state, each[1]).error)
     left = _left_by(state, base, canvas_of(state.projector.shape, pictures))
     row["nodes"] = left.pairs.shape[1]
@@ -152,7 +149,7 @@ def refine_hierarchy(state: NearFarState, images: LevelImages, memory_bytes: int
     ]
     more = state.taken
     if count:
-        more = _appended(more, taken(canvas_of(state.projector.shape, state.pictures), images))
+        more = appended(more, taken(canvas_of(state.projector.shape, state.pictures), images))
     ended = state.level == _BEFORE_HIERARCHY + state.hierarchy - 1
     after = replace(
         state,
@@ -260,13 +257,7 @@ def _estimate(state: NearFarState, transport: Transport) -> Estimate:
     """Compare a transport's pictures with the held-out ones, where pixels are known."""
     assert state.held is not None
     assert state.pictures is not None
-    known, held = state.pictures.known, state.held
-    light = np.broadcast_to(
-        held.lit[::2, None].astype(np.float32),
-        (len(held.lit) // 2, state.channels, state.projector.size),
-    )
-    relit = transport.forward(light, range(state.channels)).repeat(2, axis=0)
-    return estimate(relit[..., known], held.at(known))
+    return error_of(transport, state.held, state.pictures.known, ~state.held.lit[0])
 
 
 def _slow(state: NearFarState) -> bool:
@@ -324,24 +315,15 @@ def _not_held_yet(state: NearFarState) -> Iterator[NDArray[np.bool_]]:
     elif state.held is not None and len(state.held.lit) == HELD_OUT:
         assert state.model is not None
         assert state.pictures is not None
-        yield held_out_strip(light_range(shape, state.model, state.pictures.floodlit))
+        yield held_out_strip(light_range(shape, state.model, state.pictures.floodlit).nearness)
         yield held_out_spots(shape)
 
 
 def _with_held(state: NearFarState, lit: NDArray[np.bool_], radiance: Float) -> NearFarState:
     """Return a state that has more held-out pictures."""
-    return replace(state, held=_appended(state.held, Held(lit, radiance)), new_held=len(lit))
-
-
-def _appended(before: S | None, more: S) -> S:
-    return more if before is None else joined([before, more], axis=0)
+    return replace(state, held=appended(state.held, Held(lit, radiance)), new_held=len(lit))
 
 
 def _read(state: NearFarState, images: LevelImages, count: int) -> tuple[Float, Float]:
-    """Read the first images of a level, radiance and variance (M, C, N)."""
-    channels, rays = state.channels, state.projector.size
-    radiance = np.empty((count, channels, rays), np.float32)
-    variance = np.empty_like(radiance)
-    for part, seen, spread in planar_batches(images, channels, rays, count):
-        radiance[part], variance[part] = np.moveaxis(seen, 0, 1), np.moveaxis(spread, 0, 1)
-    return radiance, variance
+    """Read the first images of a level, radiance and variance (count, C, N)."""
+    return read_planar(images, state.channels, state.projector.size, count)

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from rfpipe.methods.base import ErrorOptions
-from rfpipe.methods.near_far.estimate import Estimate, Held
+from rfpipe.methods.held_out.estimate import Estimate, Held
+from rfpipe.methods.held_out.patterns import MOST_HELD_OUT
 from rfpipe.methods.near_far.model import Model
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.residual.estimate import Residual
@@ -14,7 +15,7 @@ from rfpipe.methods.residual.pictures import CellPictures
 from rfpipe.methods.states import MethodState
 from rfpipe.methods.symmetric.method import SymmetricState
 
-__all__ = ["BLOCKS", "HELD_OUT", "MOST", "ROUNDS", "Kind", "NearFarState", "kind_of"]
+__all__ = ["BLOCKS", "MOST", "ROUNDS", "Kind", "NearFarState", "kind_of"]
 
 Kind = Literal["floodlit", "smooth", "residual", "hierarchy", "done"]
 
@@ -22,9 +23,7 @@ Kind = Literal["floodlit", "smooth", "residual", "hierarchy", "done"]
 ROUNDS = (6, 10, 8, 12, 16, 24, 32)
 # Block patterns of each round of what the model leaves: some 1.4 times all before it.
 BLOCKS = (12, 20, 28, 40, 60, 88)
-# Pictures of each held-out pattern: random shapes; the strip; small spots.
-HELD_OUT = 2
-MOST = 1 + 3 * HELD_OUT + sum(ROUNDS) + sum(BLOCKS)
+MOST = 1 + MOST_HELD_OUT + sum(ROUNDS) + sum(BLOCKS)
 """Patterns of all rounds, those after a hierarchy not counted."""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,9 @@ from rfpipe.methods.base import (
     MEMORY_BYTES,
     TOLERANCES,
     LevelImages,
-    Options,
+    Method,
     Pack,
+    TargetOptions,
 )
 from rfpipe.methods.states import (
     Descent,
@@ -48,6 +50,7 @@ from rfpipe.methods.symmetric.rank_test import (
     rank_test,
     reconcile,
 )
+from rfpipe.methods.targeted.method import Targeted
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
@@ -57,7 +60,7 @@ from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 _TOGETHER = 3.5
 
 
-class SymmetricOptions(Options):
+class SymmetricOptions(TargetOptions):
     """What symmetric photography may be told."""
 
     tolerance: Fraction = Field(
@@ -105,6 +108,7 @@ class Symmetric(Descent[SymmetricState]):
     needs_coaxial_rig = True
     thesis_table = "5.1"
     thesis_patterns = 1_085  # of scene II
+    tolerance_share = 0.3
     Options = SymmetricOptions
     trades = "tolerance"
     trials = TOLERANCES
@@ -113,6 +117,10 @@ class Symmetric(Descent[SymmetricState]):
         ("dark",),
         groups={"frontier": "frontier_"},
     )
+
+    def with_options(self, options: SymmetricOptions) -> Method[Any]:
+        """Return the method that ends at the error asked for, where one is."""
+        return self if options.target_error is None else Targeted(self)
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: SymmetricOptions

@@ -77,13 +77,13 @@ class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[
         return unpack_leaves(level, arrays)
 
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
-        """Make leaves of what was subdivided at `level`.
+        """Make leaves of what was subdivided at `level` of the blocks.
 
         Such nodes become rank-1 leaves again, made of their row and column sums, which is what the
         patterns of that level measured. So do its leaves of rank k off the diagonal, which take
         the images of the level after.
         """
-        if level == self.last_level:
+        if level == self.finest:
             return self
         held = self._held
         levels = [leaves.level for leaves in held]

@@ -128,7 +128,7 @@ class MultilevelTransport(LevelTransport[PairSet]):
         if pairs.level not in self._spreads:
             self._spreads[pairs.level] = (
                 spread_by_transpose(self.tree, self.pair_sets, index)
-                if self.symmetric and pairs.level < self.last_level
+                if self.symmetric and pairs.level < self.finest
                 else spread_evenly(self.tree, pairs)
             )
         return self._spreads[pairs.level]
@@ -174,7 +174,7 @@ class MultilevelTransport(LevelTransport[PairSet]):
             yield pairs, self._spread(index, pairs), values
 
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
-        """Give what was subdivided at `level` the sum of what was stored below it."""
+        """Give what was subdivided at `level` of the blocks the sum of what was stored below it."""
         kept = [pairs for pairs in self.pair_sets if pairs.level < level]
         folded = [pairs for pairs in self.pair_sets if pairs.level >= level]
         pixels = RayDomain(self.camera_shape).size

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float
+from rfpipe.methods.held_out.patterns import HELD_OUT
+from rfpipe.transport.base import Transport
 
-__all__ = ["Estimate", "Held", "estimate"]
+__all__ = ["Estimate", "Held", "error_of", "estimate"]
 
 # Of the pictures that people relight, so many light small spots, and such places as the strip where
 # most light stays near, rather than large shapes.
@@ -24,15 +26,11 @@ class Held:
     ----------
     lit : ndarray of bool, shape (2 or 6, N)
         A pattern of random shapes, then the strip where most light stays near and small spots.
-    radiance : ndarray of float32, shape (2 or 6, C, N)
+    radiance : ndarray of float32, shape (2 or 6, C, M)
     """
 
     lit: NDArray[np.bool_]
     radiance: Float
-
-    def at(self, pixels: NDArray[np.bool_]) -> Held:
-        """Return what some pixels (N,) show."""
-        return Held(self.lit[:, pixels], self.radiance[..., pixels])
 
 
 @dataclass(frozen=True)
@@ -44,9 +42,11 @@ class Estimate:
     shapes : float
         Of a picture of random shapes.
     strip, spots : float
-        Of the strip, and of small spots; as of shapes where neither was shown.
+        Of the strip, and of small spots; as of shapes where they weren't shown, or noise drowns
+        them: relative to hardly any light, all is wrong.
     dark : float
-        Of random shapes on pixels that the projector leaves dark, where light is indirect.
+        Of random shapes on pixels that the projector leaves dark, where light is indirect; NaN
+        where these aren't known.
     indirect : float
         All light on those pixels, in the same unit.
     """
@@ -77,7 +77,32 @@ class Estimate:
         return self.dark < self.shapes / 2 and self.worst < 2 * self.shapes
 
 
-def estimate(predicted: Float, held: Held) -> Estimate:
+def error_of(
+    transport: Transport,
+    held: Held,
+    known: NDArray[np.bool_],
+    dark: NDArray[np.bool_] | None = None,
+) -> Estimate:
+    """Compare a transport's pictures with held-out ones, where pixels are known.
+
+    Parameters
+    ----------
+    transport : Transport
+    held : Held
+    known : ndarray of bool, shape (M,)
+        Camera pixels that the pictures show.
+    dark : ndarray of bool, shape (M,), optional
+        Those to which the first pattern sends no direct light, where that is known.
+    """
+    patterns = held.lit[::HELD_OUT, None].astype(np.float32)
+    shape = (len(patterns), transport.channels, held.lit.shape[1])
+    relit = transport.forward(np.broadcast_to(patterns, shape), range(transport.channels))
+    predicted = relit.repeat(HELD_OUT, axis=0)
+    of_dark = None if dark is None else dark[known]
+    return estimate(predicted[..., known], held.radiance[..., known], of_dark)
+
+
+def estimate(predicted: Float, taken: Float, dark: NDArray[np.bool_] | None = None) -> Estimate:
     """Compare predicted with held-out pictures.
 
     Two pictures of one pattern have independent noise, so that the mean product of what is wrong
@@ -85,13 +110,16 @@ def estimate(predicted: Float, held: Held) -> Estimate:
 
     Parameters
     ----------
-    predicted : ndarray of float32, shape (2 or 6, C, N)
-    held : Held
+    predicted, taken : ndarray of float32, shape (2 or 6, C, M)
+    dark : ndarray of bool, shape (M,), optional
+        Pixels to which the first pattern sends no direct light, where that is known.
     """
-    dark = ~held.lit[0]
-    pairs = [(predicted[k : k + 2], held.radiance[k : k + 2]) for k in range(0, len(predicted), 2)]
-    (shapes, light), *others = [_error(*pair) for pair in pairs]
-    strip, spots = (error for error, _ in others) if others else (shapes, shapes)
+    pairs = [(predicted[k : k + 2], taken[k : k + 2]) for k in range(0, len(predicted), HELD_OUT)]
+    shapes, light = _error(*pairs[0])
+    others = [shapes if _drowned(pair[1]) else _error(*pair)[0] for pair in pairs[1:]]
+    strip, spots = others or (shapes, shapes)
+    if dark is None:
+        return Estimate(shapes, strip, spots, np.nan, np.nan)
     on_dark, indirect, _ = _products(*pairs[0], dark)
     return Estimate(shapes, strip, spots, _ratio(on_dark, light), _ratio(indirect, light))
 
@@ -101,6 +129,12 @@ def _error(predicted: Float, taken: Float) -> tuple[float, float]:
     wrong, light, chance = _products(predicted, taken, np.ones(taken.shape[-1], np.bool_))
     # what chance makes of a sum of products is the least error that it can tell from none
     return _ratio(max(wrong, chance), light), light
+
+
+def _drowned(taken: Float) -> bool:
+    """Tell whether two pictures of a pattern have more noise than light."""
+    one, other = taken.astype(np.float64)
+    return float((one * other).sum()) < float(np.square(one - other).sum() / 2)
 
 
 def _products(

@@ -1,0 +1,1 @@
+"""Pictures that no fit sees, and what they say of the error of a transport."""

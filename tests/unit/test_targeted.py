@@ -1,0 +1,321 @@
+"""Symmetric and dual photography ended at an error that held-out pictures tell."""
+
+import json
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from tests.helpers import MatrixImages, dense
+
+import rfpipe
+from rfpipe.blocks import RayDomain
+from rfpipe.methods import Method, Pack, get_method, options_of
+from rfpipe.methods.held_out.patterns import MOST_HELD_OUT, held_out_strip
+from rfpipe.methods.symmetric.method import Symmetric
+from rfpipe.methods.targeted.nearness import nearness
+from rfpipe.provenance import generator
+from rfpipe.scenes import hard_cases, reference_scene
+from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.plan import Plan
+from rfpipe.testing.methods import MethodRun, run_method
+from rfpipe.transport import Transport
+
+SHAPE = (16, 16)
+BOTH = pytest.mark.parametrize("name", ["symmetric", "dual"])
+
+
+def wedge(shape: tuple[int, int] = SHAPE, channels: int = 1) -> NDArray[np.float64]:
+    """Two textured planes, (C, N, N)."""
+    matrix = reference_scene("IV", shape, channels=channels).dense()
+    return np.asarray(matrix, np.float64).reshape(channels, *matrix.shape[-2:])
+
+
+def aside(shape: tuple[int, int] = SHAPE) -> NDArray[np.float64]:
+    """The same as seen by a camera whose pixels are in another order, and twice as many."""
+    return wedge(shape)[:, generator(5).permutation(2 * shape[0] * shape[1]) // 2]
+
+
+def run(name: str, matrix: NDArray[Any], sigma: float = 0.0, **options: Any) -> MethodRun:
+    return run_method(get_method(name), matrix, SHAPE, SHAPE, sigma=sigma, **options)
+
+
+def pictures_error(transport: Transport, matrix: NDArray[Any]) -> float:
+    """Mean error of pictures of blocks, edges and spots."""
+    random = generator(3)
+    shape = transport.projector_shape
+    lit = np.zeros((8, *shape), np.float32)
+    for index, pattern in enumerate(lit[:4]):
+        side = 2**index
+        blocks = random.integers(0, 2, (shape[0] // side + 1, shape[1] // side + 1))
+        pattern[:] = blocks.repeat(side, 0).repeat(side, 1)[: shape[0], : shape[1]]
+    lit[4, :, : shape[1] // 3], lit[5, : shape[0] // 3] = 1, 1
+    lit[6, 2:5, 3:6], lit[7, 9:11, 7:9] = 1, 1
+    relit = np.moveaxis(transport.relight_batch(lit), -1, 1).reshape(8, len(matrix), -1)
+    truth = np.einsum("cmn,pn->pcm", matrix, lit.reshape(8, -1))
+    return float(np.mean([relative_rms(*pair) for pair in zip(relit, truth, strict=True)]))
+
+
+def last_estimate(transport: Transport) -> float:
+    return float(transport.history["estimated_error"].iloc[-1])
+
+
+@BOTH
+def test_without_a_target_the_method_is_what_it_was(name: str) -> None:
+    method = get_method(name)
+    assert method.with_options(options_of(method)) is method
+    assert not method.estimates_error
+    plain = run(name, wedge())
+    assert plain.transport.history.empty
+    assert not any("block_level" in row for row in plain.transport.level_rows)
+    assert len(plain.schedules) == method.n_levels(RayDomain(SHAPE), RayDomain(SHAPE)) == 5
+
+
+def held_out_error(run: MethodRun, matrix: NDArray[Any]) -> float:
+    """Error of the held-out pictures: half shapes, a quarter the strip, a quarter spots."""
+    lit = run.states[-1].held.lit[::2].astype(np.float32)
+    relit = run.transport.forward(lit[:, None].repeat(len(matrix), 1), range(len(matrix)))
+    truth = np.einsum("cmn,pn->pcm", matrix, lit)
+    errors = [relative_rms(*pair) for pair in zip(relit, truth, strict=True)]
+    return float(np.dot(errors, [1 / 2, 1 / 4, 1 / 4]))
+
+
+@BOTH
+@pytest.mark.parametrize("target", [0.05, 0.01, 0.002])
+def test_the_target_is_met_and_the_estimate_is_the_error(name: str, target: float) -> None:
+    matrix = wedge()
+    found = run(name, matrix, target_error=target)
+    assert last_estimate(found.transport) <= target
+    assert pictures_error(found.transport, matrix) <= target
+    assert last_estimate(found.transport) == pytest.approx(held_out_error(found, matrix), rel=0.05)
+
+
+@BOTH
+def test_noise_drops_out_of_the_estimate(name: str) -> None:
+    """A held-out picture has much more noise than its prediction."""
+    matrix = wedge()
+    sigma = 0.02 * float(np.sqrt(np.mean(np.square(matrix.sum(2)))))
+    found = run(name, matrix, sigma=sigma, target_error=0.01)
+    true = held_out_error(found, matrix)
+    assert last_estimate(found.transport) == pytest.approx(true, rel=0.3)
+
+
+@BOTH
+def test_held_out_pictures_are_all_that_it_costs(name: str) -> None:
+    """The inner method asks for the same patterns, and its tolerance follows from the target."""
+    matrix, method = wedge(), get_method(name)
+    targeted = run(name, matrix, target_error=0.004)
+    plain = run(name, matrix, tolerance=type(method).tolerance_share * 0.004)
+    counted = sum(targeted.patterns)
+    assert counted == sum(plain.patterns) + MOST_HELD_OUT
+    assert counted == sum(row["patterns"] for row in targeted.transport.level_rows)
+    blocks = [each for each in targeted.schedules if each.pattern_of_ray is not None and each.count]
+    assert [replace(each, level=0).digest() for each in blocks] == [
+        replace(each, level=0).digest() for each in plain.schedules
+    ]
+    np.testing.assert_array_equal(dense(targeted.transport), dense(plain.transport))
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("asked", "follows"),
+    [(1e-3, None), (1e-4, 1e-4), (0.5, None)],
+    ids=["default", "finer", "coarser"],
+)
+def test_a_smaller_tolerance_of_ones_own_counts(
+    name: str, asked: float, follows: float | None
+) -> None:
+    method, rays = get_method(name), RayDomain(SHAPE)
+    options = options_of(method, target_error=0.04, tolerance=asked)
+    begun = method.with_options(options).start(rays, rays, 1, options)
+    expected = follows or type(method).tolerance_share * 0.04
+    assert begun.inner.options.tolerance == pytest.approx(expected)
+    assert begun.inner.options.noise_significance == options.noise_significance
+
+
+@BOTH
+def test_what_is_known_already_ends_it_at_once(name: str) -> None:
+    """A diffuse cavity is of rank one, as symmetric photography's root is."""
+    albedo = generator(1).uniform(0.1, 1, 256)
+    dark = np.zeros((256, 256))
+    found = run("symmetric", np.outer(albedo, albedo), target_error=0.01)
+    assert found.patterns == [1, 2, 4, 0, 0, 0, 0]
+    assert found.states[-1].following == "done"
+    found = run(name, dark, target_error=0.01)
+    assert sum(found.patterns) == 1 + MOST_HELD_OUT
+    assert not dense(found.transport).any()
+
+
+@BOTH
+def test_only_the_second_look_ends_it(name: str) -> None:
+    """Where shapes are predicted but small spots aren't, the descent goes on."""
+    side, count = 2, 64
+    smooth = np.full((256, 256), 1.0)
+    spots = np.zeros((256, 256))
+    lit = [index for index in range(256) if index // 16 % 8 < side and index % 16 % 8 < side]
+    spots[lit, lit] = count
+    found = run(name, smooth + spots, target_error=0.3)
+    assert found.patterns[0] == 1
+    assert sum(each.count == 4 and each.weights is not None for each in found.schedules) == 1
+    assert pictures_error(found.transport, (smooth + spots)[None]) < 0.3
+
+
+@BOTH
+def test_what_predicts_best_is_returned(name: str) -> None:
+    """Where the last level shows another scene, that of an upper level; and it says so."""
+    albedo = generator(1).uniform(0.5, 1, 256)
+    matrix = (np.outer(albedo, albedo) + 0.02 * wedge())[:1]
+    method, rays = get_method(name), RayDomain(SHAPE)
+    options = options_of(method, target_error=1e-4)
+    targeted: Method[Any] = method.with_options(options)
+    start = state = targeted.start(rays, rays, 1, options)
+    packs = []
+    for _ in range(targeted.n_levels(rays, rays)):
+        shown = targeted.schedule(state)
+        other = state.following == "inner" and state.inner.level == 4
+        images = MatrixImages(matrix[:, ::-1] if other else matrix, SHAPE, shown)
+        state = targeted.refine(state, images)
+        packs.append(targeted.pack(state))
+    assert state.inner.level == 5
+    assert state.best.level < 5
+    found = targeted.transport(state)
+    assert last_estimate(found) == state.error
+    lowest = method.transport(state.inner)
+    assert pictures_error(found, matrix) < pictures_error(lowest, matrix)
+    packs = [Pack(each.arrays, json.loads(json.dumps(each.attributes))) for each in packs]
+    restored = targeted.restore(start, packs)
+    np.testing.assert_array_equal(dense(targeted.transport(restored)), dense(found))
+    assert restored.rows == state.rows
+
+
+@BOTH
+def test_truncated_it_is_what_the_level_knew(name: str) -> None:
+    matrix, method = wedge(), get_method(name)
+    targeted = method.with_options(options_of(method, target_error=0.01))
+    found = run(name, matrix, target_error=0.01)
+    assert [row["block_level"] for row in found.transport.level_rows] == [0, 0, 1, 2, 3, 4, 4]
+    for level, block_level in enumerate([0, 0, 1, 2, 3, 4, 4]):
+        plain = method.transport(found.states[-1].inner).truncate(block_level)
+        cut = found.transport.truncate(level)
+        np.testing.assert_array_equal(dense(cut), dense(plain))
+        assert [row["level"] for row in cut.level_rows][: level + 1] == list(range(level + 1))
+    assert targeted.known(found.states[3]).last_level == 4
+    with pytest.raises(rfpipe.errors.InputError):
+        found.transport.truncate(7)
+
+
+@BOTH
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (7, 1), (2, 3, 4)])
+def test_few_rays_in_colour(name: str, shape: tuple[int, ...]) -> None:
+    rays = int(np.prod(shape))
+    matrix = generator(2).uniform(0.1, 1, (3, rays, rays))
+    matrix = matrix + matrix.swapaxes(1, 2) + 5 * np.eye(rays)
+    found = run_method(get_method(name), matrix, shape, shape, target_error=1e-3)
+    np.testing.assert_allclose(dense(found.transport), matrix, rtol=1e-4)
+    assert last_estimate(found.transport) <= 1e-3
+
+
+def test_camera_and_projector_may_differ() -> None:
+    matrix = aside()
+    found = run_method(get_method("dual"), matrix, (32, 16), SHAPE, target_error=0.01).transport
+    assert found.camera_shape == (32, 16)
+    relit, truth = dense(found).sum(2), matrix.sum(2)
+    assert relative_rms(relit, truth) < 0.01
+    assert last_estimate(found) < 0.01
+
+
+@dataclass
+class Masked(MatrixImages):
+    """Images of which some pixels are unknown; what held-out ones say there is of no account."""
+
+    def read(self, first: int, last: int) -> tuple[Any, Any]:
+        radiance, variance = super().read(first, last)
+        radiance[:, 5, 3:6] = 0 if self.schedule.weights is None else self.matrix.sum(2).max()
+        variance[:, 5, 3:6] = np.inf
+        return radiance, variance
+
+
+@BOTH
+def test_unknown_pixels_are_no_error(name: str) -> None:
+    matrix, method, rays = wedge(), get_method(name), RayDomain(SHAPE)
+    options = options_of(method, target_error=0.01)
+    targeted: Method[Any] = method.with_options(options)
+    state = targeted.start(rays, rays, 1, options)
+    for _ in range(targeted.n_levels(rays, rays)):
+        state = targeted.refine(state, Masked(matrix, SHAPE, targeted.schedule(state)))
+    assert np.count_nonzero(~state.known) == 3
+    assert 0 < state.error < 0.01
+
+
+@pytest.mark.parametrize("matrix", [wedge((24, 24)), aside((24, 24))], ids=["coaxial", "aside"])
+def test_light_stays_near_at_the_crease(matrix: NDArray[np.float64]) -> None:
+    """Whatever the order of the camera's pixels: of scene IV, the middle columns."""
+    camera = (matrix.shape[1] // 24, 24)
+    found = run_method(get_method("dual"), matrix, camera, (24, 24), tolerance=1e-4).transport
+    near = nearness(found)
+    assert near.shape == (24, 24)
+    assert (near >= 0).all()
+    strip = held_out_strip(near)
+    assert strip.sum() == 18
+    assert strip[:, 10:14].sum() >= 17
+
+
+def test_rays_that_hardly_reach_the_camera_are_not_where_light_stays_near() -> None:
+    matrix = wedge((24, 24))
+    crease = 12 * 24 + 12
+    for light, there in ((1.0, True), (1e-5, False)):
+        matrix[0, :, 0] = 0
+        matrix[0, crease, 0] = light * matrix[0, crease, crease]
+        found = run_method(get_method("brute_force"), matrix, (24, 24), (24, 24)).transport
+        assert (nearness(found)[0, 0] > 0).item() is there
+
+
+def test_the_stages_take_it_from_the_settings() -> None:
+    plan = Plan("fine", "symmetric", SHAPE, SHAPE, 1, {"target_error": 0.01})
+    assert plan.method.estimates_error
+    assert plan.n_levels == 7
+    assert plan.describe()["method"] == "symmetric"
+    assert plan.describe()["options"]["target_error"] == 0.01
+    plain = Plan("fine", "symmetric", SHAPE, SHAPE, 1)
+    assert plan.method.expected_patterns(plan.camera, plan.projector, plan.options) == (
+        plain.method.expected_patterns(plain.camera, plain.projector, plain.options) + MOST_HELD_OUT
+    )
+    rig = rfpipe.OperatorRig(wedge()[0], camera_shape=SHAPE, projector_shape=SHAPE)
+    result = rfpipe.acquire(rig, "symmetric", progress=False, target_error=0.01)
+    assert result.history["estimated_error"].iloc[-1] <= 0.01
+    assert result.patterns == result.levels["patterns"].sum()
+
+
+class Choice(Symmetric):
+    """Symmetric photography by way of a choice that is made when the rig is known."""
+
+    def with_options(self, options: Any) -> Method[Any]:
+        return self
+
+    def on_rig(self, coaxial: bool) -> Method[Any]:
+        return Symmetric()
+
+
+def test_what_is_chosen_for_a_rig_knows_the_target() -> None:
+    rig = rfpipe.OperatorRig(wedge()[0], camera_shape=SHAPE, projector_shape=SHAPE)
+    assert not rfpipe.acquire(rig, Choice(), progress=False, target_error=0.01).history.empty
+    plan = Plan("symmetric", "symmetric", SHAPE, SHAPE, 1, {"target_error": 0.01})
+    plan.settle(Choice().on_rig(coaxial=True))
+    assert plan.n_levels == 7
+
+
+@BOTH
+@pytest.mark.parametrize("case", ["zero_transport", "one_row", "dark_channel", "photon_starved"])
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_hard_cases_end(name: str, case: str) -> None:
+    scene = hard_cases()[case]()
+    noise = rfpipe.CameraModel() if case in ("dark_channel", "photon_starved") else None
+    rig = rfpipe.OperatorRig(scene, scene.shape, scene.shape, noise)
+    result = rfpipe.acquire(rig, name, progress=False, target_error=0.01)
+    plain = rfpipe.acquire(
+        rig, name, progress=False, tolerance=0.01 * type(get_method(name)).tolerance_share
+    )
+    assert np.isfinite(result.history["estimated_error"]).all()
+    assert np.isfinite(result.transport.relight(np.ones(scene.shape))).all()
+    assert MOST_HELD_OUT < result.patterns <= 1.2 * plain.patterns + MOST_HELD_OUT
