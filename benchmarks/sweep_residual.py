@@ -48,7 +48,7 @@ SWEPT: tuple[tuple[str, Any, tuple[float, ...]], ...] = (
     ("_ITERATIONS", estimating, (4, 8, 16)),
     ("_DROPPED", estimating, (3e-4, 1e-3, 3e-3)),
     ("_DIRECT", fitting, (0.002, 0.02, 0.2)),
-    ("_REACH", priors, (1 / 24, 1 / 6, 2 / 3)),
+    ("_REACH", priors, (0.125, 0.25, 0.5, 1.0, 2.0, 8.0)),
     ("_LIFTED", canvases, (0.005, 0.02, 0.08)),
     ("_EXPONENT", canvases, (0.25, 0.5, 0.75, 1.0)),
 )
@@ -198,11 +198,9 @@ def main() -> None:
             pd.DataFrame(rows).to_csv(OUTPUT, index=False)
     table = pd.DataFrame(rows).fillna({"value": 0})
     table["error"] *= 100
-    print(
-        table.pivot_table(
-            index=["constant", "value"], columns="scene", values="error", sort=False
-        ).round(2)
-    )
+    order = list(dict.fromkeys(zip(table["constant"], table["value"], strict=True)))
+    found = table.pivot_table(index=["constant", "value"], columns="scene", values="error")
+    print(found.reindex(order)[list(asked.scenes)].round(2).to_string())
 
 
 if __name__ == "__main__":

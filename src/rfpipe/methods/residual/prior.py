@@ -12,8 +12,9 @@ from rfpipe.transport.wavelet.haar import Group, Haar
 
 __all__ = ["first_guess", "learned"]
 
-# What light is exchanged halves in amplitude beyond this part of the image's shorter side.
-_REACH = 1 / 6
+# The variance of what places exchange falls with the square of their distance, in units of so many
+# cells.
+_REACH = 0.5
 _BINS_PER_OCTAVE = 2
 _LEAST = 1e-10  # of the largest variance
 
@@ -28,9 +29,8 @@ def first_guess(haar: Haar, total: float) -> Float:
         Their sum.
     """
     variance = np.empty((haar.size, haar.size), np.float32)
-    reach = _REACH * min(haar.stack[1:])
     for one, other in _pairs(haar):
-        apart = 1 + np.square(_distances(one, other) / reach)
+        apart = 1 + np.square(_distances(one, other) / _REACH)
         each = (one.side * other.side) ** 2 / apart
         _spread(variance, one, other, each.astype(np.float32))
     variance *= np.float32(total / variance.sum(dtype=np.float64))
