@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from tests.helpers import acquire_matrix
 
@@ -11,6 +12,7 @@ from rfpipe.methods.held_out.estimate import Estimate
 from rfpipe.methods.near_far.method import NearFar
 from rfpipe.methods.near_far.rounds import decide
 from rfpipe.methods.near_far.state import BLOCKS, ROUNDS, NearFarState, kind_of
+from rfpipe.methods.residual.estimate import Residual
 from rfpipe.scenes import reference_scene
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.low_rank import LowRankTransport
@@ -20,7 +22,8 @@ from rfpipe.transport.low_rank import LowRankTransport
 def after_a_round() -> NearFarState:
     matrix = reference_scene("IV", (8, 8), channels=1).dense()
     state: NearFarState = acquire_matrix(NearFar(), matrix, (8, 8), (8, 8)).states[4]
-    return replace(state, following="smooth")
+    assert state.residual is not None
+    return replace(state, following="smooth", residual=None)
 
 
 def decided(state: NearFarState, errors: Sequence[float], noise: bool = False) -> NearFarState:
@@ -45,6 +48,14 @@ def test_a_round_that_helps_or_has_none_to_compare_with_is_followed_by_another(
     after_a_round: NearFarState, errors: list[float], noise: bool
 ) -> None:
     assert decided(after_a_round, errors, noise).following == "smooth"
+
+
+def test_where_smooth_light_leaves_what_can_be_found_blocks_follow(
+    after_a_round: NearFarState,
+) -> None:
+    nothing = np.zeros((2, 0), np.int32), np.zeros((1, 0), np.float32)
+    found = replace(after_a_round, residual=Residual(*nothing))
+    assert decided(found, [0.3, 0.2, 0.1]).following == "residual"
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -75,6 +86,18 @@ def test_blocks_that_hardly_help_are_followed_by_a_hierarchy(
     limited = replace(state, options=ErrorOptions(patterns=1000))
     after = decided(limited, [0.3, 0.2, left * 0.2]).following
     assert after == ("done" if expected == "hierarchy" else expected)
+
+
+@pytest.mark.parametrize(("target", "expected"), [(0.15, "residual"), (0.01, "hierarchy")])
+def test_blocks_that_would_take_more_than_a_hierarchy_are_followed_by_one(
+    after_a_round: NearFarState, target: float, expected: str
+) -> None:
+    """With 81 to 256 patterns the error halves: for a fifteenth of it, some 20,000 are needed."""
+    asked = ((1, 81), (len(ROUNDS) + 1, 63), (len(ROUNDS) + 2, 112))
+    rows = tuple({"level": level, "patterns": count} for level, count in asked)
+    options = ErrorOptions(target_error=target)
+    state = replace(after_a_round, level=len(ROUNDS) + 3, rows=rows, options=options)
+    assert decided(state, [0.5, 0.4, 0.28, 0.2]).following == expected
 
 
 def test_the_first_estimate_ends_it_where_nothing_is_indirect(after_a_round: NearFarState) -> None:

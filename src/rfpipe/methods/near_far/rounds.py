@@ -188,7 +188,8 @@ def decide(state: NearFarState) -> NearFarState:
         assert state.pictures is not None
         begun = handover.begin(state.projector, state.options, state.pictures)
         return replace(state, following="hierarchy", symmetric=begun)
-    if just == "smooth" and stalled:
+    # of the same patterns, blocks tell more of what smooth light leaves than probes do
+    if just == "smooth" and (stalled or state.residual is not None):
         _log.info("smooth light is not all there is; going on with random blocks")
         return replace(state, following="residual")
     return replace(state, following="done") if stalled else state
