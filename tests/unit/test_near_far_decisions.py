@@ -92,7 +92,7 @@ def test_blocks_that_hardly_help_are_followed_by_a_hierarchy(
 def test_blocks_that_would_take_more_than_a_hierarchy_are_followed_by_one(
     after_a_round: NearFarState, target: float, expected: str
 ) -> None:
-    """From 81 to 256 patterns the error halves: a fortieth less takes 13, a twentieth of it 100,000."""
+    """It halves from 81 to 256 patterns: a fortieth less takes 13, a twentieth of it 100,000."""
     asked = ((1, 81), (len(ROUNDS) + 1, 63), (len(ROUNDS) + 2, 112))
     rows = tuple({"level": level, "patterns": count} for level, count in asked)
     options = ErrorOptions(target_error=target)
