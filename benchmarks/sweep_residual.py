@@ -46,7 +46,7 @@ SWEPT: tuple[tuple[str, Any, tuple[float, ...]], ...] = (
     ("_EXPECTED", estimating, (1e-4, 2.5e-4, 5e-4, 1e-3, 2e-3)),
     ("_LEARNED", estimating, (0, 1, 2, 4)),
     ("_ITERATIONS", estimating, (4, 8, 16)),
-    ("_DROPPED", estimating, (3e-4, 1e-3, 3e-3)),
+    ("_DROPPED", estimating, (3e-4, 5e-4, 1e-3, 3e-3)),
     ("_DIRECT", fitting, (0.002, 0.02, 0.2)),
     ("_REACH", priors, (0.125, 0.25, 0.5, 1.0, 2.0, 8.0)),
     ("_LIFTED", canvases, (0.005, 0.02, 0.08)),

@@ -20,7 +20,7 @@ _EXPECTED = 5e-4
 # How often variances are learned, light made to be not negative, and iterations of each solution.
 _LEARNED, _CLIPPED, _ITERATIONS = 2, 8, 8
 # Of a picture's norm, what may be lost with the cores that are not kept.
-_DROPPED = 1e-3
+_DROPPED = 5e-4
 _BATCH = 64
 # Of more pictures, those are fitted that the model predicts worst: time grows with their square,
 # and so does memory, to 1.3 GB with as many cells as there may be.
