@@ -107,7 +107,7 @@ def test_the_held_out_shapes_are_no_probe() -> None:
 
 
 def test_the_held_out_strip_is_where_most_light_stays_near() -> None:
-    strip = held_out_strip(crease())
+    strip = held_out_strip(crease().nearness)
     assert strip.sum() == strip.size // 32
     # of equal pixels the first: both columns of the crease from the top
     assert np.flatnonzero(strip.any(axis=0)).tolist() == [19, 20]

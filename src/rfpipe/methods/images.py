@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpipe.methods.base import Float, LevelImages
 
-__all__ = ["batches", "planar_batches", "rounding"]
+__all__ = ["batches", "planar", "planar_batches", "rounding"]
 
 # Images read at a time.
 _BATCH_BYTES = 32 * 2**20
@@ -40,6 +40,15 @@ def planar_batches(
             for part in images.read(first, last)
         )
         yield slice(first, last), radiance, variance + rounding(radiance)
+
+
+def planar(images: LevelImages, channels: int, rays: int, count: int) -> tuple[Float, Float]:
+    """Read the first images of a level: radiance and variance, float32 (count, C, rays)."""
+    radiance = np.empty((count, channels, rays), np.float32)
+    variance = np.empty_like(radiance)
+    for part, seen, spread in planar_batches(images, channels, rays, count):
+        radiance[part], variance[part] = np.moveaxis(seen, 0, 1), np.moveaxis(spread, 0, 1)
+    return radiance, variance
 
 
 def rounding(radiance: Float) -> Float:

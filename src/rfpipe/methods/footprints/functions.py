@@ -30,7 +30,9 @@ _UNSEEN = 0.05
 _OCTAVES = 12.0
 # What goes one way and not the other, relative to what goes both ways.
 _ODD = 0.2
-_BINS_PER_SCALE = 2
+# Unknowns are of one group in so many steps of scale and of distance; there are no more than these.
+_STEPS_PER_OCTAVE, _SCALES = 4, 1024
+_BINS_PER_SCALE, _BINS = 2, 256
 
 
 @dataclass(frozen=True)
@@ -132,11 +134,13 @@ class Functions:
     def groups(self) -> Int64:
         """Number of each unknown's group: those of the same scales at about the same distance."""
         kind, finer, coarser, distance, _ = self._places()
-        place = np.minimum(_BINS_PER_SCALE * distance / coarser, 200).astype(np.int64)
-        scales = (np.log2(each).round(1) * 10 for each in (coarser, finer))
-        key = np.stack([kind, *(each.astype(np.int64) for each in scales), place])
-        _, found = np.unique(key, axis=1, return_inverse=True)
-        return found.ravel()
+        key = kind.astype(np.int64)
+        for scale in (coarser, finer):
+            # scales of the other side may lie below one camera pixel
+            key = key * _SCALES + np.rint(_STEPS_PER_OCTAVE * np.log2(scale)).astype(np.int64)
+        place = np.minimum(_BINS_PER_SCALE * distance / coarser, _BINS - 1).astype(np.int64)
+        _, found = np.unique(key * _BINS + place, return_inverse=True)
+        return found
 
     def _places(self) -> tuple[Int64, Double, Double, Double, NDArray[np.bool_]]:
         """Return kind, finer and coarser scale, and distance of all unknowns; which are odd."""

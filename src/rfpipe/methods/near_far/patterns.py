@@ -26,6 +26,7 @@ __all__ = [
     "held_out_shapes",
     "held_out_spots",
     "held_out_strip",
+    "noise",
     "probe_patterns",
 ]
 
@@ -63,7 +64,7 @@ def probe_patterns(
     patterns = np.zeros((count, *shape), np.bool_)
     for index in range(count):
         random = generator(_SEED, level, index)
-        field = _noise(shape, random)
+        field = noise(shape, random)
         if found is not None:
             octaves = 1 / random.uniform(1 / _OCTAVES[1], 1 / _OCTAVES[0])
             phase = random.uniform(0, 1)
@@ -103,12 +104,12 @@ def block_patterns(cells: Cells, level: int, count: int) -> NDArray[np.bool_]:
 
 def held_out_shapes(shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Return a pattern of random shapes, bool (*shape)."""
-    return _brightest(_noise(shape, generator(_SEED, 0, 0)), _HELD_OUT)
+    return _brightest(noise(shape, generator(_SEED, 0, 0)), _HELD_OUT)
 
 
-def held_out_strip(found: LightRange) -> NDArray[np.bool_]:
-    """Return the strip where most light stays near, bool (*shape)."""
-    return _brightest(found.nearness, _HELD_OUT_STRIP)
+def held_out_strip(nearness: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+    """Return the strip where most light stays near, bool (*shape), see `LightRange.nearness`."""
+    return _brightest(nearness, _HELD_OUT_STRIP)
 
 
 def held_out_spots(shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -131,15 +132,27 @@ def _brightest(image: NDArray[np.floating[Any]], part: float) -> NDArray[np.bool
     return chosen.reshape(image.shape)
 
 
-def _noise(shape: tuple[int, ...], random: np.random.Generator) -> NDArray[np.float64]:
-    """Return noise of equal power in every octave, with unit deviation, on the torus."""
+def noise(
+    shape: tuple[int, ...], random: np.random.Generator, falloff: float = 1.0
+) -> NDArray[np.float64]:
+    """Return noise with unit deviation, on the torus, float64 (*shape).
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The ray domain.
+    random : Generator
+    falloff : float
+        The power of the frequency with which amplitudes fall: 0 is white, 1 has equal power in
+        every octave.
+    """
     height, width = RayDomain(shape).image_shape
     frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
-    amplitude = 1 / np.maximum(frequency, 1 / max(height, width))
+    amplitude = 1 / np.maximum(frequency, 1 / max(height, width)) ** falloff
     amplitude[0, 0] = 0
     white = np.fft.rfft2(random.standard_normal(shape))
     field = np.fft.irfft2(white * amplitude, s=(height, width), axes=(-2, -1))
     spread = field.std()
     # a single ray has no detail
-    noise: NDArray[np.float64] = field / spread if spread > 0 else random.standard_normal(shape)
-    return noise
+    found: NDArray[np.float64] = field / spread if spread > 0 else random.standard_normal(shape)
+    return found

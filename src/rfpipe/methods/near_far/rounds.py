@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float, LevelImages
-from rfpipe.methods.images import planar_batches
+from rfpipe.methods.images import planar
 from rfpipe.methods.near_far import handover
 from rfpipe.methods.near_far.beyond import MOST_CELLS, all_pictures, canvas_of, cells_of, taken
 from rfpipe.methods.near_far.estimate import Estimate, Held, estimate
@@ -305,7 +305,7 @@ def _not_held_yet(state: NearFarState) -> Iterator[NDArray[np.bool_]]:
     elif state.held is not None and len(state.held.lit) == HELD_OUT:
         assert state.model is not None
         assert state.pictures is not None
-        yield held_out_strip(light_range(shape, state.model, state.pictures.floodlit))
+        yield held_out_strip(light_range(shape, state.model, state.pictures.floodlit).nearness)
         yield held_out_spots(shape)
 
 
@@ -320,9 +320,4 @@ def _appended(before: S | None, more: S) -> S:
 
 def _read(state: NearFarState, images: LevelImages, count: int) -> tuple[Float, Float]:
     """Read the first images of a level, radiance and variance (M, C, N)."""
-    channels, rays = state.channels, state.projector.size
-    radiance = np.empty((count, channels, rays), np.float32)
-    variance = np.empty_like(radiance)
-    for part, seen, spread in planar_batches(images, channels, rays, count):
-        radiance[part], variance[part] = np.moveaxis(seen, 0, 1), np.moveaxis(spread, 0, 1)
-    return radiance, variance
+    return planar(images, state.channels, state.projector.size, count)

@@ -66,6 +66,11 @@ class FootprintTransport(ArrayTransport):
             planes.append((direct + smooth * self._held["projector_factor"][c][:, None]).T)
         return np.ascontiguousarray(np.stack(planes, axis=1), np.float32)
 
+    def direct(self) -> FootprintTransport:
+        """Return the footprints alone."""
+        dark = {name: np.zeros_like(self._held[name]) for name in ("cores", "camera_factor")}
+        return self._holding(self.level_rows, {**self._held, **dark})
+
     @cached_property
     def _left(self) -> csr_array[np.float32]:
         return self._matrix("left", self._held["left"], len(self._held["cores_starts"]) - 1)
