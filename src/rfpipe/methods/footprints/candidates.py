@@ -16,7 +16,7 @@ from rfpipe.methods.footprints.typed import Float, Int64
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Footprints", "Precision", "found_anew", "first_footprints", "pruned", "reweighted"]
+__all__ = ["Footprints", "Precision", "first_footprints", "found_anew", "pruned", "reweighted"]
 
 # Deviations of a weight about 0, as fractions of the floodlit image: before anything is known, of
 # what has been found, of its surroundings, after pruning, and at least.
@@ -108,7 +108,12 @@ class Precision:
     def applied(self, seen: Float) -> Float:
         """Return the precision times pictures (pixels, M)."""
         return apply_precision(  # type: ignore[no-any-return]
-            self.starts, self.rays, self.inverses, self.places, self.lit, self.certainty,
+            self.starts,
+            self.rays,
+            self.inverses,
+            self.places,
+            self.lit,
+            self.certainty,
             np.ascontiguousarray(seen, np.float32),
         )
 
@@ -180,7 +185,9 @@ def pruned(series: Series, found: Footprints) -> Footprints:
     return Footprints(found.keys[kept], variance.astype(np.float32), weights)
 
 
-def _weighed(found: Footprints, floodlit: Float, lit: Float, certainty: Float, seen: Float) -> Footprints:
+def _weighed(
+    found: Footprints, floodlit: Float, lit: Float, certainty: Float, seen: Float
+) -> Footprints:
     """Return footprints with the non-negative weights that explain what is seen best."""
     rays = len(lit)
     least = np.square(_LEAST * floodlit[found.pixels(rays)])

@@ -29,7 +29,7 @@ ROUGHLY, NEARLY, FULLY = (1e-2, 40), (3e-3, 60), (1e-3, 120)
 
 # Deviations of the gains of camera pixels and of projector pixels that the camera sees, and of those
 # that it doesn't; the least and the largest gain.
-_CAMERA, _SEEN, _UNSEEN = 0.1, 0.1, 0.3
+_CAMERA, _SEEN, _UNSEEN = 0.1, 0.05, 0.3
 _LEAST, _MOST = 0.2, 4.0
 _GAIN_ACCURACY = (1e-2, 25)
 
@@ -43,8 +43,10 @@ class Exchange:
     functions : Functions
     precision : Precision
     series : Series
-    camera, projector : ndarray of float32, shape (camera rays,), (projector rays,)
-        f and g.
+    factors : tuple of two ndarrays of float32, shape (camera rays,), (projector rays,)
+        f and g as the footprints and the floodlit image have them.
+    gains : tuple of two ndarrays of float32
+        What the pictures make of these, pixel by pixel: 1 where nothing is known.
     unknowns : ndarray of float32, shape (functions.count,)
         S: cores both ways, one way, and from functions of the projector's own.
     """
@@ -52,9 +54,19 @@ class Exchange:
     functions: Functions
     precision: Precision
     series: Series
-    camera: Float
-    projector: Float
+    factors: tuple[Float, Float]
+    gains: tuple[Float, Float]
     unknowns: Float
+
+    @property
+    def camera(self) -> Float:
+        """f, (camera rays,)."""
+        return self.factors[0] * self.gains[0]
+
+    @property
+    def projector(self) -> Float:
+        """g, (projector rays,)."""
+        return self.factors[1] * self.gains[1]
 
     def indirect(self) -> Float:
         """Return the indirect light of the series' patterns, (camera rays, M)."""
@@ -100,32 +112,34 @@ class Exchange:
         own = np.where(functions.carry.seen > 1 / 2, _SEEN, _UNSEEN).astype(np.float32)
         cores, lit = functions.cores(self.unknowns), self.series.lit
 
+        factor, camera = self.factors[1], self.camera
+
         def forward(gain: Float) -> Float:
-            sent = functions.right.T @ (lit * (gain * self.projector)[:, None])
-            told: Float = (functions.left @ (cores @ sent)) * self.camera[:, None]
+            sent = functions.right.T @ (lit * (gain * factor)[:, None])
+            told: Float = (functions.left @ (cores @ sent)) * camera[:, None]
             return told
 
         def back(seen: Float) -> Float:
-            taken = functions.left.T @ (self.precision.applied(seen) * self.camera[:, None])
+            taken = functions.left.T @ (self.precision.applied(seen) * camera[:, None])
             told = functions.right @ (cores.T @ taken)
-            change: Float = own * self.projector * np.einsum("jm,jm->j", lit, told)
+            change: Float = own * factor * np.einsum("jm,jm->j", lit, told)
             return change
 
         def normal(change: Float) -> Float:
             return back(forward(own * change)) + change
 
-        nothing = np.zeros_like(own)
-        goal = back(self.series.seen - self.indirect())
-        change = conjugate_gradients(normal, goal, np.ones_like(own), nothing, *_GAIN_ACCURACY)
+        goal = back(self.series.seen - forward(np.ones_like(own)))
+        start = ((self.gains[1] - 1) / own).astype(np.float32)
+        change = conjugate_gradients(normal, goal, np.ones_like(own), start, *_GAIN_ACCURACY)
         gain = np.clip(1 + own * change, _LEAST, _MOST)
-        return replace(self, projector=(self.projector * gain).astype(np.float32))
+        return replace(self, gains=(self.gains[0], gain))
 
     def _with_camera_gains(self) -> Exchange:
-        told = self.indirect()
+        told = self.indirect() / self.gains[0][:, None]
         weighed, stiff = self.precision.applied(told), np.float32(1 / _CAMERA**2)
         least = np.einsum("im,im->i", weighed, told) + stiff
         gain = (np.einsum("im,im->i", weighed, self.series.seen) + stiff) / least
-        return replace(self, camera=self.camera * np.clip(gain, _LEAST, _MOST))
+        return replace(self, gains=(np.clip(gain, _LEAST, _MOST), self.gains[1]))
 
     def _light(self) -> Float:
         """Return what patterns send to the functions, (n + own, M)."""

@@ -99,7 +99,5 @@ def most_patterns(camera: RayDomain, projector: RayDomain) -> int:
 
 
 def _start(state: FootprintState, tolerance: float) -> DualState:
-    options = DualOptions(
-        noise_significance=state.options.noise_significance, tolerance=tolerance
-    )
+    options = DualOptions(noise_significance=state.options.noise_significance, tolerance=tolerance)
     return Dual().start(state.camera, state.projector, state.channels, options)

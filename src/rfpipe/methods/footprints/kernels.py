@@ -32,7 +32,13 @@ def _gram(rays: Int32, lit: Float, certainty: Float) -> Double:
 
 @njit(cache=True, nogil=True)
 def solve_weights(
-    starts: Int64, rays: Int32, ridge: Float, lit: Float, certainty: Float, seen: Float, least: float
+    starts: Int64,
+    rays: Int32,
+    ridge: Float,
+    lit: Float,
+    certainty: Float,
+    seen: Float,
+    least: float,
 ) -> Float:
     """Return each pixel's non-negative least-squares weights, by coordinate descent.
 
@@ -132,7 +138,12 @@ def marginal(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def apply_precision(
-    starts: Int64, rays: Int32, inverses: Float, places: Int64, lit: Float, certainty: Float,
+    starts: Int64,
+    rays: Int32,
+    inverses: Float,
+    places: Int64,
+    lit: Float,
+    certainty: Float,
     seen: Float,
 ) -> Float:
     """Return each pixel's precision times its pictures, (pixels, M)."""

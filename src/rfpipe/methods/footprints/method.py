@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, Pack
 from rfpipe.methods.dual import Dual
-from rfpipe.methods.footprints import handover, rounds
-from rfpipe.methods.footprints import candidates
+from rfpipe.methods.footprints import candidates, handover, rounds
 from rfpipe.methods.footprints.state import MOST, ROUNDS, FootprintState, kind_of
 from rfpipe.methods.near_far.estimate import Estimate, Held
 from rfpipe.methods.near_far.pictures import Pictures

@@ -7,7 +7,7 @@ lie among the camera's, and so for a first S; what S leaves of the pictures make
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +27,6 @@ from rfpipe.methods.footprints.functions import Functions
 from rfpipe.methods.footprints.matching import Templates
 from rfpipe.methods.footprints.series import Series
 from rfpipe.methods.footprints.sides import Carry, camera_factor, carry_of, projector_factor
-from rfpipe.methods.footprints.typed import Float
 from rfpipe.transport.multiscale.basis import (
     MultiscaleBasis,
     cells,
@@ -119,20 +118,13 @@ def find(
 
 def _settled(series: Series, found: Footprints, exchange: Exchange) -> Exchange:
     """Fit the exchange once more, with the footprints' last candidates."""
-    own = Exchange(
-        exchange.functions,
-        Precision.of(series, found),
-        series,
-        exchange.camera,
-        exchange.projector,
-        exchange.unknowns,
-    )
+    own = replace(exchange, precision=Precision.of(series, found))
     return own.fitted(own.learned(), FULLY).with_gains()
 
 
 def _of_channel(series: Series, grey: Series, found: Footprints, exchange: Exchange) -> Channel:
     """Fit a channel, whose light differs little from that of the sum."""
-    pixels, rays = len(series.seen), len(series.lit)
+    rays = len(series.lit)
     share = np.divide(
         series.floodlit,
         grey.floodlit,
@@ -152,8 +144,8 @@ def _of_channel(series: Series, grey: Series, found: Footprints, exchange: Excha
         exchange.functions,
         Precision.of(series, start),
         series,
-        exchange.camera * share,
-        (exchange.projector * sent).astype(np.float32),
+        (exchange.camera * share, (exchange.projector * sent).astype(np.float32)),
+        tuple(np.ones_like(gain) for gain in exchange.gains),
         exchange.unknowns / np.float32(usual or 1.0),
     )
     if not share.any():
@@ -183,8 +175,8 @@ def _refined(
         ),
         precision,
         series,
-        factor,
-        projector_factor(carry, factor, series.floodlit),
+        (factor, projector_factor(carry, factor, series.floodlit)),
+        (np.ones(camera.size, np.float32), np.ones(projector.size, np.float32)),
         np.zeros(0, np.float32),
     )
     exchange = _from_nothing(exchange, expected, mean)
@@ -204,39 +196,24 @@ def _refined(
         )
         if functions.count > _MOST_UNKNOWNS:
             break
-        exchange = _from_nothing(
-            Exchange(
-                functions, precision, series, exchange.camera, exchange.projector,
-                np.zeros(0, np.float32),
-            ),
-            expected,
-            mean,
-        )
+        exchange = _from_nothing(replace(exchange, functions=functions), expected, mean)
     return exchange.fitted(exchange.learned(), FULLY)
 
 
 def _from_nothing(exchange: Exchange, expected: float, mean: float) -> Exchange:
     """Fit with the deviations that are expected, then with those that are learned, then gains."""
-    nothing = np.zeros(exchange.functions.count, np.float32)
-    begun = Exchange(
-        exchange.functions, exchange.precision, exchange.series, exchange.camera,
-        exchange.projector, nothing,
-    )
+    begun = replace(exchange, unknowns=np.zeros(exchange.functions.count, np.float32))
     first = begun.fitted(exchange.functions.deviations(expected, mean), ROUGHLY)
     return first.fitted(first.learned(), NEARLY).with_gains()
 
 
-def _own(
-    projector: RayDomain, carry: Carry, scale: int, least: float
-) -> NDArray[np.int32]:
+def _own(projector: RayDomain, carry: Carry, scale: int, least: float) -> NDArray[np.int32]:
     """Return the functions of a scale of the projector's own, where it isn't well seen."""
     unseen = 1 - carry.seen > max(least, 0.15)
     return functions_over(scale, _any_in_cells(projector, scale, unseen))
 
 
-def _any_in_cells(
-    domain: RayDomain, scale: int, chosen: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
+def _any_in_cells(domain: RayDomain, scale: int, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     views, down, across = cells(domain.shape, scale)
     found = np.zeros((views, down, across), np.bool_)
     view, row, column = np.nonzero(chosen.reshape(domain.stack_shape))

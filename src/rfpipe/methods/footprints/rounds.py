@@ -177,9 +177,7 @@ def _estimate(state: FootprintState, transport: Transport) -> Estimate:
     return estimate(relit[..., known], Held(lit[:, known], held.radiance[..., known]))
 
 
-def _directly_lit(
-    state: FootprintState, light: NDArray[np.float32]
-) -> NDArray[np.bool_]:
+def _directly_lit(state: FootprintState, light: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which camera pixels have direct light under patterns (P, C, N), (P, pixels)."""
     channels, direct = range(state.channels), model_of(state).direct()
     lit = direct.forward(light, channels).sum(axis=1)

@@ -78,5 +78,7 @@ class Series:
         own = self.shining
         if not own.any():
             return 1.0
-        share = self.variance[own, 1:].mean(axis=1) if self.lit.shape[1] > 1 else self.variance[own, 0]
+        share = (
+            self.variance[own, 1:].mean(axis=1) if self.lit.shape[1] > 1 else self.variance[own, 0]
+        )
         return float(np.median(share / np.square(self.floodlit[own])))

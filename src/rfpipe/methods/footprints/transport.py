@@ -52,13 +52,12 @@ def spread_evenly(floodlit: Float, rays: int) -> Arrays:
     }
 
 
-def nearness(
-    transport: FootprintTransport, camera: RayDomain, projector: RayDomain
-) -> Float:
+def nearness(transport: FootprintTransport, camera: RayDomain, projector: RayDomain) -> Float:
     """Return how much of each projector ray's light arrives near where it lights, (*shape).
 
-    The part of it that is indirect, 0 to 1, over its root mean square distance, in pixels of the
-    camera, from the ray's footprint; 0 where the camera sees no footprint.
+    Its indirect light, radiance, over the root mean square distance, in pixels of the camera, from
+    the ray's footprint; 0 where the camera sees no footprint. Of rays that the camera hardly sees,
+    the picture would be next to black.
     """
     _, height, width = camera.stack_shape
     ray = np.arange(camera.size)
@@ -75,8 +74,7 @@ def nearness(
     there = (weight > 0) & (direct[0] > 0)
     mean = np.divide(distance, weight, out=np.ones_like(weight), where=there)
     reach = np.sqrt(np.clip(mean, 0.25, height**2 + width**2))
-    share = np.divide(weight, total[0], out=np.zeros_like(weight), where=total[0] > 0)
-    found = np.where(there, np.clip(share, 0, 1) / reach, 0)
+    found = np.where(there, weight / reach, 0)
     return found.astype(np.float32).reshape(projector.shape)
 
 
