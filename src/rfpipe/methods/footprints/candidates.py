@@ -11,7 +11,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.kernels import apply_precision, marginal, solve_weights
 from rfpipe.methods.footprints.matching import Templates, coarse_light
 from rfpipe.methods.footprints.series import Series
-from rfpipe.methods.footprints.typed import Float, Int64
+from rfpipe.methods.footprints.typed import Double, Float, Int64
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -81,7 +81,7 @@ class Precision:
 
     starts: Int64
     rays: np.ndarray[tuple[int], np.dtype[np.int32]]
-    inverses: Float
+    inverses: Double
     places: Int64
     lit: Float
     certainty: Float
@@ -107,7 +107,7 @@ class Precision:
 
     def applied(self, seen: Float) -> Float:
         """Return the precision times pictures (pixels, M)."""
-        return apply_precision(  # type: ignore[no-any-return]
+        return apply_precision(
             self.starts,
             self.rays,
             self.inverses,

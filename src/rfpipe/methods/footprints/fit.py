@@ -24,11 +24,11 @@ from rfpipe.methods.footprints.typed import Float
 
 __all__ = ["FULLY", "NEARLY", "ROUGHLY", "Exchange"]
 
-ROUGHLY, NEARLY, FULLY = (1e-2, 40), (3e-3, 60), (1e-3, 120)
+ROUGHLY, NEARLY, FULLY = (1e-2, 40), (1e-3, 120), (3e-4, 200)
 """Part of the residual at which to stop, and iterations at most."""
 
-# Deviations of the gains of camera pixels and of projector pixels that the camera sees, and of those
-# that it doesn't; the least and the largest gain.
+# Deviations of gains: of camera pixels, of projector pixels that the camera sees, and of those that
+# it doesn't; the least and the largest gain.
 _CAMERA, _SEEN, _UNSEEN = 0.1, 0.05, 0.3
 _LEAST, _MOST = 0.2, 4.0
 _GAIN_ACCURACY = (1e-2, 25)
@@ -91,7 +91,7 @@ class Exchange:
 
         start = np.zeros_like(deviations)
         np.divide(self.unknowns, deviations, out=start, where=deviations > 0)
-        scaling = 1 / (1 + self._diagonal(light) * np.square(deviations))
+        scaling = np.float32(1) / (1 + self._diagonal(light) * np.square(deviations))
         goal = back(self.series.seen)
         found = conjugate_gradients(normal, goal, scaling, start, *accuracy)
         return replace(self, unknowns=deviations * found)
@@ -215,7 +215,10 @@ def conjugate_gradients(
         if energy <= enough:
             break
         image = normal(direction)
-        length = np.float32(energy / _dot(direction, image))
+        curvature = _dot(direction, image)
+        if curvature <= 0:  # rounding is all that is left
+            break
+        length = np.float32(energy / curvature)
         known = known + length * direction
         rest = rest - length * image
         step = scaling * rest

@@ -69,8 +69,9 @@ class Functions:
         seen = self.carry.seen
         carried = diags_array(seen) @ (self.carry.means @ self.left)
         own = diags_array(1 - seen) @ self.own.weights
-        together: csr_array[np.float32] = hstack([carried, own]).tocsr().astype(np.float32)
-        return together
+        together: Any = hstack([carried, own])
+        found: csr_array[np.float32] = together.tocsr().astype(np.float32)
+        return found
 
     @cached_property
     def density(self) -> float:
@@ -139,7 +140,7 @@ class Functions:
             # scales of the other side may lie below one camera pixel
             key = key * _SCALES + np.rint(_STEPS_PER_OCTAVE * np.log2(scale)).astype(np.int64)
         place = np.minimum(_BINS_PER_SCALE * distance / coarser, _BINS - 1).astype(np.int64)
-        _, found = np.unique(key * _BINS + place, return_inverse=True)
+        found: Int64 = np.unique(key * _BINS + place, return_inverse=True)[1]
         return found
 
     def _places(self) -> tuple[Int64, Double, Double, Double, NDArray[np.bool_]]:

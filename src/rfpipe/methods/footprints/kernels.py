@@ -1,7 +1,7 @@
 """Kernels of footprint acquisition: over camera pixels' candidates, and over pairs of functions.
 
 A camera pixel's candidates are the projector pixels that may light it directly:
-``rays[starts[i] : starts[i + 1]]``. `lit` are the patterns, float32 (projector pixels, M), so that a
+``rays[starts[i] : starts[i + 1]]``. `lit` are the patterns, float32 (projector pixels, M): a
 candidate's row is what it shows over time.
 """
 
@@ -23,7 +23,7 @@ def _gram(rays: Int32, lit: Float, certainty: Float) -> Double:
     gram = np.empty((count, count))
     for a in range(count):
         for b in range(a + 1):
-            total = np.float32(0)
+            total = 0.0
             for m in range(lit.shape[1]):
                 total += certainty[m] * lit[rays[a], m] * lit[rays[b], m]
             gram[a, b] = gram[b, a] = total
@@ -91,7 +91,7 @@ def solve_weights(
 @njit(cache=True, nogil=True)
 def marginal(
     starts: Int64, rays: Int32, variance: Float, lit: Float, certainty: Float, places: Int64
-) -> tuple[Float, Float]:
+) -> tuple[Double, Float]:
     """Return what takes unknown weights out of each pixel's pictures, and its precision's trace.
 
     The precision of pixel i is ``W - W A H A^T W`` with ``H = (G^-1 + A^T W A)^-1``, G the weights'
@@ -110,11 +110,11 @@ def marginal(
 
     Returns
     -------
-    ndarray of float32, shape (places[-1],)
-        H of all pixels.
+    ndarray of float64, shape (places[-1],)
+        H of all pixels. In float32 the precision would not be positive where pictures are exact.
     ndarray of float32, shape (pixels,)
     """
-    inverses = np.empty(places[-1], np.float32)
+    inverses = np.empty(places[-1])
     trace = np.empty(len(starts) - 1, np.float32)
     for pixel in range(len(starts) - 1):
         first, last = starts[pixel], starts[pixel + 1]
@@ -140,7 +140,7 @@ def marginal(
 def apply_precision(
     starts: Int64,
     rays: Int32,
-    inverses: Float,
+    inverses: Double,
     places: Int64,
     lit: Float,
     certainty: Float,
@@ -156,22 +156,22 @@ def apply_precision(
             out[pixel, m] = certainty[pixel, m] * seen[pixel, m]
         if count == 0:
             continue
-        told = np.empty(count, np.float32)
+        told = np.empty(count)
         for a in range(count):
-            total = np.float32(0)
+            total = 0.0
             for m in range(count_all):
-                total += lit[rays[first + a], m] * out[pixel, m]
+                total += np.float64(lit[rays[first + a], m]) * certainty[pixel, m] * seen[pixel, m]
             told[a] = total
-        back = np.zeros(count_all, np.float32)
+        back = np.zeros(count_all)
         for a in range(count):
-            weight = np.float32(0)
+            weight = 0.0
             row = places[pixel] + a * count
             for b in range(count):
                 weight += inverses[row + b] * told[b]
             for m in range(count_all):
                 back[m] += weight * lit[rays[first + a], m]
         for m in range(count_all):
-            out[pixel, m] -= certainty[pixel, m] * back[m]
+            out[pixel, m] = certainty[pixel, m] * (seen[pixel, m] - back[m])
     return out
 
 

@@ -143,7 +143,7 @@ class Templates:
 
         The key of projector pixel j as seen by camera pixel i is ``i N + j``.
         """
-        views, height, width = self.projector.stack_shape
+        _, height, width = self.projector.stack_shape
         half = self.width[boxes] / 2 + 0.5
         most = int(2 * half.max(initial=0)) + 1
         low = np.ceil(self.centre[boxes] - 0.5 - half[:, None]).astype(np.int64)
@@ -169,4 +169,5 @@ def _boxes(length: int, side: float) -> Double:
 
 def _normalised(series: Float) -> Float:
     length = np.linalg.norm(series, axis=1, keepdims=True)
-    return np.divide(series, length, out=np.zeros_like(series), where=length > 0)
+    found: Float = np.divide(series, length, out=np.zeros_like(series), where=length > 0)
+    return found

@@ -8,7 +8,7 @@ lie among the camera's, and so for a first S; what S leaves of the pictures make
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from rfpipe.methods.footprints.functions import Functions
 from rfpipe.methods.footprints.matching import Templates
 from rfpipe.methods.footprints.series import Series
 from rfpipe.methods.footprints.sides import Carry, camera_factor, carry_of, projector_factor
+from rfpipe.methods.footprints.typed import Double, Float
 from rfpipe.transport.multiscale.basis import (
     MultiscaleBasis,
     cells,
@@ -145,7 +146,7 @@ def _of_channel(series: Series, grey: Series, found: Footprints, exchange: Excha
         Precision.of(series, start),
         series,
         (exchange.camera * share, (exchange.projector * sent).astype(np.float32)),
-        tuple(np.ones_like(gain) for gain in exchange.gains),
+        (np.ones_like(exchange.gains[0]), np.ones_like(exchange.gains[1])),
         exchange.unknowns / np.float32(usual or 1.0),
     )
     if not share.any():
@@ -222,8 +223,8 @@ def _any_in_cells(domain: RayDomain, scale: int, chosen: NDArray[np.bool_]) -> N
 
 
 def _indirect(series: Series, direct: csr_array[np.float32]) -> float:
-    """Return indirect light under full light, from what pixels show that the patterns leave dark."""
-    lit = np.asarray(direct.sum(axis=1)).ravel()
+    """Return indirect light under full light, from what pixels show that patterns leave dark."""
+    lit: Float = np.asarray(direct.sum(axis=1)).ravel()
     share = (direct @ series.lit[:, 1:]) / np.maximum(lit, np.finfo(np.float32).tiny)[:, None]
     dark = (1 - np.clip(4 * share, 0, 1)) * series.known[:, None]
     # patterns light half of the projector
@@ -243,8 +244,9 @@ def _wanting(camera: RayDomain, scale: int, exchange: Exchange) -> NDArray[np.bo
     view, row, column = np.indices(camera.stack_shape).reshape(3, -1)
     cell = (view * down + row // scale) * across + column // scale
 
-    def total(values: NDArray[np.generic]) -> NDArray[np.float64]:
-        return np.bincount(cell, values.astype(np.float64), views * down * across)
+    def total(values: NDArray[Any]) -> Double:
+        summed = np.bincount(cell, values.astype(np.float64), views * down * across)
+        return summed.astype(np.float64)
 
     over, chance = total(excess) - total(free), np.sqrt(2 * total(free))
     wanted = (over > _SIGNIFICANT * chance) & (over > total(allowed))

@@ -1,4 +1,4 @@
-"""What the footprints say of indirect light: the factors of both sides, and the way between them."""
+"""What footprints say of indirect light: the factors of both sides, and the way between them."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def carry_of(direct: csr_array[np.float32], floodlit: Float) -> Carry:
         Footprints.
     floodlit : ndarray of float32, shape (camera pixels,)
     """
-    sent = np.asarray(direct.sum(axis=0)).ravel()
+    sent: Float = np.asarray(direct.sum(axis=0)).ravel()
     means = _rows_scaled(direct.T, np.divide(1, sent, out=np.zeros_like(sent), where=sent > 0))
     typical = means @ floodlit
     share = np.divide(sent, typical, out=np.zeros_like(sent), where=typical > 0)
@@ -66,7 +66,7 @@ def camera_factor(direct: csr_array[np.float32], floodlit: Float) -> Float:
     It is what the floodlit image has besides direct light, so that it has no jump at the edge of a
     shadow, scaled to be as bright as the floodlit image where a pixel is lit.
     """
-    lit = np.asarray(direct.sum(axis=1)).ravel()
+    lit: Float = np.asarray(direct.sum(axis=1)).ravel()
     rest = np.maximum(floodlit - lit, 1e-6 * floodlit)
     own = (lit > _LIT * floodlit) & (rest > 0)
     ratio = np.clip(np.median(floodlit[own] / rest[own]), 1, _MOST_RATIO) if own.any() else 1.0

@@ -20,7 +20,7 @@ __all__ = ["HELD_OUT", "MOST", "ROUNDS", "FootprintState", "Kind", "kind_of"]
 Kind = Literal["floodlit", "round", "hierarchy", "done"]
 
 # Random patterns of each round, a level. The first has to be enough to find footprints.
-ROUNDS = (24, 20, 28, 40, 56, 80)
+ROUNDS = (24, 26, 36, 48, 64, 80)
 # Pictures of each held-out pattern: random shapes; the strip; small spots.
 HELD_OUT = 2
 MOST = 1 + 3 * HELD_OUT + sum(ROUNDS)
@@ -54,7 +54,7 @@ class FootprintState(MethodState):
     model : mapping of str to ndarray, optional
         The arrays of the `FootprintTransport` that was found last.
     found : Footprints, optional
-        With what the next search begins.
+        With what the next search begins, in the unit of the fits.
     dual : DualState, optional
         Where dual photography has taken over.
     estimates : tuple of Estimate

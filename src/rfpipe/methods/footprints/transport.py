@@ -20,18 +20,18 @@ __all__ = ["arrays_of_model", "nearness", "spread_evenly"]
 Arrays = dict[str, NDArray[Any]]
 
 
-def arrays_of_model(model: Model, camera: RayDomain, projector: RayDomain) -> Arrays:
-    """Return the arrays of a `FootprintTransport`."""
+def arrays_of_model(model: Model, camera: RayDomain, projector: RayDomain, unit: float) -> Arrays:
+    """Return the arrays of a `FootprintTransport`; the model is in units of so much radiance."""
     exchanges = [channel.exchange for channel in model.channels]
     functions = exchanges[0].functions
     direct = [each.found.matrix(camera.size, projector.size) for each in model.channels]
     cores = [functions.cores(each.unknowns) for each in exchanges]
     return {
-        **_arrays("footprints", direct[0], [each.data for each in direct]),
+        **_arrays("footprints", direct[0], [each.data * np.float32(unit) for each in direct]),
         **_arrays("left", functions.left),
         **_arrays("right", functions.right),
         **_arrays("cores", cores[0], [each.data for each in cores]),
-        "camera_factor": np.stack([each.camera for each in exchanges]),
+        "camera_factor": np.stack([each.camera * np.float32(unit) for each in exchanges]),
         "projector_factor": np.stack([each.projector for each in exchanges]),
     }
 
@@ -41,7 +41,8 @@ def spread_evenly(floodlit: Float, rays: int) -> Arrays:
     from scipy.sparse import csr_array
 
     channels, pixels = floodlit.shape
-    nothing, one = csr_array((pixels, rays), dtype=np.float32), np.ones((1, 1), np.float32)
+    nothing: Any = csr_array((pixels, rays), dtype=np.float32)
+    one = np.ones((1, 1), np.float32)
     return {
         **_arrays("footprints", nothing, [nothing.data] * channels),
         **_arrays("left", csr_array(np.ones((pixels, 1), np.float32))),
@@ -81,7 +82,7 @@ def nearness(transport: FootprintTransport, camera: RayDomain, projector: RayDom
 def _arrays(name: str, matrix: csr_array[Any], values: list[Float] | None = None) -> Arrays:
     """Return a sparse matrix, values channel by channel, as a `FootprintTransport` holds it."""
     held = matrix.data.astype(np.float32) if values is None else np.stack(values)
-    kept = held.reshape(-1, held.shape[-1]).any(axis=0)
+    kept = np.atleast_2d(held).any(axis=0)
     before = np.concatenate([[0], np.cumsum(kept)])
     return {
         name: np.ascontiguousarray(held[..., kept]),
