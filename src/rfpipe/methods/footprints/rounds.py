@@ -36,8 +36,8 @@ _FIRST_PASSES, _PASSES = 2, 1
 # Errors should fall with this power of the patterns shown, noise alone with the root.
 _STALLED = 0.25
 # Errors after the first and the second round from which on the model is the wrong one: of diffuse
-# scenes they are 4 and 2 %, of a bottle and its caustics 11 and 13 %.
-_UNFIT = (0.08, 0.05)
+# scenes they are 4 and 2 %, of a bottle and its caustics 8 to 11 and 13 %.
+_UNFIT = (0.07, 0.05)
 # Under a pattern, a camera pixel with more than this part of its direct light is lit.
 _LIT = 0.02
 
