@@ -8,6 +8,10 @@ import numpy as np
 
 from rfpipe import OperatorRig, acquire, open_transport
 from rfpipe.config import CameraConfig
+from rfpipe.methods.dual import Dual
+from rfpipe.methods.footprints.method import Footprints
+from rfpipe.methods.near_far.method import NearFar
+from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.scenes import reference_scene
 from rfpipe.transport import save_transport
 
@@ -16,8 +20,8 @@ def compile_kernels(folder: Path) -> None:
     """Acquire, store and relight a small scene: numba keeps what it compiles."""
     shape = (24, 24)
     rig = OperatorRig(reference_scene("IV", shape, channels=1), shape, shape, CameraConfig())
-    for method in ("symmetric", "dual", "near_far"):
+    for method in (Symmetric(), Dual(), NearFar(), Footprints()):
         transport = acquire(rig, method, progress=False).transport
-        path = folder / f"{method}.zarr"
+        path = folder / f"{method.name}.zarr"
         save_transport(transport, path, number_format="uint8")
         open_transport(path).relight(np.ones(shape))

@@ -96,7 +96,7 @@ def test_methods_go_by_their_names(name: str) -> None:
 
 def test_methods_are_told_apart() -> None:
     methods = [get_method(name) for name in NAMES]
-    assert len({method.title for method in methods}) == len(NAMES) == 7
+    assert len({method.title for method in methods}) == len(NAMES) == 8
     assert len({method.colour for method in methods}) == len(NAMES)
     assert len({method.marker for method in methods}) == len(NAMES)
     assert [shown.title(name) for name in NAMES] == [method.title for method in methods]

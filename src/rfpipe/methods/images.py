@@ -7,10 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float, LevelImages
 from rfpipe.patterns import Schedule
 
-__all__ = ["RenumberedImages", "batches", "planar_batches", "read_planar", "renumbered", "rounding"]
+__all__ = [
+    "FloodlitImage",
+    "RenumberedImages",
+    "batches",
+    "planar_batches",
+    "read_planar",
+    "renumbered",
+    "rounding",
+]
 
 # Images read at a time.
 _BATCH_BYTES = 32 * 2**20
@@ -26,6 +35,28 @@ class RenumberedImages:
     def read(self, first: int, last: int) -> tuple[Float, Float]:
         """Return radiance and variance of some patterns."""
         return self.images.read(first, last)
+
+
+@dataclass(frozen=True)
+class FloodlitImage:
+    """A floodlit image that is there already, as the images of level 0."""
+
+    schedule: Schedule
+    image: tuple[Float, Float]
+
+    @classmethod
+    def of(
+        cls, camera: RayDomain, projector: RayDomain, radiance: Float, variance: Float
+    ) -> FloodlitImage:
+        """Take radiance and variance, float32 (C, pixels)."""
+        shape = (1, *camera.shape, len(radiance))
+        one, other = (np.ascontiguousarray(each.T).reshape(shape) for each in (radiance, variance))
+        return cls(Schedule.floodlit(projector.shape), (one, other))
+
+    def read(self, first: int, last: int) -> tuple[Float, Float]:
+        """Return radiance and variance."""
+        radiance, variance = self.image
+        return radiance[first:last], variance[first:last]
 
 
 def renumbered(images: LevelImages, level: int) -> RenumberedImages:

@@ -13,6 +13,7 @@ from rfpipe.units import NumberFormat
 
 _CLASSES = {
     "dense": ("rfpipe.transport.dense", "DenseTransport"),
+    "footprints": ("rfpipe.transport.footprints.transport", "FootprintTransport"),
     "hierarchical": ("rfpipe.transport.hierarchical.transport", "HierarchicalTransport"),
     "low_rank": ("rfpipe.transport.low_rank", "LowRankTransport"),
     "multiscale": ("rfpipe.transport.multiscale.transport", "MultiscaleTransport"),

@@ -67,11 +67,23 @@ def brightest(image: NDArray[np.floating[Any]], part: float) -> NDArray[np.bool_
     return chosen.reshape(image.shape)
 
 
-def octave_noise(shape: tuple[int, ...], random: np.random.Generator) -> NDArray[np.float64]:
-    """Return noise of equal power in every octave, with unit deviation, on the torus."""
+def octave_noise(
+    shape: tuple[int, ...], random: np.random.Generator, falloff: float = 1.0
+) -> NDArray[np.float64]:
+    """Return noise with unit deviation, on the torus, float64 (*shape).
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The ray domain.
+    random : Generator
+    falloff : float
+        The power of the frequency with which amplitudes fall: 1 has equal power in every octave,
+        0 is white.
+    """
     height, width = RayDomain(shape).image_shape
     frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
-    amplitude = 1 / np.maximum(frequency, 1 / max(height, width))
+    amplitude = 1 / np.maximum(frequency, 1 / max(height, width)) ** falloff
     amplitude[0, 0] = 0
     white = np.fft.rfft2(random.standard_normal(shape))
     field = np.fft.irfft2(white * amplitude, s=(height, width), axes=(-2, -1))

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Pack
-from rfpipe.methods.images import renumbered
+from rfpipe.methods.base import ErrorOptions, LevelImages, Pack
+from rfpipe.methods.images import FloodlitImage, renumbered
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.states import unprefixed
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
@@ -23,27 +22,11 @@ _PREFIX = "symmetric_"
 _COARSEST = 0.01  # tolerance
 
 
-@dataclass(frozen=True)
-class _Floodlit:
-    """The floodlit image as the images of level 0."""
-
-    schedule: Schedule
-    image: tuple[Float, Float]
-
-    def read(self, first: int, last: int) -> tuple[Float, Float]:
-        radiance, variance = self.image
-        return radiance[first:last], variance[first:last]
-
-
 def begin(domain: RayDomain, options: ErrorOptions, pictures: Pictures) -> SymmetricState:
     """Start from the floodlit image, which is there already."""
-    method, shape = Symmetric(), (1, *domain.shape, pictures.channels)
-    radiance, variance = (
-        np.ascontiguousarray(image.T).reshape(shape)
-        for image in (pictures.floodlit, pictures.floodlit_variance)
-    )
-    begun = method.start(domain, domain, pictures.channels, _own(options))
-    return method.refine(begun, _Floodlit(Schedule.floodlit(domain.shape), (radiance, variance)))
+    begun = Symmetric().start(domain, domain, pictures.channels, _own(options))
+    image = pictures.floodlit, pictures.floodlit_variance
+    return Symmetric().refine(begun, FloodlitImage.of(domain, domain, *image))
 
 
 def schedule(state: SymmetricState, level: int) -> Schedule:

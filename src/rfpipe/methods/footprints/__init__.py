@@ -1,0 +1,1 @@
+"""Footprint acquisition: near/far acquisition for rigs whose camera and projector stand apart."""

@@ -1,0 +1,232 @@
+"""What functions exchange, and each pixel's gain: regularised least squares over all pictures.
+
+Footprints' weights are marginalised (`Precision`), so that every pixel serves the fit, lit or not,
+and what is found of indirect light does not depend on how well direct light is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rfpipe.methods.footprints.candidates import Precision
+from rfpipe.methods.footprints.functions import Functions
+from rfpipe.methods.footprints.kernels import (
+    correlate,
+    correlate_one_way,
+    couple,
+    couple_one_way,
+)
+from rfpipe.methods.footprints.series import Series
+from rfpipe.methods.footprints.typed import Float
+
+__all__ = ["FULLY", "NEARLY", "ROUGHLY", "Exchange"]
+
+ROUGHLY, NEARLY, FULLY = (1e-2, 40), (1e-3, 120), (3e-4, 200)
+"""Part of the residual at which to stop, and iterations at most."""
+
+# Deviations of gains: of camera pixels, of projector pixels that the camera sees, and of those that
+# it doesn't; the least and the largest gain.
+_CAMERA, _SEEN, _UNSEEN = 0.1, 0.05, 0.3
+_LEAST, _MOST = 0.2, 4.0
+_GAIN_ACCURACY = (1e-2, 25)
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """Indirect light ``f L S R^T g`` of one channel, and what pictures say of it.
+
+    Attributes
+    ----------
+    functions : Functions
+    precision : Precision
+    series : Series
+    factors : tuple of two ndarrays of float32, shape (camera rays,), (projector rays,)
+        f and g as the footprints and the floodlit image have them.
+    gains : tuple of two ndarrays of float32
+        What the pictures make of these, pixel by pixel: 1 where nothing is known.
+    unknowns : ndarray of float32, shape (functions.count,)
+        S: cores both ways, one way, and from functions of the projector's own.
+    """
+
+    functions: Functions
+    precision: Precision
+    series: Series
+    factors: tuple[Float, Float]
+    gains: tuple[Float, Float]
+    unknowns: Float
+
+    @property
+    def camera(self) -> Float:
+        """f, (camera rays,)."""
+        return self.factors[0] * self.gains[0]
+
+    @property
+    def projector(self) -> Float:
+        """g, (projector rays,)."""
+        return self.factors[1] * self.gains[1]
+
+    def indirect(self) -> Float:
+        """Return the indirect light of the series' patterns, (camera rays, M)."""
+        return self._forward(self.unknowns, self._light())
+
+    def fitted(self, deviations: Float, accuracy: tuple[float, int]) -> Exchange:
+        """Find S by preconditioned conjugate gradients, from where it is.
+
+        Parameters
+        ----------
+        deviations : ndarray of float32, shape (functions.count,)
+            Of the unknowns about 0.
+        accuracy : tuple of float and int
+        """
+        light = self._light()
+
+        def back(seen: Float) -> Float:
+            return deviations * self._adjoint(self.precision.applied(seen), light)
+
+        def normal(known: Float) -> Float:
+            return back(self._forward(deviations * known, light)) + known
+
+        start = np.zeros_like(deviations)
+        np.divide(self.unknowns, deviations, out=start, where=deviations > 0)
+        scaling = np.float32(1) / (1 + self._diagonal(light) * np.square(deviations))
+        goal = back(self.series.seen)
+        found = conjugate_gradients(normal, goal, scaling, start, *accuracy)
+        return replace(self, unknowns=deviations * found)
+
+    def learned(self) -> Float:
+        """Return deviations by group, as the root of the mean square of what was found."""
+        group = self.functions.groups
+        energy = np.bincount(group, np.square(self.unknowns, dtype=np.float64))
+        found: Float = np.sqrt(energy / np.bincount(group))[group].astype(np.float32)
+        return found
+
+    def with_gains(self) -> Exchange:
+        """Fit the gain of each projector pixel, then of each camera pixel, given S."""
+        return self._with_projector_gains()._with_camera_gains()
+
+    def _with_projector_gains(self) -> Exchange:
+        functions = self.functions
+        own = np.where(functions.carry.seen > 1 / 2, _SEEN, _UNSEEN).astype(np.float32)
+        cores, lit = functions.cores(self.unknowns), self.series.lit
+
+        factor, camera = self.factors[1], self.camera
+
+        def forward(gain: Float) -> Float:
+            sent = functions.right.T @ (lit * (gain * factor)[:, None])
+            told: Float = (functions.left @ (cores @ sent)) * camera[:, None]
+            return told
+
+        def back(seen: Float) -> Float:
+            taken = functions.left.T @ (self.precision.applied(seen) * camera[:, None])
+            told = functions.right @ (cores.T @ taken)
+            change: Float = own * factor * np.einsum("jm,jm->j", lit, told)
+            return change
+
+        def normal(change: Float) -> Float:
+            return back(forward(own * change)) + change
+
+        goal = back(self.series.seen - forward(np.ones_like(own)))
+        start = ((self.gains[1] - 1) / own).astype(np.float32)
+        change = conjugate_gradients(normal, goal, np.ones_like(own), start, *_GAIN_ACCURACY)
+        gain = np.clip(1 + own * change, _LEAST, _MOST)
+        return replace(self, gains=(self.gains[0], gain))
+
+    def _with_camera_gains(self) -> Exchange:
+        told = self.indirect() / self.gains[0][:, None]
+        weighed, stiff = self.precision.applied(told), np.float32(1 / _CAMERA**2)
+        least = np.einsum("im,im->i", weighed, told) + stiff
+        gain = (np.einsum("im,im->i", weighed, self.series.seen) + stiff) / least
+        return replace(self, gains=(np.clip(gain, _LEAST, _MOST), self.gains[1]))
+
+    def _light(self) -> Float:
+        """Return what patterns send to the functions, (n + own, M)."""
+        light = self.functions.right.T @ (self.series.lit * self.projector[:, None])
+        return np.ascontiguousarray(light, np.float32)
+
+    def _forward(self, unknowns: Float, light: Float) -> Float:
+        functions = self.functions
+        basis, pairs = functions.camera, len(functions.camera.first)
+        received = np.zeros((len(basis), light.shape[1]), np.float32)
+        even, odd, own = np.split(unknowns, [pairs, 2 * pairs])
+        couple(basis.first, basis.second, even, odd, light, received)
+        first, second, _ = functions.from_own
+        couple_one_way(first, second, own, light[len(basis) :], received)
+        told: Float = (functions.left @ received) * self.camera[:, None]
+        return told
+
+    def _adjoint(self, seen: Float, light: Float) -> Float:
+        functions = self.functions
+        basis, pairs = functions.camera, len(functions.camera.first)
+        arriving = functions.left.T @ (seen * self.camera[:, None])
+        arriving = np.ascontiguousarray(arriving, np.float32)
+        out = np.empty(functions.count, np.float32)
+        even, odd, own = np.split(out, [pairs, 2 * pairs])
+        correlate(basis.first, basis.second, arriving, light, even, odd)
+        first, second, _ = functions.from_own
+        correlate_one_way(first, second, arriving, light[len(basis) :], own)
+        return out
+
+    def _diagonal(self, light: Float) -> Float:
+        """Estimate the diagonal of the normal equations' matrix."""
+        functions = self.functions
+        basis, left = functions.camera, functions.left
+        certainty = self.precision.trace / light.shape[1] * np.square(self.camera)
+        weight = left.multiply(left).T @ certainty
+        power = np.einsum("am,am->a", light, light)
+        one = weight[basis.first] * power[basis.second]
+        other = weight[basis.second] * power[basis.first]
+        both = np.where(basis.first == basis.second, one, one + other)
+        first, second, _ = functions.from_own
+        diagonal: Float = np.concatenate(
+            [both, both, weight[first] * power[len(basis) + second]]
+        ).astype(np.float32)
+        return diagonal
+
+
+def conjugate_gradients(
+    normal: Callable[[Float], Float],
+    goal: Float,
+    scaling: Float,
+    start: Float,
+    tolerance: float,
+    most: int,
+) -> Float:
+    """Solve ``normal(x) = goal``, normal symmetric and positive.
+
+    Parameters
+    ----------
+    normal : callable
+    goal, start : ndarray of float32, shape (n,)
+    scaling : ndarray of float32, shape (n,)
+        About the inverse of normal's diagonal.
+    tolerance : float
+        Part of the goal's norm that may be left.
+    most : int
+        Iterations at most.
+    """
+    known = start
+    rest = goal - normal(start) if start.any() else goal
+    direction = step = scaling * rest
+    energy, enough = _dot(rest, step), tolerance**2 * _dot(goal, scaling * goal)
+    for _ in range(most):
+        if energy <= enough:
+            break
+        image = normal(direction)
+        curvature = _dot(direction, image)
+        if curvature <= 0:  # rounding is all that is left
+            break
+        length = np.float32(energy / curvature)
+        known = known + length * direction
+        rest = rest - length * image
+        step = scaling * rest
+        before, energy = energy, _dot(rest, step)
+        direction = step + np.float32(energy / before) * direction
+    return known
+
+
+def _dot(a: Float, b: Float) -> float:
+    # not BLAS: its threads would change the sum's last bits
+    return float(np.einsum("i,i->", a, b, dtype=np.float64))

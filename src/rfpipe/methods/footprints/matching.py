@@ -1,0 +1,173 @@
+"""Where on the projector each camera pixel's direct light comes from: a whitened matched filter.
+
+Of a scene of which nothing is known, indirect light is about what large parts of a pattern hold.
+Patterns are seen through boxes at half-pixel positions; both they and what a pixel shows over time
+are whitened against such light before they are compared, so that it makes no match.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.footprints.typed import Double, Float, Int64
+
+__all__ = ["Templates", "coarse_light"]
+
+# A box is somewhat wider than what a camera pixel covers on the projector, which lies anywhere on
+# its pixels; footprints may be stretched to twice that.
+_WIDTH, _WIDTHS = 1.6, (1.0, 2.0)
+# Cells across the short side of an image in which light from far away is told apart.
+_CELLS = 6
+# Standard deviations about a pixel's floodlit image: of what is left besides, of light that is the
+# same in all patterns, that goes with a pattern's mean, and of light from far away.
+_OWN, _STEADY, _MEAN, _FAR = 0.1, 5.0, 0.14, 0.5
+# Values of a table of scores that is made at a time.
+_BATCH = 2**24
+
+
+def coarse_light(projector: RayDomain, lit: Float) -> Double:
+    """Return the parts of each coarse cell that patterns (N, M) light, less a half, (cells, M)."""
+    views, height, width = projector.stack_shape
+    side = max(1, round(min(height, width) / _CELLS))
+    rows, columns = np.arange(height) // side, np.arange(width) // side
+    cell = (rows[:, None] * (columns[-1] + 1) + columns).ravel()
+    cell = (np.arange(views)[:, None] * (cell[-1] + 1) + cell).ravel()
+    size = np.bincount(cell)
+    sums = np.zeros((len(size), lit.shape[1]))
+    np.add.at(sums, cell, lit)
+    found: Double = sums / size[:, None] - 0.5
+    return found
+
+
+@dataclass(frozen=True)
+class Templates:
+    """Patterns as boxes of several widths see them.
+
+    Attributes
+    ----------
+    projector : RayDomain
+    seen : ndarray of float32, shape (n, M)
+        What each box sees of the patterns, 0 to 1.
+    view : ndarray of int64, shape (n,)
+    centre : ndarray of float64, shape (n, 2)
+        Row and column, in pixels; the first pixel's centre is at 1/2.
+    width : ndarray of float64, shape (n,)
+        In pixels.
+    """
+
+    projector: RayDomain
+    seen: Float
+    view: Int64
+    centre: Double
+    width: Double
+
+    @classmethod
+    def of(cls, projector: RayDomain, lit: Float, density: float) -> Templates:
+        """See patterns (N, M) through boxes.
+
+        Parameters
+        ----------
+        projector : RayDomain
+        lit : ndarray of float32, shape (N, M)
+        density : float
+            Projector pixels that a camera pixel spans a side, about.
+        """
+        views, height, width = projector.stack_shape
+        stack = lit.reshape(views, height, width, -1)
+        seen, view, centre, widths = [], [], [], []
+        for side in sorted({_WIDTH * max(1.0, density) * part for part in _WIDTHS}):
+            down, across = _boxes(height, side), _boxes(width, side)
+            rows = np.einsum("ay,vyxm->vaxm", down, stack, optimize=True)
+            found = np.einsum("bx,vaxm->vabm", across, rows, optimize=True)
+            place = np.indices(found.shape[:3]).reshape(3, -1)
+            seen.append(found.reshape(-1, lit.shape[1]))
+            view.append(place[0])
+            centre.append((place[1:].T + 1) / 2)
+            widths.append(np.full(len(view[-1]), side))
+        return cls(
+            projector,
+            np.concatenate(seen).astype(np.float32),
+            np.concatenate(view),
+            np.concatenate(centre),
+            np.concatenate(widths),
+        )
+
+    def whitener(self, lit: Float, noise: float) -> Float:
+        """Return what whitens series of M pictures, by a product from the right, (M, M).
+
+        Parameters
+        ----------
+        lit : ndarray of float32, shape (N, M)
+        noise : float
+            Variance of a pixel relative to its floodlit image squared.
+        """
+        count = lit.shape[1]
+        cells, mean = coarse_light(self.projector, lit), lit.mean(axis=0, dtype=np.float64) - 0.5
+        covariance = (_OWN**2 + noise) * np.eye(count) + _STEADY**2
+        covariance += _FAR**2 * (cells.T @ cells) / len(cells) + _MEAN**2 * np.outer(mean, mean)
+        inverse = np.linalg.inv(np.linalg.cholesky(covariance))
+        return np.ascontiguousarray(inverse.T, np.float32)
+
+    def match(self, series: Float, whitener: Float) -> tuple[Int64, Float]:
+        """Find the box that each pixel's series resembles most.
+
+        Parameters
+        ----------
+        series : ndarray of float32, shape (pixels, M)
+        whitener : ndarray of float32, shape (M, M)
+
+        Returns
+        -------
+        ndarray of int64, shape (pixels,)
+            Number of the box.
+        ndarray of float32, shape (pixels,)
+            Correlation of the two, -1 to 1; 0 of a black series.
+        """
+        boxes = _normalised(self.seen @ whitener).T
+        own = _normalised(series @ whitener)
+        best, score = np.zeros(len(own), np.int64), np.zeros(len(own), np.float32)
+        step = max(1, _BATCH // boxes.shape[1])
+        for first in range(0, len(own), step):
+            part = own[first : first + step] @ boxes
+            chosen = part.argmax(axis=1)
+            best[first : first + step] = chosen
+            score[first : first + step] = part[np.arange(len(part)), chosen]
+        return best, score
+
+    def windows(self, pixels: Int64, boxes: Int64) -> Int64:
+        """Return the projector pixels about some pixels' boxes, as sorted keys.
+
+        The key of projector pixel j as seen by camera pixel i is ``i N + j``.
+        """
+        _, height, width = self.projector.stack_shape
+        half = self.width[boxes] / 2 + 0.5
+        most = int(2 * half.max(initial=0)) + 1
+        low = np.ceil(self.centre[boxes] - 0.5 - half[:, None]).astype(np.int64)
+        high = np.floor(self.centre[boxes] - 0.5 + half[:, None]).astype(np.int64)
+        offset = np.arange(most)
+        row, column = (low[:, [axis]] + offset for axis in (0, 1))
+        row_fits = (row >= 0) & (row <= high[:, :1]) & (row < height)
+        column_fits = (column >= 0) & (column <= high[:, 1:]) & (column < width)
+        fits = row_fits[:, :, None] & column_fits[:, None, :]
+        ray = (self.view[boxes, None, None] * height + row[:, :, None]) * width + column[:, None, :]
+        keys: NDArray[np.int64] = (pixels[:, None, None] * self.projector.size + ray)[fits]
+        return np.unique(keys)
+
+
+def _boxes(length: int, side: float) -> Double:
+    """Return boxes at half-pixel positions along an axis, each of sum 1, (positions, length)."""
+    centre, pixel = np.arange(1, 2 * length)[:, None] / 2, np.arange(length)
+    inside = np.minimum(pixel + 1, centre + side / 2) - np.maximum(pixel, centre - side / 2)
+    weight = np.clip(inside, 0, 1)
+    boxes: Double = weight / weight.sum(axis=1, keepdims=True)
+    return boxes
+
+
+def _normalised(series: Float) -> Float:
+    length = np.linalg.norm(series, axis=1, keepdims=True)
+    found: Float = np.divide(series, length, out=np.zeros_like(series), where=length > 0)
+    return found

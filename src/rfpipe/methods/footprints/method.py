@@ -1,0 +1,166 @@
+"""Footprint acquisition: near/far acquisition for rigs that aren't coaxial.
+
+Direct light and indirect light are found together from random patterns, as in near/far acquisition.
+Here nothing says which projector pixels a camera pixel sees: that is found from the same pictures,
+with no structured light. Where the model doesn't fit, dual photography follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import astuple, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, Pack
+from rfpipe.methods.dual import Dual
+from rfpipe.methods.footprints import candidates, handover, rounds
+from rfpipe.methods.footprints.state import MOST, ROUNDS, FootprintState, kind_of
+from rfpipe.methods.held_out.estimate import Estimate, Held
+from rfpipe.methods.near_far.pictures import Pictures
+from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
+from rfpipe.patterns import Schedule
+from rfpipe.transport.base import Transport
+
+
+class Footprints(PackingMethod[FootprintState]):
+    """Footprint acquisition as a `Method`, for any rig.
+
+    Rounds of random patterns are fitted until the estimate of the error, from pictures that no fit
+    sees, is at most ``target_error``. Where the model doesn't fit, or more rounds don't help, dual
+    photography follows, no finer than the target asks for. The held-out pictures decide what is
+    returned, whenever that is asked, and how good it is.
+    """
+
+    name = "footprints"
+    title = "Footprint acquisition"
+    colour = "#6a3d9a"
+    marker = "P"
+    estimates_error = True
+    Options = ErrorOptions
+    trades = "target_error"
+    trials = (0.05, 0.01, 0.005)
+    packing = Packing(("level", "following", "unfit", "new", "new_held", "rows"))
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
+        """Return the floodlit level, all rounds, and the levels of dual photography."""
+        self.check(camera, projector)
+        return len(ROUNDS) + Dual().n_levels(camera, projector)
+
+    def expected_patterns(
+        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
+    ) -> int:
+        """Return the patterns of all rounds: they don't grow with the resolution."""
+        return min(projector.size, options.patterns or MOST)
+
+    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
+        """Return those of a scene for which all blocks are lit one by one, after all rounds."""
+        return MOST + handover.most_patterns(camera, projector)
+
+    def start(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions
+    ) -> FootprintState:
+        """Return the state before the floodlit image."""
+        self.check(camera, projector)
+        return FootprintState(camera, projector, channels, options)
+
+    def schedule(self, state: FootprintState) -> Schedule:
+        """Show the floodlit pattern, then rounds, held-out patterns before the others."""
+        shape, level = state.projector.shape, state.level
+        if level == 0:
+            return Schedule.floodlit(shape)
+        if state.kind != state.following:
+            nothing = np.full(shape, -1, np.int32)
+            return Schedule(level, shape, 0, pattern_of_ray=nothing)
+        if state.kind == "hierarchy":
+            assert state.dual is not None
+            return handover.schedule(state.dual, level)
+        return rounds.patterns(state)
+
+    def refine(
+        self, state: FootprintState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
+    ) -> FootprintState:
+        """Fit all pictures so far, or refine the hierarchy, and estimate the error."""
+        if state.level == 0:
+            return rounds.begin(state, images)
+        if state.kind != state.following:
+            return state.after(level_row(state.level, 0), new=0, new_held=0)
+        if state.kind == "hierarchy":
+            return rounds.refine_hierarchy(state, images, memory_bytes)
+        if not images.schedule.count:
+            return state.after(level_row(state.level, 0), new=0, new_held=0, following="done")
+        return rounds.decide(rounds.judge(rounds.refine(state, images)))
+
+    def transport(self, state: FootprintState) -> Transport:
+        """Return what predicts the held-out pictures best: the model, or the hierarchy."""
+        return rounds.best(state)[0]
+
+    def known(self, state: FootprintState) -> Transport:
+        """Return the hierarchy while it is refined, however far off it still is."""
+        if state.following != "hierarchy" or state.dual is None:
+            return self.transport(state)
+        return Dual().transport(state.dual)
+
+    def pack(self, state: FootprintState) -> Pack:
+        """Return the last level's pictures, and what was made of them."""
+        assert state.pictures is not None
+        own, just = super().pack(state), kind_of(state.level - 1)
+        arrays: dict[str, NDArray[Any]] = {}
+        if just == "floodlit":
+            arrays |= arrays_of(state.pictures)
+        elif state.new:
+            assert state.model is not None
+            arrays |= arrays_of(state.pictures.since(len(state.pictures.lit) - state.new))
+            del arrays["floodlit"], arrays["floodlit_variance"]
+            arrays |= {f"model_{name}": array for name, array in state.model.items()}
+            arrays |= arrays_of(state.found, "found_")
+        if state.new_held:
+            held = arrays_of(state.held, "held_").items()
+            arrays |= {name: array[-state.new_held :] for name, array in held}
+        attributes = {
+            **own.attributes,
+            "estimates": [list(astuple(each)) for each in state.estimates],
+        }
+        if state.dual is not None and (just == "hierarchy" or _begun(state)):
+            inner, attributes["dual"] = handover.packed(state.dual)
+            arrays |= inner
+        return Pack(arrays, attributes)
+
+    def _restored(self, start: FootprintState, packs: Sequence[Pack]) -> FootprintState:
+        own = [pack.arrays for pack in packs]
+        fitted = [arrays for arrays in own if "found_keys" in arrays]
+        held = [found for arrays in own if (found := unprefixed("held_", arrays))]
+        taken = [arrays for arrays in own if "lit" in arrays]
+        lit, radiance, variance = (
+            np.concatenate([arrays[name] for arrays in taken])
+            for name in ("lit", "radiance", "variance")
+        )
+        return replace(
+            super()._restored(start, packs),
+            pictures=Pictures(
+                own[0]["floodlit"],
+                own[0]["floodlit_variance"],
+                lit.astype(np.bool_),
+                radiance,
+                variance,
+            ),
+            held=_held(held) if held else None,
+            model=unprefixed("model_", fitted[-1]) if fitted else None,
+            found=candidates.Footprints(**unprefixed("found_", fitted[-1])) if fitted else None,
+            estimates=tuple(Estimate(*found) for found in packs[-1].attributes["estimates"]),
+            dual=handover.restored(start, packs),
+        )
+
+
+def _begun(state: FootprintState) -> bool:
+    """Tell whether the last level was the round after which dual photography took over."""
+    return state.following == "hierarchy" and bool(state.rows[-1]["patterns"])
+
+
+def _held(packs: list[dict[str, NDArray[Any]]]) -> Held:
+    """Return the held-out pictures of all packs."""
+    lit, radiance = (np.concatenate([pack[name] for pack in packs]) for name in ("lit", "radiance"))
+    return Held(lit.astype(np.bool_), radiance)

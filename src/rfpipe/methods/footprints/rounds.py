@@ -1,0 +1,243 @@
+"""The rounds of a footprint acquisition: what they show, what is made of it, and what follows."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.methods.base import LevelImages
+from rfpipe.methods.dual import Dual
+from rfpipe.methods.footprints import handover
+from rfpipe.methods.footprints.model import find
+from rfpipe.methods.footprints.patterns import random_patterns
+from rfpipe.methods.footprints.series import Series
+from rfpipe.methods.footprints.state import ROUNDS, FootprintState, kind_of
+from rfpipe.methods.footprints.transport import arrays_of_model, nearness, spread_evenly
+from rfpipe.methods.held_out.estimate import Estimate, Held, error_of
+from rfpipe.methods.held_out.patterns import (
+    HELD_OUT,
+    held_out_shapes,
+    held_out_spots,
+    held_out_strip,
+)
+from rfpipe.methods.images import read_planar
+from rfpipe.methods.near_far.pictures import Pictures
+from rfpipe.methods.states import joined, level_row
+from rfpipe.patterns import Schedule
+from rfpipe.transport.base import Transport
+from rfpipe.transport.footprints.transport import FootprintTransport
+from rfpipe.transport.sum import SumTransport
+
+__all__ = ["begin", "best", "decide", "judge", "patterns", "refine", "refine_hierarchy"]
+
+# A projector of fewer rays than so many first rounds is lit block by block at once.
+_SMALL = 4
+# Searches for footprints: when nothing is known, and in later rounds.
+_FIRST_PASSES, _PASSES = 2, 1
+# Errors should fall with this power of the patterns shown, noise alone with the root.
+_STALLED = 0.25
+# Errors after the first and the second round from which on the model is the wrong one: of diffuse
+# scenes they are 4 and 2 %, of a bottle and its caustics 8 to 11 and 13 %.
+_UNFIT = (0.07, 0.05)
+# Under a pattern, a camera pixel with more than this part of its direct light is lit.
+_LIT = 0.02
+
+_log = logging.getLogger(__name__)
+
+
+def patterns(state: FootprintState) -> Schedule:
+    """Return a round's patterns: held-out ones, then random ones."""
+    shape, level = state.projector.shape, state.level
+    held, count = _asked(state)
+    shown = random_patterns(shape, level, count)
+    weights = np.concatenate([np.reshape(held, (len(held), *shape)), shown]).astype(np.float32)
+    return Schedule(level, shape, len(weights), weights=weights)
+
+
+def begin(state: FootprintState, images: LevelImages) -> FootprintState:
+    """Take the floodlit image."""
+    pixels = state.camera.size
+    radiance, variance = read_planar(images, state.channels, pixels, 1)
+    nothing = np.zeros((0, state.channels, pixels), np.float32)
+    lit = np.zeros((0, state.projector.size), np.bool_)
+    pictures = Pictures(radiance[0], variance[0], lit, nothing, nothing)
+    small = state.projector.size < _SMALL * ROUNDS[0]
+    row = level_row(0, 1, scalar=pixels)
+    return state.after(row, pictures=pictures, unfit=small or not pictures.shine())
+
+
+def refine(state: FootprintState, images: LevelImages) -> FootprintState:
+    """Fit the model to a round's pictures and all before them."""
+    assert state.pictures is not None
+    count, first = images.schedule.count, len(_asked(state)[0])
+    lit = images.schedule.batch(0, count).reshape(count, -1) > 0
+    radiance, variance = read_planar(images, state.channels, state.camera.size, count)
+    held = Held(lit[:first], radiance[:first])
+    state = replace(state, held=joined([state.held, held], axis=0) if state.held else held)
+    row = level_row(state.level, count)
+    if count == first:
+        return state.after(row, new=0, new_held=first)
+    assert state.pictures is not None
+    pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
+    unit = _unit(pictures)
+    channels = [_series(pictures.channel(index), unit) for index in range(state.channels)]
+    grey = channels[0] if len(channels) == 1 else _series(pictures.grey(), unit)
+    passes = _PASSES if state.found else _FIRST_PASSES
+    model = find(state.camera, state.projector, grey, channels, state.found, passes)
+    arrays = arrays_of_model(model, state.camera, state.projector, unit)
+    row["nodes"] = len(arrays["cores_columns"])
+    row["scalar"] = len(arrays["footprints_columns"])
+    return state.after(
+        row,
+        pictures=pictures,
+        new=count - first,
+        new_held=first,
+        model=arrays,
+        found=model.grey,
+    )
+
+
+def refine_hierarchy(
+    state: FootprintState, images: LevelImages, memory_bytes: int
+) -> FootprintState:
+    """Let dual photography refine a level of its own."""
+    assert state.dual is not None
+    inner = handover.refine(state.dual, images, memory_bytes)
+    row = {**inner.rows[-1], "level": state.level}
+    after = state.after(row, dual=inner, new=0, new_held=0)
+    return judge(after) if images.schedule.count else after
+
+
+def judge(state: FootprintState) -> FootprintState:
+    """Estimate the error of what would be returned after the last level."""
+    _, found = best(state)
+    row = {**state.rows[-1], "estimated_error": found.error}
+    return replace(state, rows=(*state.rows[:-1], row), estimates=(*state.estimates, found))
+
+
+def decide(state: FootprintState) -> FootprintState:
+    """Go on, go another way, or end."""
+    found, limit, target = state.estimates[-1], state.options.patterns, state.options.target_error
+    rounds, known = len(state.estimates), state.held is not None and len(state.held.lit) > HELD_OUT
+    if (known and found.error <= target) or (limit and state.shown >= limit):
+        return replace(state, following="done")
+    if not state.unfit and rounds <= len(_UNFIT) and found.error > _UNFIT[rounds - 1]:
+        state = replace(state, unfit=True)
+    stalled = state.level > len(ROUNDS) or _slow(state)
+    if not limit and known and (state.unfit or stalled):
+        _log.info("the model of footprints leaves too much; going on with dual photography")
+        assert state.pictures is not None
+        return replace(state, following="hierarchy", dual=handover.begin(state, state.pictures))
+    return replace(state, following="done") if stalled else state
+
+
+def best(state: FootprintState) -> tuple[Transport, Estimate]:
+    """Return what predicts the held-out pictures best, and how well."""
+    found = list(_candidates(state))
+    if state.held is None:
+        return found[0], Estimate(1.0, 1.0, 1.0, 1.0, 1.0)
+    estimates = [_estimate(state, each) for each in found]
+    chosen = min(range(len(found)), key=lambda index: estimates[index].error)
+    return found[chosen], estimates[chosen]
+
+
+def model_of(state: FootprintState) -> FootprintTransport:
+    """Return the model, or, before there is one, what the floodlit image says."""
+    arrays = state.model
+    if arrays is None:
+        floodlit = np.zeros((state.channels, state.camera.size), np.float32)
+        if state.pictures is not None:
+            floodlit = state.pictures.floodlit
+        arrays = spread_evenly(floodlit, state.projector.size)
+    shapes = state.camera.shape, state.projector.shape
+    return FootprintTransport(*shapes, state.channels, [], arrays)
+
+
+def _candidates(state: FootprintState) -> Iterator[Transport]:
+    """Yield the model, and the hierarchy if there is one."""
+    rows = list(state.rows)
+    fitted = max((row["level"] for row in rows if row["patterns"] and _is_round(row)), default=0)
+    yield SumTransport([model_of(state)], rows, [fitted])
+    if state.dual is not None:
+        yield SumTransport([Dual().transport(state.dual)], rows, [len(ROUNDS)])
+
+
+def _is_round(row: dict[str, int]) -> bool:
+    return kind_of(row["level"]) == "round"
+
+
+def _estimate(state: FootprintState, transport: Transport) -> Estimate:
+    """Compare a transport's pictures with the held-out ones, where pixels are known."""
+    assert state.held is not None
+    assert state.pictures is not None
+    dark = ~_directly_lit(state, state.held.lit[0])
+    return error_of(transport, state.held, state.pictures.known, dark)
+
+
+def _directly_lit(state: FootprintState, lit: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which camera pixels have direct light under a pattern (N,), (pixels,)."""
+    both = np.stack([lit, np.ones_like(lit)]).astype(np.float32)[:, None]
+    light = np.broadcast_to(both, (2, state.channels, lit.size))
+    found, full = model_of(state).direct().forward(light, range(state.channels)).sum(axis=1)
+    return np.asarray(found > _LIT * full)
+
+
+def _slow(state: FootprintState) -> bool:
+    """Tell whether the last round cut the error too little for more to be worth it."""
+    # by other held-out pictures, errors don't compare
+    if state.new_held or len(state.estimates) < 3:
+        return False
+    before, found = state.estimates[-2:]
+    part = 1 - state.rows[-1]["patterns"] / state.shown
+    return bool(found.error > part**_STALLED * before.error)
+
+
+def _asked(state: FootprintState) -> tuple[list[NDArray[np.bool_]], int]:
+    """Return a round's held-out patterns, each as often as it is shown, and how many others."""
+    held = [each for each in _not_held_yet(state) for _ in range(HELD_OUT)]
+    reached = state.estimates and state.estimates[-1].error <= state.options.target_error
+    if state.unfit or reached:
+        return held, 0  # all that is left is to see whether spots are as good
+    count = ROUNDS[state.level - 1]
+    if not state.options.patterns:
+        return held, count
+    room = state.options.patterns - state.shown
+    if room > len(held):
+        return held, min(count, room - len(held))
+    # without held-out pictures of its own, the first round would say nothing of the error
+    return [], max(room, 0) if state.level > 1 and state.held is not None else 0
+
+
+def _not_held_yet(state: FootprintState) -> Iterator[NDArray[np.bool_]]:
+    """Yield the held-out patterns that are due: shapes at first, then what a model tells."""
+    shape = state.projector.shape
+    if state.level == 1:
+        yield held_out_shapes(shape)
+    elif state.held is not None and len(state.held.lit) == HELD_OUT:
+        near = nearness(model_of(state), state.camera, state.projector)
+        yield held_out_strip(near)
+        yield held_out_spots(shape)
+
+
+def _unit(pictures: Pictures) -> float:
+    """Return the radiance about that of the floodlit image, a power of two: no digit is lost."""
+    light = np.abs(pictures.floodlit[:, pictures.known]).astype(np.float64)
+    mean = float(light.mean()) if light.size else 0.0
+    return float(2.0 ** np.round(np.log2(mean))) if mean > 0 else 1.0
+
+
+def _series(pictures: Pictures, unit: float) -> Series:
+    """Return one channel's pictures pixel by pixel, the floodlit one first, in a unit."""
+    lit = np.concatenate([np.ones((1, pictures.lit.shape[1]), np.bool_), pictures.lit])
+    seen = np.concatenate([pictures.floodlit, pictures.radiance[:, 0]])
+    variance = np.concatenate([pictures.floodlit_variance, pictures.variance[:, 0]])
+    known = np.isfinite(variance).all(axis=0)
+    return Series(
+        np.ascontiguousarray(lit.T, np.float32),
+        np.ascontiguousarray(np.where(known, seen / unit, 0).T, np.float32),
+        np.ascontiguousarray(np.where(known, variance / unit / unit, np.inf).T, np.float32),
+    )

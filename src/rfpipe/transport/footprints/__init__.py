@@ -1,0 +1,1 @@
+"""Transport as footprints and smooth exchange, as footprint acquisition finds it."""

@@ -1,0 +1,87 @@
+"""A method for any rig: it looks at the rig, and goes on by what suits it."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+import pytest
+
+import rfpipe
+from rfpipe.methods import Method
+from rfpipe.methods.auto import Auto
+from rfpipe.methods.footprints.method import Footprints
+from rfpipe.methods.near_far.method import NearFar
+from rfpipe.photometry import CameraModel
+from rfpipe.provenance import generator
+from rfpipe.rigs import OperatorRig
+from rfpipe.scenes import reference_scene
+from rfpipe.testing import MethodContract
+
+SIDE = 12
+SHAPE = (SIDE, SIDE)
+FRAMES = {"black_frames": 2, "floodlit_frames": 8, "progress": False}
+
+
+class TestAuto(MethodContract):
+    options = {"target_error": 1e-3}  # noqa: RUF012
+
+    def make_method(self) -> Method:
+        return Auto()
+
+
+def coaxial() -> np.ndarray:
+    return np.asarray(reference_scene("IV", SHAPE, channels=1).dense()).reshape(SIDE**2, SIDE**2)
+
+
+def beside(shift: int = 1) -> np.ndarray:
+    """The same with a camera that stands some pixels beside the projector."""
+    images = coaxial().reshape(SIDE, SIDE, -1)
+    return np.concatenate([images[:, :shift], images[:, :-shift]], axis=1).reshape(SIDE**2, -1)
+
+
+def rig(matrix: np.ndarray, camera: tuple[int, int] = SHAPE) -> OperatorRig:
+    light = 1.5 / matrix.sum(axis=1).max()
+    return OperatorRig(light * matrix, camera, SHAPE, noise=CameraModel(), seed=1)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "chosen"), [(coaxial, NearFar), (beside, Footprints)], ids=["coaxial", "beside"]
+)
+def test_what_the_rig_is_decides(
+    matrix: object, chosen: type[Method], caplog: pytest.LogCaptureFixture
+) -> None:
+    seen = matrix()  # type: ignore[operator]
+    with caplog.at_level(logging.INFO, "rfpipe"):
+        result = rfpipe.acquire(rig(seen), "auto", patterns=24, **FRAMES)
+    told = [record.message for record in caplog.records if "going on by" in record.message]
+    assert len(told) == 1
+    assert told[0].endswith(chosen.title.lower())
+    by_hand = rfpipe.acquire(rig(seen), chosen(), patterns=24, **FRAMES)
+    light = generator(1).random((3, *SHAPE)).astype(np.float32)
+    same = result.transport.relight_batch(light), by_hand.transport.relight_batch(light)
+    np.testing.assert_array_equal(*same)
+    assert result.patterns == by_hand.patterns <= 24
+    assert "estimated_error" in result.history
+
+
+def test_rigs_of_two_shapes_are_not_asked(caplog: pytest.LogCaptureFixture) -> None:
+    matrix = coaxial().reshape(SIDE // 2, 2, SIDE, -1).mean(axis=1).reshape(SIDE**2 // 2, -1)
+    with caplog.at_level(logging.INFO, "rfpipe"):
+        result = rfpipe.acquire(rig(matrix, (SIDE // 2, SIDE)), "auto", patterns=24, **FRAMES)
+    assert not [record for record in caplog.records if "going on by" in record.message]
+    assert result.transport.camera_shape == (SIDE // 2, SIDE)
+    assert result.transport.projector_shape == SHAPE
+
+
+def test_a_rig_that_is_hardly_coaxial_counts_as_such_for_wide_targets_alone(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """Symmetry would make errors of 3 %: no way to one of 1 %."""
+    matrix = 0.94 * coaxial() + 0.06 * beside()
+    for target, chosen in ((0.04, NearFar), (0.005, Footprints)):
+        caplog.clear()
+        with caplog.at_level(logging.INFO, "rfpipe"):
+            rfpipe.acquire(rig(matrix), "auto", target_error=target, patterns=8, **FRAMES)
+        told = [record.message for record in caplog.records if "going on by" in record.message]
+        assert told[0].endswith(chosen.title.lower())

@@ -1,0 +1,300 @@
+"""Footprint acquisition: near/far acquisition where camera and projector stand apart."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.helpers import dense
+
+from rfpipe import OperatorRig, acquire
+from rfpipe.blocks import RayDomain
+from rfpipe.config import CameraConfig
+from rfpipe.methods import options_of
+from rfpipe.methods.footprints import candidates
+from rfpipe.methods.footprints.fit import conjugate_gradients
+from rfpipe.methods.footprints.matching import Templates
+from rfpipe.methods.footprints.method import Footprints
+from rfpipe.methods.footprints.patterns import random_patterns
+from rfpipe.methods.footprints.series import Series
+from rfpipe.methods.footprints.state import MOST, ROUNDS
+from rfpipe.patterns import Schedule
+from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.testing import MethodContract
+from rfpipe.testing.methods import MatrixImages, run_method
+
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
+SIDE = (32, 32)
+
+
+class TestContract(MethodContract):
+    options = {"target_error": 0.001}  # noqa: RUF012
+    error = 0.02
+
+    def make_method(self) -> Footprints:
+        return Footprints()
+
+
+# --- scenes
+
+
+def seen_at(camera: tuple[int, ...], projector: tuple[int, ...]) -> np.ndarray:
+    """Where each camera pixel looks on the projector: sheared and shifted, some beside it."""
+    row, column = np.indices(camera).reshape(2, -1) + 0.5
+    down, across = row / camera[0], column / camera[1]
+    return np.stack([down * 0.94 + 0.03 * across, across * 0.9 + 0.08 * down + 0.06], axis=1) * (
+        projector
+    )
+
+
+def footprints_of(camera: tuple[int, ...], projector: tuple[int, ...]) -> np.ndarray:
+    """Direct light: a box of a camera pixel's size about where it looks, (M, N)."""
+    place = seen_at(camera, projector)
+    along = []
+    for axis in (0, 1):
+        half = max(1.0, projector[axis] / camera[axis]) / 2
+        pixel = np.arange(projector[axis])
+        low = np.maximum(pixel, place[:, [axis]] - half)
+        along.append(np.clip(np.minimum(pixel + 1, place[:, [axis]] + half) - low, 0, None))
+    box = along[0][:, :, None] * along[1][:, None]
+    size = np.maximum(1, np.divide(projector, camera)).prod()
+    return box.reshape(len(place), -1) / size
+
+
+def scene(
+    camera: tuple[int, ...], projector: tuple[int, ...], channels: int = 1, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """A textured surface that the camera sees from aside, and its direct light, (C, M, N)."""
+    random = np.random.default_rng(seed)
+    albedo = random.choice([0.4, 0.6, 0.8], (8, 8, channels))
+    place = seen_at(camera, projector) / projector
+    on_projector = (np.indices(projector).reshape(2, -1).T + 0.5) / projector
+    cell = [np.clip((8 * each).astype(int), 0, 7) for each in (place, on_projector)]
+    own, sent = (albedo[each[:, 0], each[:, 1]].T for each in cell)
+    apart = np.linalg.norm(place[:, None] - on_projector, axis=2)
+    smooth = np.exp(-4 * apart) * (0.4 + place[:, :1]) / on_projector.shape[0]
+    direct = footprints_of(camera, projector)[None] * own[:, :, None]
+    matrix = direct + own[:, :, None] * smooth * sent[:, None]
+    scale = 1.5 / matrix.sum(axis=2).max()
+    return matrix * scale, direct * scale
+
+
+def errors(matrix: np.ndarray, transport: Any, projector: tuple[int, ...]) -> float:
+    """Mean error of relit pictures: an edge, stripes, noise and two spots."""
+    shown = np.zeros((5, *projector))
+    shown[0, :, : projector[1] // 2] = 1
+    shown[1, ::4] = shown[1, 1::4] = 1
+    shown[2] = np.random.default_rng(3).random(projector) < 0.5
+    shown[3, projector[0] // 3 :, projector[1] // 2 :][:3, :3] = 1
+    shown[4, projector[0] // 2 :, projector[1] // 4 :][:4, :4] = 1
+    relit = transport.relight_batch(shown)
+    truth = np.einsum("cmn,pn->pmc", matrix, shown.reshape(5, -1)).reshape(relit.shape)
+    return float(np.mean([relative_rms(*pair) for pair in zip(relit, truth, strict=True)]))
+
+
+def run(matrix: np.ndarray, camera: Any, projector: Any, **options: Any):
+    rig = OperatorRig(matrix, camera, projector, CameraConfig(), seed=2)
+    return acquire(rig, Footprints(), progress=False, **options)
+
+
+# --- parts
+
+
+def test_patterns_are_half_lit_and_different() -> None:
+    shown = random_patterns((13, 17), 3, 6)
+    assert shown.shape == (6, 13, 17)
+    assert (np.abs(shown.mean(axis=(1, 2)) - 0.5) < 0.01).all()
+    assert len({each.tobytes() for each in (*shown, *random_patterns((13, 17), 4, 6))}) == 12
+    changes = [(each[:, 1:] != each[:, :-1]).mean() for each in shown[:3]]
+    assert changes[0] < changes[2] < changes[1]  # very coarse, white, between
+
+
+@pytest.mark.parametrize(
+    ("camera", "projector"), [((24, 24), (24, 24)), ((23, 31), (29, 19)), ((14, 16), (28, 32))]
+)
+def test_footprints_of_a_warp_are_found(camera: Any, projector: Any) -> None:
+    direct = footprints_of(camera, projector)
+    lit = np.concatenate([np.ones((1, *projector), bool), random_patterns(projector, 1, 40)])
+    lit = np.ascontiguousarray(lit.reshape(41, -1).T, np.float32)
+    seen = (direct @ lit).astype(np.float32)
+    series = Series(lit, seen, np.full_like(seen, 1e-8))
+    domain = RayDomain(projector)
+    density = np.sqrt(np.prod(projector) / np.prod(camera))
+    templates = Templates.of(domain, lit, density)
+    found = candidates.first_footprints(series, domain, templates)
+    nothing = np.zeros_like(seen)
+    for _ in range(3):
+        found = candidates.found_anew(series, found, nothing, templates)
+        found = candidates.reweighted(series, found, nothing)
+    matrix = found.matrix(*direct.shape).toarray()
+    shining = direct.sum(axis=1) > 0.5
+    assert relative_rms(matrix[shining], direct[shining]) < 0.02
+    assert (matrix >= 0).all()
+    kept = candidates.pruned(series, found)
+    assert len(kept.keys) < len(found.keys)
+    assert relative_rms(kept.matrix(*direct.shape).toarray()[shining], direct[shining]) < 0.02
+
+
+def test_a_precision_is_the_inverse_covariance_of_unknown_weights() -> None:
+    random = np.random.default_rng(0)
+    lit = (random.random((6, 9)) < 0.5).astype(np.float32)
+    seen, variance = random.random((4, 9)), random.uniform(0.5, 2, (4, 9))
+    series = Series(lit, seen.astype(np.float32), variance.astype(np.float32))
+    keys = np.array([0, 2, 5, 6 + 1, 3 * 6 + 0, 3 * 6 + 4])
+    spread = random.uniform(0.5, 2, 6).astype(np.float32)
+    found = candidates.Footprints(keys, spread, np.zeros(6, np.float32))
+    precision = candidates.Precision.of(series, found)
+    for pixel in range(4):
+        own = keys // 6 == pixel
+        rows = lit[keys[own] % 6].astype(np.float64)
+        known = np.diag(1 / series.certainty()[pixel].astype(np.float64))
+        expected = np.linalg.inv(known + rows.T @ (spread[own, None] * rows))
+        applied = np.zeros((4, 9), np.float32)
+        applied[pixel] = seen[pixel]
+        np.testing.assert_allclose(
+            precision.applied(applied)[pixel], expected @ applied[pixel], rtol=1e-3, atol=1e-4
+        )
+        assert precision.trace[pixel] == pytest.approx(np.trace(expected), rel=1e-3)
+    assert precision.sizes.tolist() == [3, 1, 0, 2]
+
+
+def test_conjugate_gradients_solve() -> None:
+    random = np.random.default_rng(0)
+    root = random.standard_normal((12, 12))
+    matrix = (root @ root.T + np.eye(12)).astype(np.float32)
+    goal = random.standard_normal(12).astype(np.float32)
+    for start in (np.zeros(12, np.float32), np.ones(12, np.float32)):
+        scaling = (1 / np.diag(matrix)).astype(np.float32)
+        found = conjugate_gradients(lambda x: matrix @ x, goal, scaling, start, 1e-6, 60)
+        np.testing.assert_allclose(matrix @ found, goal, atol=1e-4)
+
+
+# --- acquisitions
+
+
+def test_a_diffuse_scene_is_good_after_few_patterns() -> None:
+    matrix, _ = scene(SIDE, SIDE)
+    result = run(matrix, SIDE, SIDE, target_error=0.02)
+    error, told = errors(matrix, result.transport, SIDE), result.history["estimated_error"].iloc[-1]
+    assert result.patterns <= 1 + 6 + sum(ROUNDS[:2])
+    assert error < 0.024
+    assert told <= 0.02
+    assert 1 / 1.6 < told / error < 1.6
+
+
+def test_other_shapes_colours_and_densities() -> None:
+    camera, projector = (22, 30), (35, 27)
+    matrix, _ = scene(camera, projector, channels=3)
+    result = run(matrix, camera, projector, target_error=0.03)
+    assert result.patterns <= 1 + 6 + sum(ROUNDS[:3])
+    assert errors(matrix, result.transport, projector) < 0.04
+
+
+def test_a_mirror_goes_to_dual_photography_and_says_how_good_it_is() -> None:
+    random = np.random.default_rng(0)
+    size = 16 * 16
+    matrix = np.eye(size)[random.permutation(size)] * random.uniform(0.5, 1, (size, 1))
+    matrix += np.eye(size)[random.permutation(size)] * 0.5
+    result = run(matrix, (16, 16), (16, 16), target_error=0.01)
+    rows = result.transport.level_rows
+    dual = [row for row in rows if row["level"] > len(ROUNDS) and row["patterns"]]
+    assert dual
+    error = errors(matrix[None], result.transport, (16, 16))
+    told = result.history["estimated_error"].iloc[-1]
+    assert error < 0.03
+    assert told > error / 2
+
+
+def test_a_limit_of_patterns_is_kept() -> None:
+    shape = (16, 16)
+    matrix, _ = scene(shape, shape)
+    for limit in (1, 5, 40):
+        run_of = run_method(Footprints(), matrix, shape, shape, patterns=limit, target_error=1e-4)
+        assert sum(run_of.patterns) <= limit
+        assert np.isfinite(dense(run_of.transport)).all()
+
+
+def test_pixels_that_are_unknown_are_no_evidence() -> None:
+    matrix, _ = scene((20, 20), (20, 20))
+    method, domain = Footprints(), RayDomain((20, 20))
+    bad = np.zeros((20, 20), bool)
+    bad[3, 4] = bad[11, 12:15] = True
+
+    def acquired(defective: bool) -> np.ndarray:
+        state = method.start(domain, domain, 1, options_of(method, patterns=57))
+        for _ in range(method.n_levels(domain, domain)):
+            images: Any = MatrixImages(matrix, (20, 20), method.schedule(state), 2e-3)
+            state = method.refine(state, Masked(images, bad) if defective else images)
+        assert all(np.isfinite(each.error) for each in state.estimates)
+        return dense(method.transport(state))[0]
+
+    whole, masked = acquired(False), acquired(True)
+    assert np.isfinite(masked).all()
+    assert not masked[bad.ravel()].any()
+    good = ~bad.ravel()
+    truth = matrix[0][good]
+    assert relative_rms(masked[good], truth) < 1.3 * relative_rms(whole[good], truth)
+
+
+@dataclass
+class Masked:
+    """Images with pixels that the camera doesn't know."""
+
+    images: MatrixImages
+    bad: np.ndarray
+
+    @property
+    def schedule(self) -> Schedule:
+        return self.images.schedule
+
+    def read(self, first: int, last: int):
+        radiance, variance = self.images.read(first, last)
+        radiance[:, self.bad], variance[:, self.bad] = 0, np.inf
+        return radiance, variance
+
+
+def test_it_resumes_after_any_round_to_the_last_bit() -> None:
+    matrix, _ = scene((20, 20), (20, 20), channels=3)
+    method, options = Footprints(), {"target_error": 0.004}
+    done = run_method(method, matrix, (20, 20), (20, 20), sigma=2e-3, **options)
+    assert sum(count > 0 for count in done.patterns[: len(ROUNDS) + 1]) >= 3
+    packs = [type(p)(p.arrays, json.loads(json.dumps(p.attributes))) for p in done.packs]
+    for level in (1, 2, 3, len(packs)):
+        restored = method.restore(done.states[0], packs[:level])
+        if level < len(packs):
+            schedule = method.schedule(restored)
+            assert schedule.digest() == done.schedules[level].digest()
+            restored = method.refine(restored, MatrixImages(matrix, (20, 20), schedule, 2e-3))
+            level += 1  # noqa: PLW2901
+        found, wanted = (method.transport(s).pack()[0] for s in (restored, done.states[level]))
+        assert set(found) == set(wanted)
+        for name, array in wanted.items():
+            np.testing.assert_array_equal(found[name], array)
+
+
+@pytest.mark.parametrize("shapes", [((1, 1), (1, 1)), ((1, 9), (12, 11)), ((2, 9, 9), (2, 11, 10))])
+def test_small_and_stacked_domains_end(shapes: Any) -> None:
+    camera, projector = shapes
+    random = np.random.default_rng(0)
+    matrix = random.random((1, int(np.prod(camera)), int(np.prod(projector)))) ** 8
+    done = run_method(Footprints(), matrix, camera, projector, sigma=1e-3)
+    assert np.isfinite(dense(done.transport)).all()
+    assert sum(done.patterns) <= Footprints().most_patterns(
+        RayDomain(camera), RayDomain(projector), options_of(Footprints())
+    )
+
+
+def test_darkness_and_noise_give_no_light() -> None:
+    done = run_method(Footprints(), np.zeros((144, 144)), (12, 12), (12, 12), sigma=0.01)
+    relit = done.transport.relight(np.ones((12, 12)))
+    assert np.abs(relit).max() < 0.1
+
+
+def test_the_forecast_is_that_of_all_rounds() -> None:
+    method, domain = Footprints(), RayDomain((64, 64))
+    assert method.expected_patterns(domain, domain, options_of(method)) == MOST
+    assert method.expected_patterns(domain, domain, options_of(method, patterns=50)) == 50
