@@ -88,7 +88,7 @@ def test_what_is_there_is_not_run_again(run, monkeypatch):
 
 def test_the_page_says_what_was_run_and_what_was_not(run):
     page = run.with_suffix(".md").read_text()
-    assert "Of the 14 that the command asked for, 0 weren't run." in page
+    assert "Of the 16 that the command asked for, 0 weren't run." in page
     assert page.index("## Open scenes and seeds") < page.index("## Held out scenes and seeds")
     row = next(line for line in page.splitlines() if line.startswith("| wedge_iv | "))
     assert "(64)" in row
@@ -97,7 +97,7 @@ def test_the_page_says_what_was_run_and_what_was_not(run):
         assert (run / name).stat().st_size > 10_000
     benchmark.main([*SMALL, "--seeds", "0", "1", "--table-only", "--folder", str(run)])
     page = run.with_suffix(".md").read_text()
-    assert "Of the 28 that the command asked for, 14 weren't run." in page
+    assert "Of the 32 that the command asked for, 16 weren't run." in page
     assert "not run: 14" in page
 
 
