@@ -9,25 +9,16 @@ import pytest
 
 import rfpipe
 from rfpipe.methods import Method
-from rfpipe.methods.auto import Auto
 from rfpipe.methods.footprints.method import Footprints
 from rfpipe.methods.near_far.method import NearFar
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
 from rfpipe.scenes import reference_scene
-from rfpipe.testing import MethodContract
 
 SIDE = 12
 SHAPE = (SIDE, SIDE)
 FRAMES = {"black_frames": 2, "floodlit_frames": 8, "progress": False}
-
-
-class TestAuto(MethodContract):
-    options = {"target_error": 1e-3}  # noqa: RUF012
-
-    def make_method(self) -> Method:
-        return Auto()
 
 
 def coaxial() -> np.ndarray:

@@ -34,7 +34,7 @@ def test_registry_knows_the_methods(name: str) -> None:
 
 
 def test_registry_names_the_methods_it_knows() -> None:
-    with pytest.raises(InputError, match="'duel' is unknown; expected one of brute_force"):
+    with pytest.raises(InputError, match="'duel' is unknown; expected one of auto, brute_force"):
         get_method("duel")
 
 

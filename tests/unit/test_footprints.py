@@ -14,7 +14,7 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.methods import options_of
-from rfpipe.methods.footprints import candidates
+from rfpipe.methods.footprints import candidates, rounds
 from rfpipe.methods.footprints.fit import conjugate_gradients
 from rfpipe.methods.footprints.matching import Templates
 from rfpipe.methods.footprints.method import Footprints
@@ -23,20 +23,11 @@ from rfpipe.methods.footprints.series import Series
 from rfpipe.methods.footprints.state import MOST, ROUNDS
 from rfpipe.patterns import Schedule
 from rfpipe.stages.evaluating.metrics import relative_rms
-from rfpipe.testing import MethodContract
 from rfpipe.testing.methods import MatrixImages, run_method
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
 SIDE = (32, 32)
-
-
-class TestContract(MethodContract):
-    options = {"target_error": 0.001}  # noqa: RUF012
-    error = 0.02
-
-    def make_method(self) -> Footprints:
-        return Footprints()
 
 
 # --- scenes
@@ -207,6 +198,15 @@ def test_a_mirror_goes_to_dual_photography_and_says_how_good_it_is() -> None:
     told = result.history["estimated_error"].iloc[-1]
     assert error < 0.03
     assert told > error / 2
+
+
+def test_too_many_pixels_go_to_dual_photography_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rounds, "_MOST_PAIRS", 20**4 - 1)
+    matrix, _ = scene((20, 20), (20, 20))
+    result = run(matrix, (20, 20), (20, 20), target_error=0.02)
+    shown = {row["level"]: row["patterns"] for row in result.transport.level_rows}
+    assert [shown[level] for level in range(1, len(ROUNDS) + 1)] == [2, 4, 0, 0, 0, 0]
+    assert errors(matrix, result.transport, (20, 20)) < 0.024
 
 
 def test_a_limit_of_patterns_is_kept() -> None:

@@ -5,8 +5,10 @@ import pytest
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods import Method, get_method, method_names, options_of
+from rfpipe.methods.auto import Auto
 from rfpipe.methods.brute_force import BruteForce
 from rfpipe.methods.dual import Dual
+from rfpipe.methods.footprints.method import Footprints
 from rfpipe.methods.near_far.method import NearFar
 from rfpipe.methods.rivals.compressive import Compressive
 from rfpipe.methods.rivals.hadamard import Hadamard
@@ -45,6 +47,22 @@ class TestSymmetric(MethodContract):
 
     def make_method(self) -> Method:
         return Symmetric()
+
+
+class TestAuto(MethodContract):
+    options = {"target_error": 1e-3}  # noqa: RUF012
+    error = 0.02
+
+    def make_method(self) -> Method:
+        return Auto()
+
+
+class TestFootprints(MethodContract):
+    options = {"target_error": 0.001}  # noqa: RUF012
+    error = 0.02
+
+    def make_method(self) -> Method:
+        return Footprints()
 
 
 class TestNearFar(MethodContract):
@@ -96,7 +114,7 @@ def test_methods_go_by_their_names(name: str) -> None:
 
 def test_methods_are_told_apart() -> None:
     methods = [get_method(name) for name in NAMES]
-    assert len({method.title for method in methods}) == len(NAMES) == 8
+    assert len({method.title for method in methods}) == len(NAMES) == 9
     assert len({method.colour for method in methods}) == len(NAMES)
     assert len({method.marker for method in methods}) == len(NAMES)
     assert [shown.title(name) for name in NAMES] == [method.title for method in methods]

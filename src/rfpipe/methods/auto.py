@@ -26,7 +26,7 @@ class Auto(Method[LevelState]):
     name = "auto"
     title = "Automatic acquisition"
     colour = "#2a2a2a"
-    marker = "X"
+    marker = "h"
     estimates_error = True
     Options = ErrorOptions
     trades = "target_error"

@@ -38,7 +38,7 @@ class Footprints(PackingMethod[FootprintState]):
     name = "footprints"
     title = "Footprint acquisition"
     colour = "#6a3d9a"
-    marker = "P"
+    marker = "p"
     estimates_error = True
     Options = ErrorOptions
     trades = "target_error"

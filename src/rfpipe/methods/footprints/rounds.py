@@ -36,6 +36,9 @@ __all__ = ["begin", "best", "decide", "judge", "patterns", "refine", "refine_hie
 
 # A projector of fewer rays than so many first rounds is lit block by block at once.
 _SMALL = 4
+# Pairs of a camera and a projector pixel beyond which footprints would be sought for ten minutes or
+# longer: the search compares all of them. At 128 x 128 a first fit takes two minutes.
+_MOST_PAIRS = 2**30
 # Searches for footprints: when nothing is known, and in later rounds.
 _FIRST_PASSES, _PASSES = 2, 1
 # Errors should fall with this power of the patterns shown, noise alone with the root.
@@ -65,9 +68,17 @@ def begin(state: FootprintState, images: LevelImages) -> FootprintState:
     nothing = np.zeros((0, state.channels, pixels), np.float32)
     lit = np.zeros((0, state.projector.size), np.bool_)
     pictures = Pictures(radiance[0], variance[0], lit, nothing, nothing)
-    small = state.projector.size < _SMALL * ROUNDS[0]
     row = level_row(0, 1, scalar=pixels)
-    return state.after(row, pictures=pictures, unfit=small or not pictures.shine())
+    unfit = not pictures.shine() or not _fits(pixels, state.projector.size)
+    return state.after(row, pictures=pictures, unfit=unfit)
+
+
+def _fits(pixels: int, rays: int) -> bool:
+    """Tell whether a rig is neither too small nor too large for random patterns to pay."""
+    if pixels * rays > _MOST_PAIRS:
+        _log.info("%d x %d pixels are too many to look for footprints", pixels, rays)
+        return False
+    return rays >= _SMALL * ROUNDS[0]
 
 
 def refine(state: FootprintState, images: LevelImages) -> FootprintState:
