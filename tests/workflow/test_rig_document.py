@@ -70,7 +70,7 @@ def test_its_commands_lead_to_the_scene(tmp_path: Path) -> None:
 
 def check_pictures(bench: Path) -> None:
     scene = scene_from_config(load_rig_config(ROOT / "config/bench.yaml").bench.scene)
-    transport = open_transport(bench / "captured/results/bench/symmetric/transport.zarr")
+    transport = open_transport(bench / "captured/results/bench/auto/transport.zarr")
     for name, pattern in relighting_patterns(scene.shape).items():
         truth = images_of(scene, pattern[None])[0]
         assert relative_rms(transport.relight(pattern), truth) < 0.02, name
