@@ -1,6 +1,6 @@
 """Symmetric and dual photography with a target error: which share of it the tolerance should be.
 
-Usage: ``python benchmarks/bench_target.py [--shares ...] [--scenes ...]``. Scenes of
+Usage: ``python benchmarks/sweep_target.py [--shares ...] [--scenes ...]``. Scenes of
 ``benchmarks.methods`` that aren't held out, unless others are named; by default 48 x 48 pixels, the
 default camera, seed 1. Each acquisition is set beside one by the same tolerance, but no target.
 Writes results/bench/target.csv (a quarter of an hour) and prints a summary.
