@@ -123,11 +123,13 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
         )  # fmt: skip
         return plan.method.name
 
-    assert run() == ("symmetric" if coaxial else "brute_force")
+    chosen = run()
+    assert chosen == ("symmetric" if coaxial else "brute_force")
     before = folder.manifest(0, "refine").stat().st_mtime_ns
-    assert run() == ("symmetric" if coaxial else "brute_force")
+    assert run() == chosen
     assert folder.manifest(0, "refine").stat().st_mtime_ns == before  # nothing to do again
     stored = open_transport(folder.path / "transport.zarr")
+    assert read_manifest(folder.path / "transport.json")["acquired_by"] == chosen
     frames = {"black_frames": 2, "floodlit_frames": 2, "progress": False}
     result = acquire(matrix_rig(matrix, CameraModel()), Choice(), **frames)
     assert type(result.transport) is type(stored)

@@ -65,6 +65,8 @@ def run(
         {
             **about,
             "stage": "assemble",
+            # what a choice came to
+            "acquired_by": plan.method.name,
             "digest": digest,
             "camera_shape": list(plan.camera.shape),
             "projector_shape": list(plan.projector.shape),
