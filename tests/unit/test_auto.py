@@ -61,6 +61,10 @@ def test_rigs_of_two_shapes_are_not_asked(caplog: pytest.LogCaptureFixture) -> N
     with caplog.at_level(logging.INFO, "rfpipe"):
         result = rfpipe.acquire(rig(matrix, (SIDE // 2, SIDE)), "auto", patterns=24, **FRAMES)
     assert not [record for record in caplog.records if "going on by" in record.message]
+    by_hand = rfpipe.acquire(rig(matrix, (SIDE // 2, SIDE)), "footprints", patterns=24, **FRAMES)
+    light = generator(1).random((3, *SHAPE)).astype(np.float32)
+    same = result.transport.relight_batch(light), by_hand.transport.relight_batch(light)
+    np.testing.assert_array_equal(*same)
     assert result.transport.camera_shape == (SIDE // 2, SIDE)
     assert result.transport.projector_shape == SHAPE
 

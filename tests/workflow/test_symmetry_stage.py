@@ -22,6 +22,7 @@ from rfpipe.methods.brute_force import BruteForce
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
+from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, levels, symmetry
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
@@ -58,6 +59,18 @@ def begun(path: Path, matrix: np.ndarray) -> Acquisition:
     acquisition.capture(0, symmetry_frames=FRAMES)
     acquisition.merge(0)
     return acquisition
+
+
+def acquired(plan: Plan, folder: AcquisitionFolder, rig: OperatorRig, frames: int) -> None:
+    """Run all levels of an acquisition."""
+    levels.run(
+        plan, folder, "matrix",
+        partial(capture.run, rig),
+        code=dict.fromkeys([*STAGES, "symmetry", "assemble"], CODE),
+        capture_options={"references": (2, 2), "symmetry_frames": frames, "keep_raw": True},
+        merge_options={"saturation_fraction": 0.98, "mask_defects": True},
+        normalization="none", number_format="float32", asymmetry=0.05, resources=Resources(),
+    )  # fmt: skip
 
 
 def crooked() -> np.ndarray:
@@ -113,14 +126,7 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
 
     def run() -> str:
         plan = Plan("choice", name, SHAPE, SHAPE, 1)
-        levels.run(
-            plan, folder, "matrix",
-            partial(capture.run, matrix_rig(matrix, CameraModel())),
-            code=dict.fromkeys([*STAGES, "symmetry", "assemble"], CODE),
-            capture_options={"references": (2, 2), "symmetry_frames": FRAMES, "keep_raw": True},
-            merge_options={"saturation_fraction": 0.98, "mask_defects": True},
-            normalization="none", number_format="float32", asymmetry=0.05, resources=Resources(),
-        )  # fmt: skip
+        acquired(plan, folder, matrix_rig(matrix, CameraModel()), FRAMES)
         return plan.method.name
 
     chosen = run()
@@ -136,6 +142,14 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
     assert result.patterns == stored.levels["patterns"].sum()
 
 
+def test_of_two_shapes_nobody_has_to_ask(tmp_path: Path) -> None:
+    folder, wide = AcquisitionFolder(tmp_path / "acquired", believing=True), (SHAPE[0], RAYS)
+    matrix = np.asarray(generator(3).random((SHAPE[0] * RAYS, RAYS)) / RAYS)
+    rig = OperatorRig(matrix, wide, SHAPE, noise=CameraModel())
+    acquired(Plan("choice", f"{__file__}:Choice", wide, SHAPE, 1), folder, rig, 0)
+    assert read_manifest(folder.path / "transport.json")["acquired_by"] == "brute_force"
+
+
 def test_a_choice_asks_for_its_target_where_that_is_tighter() -> None:
     found = Asymmetry(0.03, 0.001)
     for target, chosen in ((None, Symmetric), (0.05, Symmetric), (0.01, BruteForce)):
@@ -148,14 +162,12 @@ def test_a_choice_asks_for_its_target_where_that_is_tighter() -> None:
 def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
     def run(method: str, frames: int, name: str = "") -> AcquisitionFolder:
         folder = AcquisitionFolder(tmp_path / (name or f"{method}_{frames}"), believing=True)
-        levels.run(
-            Plan(method, method, SHAPE, SHAPE, 1), folder, "crooked",
-            partial(capture.run, matrix_rig(crooked(), CameraModel())),
-            code=dict.fromkeys([*STAGES, "symmetry", "assemble"], CODE),
-            capture_options={"references": (2, 2), "symmetry_frames": frames, "keep_raw": True},
-            merge_options={"saturation_fraction": 0.98, "mask_defects": True},
-            normalization="none", number_format="float32", asymmetry=0.05, resources=Resources(),
-        )  # fmt: skip
+        acquired(
+            Plan(method, method, SHAPE, SHAPE, 1),
+            folder,
+            matrix_rig(crooked(), CameraModel()),
+            frames,
+        )
         return folder
 
     with pytest.raises(CaptureError, match=r"doesn't go from camera to projector.*dual"):

@@ -177,12 +177,12 @@ class Method(ABC, Generic[State]):
         return self.needs_coaxial_rig
 
     def on_rig(self, coaxial: bool) -> Method[Any]:
-        """Return the method that goes on where `asks_symmetry` was answered; most are themselves.
+        """Return the method that goes on where it is known; most are themselves.
 
         Parameters
         ----------
         coaxial : bool
-            Whether camera and projector have been found to share their rays.
+            Whether camera and projector share their rays, as was found out, or as their shapes say.
         """
         return self
 

@@ -162,6 +162,8 @@ def acquire(
     )
     if asks_symmetry:
         chosen = session.symmetry(symmetry_frames).judge(chosen, asked, asymmetry)
+    elif camera.shape != projector.shape:
+        chosen = chosen.on_rig(coaxial=False)
     chosen = chosen.with_options(asked)
     state = chosen.start(camera, projector, rig.channels, asked)
     shown = saturated = 0

@@ -78,6 +78,8 @@ def run(
     if not plan.asks_symmetry:
         capture_options = {**capture_options, "symmetry_frames": 0}
     is_judged = capture_options.get("symmetry_frames", 0) > 0
+    if plan.camera.shape != plan.projector.shape:
+        plan.settle(plan.method.on_rig(coaxial=False))
 
     def refined(level: int) -> None:
         plan.carry(level + 1, refine.run(plan, folder, level, code["refine"], resources))
