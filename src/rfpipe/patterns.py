@@ -59,6 +59,11 @@ class Schedule:
         return cls(0, tuple(shape), 1, pattern_of_ray=np.zeros(shape, np.int32), complete=True)
 
     @classmethod
+    def nothing(cls, level: int, shape: tuple[int, ...]) -> Schedule:
+        """Return the schedule of a level that has nothing to ask."""
+        return cls(level, tuple(shape), 0, pattern_of_ray=np.full(shape, -1, np.int32))
+
+    @classmethod
     def of_blocks(
         cls, tree: BlockTree, level: int, pattern_of_block: NDArray[np.int32], complete: bool
     ) -> Schedule:

@@ -73,8 +73,7 @@ class Footprints(PackingMethod[FootprintState]):
         if level == 0:
             return Schedule.floodlit(shape)
         if state.kind != state.following:
-            nothing = np.full(shape, -1, np.int32)
-            return Schedule(level, shape, 0, pattern_of_ray=nothing)
+            return Schedule.nothing(level, shape)
         if state.kind == "hierarchy":
             assert state.dual is not None
             return handover.schedule(state.dual, level)

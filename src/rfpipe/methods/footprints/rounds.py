@@ -23,10 +23,11 @@ from rfpipe.methods.held_out.patterns import (
     held_out_shapes,
     held_out_spots,
     held_out_strip,
+    within,
 )
 from rfpipe.methods.images import read_planar
 from rfpipe.methods.near_far.pictures import Pictures
-from rfpipe.methods.states import joined, level_row
+from rfpipe.methods.states import appended, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints.transport import FootprintTransport
@@ -88,7 +89,7 @@ def refine(state: FootprintState, images: LevelImages) -> FootprintState:
     lit = images.schedule.batch(0, count).reshape(count, -1) > 0
     radiance, variance = read_planar(images, state.channels, state.camera.size, count)
     held = Held(lit[:first], radiance[:first])
-    state = replace(state, held=joined([state.held, held], axis=0) if state.held else held)
+    state = replace(state, held=appended(state.held, held))
     row = level_row(state.level, count)
     if count == first:
         return state.after(row, new=0, new_held=first)
@@ -151,9 +152,8 @@ def best(state: FootprintState) -> tuple[Transport, Estimate]:
     found = list(_candidates(state))
     if state.held is None:
         return found[0], Estimate(1.0, 1.0, 1.0, 1.0, 1.0)
-    estimates = [_estimate(state, each) for each in found]
-    chosen = min(range(len(found)), key=lambda index: estimates[index].error)
-    return found[chosen], estimates[chosen]
+    estimated = [(each, _estimate(state, each)) for each in found]
+    return min(estimated, key=lambda pair: pair[1].error)
 
 
 def model_of(state: FootprintState) -> FootprintTransport:
@@ -217,10 +217,7 @@ def _asked(state: FootprintState) -> tuple[list[NDArray[np.bool_]], int]:
     if not state.options.patterns:
         return held, count
     room = state.options.patterns - state.shown
-    if room > len(held):
-        return held, min(count, room - len(held))
-    # without held-out pictures of its own, the first round would say nothing of the error
-    return [], max(room, 0) if state.level > 1 and state.held is not None else 0
+    return within(room, held, count, judged=state.level > 1 and state.held is not None)
 
 
 def _not_held_yet(state: FootprintState) -> Iterator[NDArray[np.bool_]]:

@@ -88,8 +88,7 @@ class NearFar(PackingMethod[NearFarState]):
         if level == 0:
             return Schedule.floodlit(shape)
         if state.kind != state.following:
-            nothing = np.full(shape, -1, np.int32)
-            return Schedule(level, shape, 0, pattern_of_ray=nothing)
+            return Schedule.nothing(level, shape)
         if state.kind == "hierarchy":
             assert state.symmetric is not None
             return handover.schedule(state.symmetric, level)

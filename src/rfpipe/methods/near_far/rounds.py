@@ -16,6 +16,7 @@ from rfpipe.methods.held_out.patterns import (
     held_out_shapes,
     held_out_spots,
     held_out_strip,
+    within,
 )
 from rfpipe.methods.images import read_planar
 from rfpipe.methods.near_far import handover
@@ -200,9 +201,8 @@ def best(state: NearFarState) -> tuple[Transport, Estimate]:
     found = list(_candidates(state))
     if state.held is None:
         return found[0], Estimate(1.0, 1.0, 1.0, 1.0, 1.0)
-    estimates = [_estimate(state, each) for each in found]
-    chosen = min(range(len(found)), key=lambda index: estimates[index].error)
-    return found[chosen], estimates[chosen]
+    estimated = [(each, _estimate(state, each)) for each in found]
+    return min(estimated, key=lambda pair: pair[1].error)
 
 
 def _candidates(state: NearFarState) -> Iterator[Transport]:
@@ -302,10 +302,7 @@ def _asked(state: NearFarState) -> tuple[list[NDArray[np.bool_]], int]:
     if not state.options.patterns:
         return held, count
     room = state.options.patterns - state.shown
-    if room > len(held):
-        return held, min(count, room - len(held))
-    # without held-out pictures of its own, the first round would say nothing of the error
-    return [], max(room, 0) if state.level > 1 and state.held is not None else 0
+    return within(room, held, count, judged=state.level > 1 and state.held is not None)
 
 
 def _not_held_yet(state: NearFarState) -> Iterator[NDArray[np.bool_]]:

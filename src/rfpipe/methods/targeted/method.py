@@ -90,8 +90,7 @@ class Targeted(Method[TargetedState]):
         if state.following == "inner":
             return replace(self.inner.schedule(state.inner), level=level)
         if state.following == "done":
-            nothing = np.full(shape, -1, np.int32)
-            return Schedule(level, shape, 0, pattern_of_ray=nothing)
+            return Schedule.nothing(level, shape)
         held = [held_out_shapes(shape)]
         if state.held is not None:
             near = nearness(self.transport(state))
