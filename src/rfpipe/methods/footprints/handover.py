@@ -14,7 +14,7 @@ from rfpipe.methods.dual import Dual, DualOptions, DualState
 from rfpipe.methods.footprints.state import FootprintState
 from rfpipe.methods.images import FloodlitImage, renumbered
 from rfpipe.methods.near_far.pictures import Pictures
-from rfpipe.methods.states import unprefixed
+from rfpipe.methods.states import nested, nested_in
 from rfpipe.patterns import Schedule
 
 __all__ = ["begin", "most_patterns", "packed", "refine", "restored", "schedule"]
@@ -48,17 +48,12 @@ def refine(state: DualState, images: LevelImages, memory_bytes: int) -> DualStat
 def packed(state: DualState) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return a state's arrays, their names prefixed, and its attributes."""
     pack = Dual().pack(state)
-    arrays = {f"{_PREFIX}{name}": array for name, array in pack.arrays.items()}
-    return arrays, {**pack.attributes, "tolerance": state.options.tolerance}
+    return nested(pack, _PREFIX), {**pack.attributes, "tolerance": state.options.tolerance}
 
 
 def restored(start: FootprintState, packs: Sequence[Pack]) -> DualState | None:
     """Return the state after the last of packs, None where none of them has any."""
-    own = [
-        Pack(unprefixed(_PREFIX, pack.arrays), pack.attributes["dual"])
-        for pack in packs
-        if "dual" in pack.attributes
-    ]
+    own = nested_in(packs, _PREFIX, "dual")
     if not own:
         return None
     return Dual().restore(_start(start, own[0].attributes["tolerance"]), own)

@@ -12,7 +12,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import ErrorOptions, LevelImages, Pack
 from rfpipe.methods.images import FloodlitImage, renumbered
 from rfpipe.methods.near_far.pictures import Pictures
-from rfpipe.methods.states import unprefixed
+from rfpipe.methods.states import nested, nested_in
 from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions, SymmetricState
 from rfpipe.patterns import Schedule
 
@@ -42,19 +42,14 @@ def refine(state: SymmetricState, images: LevelImages, memory_bytes: int) -> Sym
 def packed(state: SymmetricState) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """Return a state's arrays, their names prefixed, and its attributes."""
     pack = Symmetric().pack(state)
-    arrays = {f"{_PREFIX}{name}": array for name, array in pack.arrays.items()}
-    return arrays, dict(pack.attributes)
+    return nested(pack, _PREFIX), dict(pack.attributes)
 
 
 def restored(
     domain: RayDomain, channels: int, options: ErrorOptions, packs: Sequence[Pack]
 ) -> SymmetricState | None:
     """Return the state after the last of packs, None where none of them has any."""
-    own = [
-        Pack(unprefixed(_PREFIX, pack.arrays), pack.attributes["symmetric"])
-        for pack in packs
-        if "symmetric" in pack.attributes
-    ]
+    own = nested_in(packs, _PREFIX, "symmetric")
     if not own:
         return None
     method = Symmetric()

@@ -19,7 +19,15 @@ from rfpipe.methods.held_out.patterns import (
     held_out_strip,
 )
 from rfpipe.methods.images import read_planar, renumbered
-from rfpipe.methods.states import Descent, MethodState, appended, arrays_of, unprefixed
+from rfpipe.methods.states import (
+    Descent,
+    MethodState,
+    appended,
+    arrays_of,
+    nested,
+    nested_in,
+    unprefixed,
+)
 from rfpipe.methods.targeted.nearness import nearness
 from rfpipe.methods.targeted.state import Kind, Shown, TargetedState
 from rfpipe.patterns import Schedule
@@ -169,8 +177,7 @@ class Targeted(Method[TargetedState]):
         }
         if last.kind == "inner":
             own = self.inner.pack(state.inner)
-            arrays = {f"{_INNER}{name}": array for name, array in own.arrays.items()}
-            return Pack(arrays, {**attributes, "inner": dict(own.attributes)})
+            return Pack(nested(own, _INNER), {**attributes, "inner": dict(own.attributes)})
         if last.kind == "done":
             return Pack({}, attributes)
         assert state.held is not None
@@ -184,11 +191,7 @@ class Targeted(Method[TargetedState]):
         if not packs:
             return start
         about = packs[-1].attributes
-        own = [
-            Pack(unprefixed(_INNER, pack.arrays), pack.attributes["inner"])
-            for pack in packs
-            if "inner" in pack.attributes
-        ]
+        own = nested_in(packs, _INNER, "inner")
         inner = self.inner.restore(start.inner, own)
         best = about["best"]
         state = replace(
