@@ -16,9 +16,12 @@ from rfpipe.units import NumberFormat
 
 if TYPE_CHECKING:
     import pandas as pd
+    from scipy.sparse import csr_array
     from scipy.sparse.linalg import LinearOperator
 
 Float = NDArray[np.float32]
+
+_BATCH = 64
 
 
 class Transport(ABC):
@@ -66,6 +69,26 @@ class Transport(ABC):
     @abstractmethod
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, camera rays)``, K = ``len(channels)``."""
+
+    def between(
+        self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
+    ) -> Float:
+        """Return the light between few patterns, ``R^T T S`` of one channel, float32 (Q, P).
+
+        Parameters
+        ----------
+        received : csr_array of float32, shape (camera rays, Q)
+            R, how the light that arrives is weighed.
+        sent : csr_array of float32, shape (projector rays, P)
+            S, patterns.
+        channel : int
+        """
+        found = np.empty((received.shape[1], sent.shape[1]), np.float32)
+        for first in range(0, sent.shape[1], _BATCH):
+            patterns = np.ascontiguousarray(sent[:, first : first + _BATCH].toarray().T)
+            images = self.forward(patterns[:, None], [channel])[:, 0]
+            found[:, first : first + _BATCH] = received.T @ images.T
+        return found
 
     def truncate(self, level: int) -> Transport:
         """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7).

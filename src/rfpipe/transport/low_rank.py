@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rfpipe.errors import InputError
 from rfpipe.transport.arrays import Arrays, ArrayTransport
 from rfpipe.transport.base import Float, Transport
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 class LowRankTransport(ArrayTransport):
@@ -68,6 +71,20 @@ class LowRankTransport(ArrayTransport):
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, M)``."""
         return self._apply(images, channels, self._held["left"], self._right)
+
+    def between(
+        self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
+    ) -> Float:
+        """Return the light between few patterns, see `Transport.between`."""
+        from scipy.sparse import diags_array
+
+        # terms cancel over many rays: float64 until the sum is there
+        arriving = received.T @ self._held["left"][channel].T.astype(np.float64)
+        shares = sent.T @ self._right[channel].T.astype(np.float64)
+        found = (arriving * self._held["strengths"][channel]) @ shares.T
+        if "diagonal" in self._held:
+            found += (received.T @ diags_array(self._held["diagonal"][channel]) @ sent).toarray()
+        return found.astype(np.float32)
 
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
         """Return the transport with the terms only that were there after `level`.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from rfpipe.transport.multilevel.transport import MultilevelTransport
 from rfpipe.transport.storage import unpack_transport
 from rfpipe.transport.stored import Bundle, PartOfBundle, bytes_in_memory, fits
 from rfpipe.units import NumberFormat
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 class SumTransport(Transport):
@@ -72,6 +75,12 @@ class SumTransport(Transport):
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, M)``."""
         return reduce(np.add, (part.adjoint(images, channels) for part in self.parts))
+
+    def between(
+        self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
+    ) -> Float:
+        """Return the light between few patterns, see `Transport.between`."""
+        return reduce(np.add, (part.between(received, sent, channel) for part in self.parts))
 
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
         """Leave out parts that began later, and truncate the others at their own levels.

@@ -135,14 +135,11 @@ def _not_negative(posterior: Posterior, prior: Float, model: Float) -> Float:
 
 def _between(canvas: Canvas, model: Transport, channel: int) -> Float:
     """Return the light that a model has between cells, over F on both sides, (cells, cells)."""
-    cells, factor = canvas.cells, canvas.factor[channel]
-    found = np.empty((cells.count, cells.count), np.float32)
-    scaled: Float = factor / cells.total(np.square(factor)[None])[cells.of_ray, 0]
-    for first in range(0, cells.count, _BATCH):
-        chosen = np.arange(first, min(first + _BATCH, cells.count))
-        lit = cells.of_ray == chosen[:, None]
-        images = model.forward((lit * scaled)[:, None], [channel])
-        found[:, chosen] = canvas.reduced_channel(images[:, 0], channel).T
+    cells, factor, weight = canvas.cells, canvas.factor[channel], canvas.weight[channel]
+    light = cells.total(np.square(factor)[None])[:, 0]
+    sent = cells.shared_out(factor, light)
+    received = cells.shared_out(factor * canvas.known, weight)
+    found = model.between(received, sent, channel)
     return np.float32(0.5) * (found + found.T)
 
 
@@ -165,7 +162,8 @@ def _kept(cores: Float, weights: NDArray[np.float64]) -> Residual:
     both = weights[:, first] + np.where(first != second, weights[:, second], 0)
     entries = cores[:, first, second]
     change = (np.square(entries) * both).max(axis=0)
-    order = np.argsort(change, kind="stable")
-    kept = np.sort(order[np.cumsum(change[order]) > _DROPPED**2])
+    rising = np.sort(change)
+    dropped = np.searchsorted(np.cumsum(rising), _DROPPED**2, side="right")
+    kept = np.flatnonzero(change >= np.append(rising, np.inf)[dropped])
     pairs = np.stack([first[kept], second[kept]]).astype(np.int32)
     return Residual(pairs, np.ascontiguousarray(entries[:, kept]))

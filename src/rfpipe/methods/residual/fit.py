@@ -80,8 +80,9 @@ class Posterior:
         self._roots = np.empty((len(self._alike), count, count), np.float32)
         self._inverses = np.empty_like(self._roots)
         for index, rows in enumerate(self._alike):
-            shared = prior[rows].mean(axis=0)
-            covariance = ((self.light.T * shared) @ self.light).astype(np.float64)
+            scaled = self.light * np.sqrt(prior[rows].mean(axis=0))[:, None]
+            # of a matrix and its own transpose, BLAS finds one half
+            covariance = (scaled.T @ scaled).astype(np.float64)
             # float32 sums of much brighter light round more than that
             rounding = _ROUNDING * count * float(covariance.diagonal().max())
             covariance[np.diag_indices(count)] += times * self._noise + rounding
@@ -90,15 +91,13 @@ class Posterior:
 
     def relearned(self) -> Float:
         """Return the variances of C that its last solution, and what is unsure of it, suggest."""
-        prior = self.prior
-        left = np.empty_like(prior)
+        from rfpipe.methods.residual.kernels import expected_squares
+
+        told = np.empty_like(self.prior)
         for root, rows in zip(self._roots, self._alike, strict=True):
-            told = np.square(root @ self.light.T).sum(axis=0)
-            left[rows] = prior[rows] * np.maximum(1 - prior[rows] * told, _LEAST_LEFT)
-        # row and column both tell of an entry
-        told_twice = np.maximum(1 / left + 1 / left.T - 1 / prior, 1 / prior)
-        expected: Float = np.square(self.core) + np.reciprocal(told_twice)
-        return learned(self.haar, expected)
+            told[rows] = np.square(root @ self.light.T).sum(axis=0)
+        expected_squares(self.core, self.prior, told, np.float32(_LEAST_LEFT))
+        return learned(self.haar, told)
 
     def solve(self, seen: Float, iterations: int) -> None:
         """Find what is most probable given what is left of pictures (cells, M), 0 if unknown.
@@ -126,9 +125,10 @@ class Posterior:
 
     def _applied(self, dual: Float) -> Float:
         """Apply the covariance of the pictures; the solution that goes with it is left behind."""
+        from rfpipe.methods.residual.kernels import symmetric_product
+
         core: Float = self.haar.forward(dual) @ self.light.T
-        core += core.T.copy()
-        core *= self.prior
+        symmetric_product(core, self.prior)
         self.core = core
         self.direct = self._direct * np.einsum("cm,cm->c", dual, self.cells)
         seen = self.haar.inverse(core @ self.light)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,12 @@ from numpy.typing import NDArray
 from rfpipe.transport.arrays import Arrays, ArrayTransport, CoaxialTransport
 from rfpipe.transport.base import Float
 from rfpipe.transport.multiscale.basis import Functions, MultiscaleBasis
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+# Columns of light that are taken through the pairs at once: they should stay in the cache.
+_COLUMNS = 64
 
 
 class MultiscaleTransport(CoaxialTransport[Arrays], ArrayTransport):
@@ -48,6 +54,26 @@ class MultiscaleTransport(CoaxialTransport[Arrays], ArrayTransport):
             cores, factor = self._held["cores"][c], self._held["factor"][c]
             images[:, k] = bounced(self.basis, self._pairs, cores, factor, patterns[:, k])
         return images
+
+    def between(
+        self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
+    ) -> Float:
+        """Return the light between few patterns, see `Transport.between`."""
+        from scipy.sparse import diags_array
+
+        from rfpipe.transport.multiscale.kernels import couple
+
+        # no image is made: functions are many fewer than rays
+        scaled = self.basis.sums @ diags_array(self._held["factor"][channel])
+        light, back = (scaled @ sent).tocsc(), (received.T @ scaled.T).tocsr()
+        found = np.empty((received.shape[1], sent.shape[1]), np.float32)
+        for first in range(0, sent.shape[1], _COLUMNS):
+            columns = slice(first, first + _COLUMNS)
+            some = np.ascontiguousarray(light[:, columns].toarray())
+            arriving = np.zeros_like(some)
+            couple(*self._pairs, self._held["cores"][channel], some, arriving)
+            found[:, columns] = back @ arriving
+        return found
 
     @property
     def _pairs(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:

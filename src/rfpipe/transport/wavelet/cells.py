@@ -72,6 +72,15 @@ class Cells:
         """Return images (M, N) that have the values (cells, M) of their cells."""
         return np.ascontiguousarray(values[self.of_ray].T)
 
+    def shared_out(self, values: Float, over: Float) -> csr_array[np.float32]:
+        """Return each cell's part of an image (N,) over a value a cell, sparse (N, cells)."""
+        from scipy.sparse import csr_array
+
+        whole = over[self.of_ray]
+        shares = np.divide(values, whole, out=np.zeros_like(values), where=whole > 0)
+        where = (np.arange(len(shares)), self.of_ray)
+        return csr_array((shares, where), shape=(len(shares), self.count))
+
     @cached_property
     def _sums(self) -> csr_array[np.float32]:
         from scipy.sparse import csr_array
