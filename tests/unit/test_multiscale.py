@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from tests.helpers import dense
 
 from rfpipe.errors import InputError
 from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
+from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multiscale.basis import (
     REACH,
@@ -180,6 +182,41 @@ def test_it_is_the_product_that_its_arrays_say(shape: tuple[int, ...]) -> None:
         factor = arrays["factor"][channel].astype(np.float64)
         expected = factor[:, None] * smooth * factor
         np.testing.assert_allclose(matrix, expected, atol=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_light_between_few_patterns_is_that_of_the_matrix(shape: tuple[int, ...]) -> None:
+    transport, rays = made(shape), int(np.prod(shape))
+    random = np.random.default_rng(3)
+    arrays = {
+        "diagonal": random.random((3, rays)).astype(np.float32),
+        "left": random.random((3, 2, rays)).astype(np.float32),
+        "strengths": random.standard_normal((3, 2)).astype(np.float32),
+        "term_level": np.zeros(2, np.int32),
+    }
+    direct = LowRankTransport(shape, shape, 3, ROWS, arrays)
+    matrix = {"matrix": dense(direct).astype(np.float32)}
+    summed = SumTransport([transport, direct, DenseTransport(shape, shape, 3, [], matrix)], [])
+    received, sent = (csr_array(random.random((rays, n)).astype(np.float32)) for n in (3, 70))
+    expected = received.toarray().T @ dense(summed)[1] @ sent.toarray()
+    found = summed.between(received, sent, 1)
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_pairs_are_found_in_another_basis() -> None:
+    shape = (13, 29)
+    some, more = (every_function(shape, [8]), every_function(shape, [8, 4]))
+    few, many = MultiscaleBasis(shape, some), MultiscaleBasis(shape, more[5:])
+    found = many.pairs_in(few)
+    there = found >= 0
+    for pairs, others in ((many.first, few.first), (many.second, few.second)):
+        expected = few.functions[others[found[there]]]
+        np.testing.assert_array_equal(many.functions[pairs[there]], expected)
+    lacking = (few.functions[:, None] == more[:5]).all(axis=2).any(axis=1)
+    assert there.sum() == (~lacking[few.first] & ~lacking[few.second]).sum()
+    none = MultiscaleBasis(shape, some[:0])
+    assert (many.pairs_in(none) == -1).all()
 
 
 @pytest.mark.parametrize("shape", SHAPES)

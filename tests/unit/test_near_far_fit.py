@@ -9,8 +9,11 @@ import pytest
 
 from rfpipe.methods.held_out.estimate import Estimate, Held, estimate
 from rfpipe.methods.near_far import solve as near_far_solve
+from rfpipe.methods.near_far.model import fit
+from rfpipe.methods.near_far.patterns import probe_patterns
 from rfpipe.methods.near_far.pictures import Pictures
-from rfpipe.methods.near_far.solve import Observations, Prior, residual, solve
+from rfpipe.methods.near_far.solve import Evidence, Observations, Patches, Prior, residual, solve
+from rfpipe.methods.near_far.transport import as_transport
 from rfpipe.provenance import generator
 from rfpipe.scenes import reference_scene
 from rfpipe.transport.multiscale.basis import MultiscaleBasis, cells, functions_over
@@ -30,6 +33,10 @@ def made_up_frames(rays: int, patterns: int) -> Pictures:
         random.uniform(0, 1, (patterns, 1, rays)).astype(np.float32),
         random.uniform(1e-3, 1e-2, (patterns, 1, rays)).astype(np.float32),
     )
+
+
+def observed(basis: MultiscaleBasis, pictures: Pictures) -> Observations:
+    return Observations.of(Patches(basis), Evidence.of(pictures, SHARE))
 
 
 def column_by_column(basis: MultiscaleBasis, pictures: Pictures) -> np.ndarray:
@@ -57,7 +64,7 @@ def test_cores_are_those_of_the_dense_least_squares(
     parts = [functions_over(*part) for part in zip(scales, wanted, strict=True)]
     basis = MultiscaleBasis(shape, np.concatenate(parts))
     pictures = made_up_frames(int(np.prod(shape)), 6)
-    seen = Observations.of(basis, pictures, SHARE)
+    seen = observed(basis, pictures)
     deviations = np.random.default_rng(1).uniform(0.1, 0.5, len(basis.first)).astype(np.float32)
 
     factor, patterns = pictures.floodlit[0].astype(np.float64), pictures.lit.astype(np.float64)
@@ -94,20 +101,41 @@ def test_pixels_taken_together_lose_next_to_nothing(monkeypatch: pytest.MonkeyPa
     left, weights = [], []
     for largest in (8, 1):
         monkeypatch.setattr(near_far_solve, "_LARGEST_PATCH", largest)
-        seen = Observations.of(basis, pictures, SHARE)
+        seen = observed(basis, pictures)
         cores = solve(seen, Prior.of(basis, seen).deviations, 1e-5, 1000)
         left.append(residual(basis, pictures, cores)[~lit])
         weights.append(float((seen.dark + seen.lit).sum(dtype=np.float64)))
     assert np.linalg.norm(left[0]) < 1.01 * np.linalg.norm(left[1])
     assert weights[0] == pytest.approx(weights[1], rel=1e-5)
-    assert seen.weights.shape == (1024, len(basis))
+    assert seen.patches.weights.shape == (1024, len(basis))
+
+
+def test_channels_are_found_from_what_all_of_them_and_fewer_pictures_told() -> None:
+    scene = reference_scene("IV", (24, 24), channels=3)
+    matrix, shape = np.stack([scene.dense(c) for c in range(3)]), (24, 24)
+    lit = probe_patterns(shape, 1, 12).reshape(12, -1)
+    floodlit = matrix.sum(axis=2).astype(np.float32)
+    radiance = np.einsum("mn,crn->mcr", lit, matrix).astype(np.float32)
+    floodlit[2], radiance[:, 2], matrix[2] = 0, 0, 0
+    pictures = Pictures(floodlit, 1e-8 + 0 * floodlit, lit, radiance, np.full_like(radiance, 1e-8))
+    few = replace(pictures, lit=lit[:6], radiance=radiance[:6], variance=pictures.variance[:6])
+    before = fit(shape, few)
+    wrong = []
+    for model in (fit(shape, pictures), fit(shape, pictures, before)):
+        assert not model.cores[2].any()
+        found = as_transport(shape, [], model, pictures, 0)
+        pattern = (np.arange(576) % 24 < 8).astype(np.float32)
+        image = found.forward(np.broadcast_to(pattern, (1, 3, 576)), range(3))[0]
+        wrong.append(np.linalg.norm(image - matrix @ pattern) / np.linalg.norm(matrix @ pattern))
+    assert max(wrong) < 0.02
+    assert wrong[1] < 1.2 * wrong[0]
 
 
 def test_without_evidence_the_cores_are_nought() -> None:
     basis = MultiscaleBasis((5, 6), functions_over(1, np.ones((1, 5, 6), np.bool_)))
     pictures = made_up_frames(30, 4)
     direct = pictures.lit[:, None] * pictures.floodlit
-    seen = Observations.of(basis, replace(pictures, radiance=direct), SHARE)
+    seen = observed(basis, replace(pictures, radiance=direct))
     prior = Prior.of(basis, seen)
     assert not solve(seen, prior.deviations, 1e-4, 100).any()
     assert not prior.learned(np.zeros(len(basis.first), np.float32)).any()
@@ -115,7 +143,7 @@ def test_without_evidence_the_cores_are_nought() -> None:
 
 def test_a_priori_light_falls_with_distance_and_is_then_learned_by_groups() -> None:
     basis = MultiscaleBasis((9, 9), functions_over(1, np.ones((1, 9, 9), np.bool_)))
-    prior = Prior.of(basis, Observations.of(basis, made_up_frames(81, 4), SHARE))
+    prior = Prior.of(basis, observed(basis, made_up_frames(81, 4)))
     order = np.argsort(basis.distances(), kind="stable")
     assert (np.diff(prior.deviations[order]) <= 0).all()
     assert (prior.deviations > 0).all()

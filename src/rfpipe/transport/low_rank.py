@@ -84,7 +84,7 @@ class LowRankTransport(ArrayTransport):
         found = (arriving * self._held["strengths"][channel]) @ shares.T
         if "diagonal" in self._held:
             found += (received.T @ diags_array(self._held["diagonal"][channel]) @ sent).toarray()
-        return found.astype(np.float32)
+        return np.asarray(found, np.float32)
 
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
         """Return the transport with the terms only that were there after `level`.

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
 from rfpipe.methods.near_far.pictures import SIGNIFICANT, Pictures
-from rfpipe.methods.near_far.solve import Observations, Prior, residual, solve
+from rfpipe.methods.near_far.solve import Evidence, Observations, Patches, Prior, residual, solve
 from rfpipe.transport.multiscale.basis import (
     MultiscaleBasis,
     cells,
@@ -32,8 +32,9 @@ __all__ = ["Model", "fit"]
 # values lay between half and twice these, flatly.
 _REFINED_AT = 0.005
 _WEIGHED_AT = 0.002
-# Steps on the way to the basis, and to the cores, need no more than this.
-_ROUGHLY, _NEARLY, _FULLY = (3e-3, 60), (1e-3, 120), (1e-4, 300)
+# Steps on the way to the basis, and to the cores, need no more than this; one channel's cores
+# differ little from those of all.
+_ROUGHLY, _NEARLY, _FULLY, _APART = (3e-3, 60), (1e-3, 120), (1.5e-4, 300), (3e-4, 300)
 # A basis does not grow beyond so many pairs, which take a gigabyte while they are found.
 _MOST_PAIRS = 2**24
 
@@ -52,37 +53,62 @@ class Model:
     cores: Float
 
 
-def fit(shape: tuple[int, ...], pictures: Pictures) -> Model:
+def fit(shape: tuple[int, ...], pictures: Pictures, before: Model | None = None) -> Model:
     """Find which functions the scene needs, and the light that they exchange.
+
+    All channels together tell most; what one of them alone tells is found from there.
 
     Parameters
     ----------
     shape : tuple of int
         The ray domain.
     pictures : Pictures
+    before : Model, optional
+        What fewer of them told.
     """
-    basis = _refined_basis(shape, pictures.grey())
+    grey = pictures.grey()
+    evidence = Evidence.of(grey, _WEIGHED_AT)
+    patches = Patches(_refined_basis(shape, grey, evidence))
+    basis = patches.basis
     cores = np.zeros((pictures.channels, len(basis.first)), np.float32)
+    if not grey.shine():
+        return Model(basis, cores)
+    seen = Observations.of(patches, evidence)
+    prior = Prior.of(basis, seen)
+    start = None if before is None else _grey_cores(basis, before, pictures.floodlit)
+    near = solve(seen, prior.deviations, *_NEARLY, start)
+    learned = prior.learned(near)
+    found = solve(seen, learned, *_FULLY, near)
     for index in range(pictures.channels):
         channel = pictures.channel(index)
-        if not channel.shine():
-            continue
-        seen = Observations.of(basis, channel, _WEIGHED_AT)
-        prior = Prior.of(basis, seen)
-        # channels differ little: each begins where the one before it ended
-        start = cores[index - 1] if index else None
-        near = solve(seen, prior.deviations, *_NEARLY, start)
-        cores[index] = solve(seen, prior.learned(near), *_FULLY, near)
+        if pictures.channels == 1:
+            cores[index] = found
+        elif channel.shine():
+            own = Evidence.of(channel, _WEIGHED_AT)
+            scale = np.float32(own.core / evidence.core if evidence.core else 0)
+            told = Observations.of(patches, own)
+            cores[index] = solve(told, scale * learned, *_APART, scale * found)
     return Model(basis, cores)
 
 
-def _refined_basis(shape: tuple[int, ...], pictures: Pictures) -> MultiscaleBasis:
+def _grey_cores(basis: MultiscaleBasis, before: Model, floodlit: Float) -> Float:
+    """Return the cores of all channels together that a model had, 0 where it had no such pair."""
+    light = floodlit.mean(axis=1, dtype=np.float64)
+    share = light / max(float(light.sum()), float(np.finfo(np.float32).tiny))
+    # no core stands for the pairs that weren't there
+    cores = np.append(np.square(share) @ before.cores, 0).astype(np.float32)
+    return cores[basis.pairs_in(before.basis)]
+
+
+def _refined_basis(
+    shape: tuple[int, ...], pictures: Pictures, evidence: Evidence
+) -> MultiscaleBasis:
     """Add functions, scale by scale, where pictures differ from the model beyond noise."""
     scale = coarsest_scale(shape)
     functions = [functions_over(scale, np.ones(cells(shape, scale), np.bool_))]
     basis = MultiscaleBasis(shape, functions[0])
     while scale > 1 and pictures.shine():
-        seen = Observations.of(basis, pictures, _WEIGHED_AT)
+        seen = Observations.of(Patches(basis), evidence)
         cores = solve(seen, Prior.of(basis, seen).deviations, *_ROUGHLY)
         scale //= 2
         wanted = _wanting(shape, scale, pictures, residual(basis, pictures, cores))

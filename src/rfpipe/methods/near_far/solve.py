@@ -29,29 +29,19 @@ _SCALE_BITS = 20
 
 
 @dataclass(frozen=True)
-class Observations:
-    """What pictures tell of the cores, patch by patch of pixels.
+class Evidence:
+    """What pictures of one channel tell, pixel by pixel, whatever the functions.
 
     Attributes
     ----------
-    basis : MultiscaleBasis
-    weights : csr_array of float32, shape (patches, n)
-        The functions' means over each patch.
-    light : ndarray of float32, shape (n, M + 1)
-        ``B^T F p`` of each pattern, and of full light.
-    dark, lit : ndarray of float32, shape (patches, M)
-        Weights of a patch's dark and of its lit pixels.
-    seen_dark, seen_lit : ndarray of float32, shape (patches, M)
-        Weighted sums of what they show, divided by F.
-    indirect : float
-        Indirect light on dark pixels as a fraction of the floodlit image, doubled, since patterns
-        light half of the pixels.
-    floodlit : float
-        Mean of the floodlit image.
+    light : ndarray of float32, shape (N, M + 1)
+        ``F p`` of each pattern, and of full light.
+    dark, lit, seen_dark, seen_lit : ndarray of float32, shape (N, M)
+        As `Observations` has them of patches.
+    indirect, floodlit : float
+        See `Observations`.
     """
 
-    basis: MultiscaleBasis
-    weights: csr_array[np.float32]
     light: Float
     dark: Float
     lit: Float
@@ -61,20 +51,17 @@ class Observations:
     floodlit: float
 
     @classmethod
-    def of(cls, basis: MultiscaleBasis, pictures: Pictures, share: float) -> Observations:
-        """Take the observations out of pictures of one channel.
+    def of(cls, pictures: Pictures, share: float) -> Evidence:
+        """Take the evidence out of pictures of one channel.
 
         Parameters
         ----------
-        basis : MultiscaleBasis
         pictures : Pictures
         share : float
             Error of the model that is expected on a pixel, as a fraction of the floodlit image.
         """
         factor = pictures.floodlit[0]
         pattern = pictures.lit.T.astype(np.float32)
-        patches = _patches(basis)
-        pixels: Float = np.diff(patches.indptr).astype(np.float32)
         known = pictures.known
         direct = np.where(known, pictures.floodlit_variance[0], 0)  # else 0 times infinity
         spread = pictures.variance[:, 0].T + pattern * direct[:, None]
@@ -91,16 +78,93 @@ class Observations:
         pixels_dark = max(float(dark[known].sum(dtype=np.float64)), 1.0)
         indirect = 2 * float(seen.sum(dtype=np.float64)) / pixels_dark
         return cls(
-            basis,
-            _rows_scaled(patches @ basis.weights, np.float32(1) / pixels),
-            np.ascontiguousarray(basis.sums @ light),
-            patches @ (weight * dark),
-            patches @ (weight * pattern),
-            patches @ (shown * dark),
-            patches @ (shown * pattern),
+            light,
+            weight * dark,
+            weight * pattern,
+            shown * dark,
+            shown * pattern,
             max(indirect, 0.0) / mean if mean else 0.0,
             mean,
         )
+
+    @property
+    def core(self) -> float:
+        """How large cores are, in inverse radiance, but for their number and places."""
+        return self.indirect / max(self.floodlit, float(np.finfo(np.float32).tiny))
+
+
+class Patches:
+    """Pixels put together where only coarse functions are.
+
+    Parameters
+    ----------
+    basis : MultiscaleBasis
+
+    Attributes
+    ----------
+    together : csr_array of float32, shape (patches, N)
+        Which pixels.
+    weights : csr_array of float32, shape (patches, n)
+        The functions' means over each patch.
+    back : csr_array of float32, shape (n, patches)
+        Their transpose.
+    """
+
+    def __init__(self, basis: MultiscaleBasis) -> None:
+        self.basis, self.together = basis, _patches(basis)
+        pixels: Float = np.diff(self.together.indptr).astype(np.float32)
+        self.weights = _rows_scaled(self.together @ basis.weights, np.float32(1) / pixels)
+        self.back: csr_array[np.float32] = self.weights.T.tocsr()
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What pictures tell of the cores, patch by patch of pixels.
+
+    Attributes
+    ----------
+    patches : Patches
+    light : ndarray of float32, shape (n, M + 1)
+        ``B^T F p`` of each pattern, and of full light.
+    dark, lit : ndarray of float32, shape (patches, M)
+        Weights of a patch's dark and of its lit pixels.
+    seen_dark, seen_lit : ndarray of float32, shape (patches, M)
+        Weighted sums of what they show, divided by F.
+    indirect : float
+        Indirect light on dark pixels as a fraction of the floodlit image, doubled, since patterns
+        light half of the pixels.
+    floodlit : float
+        Mean of the floodlit image.
+    """
+
+    patches: Patches
+    light: Float
+    dark: Float
+    lit: Float
+    seen_dark: Float
+    seen_lit: Float
+    indirect: float
+    floodlit: float
+
+    @classmethod
+    def of(cls, patches: Patches, evidence: Evidence) -> Observations:
+        """Sum evidence over patches."""
+        together = patches.together
+        return cls(
+            patches,
+            np.ascontiguousarray(patches.basis.sums @ evidence.light),
+            together @ evidence.dark,
+            together @ evidence.lit,
+            together @ evidence.seen_dark,
+            together @ evidence.seen_lit,
+            evidence.indirect,
+            evidence.floodlit,
+        )
+
+    @property
+    def basis(self) -> MultiscaleBasis:
+        """The functions."""
+        return self.patches.basis
 
 
 @dataclass(frozen=True)
@@ -157,14 +221,14 @@ def solve(
     -------
     ndarray of float32, shape (pairs,)
     """
-    gradient = deviations * _adjoint(seen, seen.seen_dark, seen.seen_lit)
+    gradient = deviations * _adjoint(seen, _weighed(seen.seen_dark, seen.seen_lit))
     scaling = 1 / (1 + _diagonal(seen) * np.square(deviations))
     known = np.zeros_like(gradient)
     if start is not None:
         np.divide(start, deviations, out=known, where=deviations > 0)
     rest = gradient - _normal(seen, deviations, known) if start is not None else gradient
     step = scaling * rest
-    direction = step
+    direction = step.copy()
     energy = _dot(rest, step)
     goal = tolerance**2 * _dot(gradient, scaling * gradient)
     for _ in range(most):
@@ -172,11 +236,12 @@ def solve(
             break
         image = _normal(seen, deviations, direction)
         length = np.float32(energy / _dot(direction, image))
-        known = known + length * direction
-        rest = rest - length * image
-        step = scaling * rest
+        known += np.multiply(direction, length, out=step)
+        rest -= np.multiply(image, length, out=image)
+        np.multiply(scaling, rest, out=step)
         before, energy = energy, _dot(rest, step)
-        direction = step + np.float32(energy / before) * direction
+        direction *= np.float32(energy / before)
+        direction += step
     return deviations * known
 
 
@@ -190,26 +255,32 @@ def residual(basis: MultiscaleBasis, pictures: Pictures, cores: Float) -> Float:
 
 def _normal(seen: Observations, deviations: Float, known: Float) -> Float:
     """Apply the normal equations' matrix, in units of the prior's deviations."""
+    from rfpipe.methods.near_far.kernels import weigh
     from rfpipe.transport.multiscale.kernels import couple
 
     received = np.zeros_like(seen.light)
-    basis = seen.basis
+    basis, patches = seen.basis, seen.patches
     couple(basis.first, basis.second, deviations * known, seen.light, received)
-    arriving = seen.weights @ received
-    under, full = arriving[:, :-1], arriving[:, -1:]
-    result: Float = deviations * _adjoint(seen, seen.dark * under, seen.lit * (under - full))
-    return result + known
+    arriving = patches.weights @ received
+    weigh(arriving, seen.dark, seen.lit, arriving)
+    result = _adjoint(seen, arriving)
+    result *= deviations
+    result += known
+    return result
 
 
-def _adjoint(seen: Observations, dark: Float, lit: Float) -> Float:
-    """Bring weighted pictures of the patches back to the pairs."""
+def _weighed(dark: Float, lit: Float) -> Float:
+    """Return weighted pictures of the patches as light of each pattern, and of full light."""
+    return np.concatenate([dark + lit, -lit.sum(axis=1, keepdims=True)], axis=1)
+
+
+def _adjoint(seen: Observations, back: Float) -> Float:
+    """Bring weighted light of the patches, see `_weighed`, back to the pairs."""
     from rfpipe.transport.multiscale.kernels import correlate
 
-    back = np.concatenate([dark + lit, -lit.sum(axis=1, keepdims=True)], axis=1)
-    arriving = np.ascontiguousarray(seen.weights.T @ back)
     basis = seen.basis
     out = np.empty(len(basis.first), np.float32)
-    correlate(basis.first, basis.second, arriving, seen.light, out)
+    correlate(basis.first, basis.second, seen.patches.back @ back, seen.light, out)
     return out
 
 
@@ -217,7 +288,8 @@ def _diagonal(seen: Observations) -> Float:
     """Estimate the diagonal of the normal equations' matrix, pair by pair."""
     basis = seen.basis
     certainty = (seen.dark + seen.lit).mean(axis=1)
-    weight = seen.weights.multiply(seen.weights).T @ certainty
+    back = seen.patches.back
+    weight = back.multiply(back) @ certainty
     light = np.square(seen.light).sum(axis=1)
     one = weight[basis.first] * light[basis.second]
     other = np.where(basis.first == basis.second, 0, weight[basis.second] * light[basis.first])

@@ -35,7 +35,7 @@ def symmetric_product(half: Float, weight: Float) -> None:
 
 
 @njit(cache=True, nogil=True)
-def expected_squares(core: Float, prior: Float, told: Float, least: Float) -> None:
+def expected_squares(core: Float, prior: Float, told: Float, least: np.float32) -> None:
     """Replace `told` by the expected squares of entries, given the solution `core`.
 
     Rows tell of an entry, and so do columns: either leaves of its variance, the symmetric prior's,

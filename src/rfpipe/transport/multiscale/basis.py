@@ -55,7 +55,7 @@ class MultiscaleBasis:
     @cached_property
     def pairs(self) -> tuple[Functions, Functions]:
         """The pairs' first and second functions, int32 (pairs,) each, ``first <= second``."""
-        return _pairs(self.functions, self.centres)
+        return _pairs(self.functions, self.centres, self.shape)
 
     @property
     def first(self) -> Functions:
@@ -87,18 +87,15 @@ class MultiscaleBasis:
         height, width = RayDomain(self.shape).image_shape
         rays, owners, values = [], [], []
         for scale in np.unique(self.scales):
-            own = np.flatnonzero(self.scales == scale)
-            rows, columns = _along(height, int(scale)), _along(width, int(scale))
-            at = {
-                tuple(key): index
-                for key, index in zip(self.functions[own, 1:].tolist(), own, strict=True)
-            }
-            for (view, row, column), index in at.items():
-                y, value_y = rows[row]
-                x, value_x = columns[column]
-                rays.append(((view * height + y)[:, None] * width + x).ravel())
-                values.append(np.outer(value_y, value_x).ravel())
-                owners.append(np.full(len(rays[-1]), index))
+            down, y = _along(height, int(scale))
+            across, x = _along(width, int(scale))
+            numbers = _numbers(self.functions, self.shape, int(scale))
+            number = numbers[:, down[:, None, :, None], across[None, :, None, :]]
+            there = np.flatnonzero(number >= 0)
+            value = (y[:, None, :, None] * x[None, :, None, :]).ravel()
+            rays.append(there // (y.shape[1] * x.shape[1]))
+            owners.append(number.ravel()[there])
+            values.append(value[there % len(value)])
         shape = (int(np.prod(self.shape)), len(self))
         where = (np.concatenate(rays), np.concatenate(owners))
         return csr_array((np.concatenate(values), where), shape=shape).astype(np.float32)
@@ -107,6 +104,22 @@ class MultiscaleBasis:
     def sums(self) -> csr_array[np.float32]:
         """The transpose of `weights`, sparse float32 (n, N)."""
         return self.weights.T.tocsr()
+
+    def pairs_in(self, other: MultiscaleBasis) -> NDArray[np.int64]:
+        """Return the number of each pair among those of another basis, -1 where it isn't there."""
+        place = _found(self._keys, other._keys)
+        first, second = np.sort([place[self.first], place[self.second]], axis=0)
+        size = max(len(other), 1)
+        own = np.where(first >= 0, first * size + second, -1)
+        return _found(own, other.first.astype(np.int64) * size + other.second)
+
+    @property
+    def _keys(self) -> NDArray[np.int64]:
+        """A number for each function, the same in every basis over the rays."""
+        views, height, width = RayDomain(self.shape).stack_shape
+        scale, *place = self.functions.T.astype(np.int64)
+        extent = (2**31, views, height + 2, width + 2)
+        return np.asarray(np.ravel_multi_index((scale, *place), extent))
 
     def distances(self) -> NDArray[np.float64]:
         """Distance of each pair's centres in pixels; between views, the coarsest scale."""
@@ -153,49 +166,59 @@ def cells(shape: tuple[int, ...], scale: int) -> tuple[int, int, int]:
     return views, -(-height // scale), -(-width // scale)
 
 
-def _along(length: int, scale: int) -> list[tuple[NDArray[np.int64], NDArray[np.float32]]]:
-    """Return, for each grid position along an axis, the pixels where it isn't zero and values."""
+def _along(length: int, scale: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Return the grid positions that aren't zero at each pixel along an axis, and their values."""
     pixel = np.arange(length)
     if scale == 1:
-        return [(pixel[i : i + 1], np.ones(1, np.float32)) for i in range(length)]
+        return pixel[:, None], np.ones((length, 1), np.float32)
     position = (pixel + 0.5) / scale
     cell = position.astype(np.int64)
     part = position - cell
     values = np.stack([(1 - part) ** 2 / 2, 0.5 + part - part**2, part**2 / 2], axis=1)
-    found = []
-    for index in range(-(-length // scale) + 2):
-        inside = (cell <= index) & (cell >= index - 2)
-        found.append((pixel[inside], values[inside, index - cell[inside]].astype(np.float32)))
-    return found
+    return cell[:, None] + np.arange(3), values.astype(np.float32)
 
 
-def _pairs(functions: Functions, centres: NDArray[np.float64]) -> tuple[Functions, Functions]:
+def _found(wanted: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where each value is among others, each there once, -1 for none."""
+    if not len(among):
+        return np.full(len(wanted), -1)
+    order = np.argsort(among)
+    place = order[np.searchsorted(among, wanted, sorter=order).clip(0, len(among) - 1)]
+    return np.where(among[place] == wanted, place, -1)
+
+
+def _numbers(functions: Functions, shape: tuple[int, ...], scale: int) -> Functions:
+    """Return each grid position's function of a scale, (V, rows, columns), -1 for none."""
+    views, down, across = cells(shape, scale)
+    outside = 2 if scale > 1 else 0
+    numbers = np.full((views, down + outside, across + outside), -1, np.int32)
+    own = np.flatnonzero(functions[:, SCALE] == scale)
+    numbers[tuple(functions[own, 1:].T)] = own
+    return numbers
+
+
+def _pairs(
+    functions: Functions, centres: NDArray[np.float64], shape: tuple[int, ...]
+) -> tuple[Functions, Functions]:
     """Find the pairs of functions within reach, each once."""
-    from scipy.spatial import cKDTree
-
     if not len(functions):
         none = np.zeros(0, np.int32)
         return none, none
     top = int(functions[:, SCALE].max())
-    # a distance between views beyond any reach
-    place = np.column_stack([centres, functions[:, VIEW] * 1e9])
     firsts, seconds = [], []
     scales = np.unique(functions[:, SCALE])
     for fine in scales:
         near = np.flatnonzero(functions[:, SCALE] == fine)
         for coarse in scales[scales >= fine]:
-            far = np.flatnonzero(functions[:, SCALE] == coarse)
             if coarse == top:
+                far = np.flatnonzero(functions[:, SCALE] == coarse)
                 a, b = (grid.ravel() for grid in np.meshgrid(near, far, indexing="ij"))
                 joined = (fine == top) | (functions[a, VIEW] == functions[b, VIEW])
                 a, b = a[joined], b[joined]
             else:
-                found = cKDTree(place[far]).query_ball_point(
-                    place[near], REACH * int(coarse), p=np.inf, return_sorted=True
-                )
-                others = [np.asarray(found_by_one, np.int64) for found_by_one in found]
-                a = np.repeat(near, [len(indices) for indices in others])
-                b = far[np.concatenate(others)]
+                found = _within_reach(functions, centres, near, shape, int(coarse))
+                a = near.repeat((found >= 0).sum(axis=1))
+                b = found[found >= 0].astype(np.intp)
             once = (a <= b) | (coarse != fine)
             firsts.append(np.minimum(a, b)[once])
             seconds.append(np.maximum(a, b)[once])
@@ -203,3 +226,24 @@ def _pairs(functions: Functions, centres: NDArray[np.float64]) -> tuple[Function
         np.concatenate(firsts).astype(np.int32),
         np.concatenate(seconds).astype(np.int32),
     )
+
+
+def _within_reach(
+    functions: Functions,
+    centres: NDArray[np.float64],
+    near: NDArray[np.int64],
+    shape: tuple[int, ...],
+    scale: int,
+) -> Functions:
+    """Return the functions of a scale within reach of some, (functions, places), -1 for none."""
+    numbers = _numbers(functions, shape, scale)
+    # outside of the grid there is no function
+    room = 2 * REACH + 1
+    padded = np.pad(numbers, ((0, 0), (room, room), (room, room)), constant_values=-1)
+    position = centres[near].T / scale + (0.5 if scale > 1 else -0.5)
+    first = np.ceil(position - REACH).astype(np.int64)
+    row, column = place = first[:, :, None] + np.arange(2 * REACH + 1)
+    down, across = place <= (position + REACH)[:, :, None]
+    view = functions[near, VIEW][:, None, None]
+    found = padded[view, row[:, :, None] + room, column[:, None, :] + room]
+    return np.where(down[:, :, None] & across[:, None, :], found, -1).reshape(len(near), -1)
