@@ -204,21 +204,6 @@ def test_light_between_few_patterns_is_that_of_the_matrix(shape: tuple[int, ...]
     np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
 
 
-def test_pairs_are_found_in_another_basis() -> None:
-    shape = (13, 29)
-    some, more = (every_function(shape, [8]), every_function(shape, [8, 4]))
-    few, many = MultiscaleBasis(shape, some), MultiscaleBasis(shape, more[5:])
-    found = many.pairs_in(few)
-    there = found >= 0
-    for pairs, others in ((many.first, few.first), (many.second, few.second)):
-        expected = few.functions[others[found[there]]]
-        np.testing.assert_array_equal(many.functions[pairs[there]], expected)
-    lacking = (few.functions[:, None] == more[:5]).all(axis=2).any(axis=1)
-    assert there.sum() == (~lacking[few.first] & ~lacking[few.second]).sum()
-    none = MultiscaleBasis(shape, some[:0])
-    assert (many.pairs_in(none) == -1).all()
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 def test_it_is_symmetric(shape: tuple[int, ...]) -> None:
     transport = made(shape)

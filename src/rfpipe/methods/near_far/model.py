@@ -53,7 +53,7 @@ class Model:
     cores: Float
 
 
-def fit(shape: tuple[int, ...], pictures: Pictures, before: Model | None = None) -> Model:
+def fit(shape: tuple[int, ...], pictures: Pictures) -> Model:
     """Find which functions the scene needs, and the light that they exchange.
 
     All channels together tell most; what one of them alone tells is found from there.
@@ -63,8 +63,6 @@ def fit(shape: tuple[int, ...], pictures: Pictures, before: Model | None = None)
     shape : tuple of int
         The ray domain.
     pictures : Pictures
-    before : Model, optional
-        What fewer of them told.
     """
     grey = pictures.grey()
     evidence = Evidence.of(grey, _WEIGHED_AT)
@@ -75,8 +73,8 @@ def fit(shape: tuple[int, ...], pictures: Pictures, before: Model | None = None)
         return Model(basis, cores)
     seen = Observations.of(patches, evidence)
     prior = Prior.of(basis, seen)
-    start = None if before is None else _grey_cores(basis, before, pictures.floodlit)
-    near = solve(seen, prior.deviations, *_NEARLY, start)
+    # from nothing: cores that fewer pictures told keep the prior that is learned from drawing near
+    near = solve(seen, prior.deviations, *_NEARLY)
     learned = prior.learned(near)
     found = solve(seen, learned, *_FULLY, near)
     for index in range(pictures.channels):
@@ -89,15 +87,6 @@ def fit(shape: tuple[int, ...], pictures: Pictures, before: Model | None = None)
             told = Observations.of(patches, own)
             cores[index] = solve(told, scale * learned, *_APART, scale * found)
     return Model(basis, cores)
-
-
-def _grey_cores(basis: MultiscaleBasis, before: Model, floodlit: Float) -> Float:
-    """Return the cores of all channels together that a model had, 0 where it had no such pair."""
-    light = floodlit.mean(axis=1, dtype=np.float64)
-    share = light / max(float(light.sum()), float(np.finfo(np.float32).tiny))
-    # no core stands for the pairs that weren't there
-    cores = np.append(np.square(share) @ before.cores, 0).astype(np.float32)
-    return cores[basis.pairs_in(before.basis)]
 
 
 def _refined_basis(

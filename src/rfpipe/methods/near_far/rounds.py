@@ -89,7 +89,7 @@ def smooth(state: NearFarState, images: LevelImages) -> NearFarState:
     radiance, variance = _read(state, images, count)
     pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
     domain = state.projector.shape
-    model = fit(domain, pictures, state.model)
+    model = fit(domain, pictures)
     row = level_row(state.level, count, nodes=len(model.basis.first), rank_k=0)
     held = _with_held(state, lit[:first], radiance[:first])
     fitted = held.after(row, pictures=pictures, new=count - first, model=model, residual=None)

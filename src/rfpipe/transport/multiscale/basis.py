@@ -105,22 +105,6 @@ class MultiscaleBasis:
         """The transpose of `weights`, sparse float32 (n, N)."""
         return self.weights.T.tocsr()
 
-    def pairs_in(self, other: MultiscaleBasis) -> NDArray[np.int64]:
-        """Return the number of each pair among those of another basis, -1 where it isn't there."""
-        place = _found(self._keys, other._keys)
-        first, second = np.sort([place[self.first], place[self.second]], axis=0)
-        size = max(len(other), 1)
-        own = np.where(first >= 0, first * size + second, -1)
-        return _found(own, other.first.astype(np.int64) * size + other.second)
-
-    @property
-    def _keys(self) -> NDArray[np.int64]:
-        """A number for each function, the same in every basis over the rays."""
-        views, height, width = RayDomain(self.shape).stack_shape
-        scale, *place = self.functions.T.astype(np.int64)
-        extent = (2**31, views, height + 2, width + 2)
-        return np.asarray(np.ravel_multi_index((scale, *place), extent))
-
     def distances(self) -> NDArray[np.float64]:
         """Distance of each pair's centres in pixels; between views, the coarsest scale."""
         if not len(self):
@@ -176,15 +160,6 @@ def _along(length: int, scale: int) -> tuple[NDArray[np.int64], NDArray[np.float
     part = position - cell
     values = np.stack([(1 - part) ** 2 / 2, 0.5 + part - part**2, part**2 / 2], axis=1)
     return cell[:, None] + np.arange(3), values.astype(np.float32)
-
-
-def _found(wanted: NDArray[np.int64], among: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where each value is among others, each there once, -1 for none."""
-    if not len(among):
-        return np.full(len(wanted), -1)
-    order = np.argsort(among)
-    place = order[np.searchsorted(among, wanted, sorter=order).clip(0, len(among) - 1)]
-    return np.where(among[place] == wanted, place, -1)
 
 
 def _numbers(functions: Functions, shape: tuple[int, ...], scale: int) -> Functions:
