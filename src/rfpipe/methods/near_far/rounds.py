@@ -179,10 +179,11 @@ def decide(state: NearFarState) -> NearFarState:
     # the first estimate knows neither strip nor spots: it bounds the error if nothing is indirect
     known = len(state.held.lit) > HELD_OUT if state.held else False
     reached = found.error <= target and (known or found.indirect <= target)
-    stalled = state.kind != just or _slow(state) or _costly(state)
+    ended, slow, costly = state.kind != just, _slow(state), _costly(state)
+    stalled = ended or costly or (slow and not _nearly(state))
     share = _UNEXPLAINED_AT_FIRST if first else _UNEXPLAINED
     lost = just == "smooth" and found.dark > share * found.indirect
-    if reached or (limit and state.shown >= limit) or (stalled and found.is_noise):
+    if reached or (limit and state.shown >= limit) or ((stalled or slow) and found.is_noise):
         return replace(state, following="done")
     if not limit and state.symmetric is None and (lost or (stalled and just == "residual")):
         _log.info("light goes to single places; going on with symmetric photography")
@@ -276,17 +277,31 @@ def _slow(state: NearFarState) -> bool:
 def _costly(state: NearFarState) -> bool:
     """Tell whether the target would take more blocks than a hierarchy, as errors fall so far."""
     found, shown = state.estimates[-3:], state.shown
-    of_blocks = kind_of(state.level - 1, state.hierarchy) == "residual"
     # the first estimate is of other held-out pictures
-    if not of_blocks or state.symmetric is not None or len(state.estimates) < 4:
+    if not _before_hierarchy(state) or len(state.estimates) < 4:
         return False
     asked = [row["patterns"] for row in state.rows if row["patterns"]]
     before = shown - sum(asked[-2:])
     power = np.log(found[0].error / found[-1].error) / np.log(shown / before)
-    target = state.options.target_error
-    more = shown * ((found[-1].error / target) ** (1 / max(power, _STALLED_BLOCKS)) - 1)
+    return not _cheaper(state, max(power, _STALLED_BLOCKS))
+
+
+def _nearly(state: NearFarState) -> bool:
+    """Tell whether blocks that hardly help still reach the target before a hierarchy would."""
+    return _before_hierarchy(state) and _cheaper(state, _STALLED_BLOCKS)
+
+
+def _before_hierarchy(state: NearFarState) -> bool:
+    of_blocks = kind_of(state.level - 1, state.hierarchy) == "residual"
+    return of_blocks and state.symmetric is None
+
+
+def _cheaper(state: NearFarState, power: float) -> bool:
+    """Tell whether blocks take fewer patterns than a hierarchy, with errors falling so."""
+    target, found = state.options.target_error, state.estimates[-1]
+    more = state.shown * ((found.error / target) ** (1 / power) - 1)
     of_hierarchy = _OF_HIERARCHY * state.hierarchy * (_HUNDREDTH / target) ** _GROWS
-    return bool(more > of_hierarchy)
+    return bool(more <= of_hierarchy)
 
 
 def _asked(state: NearFarState) -> tuple[list[NDArray[np.bool_]], int]:
