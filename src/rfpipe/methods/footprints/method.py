@@ -76,7 +76,7 @@ class Footprints(PackingMethod[FootprintState]):
             return Schedule.nothing(level, shape)
         if state.kind == "hierarchy":
             assert state.dual is not None
-            return handover.schedule(state.dual, level)
+            return handover.DUAL.schedule(state.dual, level)
         return rounds.patterns(state)
 
     def refine(
@@ -124,8 +124,7 @@ class Footprints(PackingMethod[FootprintState]):
             "estimates": [list(astuple(each)) for each in state.estimates],
         }
         if state.dual is not None and (just == "hierarchy" or _begun(state)):
-            inner, attributes["dual"] = handover.packed(state.dual)
-            arrays |= inner
+            return Pack(arrays, attributes) | handover.packed(state.dual)
         return Pack(arrays, attributes)
 
     def _restored(self, start: FootprintState, packs: Sequence[Pack]) -> FootprintState:

@@ -118,7 +118,7 @@ def refine_hierarchy(
 ) -> FootprintState:
     """Let dual photography refine a level of its own."""
     assert state.dual is not None
-    inner = handover.refine(state.dual, images, memory_bytes)
+    inner = handover.DUAL.refine(state.dual, images, memory_bytes)
     row = {**inner.rows[-1], "level": state.level}
     after = state.after(row, dual=inner, new=0, new_held=0)
     return judge(after) if images.schedule.count else after

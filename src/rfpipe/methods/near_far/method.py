@@ -91,7 +91,7 @@ class NearFar(PackingMethod[NearFarState]):
             return Schedule.nothing(level, shape)
         if state.kind == "hierarchy":
             assert state.symmetric is not None
-            return handover.schedule(state.symmetric, level)
+            return handover.SYMMETRIC.schedule(state.symmetric, level)
         return rounds.patterns(state)
 
     def refine(
@@ -149,8 +149,7 @@ class NearFar(PackingMethod[NearFarState]):
             "leaves": state.residual is not None,
         }
         if state.symmetric is not None and "hierarchy" in (just, state.following):
-            inner, attributes["symmetric"] = handover.packed(state.symmetric)
-            arrays |= inner
+            return Pack(arrays, attributes) | handover.SYMMETRIC.packed(state.symmetric)
         return Pack(arrays, attributes)
 
     def _restored(self, start: NearFarState, packs: Sequence[Pack]) -> NearFarState:

@@ -140,7 +140,7 @@ def refine_hierarchy(state: NearFarState, images: LevelImages, memory_bytes: int
     """Let symmetric photography refine a level of its own; its pictures serve later rounds, too."""
     assert state.symmetric is not None
     assert state.pictures is not None
-    inner = handover.refine(state.symmetric, images, memory_bytes)
+    inner = handover.SYMMETRIC.refine(state.symmetric, images, memory_bytes)
     shared, count = state.rows[: _BEFORE_HIERARCHY + 1], images.schedule.count
     errors = [row.get("estimated_error") for row in state.rows[len(shared) :]]
     own = [

@@ -18,16 +18,9 @@ from rfpipe.methods.held_out.patterns import (
     held_out_spots,
     held_out_strip,
 )
-from rfpipe.methods.images import read_planar, renumbered
-from rfpipe.methods.states import (
-    Descent,
-    MethodState,
-    appended,
-    arrays_of,
-    nested,
-    nested_in,
-    unprefixed,
-)
+from rfpipe.methods.images import read_planar
+from rfpipe.methods.nested import Nested
+from rfpipe.methods.states import Descent, MethodState, appended, arrays_of, unprefixed
 from rfpipe.methods.targeted.nearness import nearness
 from rfpipe.methods.targeted.state import Kind, Shown, TargetedState
 from rfpipe.patterns import Schedule
@@ -35,7 +28,7 @@ from rfpipe.transport.base import Transport
 
 __all__ = ["Targeted"]
 
-_INNER, _HELD = "inner_", "held_"
+_HELD = "held_"
 
 
 class Targeted(Method[TargetedState]):
@@ -53,7 +46,7 @@ class Targeted(Method[TargetedState]):
     estimates_error = True
 
     def __init__(self, inner: Descent[Any]) -> None:
-        self.inner = inner
+        self.inner, self.nested = inner, Nested(inner, "inner")
         self.name, self.title, self.colour = inner.name, inner.title, inner.colour
         self.marker, self.line = inner.marker, inner.line
         self.needs_coaxial_rig = inner.needs_coaxial_rig
@@ -96,7 +89,7 @@ class Targeted(Method[TargetedState]):
         """Show what the inner method asks for, or held-out patterns."""
         level, shape = state.level, state.inner.projector.shape
         if state.following == "inner":
-            return replace(self.inner.schedule(state.inner), level=level)
+            return self.nested.schedule(state.inner, level)
         if state.following == "done":
             return Schedule.nothing(level, shape)
         held = [held_out_shapes(shape)]
@@ -117,8 +110,8 @@ class Targeted(Method[TargetedState]):
             state = self._with_held(state, images)
             state = self._judged(replace(state, error=self._error(state, state.best)))
         else:
-            own = renumbered(images, state.inner.level)
-            state = replace(state, inner=self.inner.refine(state.inner, own, memory_bytes))
+            inner = self.nested.refine(state.inner, images, memory_bytes)
+            state = replace(state, inner=inner)
             state = self._judged(state) if count and state.held else state
         if state.held is None:
             return replace(state, best=state.inner).after(Shown(kind, count, None), "held")
@@ -176,8 +169,7 @@ class Targeted(Method[TargetedState]):
             "error": state.error,
         }
         if last.kind == "inner":
-            own = self.inner.pack(state.inner)
-            return Pack(nested(own, _INNER), {**attributes, "inner": dict(own.attributes)})
+            return Pack({}, attributes) | self.nested.packed(state.inner)
         if last.kind == "done":
             return Pack({}, attributes)
         assert state.held is not None
@@ -191,7 +183,7 @@ class Targeted(Method[TargetedState]):
         if not packs:
             return start
         about = packs[-1].attributes
-        own = nested_in(packs, _INNER, "inner")
+        own = self.nested.packs_in(packs)
         inner = self.inner.restore(start.inner, own)
         best = about["best"]
         state = replace(
