@@ -11,16 +11,11 @@ import numpy as np
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import MEMORY_BYTES, LevelImages, Method, Pack, TargetOptions
 from rfpipe.methods.held_out.estimate import Held, error_of
-from rfpipe.methods.held_out.patterns import (
-    HELD_OUT,
-    MOST_HELD_OUT,
-    held_out_shapes,
-    held_out_spots,
-    held_out_strip,
-)
+from rfpipe.methods.held_out.patterns import MOST_HELD_OUT
+from rfpipe.methods.held_out.rounds import due, gathered, latest
 from rfpipe.methods.images import read_planar
 from rfpipe.methods.nested import Nested
-from rfpipe.methods.states import Descent, MethodState, appended, arrays_of, unprefixed
+from rfpipe.methods.states import Descent, MethodState, appended
 from rfpipe.methods.targeted.nearness import nearness
 from rfpipe.methods.targeted.state import Kind, Shown, TargetedState
 from rfpipe.patterns import Schedule
@@ -92,11 +87,8 @@ class Targeted(Method[TargetedState]):
             return self.nested.schedule(state.inner, level)
         if state.following == "done":
             return Schedule.nothing(level, shape)
-        held = [held_out_shapes(shape)]
-        if state.held is not None:
-            near = nearness(self.transport(state))
-            held = [held_out_strip(near), held_out_spots(shape)]
-        weights = np.repeat(np.stack(held), HELD_OUT, axis=0).astype(np.float32)
+        held = due(shape, state.held, lambda: nearness(self.transport(state)))
+        weights = np.stack(held).astype(np.float32)
         return Schedule(level, shape, len(weights), weights=weights)
 
     def refine(
@@ -174,9 +166,8 @@ class Targeted(Method[TargetedState]):
             return Pack({}, attributes)
         assert state.held is not None
         assert state.known is not None
-        held = arrays_of(state.held, _HELD)
-        arrays = {name: array[-last.patterns :] for name, array in held.items()}
-        return Pack({**arrays, "known": state.known.astype(np.uint8)}, attributes)
+        held = latest(state.held, last.patterns, _HELD)
+        return Pack({**held, "known": state.known.astype(np.uint8)}, attributes)
 
     def restore(self, start: TargetedState, packs: Sequence[Pack]) -> TargetedState:
         """Return the state after the last of `packs`, one a level from level 0 on."""
@@ -186,21 +177,14 @@ class Targeted(Method[TargetedState]):
         own = self.nested.packs_in(packs)
         inner = self.inner.restore(start.inner, own)
         best = about["best"]
-        state = replace(
+        known = [pack.arrays["known"] for pack in packs if "known" in pack.arrays]
+        return replace(
             start,
             inner=inner,
             best=inner if best == inner.level else self.inner.restore(start.inner, own[:best]),
             shown=tuple(Shown(*pack.attributes["shown"]) for pack in packs),
             following=about["following"],
+            held=gathered(Held, packs, _HELD),
+            known=known[-1].astype(np.bool_) if known else None,
             error=about["error"],
         )
-        return state if state.error is None else _with_pictures(state, packs)
-
-
-def _with_pictures(state: TargetedState, packs: Sequence[Pack]) -> TargetedState:
-    """Return a state with the held-out pictures of packs."""
-    arrays = [pack.arrays for pack in packs if "known" in pack.arrays]
-    held = None
-    for pictures in (unprefixed(_HELD, own) for own in arrays):
-        held = appended(held, Held(pictures["lit"].astype(np.bool_), pictures["radiance"]))
-    return replace(state, held=held, known=arrays[-1]["known"].astype(np.bool_))
