@@ -66,13 +66,13 @@ class HeldOutState(MethodState):
             Tells how much light stays near, as `due` takes it.
         """
         held = due(self.projector.shape, self.held, nearness)
-        if not count or not self.options.patterns:
+        if not self.options.patterns:
             return held, count
         room = self.options.patterns - self.shown
-        if room > len(held):
+        if room >= len(held) + min(count, 1):
             return held, min(count, room - len(held))
         # without any held-out pictures a round would say nothing of the error
-        return [], max(room, 0) if self.held else 0
+        return [], min(count, max(room, 0)) if self.held else 0
 
     def round(self, held: Sequence[NDArray[np.bool_]], others: NDArray[Any]) -> Schedule:
         """Return a round's patterns, the held-out ones first."""
