@@ -26,6 +26,7 @@ __all__ = [
     "plain",
     "remove_tree",
     "storage_errors",
+    "whole_file",
     "write_atomically",
 ]
 
@@ -137,6 +138,24 @@ def write_atomically(path: Path, content: bytes) -> None:
         except OSError:
             partial.unlink(missing_ok=True)
             raise
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a name to write a large file under, which becomes `path` when it is whole.
+
+    The name ends as `path` does, since some writers tell the format by it. What an interrupted
+    write leaves is removed.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".partial-{path.name}")
+    try:
+        yield partial
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def hidden_sibling(path: Path, purpose: str) -> Path:
