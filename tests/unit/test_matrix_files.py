@@ -90,6 +90,22 @@ def test_a_mat_file_says_that_it_is_one_of_version_7_3(tmp_path: Path) -> None:
         scipy.io.loadmat(path)
 
 
+def test_a_mat_file_gives_images_as_the_documents_say(tmp_path: Path) -> None:
+    """What docs/export.md tells MATLAB's users to do, in numpy's words for it."""
+    path = tmp_path / "matrix.mat"
+    transport = DenseTransport((3, 5), (4, 6), 3, [], {"matrix": matrix_of(3)})
+    transport.save(path)
+    with h5py.File(path) as file:  # MATLAB's arrays are the transposed datasets, column by column
+        found = {name: np.asfortranarray(dataset[...].T) for name, dataset in file.items()}
+    assert found["camera_shape"].shape == (1, 2)
+    p = np.random.default_rng(2).random((4, 6), dtype=np.float32)
+    c = found["T"][:, :, 1] @ p.T.reshape(-1, order="F")
+    height, width = found["camera_shape"][0].astype(int)
+    image = c.reshape((width, height), order="F").T
+    np.testing.assert_allclose(image, transport.relight(p)[..., 1], rtol=1e-5)
+    assert found["about"].shape[0] == 1
+
+
 def test_a_rig_takes_what_was_exported(tmp_path: Path) -> None:
     path = tmp_path / "matrix.npz"
     transport_of(3).save(path)

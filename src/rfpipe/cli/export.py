@@ -251,7 +251,7 @@ def movie(
 ) -> None:
     """Write a movie of a light that moves over the scene, in mp4 (H.264) or webm (VP9).
 
-    Needs the extra rfpipe[export]. Without --white all is relit twice, first to find it.
+    Needs PyAV, which the extra "export" has. Without --white all is relit twice, first to find it.
     """
     from rfpipe.blocks import RayDomain
     from rfpipe.export import Scale, light_path, relit_movie

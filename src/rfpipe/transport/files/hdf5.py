@@ -55,7 +55,7 @@ def new_file(path: Path, **options: Any) -> Iterator[h5py.File]:
             f"HDF5 and MAT files are written by h5py, which can't be loaded: {error}. Install it: "
             "pip install 'rfpipe[export]', or write an .npz"
         ) from error
-    with h5py.File(path, "w", track_order=True, **options) as file:
+    with h5py.File(path, "w", **options) as file:
         yield file
 
 
