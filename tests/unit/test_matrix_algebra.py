@@ -178,6 +178,20 @@ def test_coarser_rays_average_what_is_seen_and_share_what_is_lit(make, factor: i
     np.testing.assert_allclose(image.reshape(-1, 3).T, expected @ pattern.ravel(), rtol=1e-5)
 
 
+def test_coarser_rays_take_few_fine_ones_at_a_time(monkeypatch) -> None:
+    transport, _ = dense()
+    whole = rfpipe.coarser(transport, 2).toarray()
+    monkeypatch.setattr("rfpipe.transport.coarse._FINE_BYTES", 1)
+    at_once: list[int] = []
+    forward = transport.forward
+    monkeypatch.setattr(
+        transport, "forward", lambda light, of: at_once.append(len(light)) or forward(light, of)
+    )
+    columns = rfpipe.coarser(transport, 2).toarray(columns=[2, 1])
+    np.testing.assert_allclose(columns, whole[:, :, [2, 1]], rtol=1e-5)
+    assert at_once == [1, 1]
+
+
 def averaging(shape: tuple[int, ...], factor: int) -> NDArray[np.float64]:
     """The matrix that takes the means of squares of an image, ray by ray."""
     groups: dict[tuple[int, ...], list[int]] = {}

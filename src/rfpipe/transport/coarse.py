@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +11,9 @@ from rfpipe.errors import InputError
 from rfpipe.transport.base import Float, Light
 
 __all__ = ["CoarserTransport", "coarser", "square_means"]
+
+
+_FINE_BYTES = 64 * 2**20
 
 
 def coarser(transport: Light, factor: int) -> CoarserTransport:
@@ -51,16 +55,29 @@ class CoarserTransport(Light):
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``."""
-        light = self._spread(patterns, self.projector_shape, self.fine.projector_shape)
-        seen = self.fine.forward(light, channels)
-        sums = self._gathered(seen, self.fine.camera_shape)
-        return sums / self._sizes(self.fine.camera_shape)
+
+        def few(patterns: Float) -> Float:
+            light = self._spread(patterns, self.projector_shape, self.fine.projector_shape)
+            sums = self._gathered(self.fine.forward(light, channels), self.fine.camera_shape)
+            return sums / self._sizes
+
+        return self._a_few_at_a_time(few, patterns)
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T^T c`` for planar images ``(P, K, M)``."""
-        shares = images / self._sizes(self.fine.camera_shape)
-        light = self._spread(shares, self.camera_shape, self.fine.camera_shape)
-        return self._gathered(self.fine.adjoint(light, channels), self.fine.projector_shape)
+
+        def few(images: Float) -> Float:
+            light = self._spread(images / self._sizes, self.camera_shape, self.fine.camera_shape)
+            return self._gathered(self.fine.adjoint(light, channels), self.fine.projector_shape)
+
+        return self._a_few_at_a_time(few, images)
+
+    def _a_few_at_a_time(self, apply: Callable[[Float], Float], planar: Float) -> Float:
+        """Apply to parts of what is given, which are `factor` squared times larger when spread."""
+        fine = self.fine.matrix_shape
+        at_a_time = max(1, _FINE_BYTES // (4 * planar.shape[1] * (fine[1] + fine[2])))
+        parts = range(0, max(len(planar), 1), at_a_time)
+        return np.concatenate([apply(planar[first : first + at_a_time]) for first in parts])
 
     def _spread(self, planar: Float, coarse: tuple[int, ...], fine: tuple[int, ...]) -> Float:
         """Give each fine ray the value of its coarse one; white light stays one plane's memory."""
@@ -78,9 +95,10 @@ class CoarserTransport(Light):
         images = planar.reshape(*planar.shape[:2], *fine)
         return _sums(images, self.factor).reshape(*planar.shape[:2], -1)
 
-    def _sizes(self, fine: tuple[int, ...]) -> Float:
-        """Number of rays of each coarse one."""
-        return _sums(np.ones(fine, np.float32), self.factor).reshape(-1)
+    @cached_property
+    def _sizes(self) -> Float:
+        """Number of camera rays of each coarse one."""
+        return _sums(np.ones(self.fine.camera_shape, np.float32), self.factor).reshape(-1)
 
 
 def square_means(images: Float, factor: int) -> Float:
