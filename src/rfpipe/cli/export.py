@@ -134,7 +134,7 @@ def rays(
 ) -> None:
     """Write single rows and columns of the matrix as pictures.
 
-    They are named after their ray, as row_031_035.exr. In a .png each has its own white, unless
+    They are named after their ray, as row_31_35.exr. In a .png each has its own white, unless
     told otherwise, which cuts off the ray's direct light, often the brightest by far.
     """
     import math
@@ -164,9 +164,10 @@ def rays(
     folder.mkdir(parents=True, exist_ok=True)
     for side, numbers in found.items():
         shape = light.camera_shape if side == "row" else light.projector_shape
-        digits = len(str(max(shape)))
+        digits = [len(str(length - 1)) for length in shape]
         for place, picture in ray_pictures(light, "row" if side == "row" else "column", numbers):
-            name = "_".join([side, *(f"{index:0{digits}d}" for index in place)])
+            numbered = (f"{index:0{n}d}" for index, n in zip(place, digits, strict=True))
+            name = "_".join([side, *numbered])
             about = {"rfpipe:kind": side, "rfpipe:ray": ",".join(map(str, place))}
             top = float(np.percentile(picture, 99.5)) if white is None else white
             _write(folder / f"{name}.{form}", size.apply(picture), top or None, about)

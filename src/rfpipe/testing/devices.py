@@ -96,6 +96,7 @@ class ProjectorContract:
                 ("three channels", np.zeros((height, width, 3), np.float32)),
                 ("a weight of 1.5", np.full_like(picture, 1.5)),
                 ("a negative weight", np.full_like(picture, -0.5)),
+                ("a picture of 0 to 255", np.rint(255 * picture).astype(np.uint8)),
                 ("NaN", one_wrong),
             ):
                 require_raises(

@@ -137,6 +137,7 @@ class RigContract:
                 ("a weight of 1.5", 1.5 * good, [(1, 0)]),
                 ("a negative weight", -good, [(1, 0)]),
                 ("NaN", np.nan * good, [(1, 0)]),
+                ("a picture of 0 to 255", (255 * good).astype(np.uint8), [(1, 0)]),
                 ("a pattern without key", good, []),
             ):
                 require_raises(
