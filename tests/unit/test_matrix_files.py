@@ -173,6 +173,13 @@ def test_a_folder_that_can_t_be_written(tmp_path: Path) -> None:
             transport_of(1).save(tmp_path / "file" / f"matrix{suffix}")
 
 
+def test_a_disk_without_room_is_found_before(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("rfpipe.transport.files.free_bytes", lambda folder: 1000)
+    with pytest.raises(StoreError, match=r"up to 4,320 bytes needed, 1,000 bytes free"):
+        transport_of(3).save(tmp_path / "matrix.h5")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("suffix", [".h5", ".mat"])
 def test_the_extra_is_named_where_its_package_is_missing(
     tmp_path: Path, monkeypatch, suffix: str

@@ -332,5 +332,6 @@ def _write(
     from rfpipe.pictures import write_image
     from rfpipe.store.files import storage_errors, whole_file
 
-    with storage_errors(path, "writing", picture.nbytes), whole_file(path) as partial:
+    failing = storage_errors(path, "writing", picture.nbytes, resumes=False)
+    with failing, whole_file(path) as partial:
         write_image(partial, picture, white, about)

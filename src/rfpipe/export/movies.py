@@ -54,7 +54,7 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -
             f"movies are written by PyAV, which can't be loaded: {error}. Install it: "
             "pip install 'rfpipe[export]'"
         ) from error
-    with storage_errors(path, "writing"), whole_file(path) as partial:
+    with storage_errors(path, "writing", resumes=False), whole_file(path) as partial:
         try:
             _encode(partial, MOVIE_FILES[path.suffix.lower()], pictures, fps)
         except av.error.FFmpegError as error:

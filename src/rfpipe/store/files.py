@@ -82,7 +82,9 @@ def plain(value: dict[str, Any], where: str) -> dict[str, Any]:
 
 
 @contextmanager
-def storage_errors(path: Path, action: str, needed_bytes: int = 0) -> Iterator[None]:
+def storage_errors(
+    path: Path, action: str, needed_bytes: int = 0, *, resumes: bool = True
+) -> Iterator[None]:
     """Turn an OSError into a StoreError that says what to do.
 
     Parameters
@@ -93,6 +95,8 @@ def storage_errors(path: Path, action: str, needed_bytes: int = 0) -> Iterator[N
         What is being done, such as ``"writing items 3 to 7"``.
     needed_bytes
         Size of the data before compression; 0 when it doesn't matter.
+    resumes
+        Whether a second run goes on where this one stopped.
 
     Raises
     ------
@@ -104,9 +108,10 @@ def storage_errors(path: Path, action: str, needed_bytes: int = 0) -> Iterator[N
     except OSError as error:
         reason = error.strerror or str(error)
         if error.errno in _FULL:
+            goes_on = ": it goes on where it stopped" if resumes else ""
             advice = (
                 f"{needed_bytes:,} bytes needed, {free_bytes(path.parent):,} bytes free on its "
-                "file system; make room and run again: it goes on where it stopped"
+                f"file system; make room and run again{goes_on}"
             )
         elif error.errno in _FORBIDDEN:
             advice = (

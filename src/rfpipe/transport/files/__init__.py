@@ -6,8 +6,8 @@ from collections.abc import Callable
 from math import prod
 from pathlib import Path
 
-from rfpipe.errors import InputError
-from rfpipe.store.files import storage_errors, whole_file
+from rfpipe.errors import InputError, StoreError
+from rfpipe.store.files import free_bytes, storage_errors, whole_file
 from rfpipe.transport.algebra import MatrixAlgebra, Rays, chosen_rays, gibibytes
 from rfpipe.transport.files.contents import Contents
 from rfpipe.transport.files.hdf5 import write_hdf5
@@ -55,5 +55,14 @@ def write_matrix(
             "columns, lower the scale (at half of it the matrix is 16 times smaller), or raise "
             "the limit"
         )
-    with storage_errors(path, "writing", contents.nbytes), whole_file(path) as partial:
+    if contents.nbytes > free_bytes(path.absolute().parent):
+        raise StoreError(
+            f"{path}: up to {contents.nbytes:,} bytes needed, "
+            f"{free_bytes(path.absolute().parent):,} bytes free on its file system; make room, or "
+            "choose rows or columns"
+        )
+    with (
+        storage_errors(path, "writing", contents.nbytes, resumes=False),
+        whole_file(path) as partial,
+    ):
         write(partial, contents)
