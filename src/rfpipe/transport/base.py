@@ -177,8 +177,8 @@ class Transport(Light):
     def _facts(self) -> dict[str, str]:
         facts = {**super()._facts(), "bytes": f"{self.nbytes:,}"}
         if self.level_rows:
-            shown = sum(int(row.get("patterns", 0)) for row in self.level_rows)
-            facts["acquired by"] = f"{shown:,} patterns in {len(self.level_rows)} levels"
+            shown = [int(row["patterns"]) for row in self.level_rows if row.get("patterns")]
+            facts["acquired by"] = f"{sum(shown):,} patterns in {len(shown)} levels"
         return facts
 
     @abstractmethod
