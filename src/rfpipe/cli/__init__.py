@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rfpipe.cli.export import app as export
 from rfpipe.errors import InputError, RfpipeError
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ def relight(
             metavar="NAME|FILE",
             help="The light: white, vertical_bar, horizontal_bar, noise, binary or spot; or a "
             "picture of the projector's size, one channel (white light) or RGB, its values taken "
-            "as linear weights.",
+            "as linear weights: whole numbers as fractions of their largest, 255 of 8 bits.",
         ),
     ],
     output: Annotated[
@@ -150,7 +151,7 @@ def relight(
     Several views stand one above the other in the pattern and in the output.
     """
     from rfpipe.blocks import RayDomain
-    from rfpipe.cli.images import write_image
+    from rfpipe.pictures import write_image
     from rfpipe.transport import open_transport
 
     transport = open_transport(path)
@@ -259,7 +260,7 @@ def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.flo
     import numpy as np
 
     from rfpipe.blocks import RayDomain
-    from rfpipe.cli.images import read_image
+    from rfpipe.pictures import read_image
     from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
 
     if name == "white":
@@ -287,6 +288,9 @@ def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.flo
 
 def _times(shape: tuple[int, ...]) -> str:
     return " x ".join(map(str, shape))
+
+
+app.add_typer(export, name="export")
 
 
 def main() -> None:

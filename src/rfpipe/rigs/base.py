@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.weights import as_weights
 
 __all__ = [
     "BLACK_LEVEL_KEY",
@@ -117,6 +118,7 @@ def check_patterns(
         )
     if len(keys) != len(patterns):
         raise InputError(f"{len(patterns)} patterns came with {len(keys)} keys; one key each")
+    patterns = as_weights(patterns, "the batch of patterns")
     is_right = (patterns >= 0) & (patterns <= 1)  # NaN is neither
     if not is_right.all():
         where = tuple(int(i) for i in np.argwhere(~is_right)[0])

@@ -6,7 +6,8 @@ import importlib
 from pathlib import Path
 from typing import Any, get_args
 
-from rfpipe.errors import InputError, StoreError
+from rfpipe.errors import StoreError
+from rfpipe.transport.algebra import MEMORY_BUDGET
 from rfpipe.transport.base import Transport
 from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
@@ -23,9 +24,6 @@ _CLASSES = {
 }
 
 _FORMATS = get_args(NumberFormat)
-
-MEMORY_BUDGET = 4 * 2**30
-"""Bytes of a transport that stay in memory by default."""
 
 
 def save_transport(
@@ -58,12 +56,7 @@ def save_transport(
     InputError
         If the number format is none of the three.
     """
-    from rfpipe.store.arrays import write_arrays
-
-    if number_format not in _FORMATS:
-        raise InputError(f"number format {number_format!r}; expected one of {', '.join(_FORMATS)}")
-    arrays, own = transport.pack(number_format)
-    return write_arrays(Path(path), arrays, {**attributes, **own}, small=True)
+    return transport.store(path, number_format, **attributes)
 
 
 def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Transport:

@@ -1,15 +1,18 @@
-"""Picture files in and out, by OpenImageIO."""
+"""Pictures: files in and out, by OpenImageIO, and radiance rendered for a screen."""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["read_image", "write_image"]
+__all__ = ["png_bytes", "read_image", "srgb", "write_image"]
 
 _SUFFIXES = (".exr", ".png")
 
@@ -47,7 +50,12 @@ def read_image(path: Path) -> NDArray[np.float32]:
     raise InputError(f"{path}: has the channels {names}; expected one channel, or R, G and B")
 
 
-def write_image(path: Path, image: NDArray[np.floating], white: float | None = None) -> None:
+def write_image(
+    path: Path,
+    image: NDArray[np.floating],
+    white: float | None = None,
+    about: Mapping[str, str] | None = None,
+) -> None:
     """Write radiance as a picture.
 
     Parameters
@@ -58,6 +66,8 @@ def write_image(path: Path, image: NDArray[np.floating], white: float | None = N
         Radiance, shape (H, W, 1) or (H, W, 3).
     white
         Radiance shown as white in a PNG; the image's maximum when None.
+    about
+        What the file says of itself, as attributes of its header.
 
     Raises
     ------
@@ -66,8 +76,6 @@ def write_image(path: Path, image: NDArray[np.floating], white: float | None = N
     """
     import OpenImageIO as oiio
 
-    from rfpipe.photometry.response import srgb
-
     if path.suffix.lower() not in _SUFFIXES:
         raise InputError(f"{path}: expected a name that ends in {' or '.join(_SUFFIXES)}")
     pixels, kind = image, "float"
@@ -75,5 +83,37 @@ def write_image(path: Path, image: NDArray[np.floating], white: float | None = N
         top = float(image.max()) if white is None else white
         pixels, kind = srgb(image, top or 1.0)[..., : image.shape[-1]], "uint8"
     picture = oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
+    for name, text in (about or {}).items():
+        picture.specmod().attribute(name, text)
     if not picture.write(str(path), kind):
         raise InputError(f"{path}: can't be written: {picture.geterror()}")
+
+
+def png_bytes(image: NDArray[np.floating], white: float) -> bytes:
+    """Return radiance ``(H, W, 1)`` or ``(H, W, 3)`` as a PNG file of 8 bits, sRGB."""
+    from matplotlib.image import imsave
+
+    buffer = io.BytesIO()
+    imsave(buffer, srgb(image, white), format="png", metadata={"Software": ""})
+    return buffer.getvalue()
+
+
+def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
+    """Render radiance for a screen.
+
+    Parameters
+    ----------
+    radiance : ndarray, shape (*shape, C)
+        C is 1 or 3.
+    white : float
+        Radiance shown as white; more is cut off.
+
+    Returns
+    -------
+    ndarray of float64, shape (*shape, 3)
+        In [0, 1], with the transfer curve of sRGB (IEC 61966-2-1).
+    """
+    linear = np.clip(np.asarray(radiance, np.float64) / white, 0, 1)
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    rgb: NDArray[np.float64] = np.broadcast_to(shown, (*shown.shape[:-1], 3))
+    return rgb
