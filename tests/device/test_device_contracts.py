@@ -11,7 +11,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.rigs import DeviceRig, ProjectorLayout
 from rfpipe.rigs.geometry import centred_corners, tilted_corners
-from rfpipe.rigs.matrices import as_pattern_operator
+from rfpipe.transport.operators import as_pattern_operator
 from rfpipe.rigs.optics import OpticalPath
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
 
