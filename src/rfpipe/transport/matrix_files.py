@@ -175,10 +175,12 @@ def _sparse(path: Path, group: Any, attributes: dict[str, Any]) -> csr_array[Any
         )
     shape = attributes.get("shape", group["shape"][()] if "shape" in group else None)
     stated = attributes.get("format", "csr")
-    kind = csc_array if (stated.decode() if isinstance(stated, bytes) else stated) == "csc" else (
-        csr_array
+    kind = (
+        csc_array
+        if (stated.decode() if isinstance(stated, bytes) else stated) == "csc"
+        else (csr_array)
     )
-    whole = None if shape is None else tuple(int(extent) for extent in shape)
+    whole: Any = None if shape is None else tuple(int(extent) for extent in shape)
     return kind((parts["data"], parts["indices"], parts["indptr"]), shape=whole)
 
 
@@ -209,9 +211,9 @@ def _channels(
         return _of_transport(held, camera_shape, projector_shape, name)
     rows, columns = prod(camera_shape), prod(projector_shape)
     if sparse.issparse(held):
-        if held.shape != (rows, columns):
-            raise _misfit(name, held.shape, camera_shape, projector_shape)
-        matrix = sparse.csr_array(held)
+        matrix: Any = sparse.csr_array(held)  # type: ignore[call-overload]
+        if matrix.shape != (rows, columns):
+            raise _misfit(name, matrix.shape, camera_shape, projector_shape)
         if order == "columns":
             matrix = matrix[_by_columns(camera_shape)][:, _by_columns(projector_shape)]
         return [sparse.csr_array(matrix)]
