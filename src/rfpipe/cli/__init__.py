@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rfpipe.cli import offline
+from rfpipe.cli import fit, offline
 from rfpipe.errors import InputError, RfpipeError
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+app.command()(fit.fit)
 app.command()(offline.patterns)
 app.command("import")(offline.import_)
 

@@ -65,8 +65,14 @@ class Picture:
     bits: int
 
 
-def picture_files(folder: Path) -> list[Path]:
+def picture_files(folder: Path, more: tuple[str, ...] = ()) -> list[Path]:
     """Return the pictures in a folder, numbers in their names taken for numbers.
+
+    Parameters
+    ----------
+    folder : Path
+    more : tuple of str
+        How names may end, too, beside those of TIFF, PNG, EXR and raw files.
 
     Raises
     ------
@@ -75,7 +81,7 @@ def picture_files(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: is no folder; expected one of pictures")
-    known = {*_PLAIN, *RAW}
+    known = {*_PLAIN, *RAW, *more}
     found = [
         path
         for path in folder.iterdir()
@@ -83,8 +89,8 @@ def picture_files(folder: Path) -> list[Path]:
     ]
     if not found:
         raise InputError(
-            f"{folder}: holds no pictures; expected files that end in {', '.join(_PLAIN)} or, raw, "
-            f"in {', '.join(RAW)}"
+            f"{folder}: holds no pictures; expected files that end in "
+            f"{', '.join([*_PLAIN, *more])} or, raw, in {', '.join(RAW)}"
         )
     return sorted(found, key=_natural)
 
