@@ -208,7 +208,7 @@ def _of_pictures(series: Series) -> Double:
 def _gains(series: Series) -> Double:
     """Return the variance of each ray's pictures over its squared brightness, (C, M), of mean 1."""
     light = np.sqrt(np.square(series.radiance, dtype=np.float64).mean(axis=0))
-    light = np.maximum(light, _DIMMEST * max(float(light.max()), np.finfo(np.float32).tiny))
+    light = np.maximum(light, _DIMMEST * max(float(light.max()), float(np.finfo(np.float32).tiny)))
     spread = series.variance.mean(axis=0, dtype=np.float64)
     if not spread.any():  # nothing is known: as many per cent of every ray
         return np.ones_like(light)
