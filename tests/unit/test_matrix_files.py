@@ -125,8 +125,8 @@ class TestMatrixScene(SceneContract):
         assert self.make_scene().apply(np.ones((1, 18))).max() == pytest.approx(1.5)
 
     def test_channels_must_be_those_of_the_settings(self) -> None:
+        settings = {"shape": PROJECTOR, "camera_shape": CAMERA, "channels": 1}
         with pytest.raises(InputError, match=r"holds 3 channels.*Set it to 3"):
-            settings = {"shape": PROJECTOR, "camera_shape": CAMERA, "channels": 1}
             scene_from_config(SceneSettings.of("matrix", file=str(self.path), **settings))
 
     def test_negative_entries(self) -> None:

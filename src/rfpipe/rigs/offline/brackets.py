@@ -95,7 +95,8 @@ def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool 
     headers = [_checked_header(rig, path) for path in files]
     first = 0
     if sheet.has_markers:
-        first = _first(rig, files, expected, step, folder)
+        firsts = _firsts(rig, headers, sheet, len(files) - expected + 1)
+        first = _first(rig, files, expected, step, folder, firsts)
     notes = []
     if len(files) > expected:
         notes.append(f"{len(files) - expected} pictures before or after the markers are left out")
@@ -122,7 +123,38 @@ def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool 
     return checked
 
 
-def _first(rig: OfflineRig, files: list[Path], expected: int, step: int, folder: Path) -> int:
+def _firsts(rig: OfflineRig, headers: list[Header], sheet: Sheet, most: int) -> list[int]:
+    """Return the pictures at which the series may begin: with the exposures of a bracket."""
+    step = len(sheet.exposures_s)
+    found = []
+    for first in range(most):
+        seconds = [header.exposure_s or 0 for header in headers[first : first + step]]
+        following = [header.exposure_s or 0 for header in headers[first + step : first + 2 * step]]
+        is_timed = all(seconds) and isinstance(rig.camera_sensor, CameraModel)
+        if not is_timed or (
+            _are(seconds, sheet.exposures_s) and _are(following, sheet.exposures_s)
+        ):
+            found.append(first)
+    # none: the messages about single brackets tell more
+    return found or list(range(most))
+
+
+def _are(seconds: list[float], exposures: tuple[float, ...]) -> bool:
+    """Tell whether exposure times are those of a bracket, in any order."""
+    return all(
+        abs(found - expected) <= _EXPOSURE_ERROR * expected
+        for found, expected in zip(sorted(seconds), exposures, strict=True)
+    )
+
+
+def _first(
+    rig: OfflineRig,
+    files: list[Path],
+    expected: int,
+    step: int,
+    folder: Path,
+    firsts: list[int],
+) -> int:
     """Find the series among the pictures by its markers."""
 
     @lru_cache(maxsize=3 * (len(files) - expected + 1))
@@ -131,7 +163,7 @@ def _first(rig: OfflineRig, files: list[Path], expected: int, step: int, folder:
         light: NDArray[Any] = np.stack([_small(frame) for frame in frames]).sum(axis=0)
         return light
 
-    return first_bracket(image, len(files), expected, step, str(folder))
+    return first_bracket(image, len(files), expected, step, str(folder), firsts)
 
 
 def _small(frame: NDArray[Any]) -> NDArray[np.float32]:

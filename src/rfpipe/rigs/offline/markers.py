@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,9 @@ _SAME = 0.3
 _Image = Callable[[int], NDArray[Any]]
 
 
-def first_bracket(image: _Image, count: int, expected: int, step: int, name: str) -> int:
+def first_bracket(
+    image: _Image, count: int, expected: int, step: int, name: str, firsts: Sequence[int]
+) -> int:
     """Find the first picture of a series, marker, opposite, patterns, opposite.
 
     Parameters
@@ -32,6 +34,8 @@ def first_bracket(image: _Image, count: int, expected: int, step: int, name: str
         Pictures of a bracket.
     name : str
         Of the folder, for messages.
+    firsts : sequence of int
+        Pictures at which it may begin.
 
     Returns
     -------
@@ -43,11 +47,7 @@ def first_bracket(image: _Image, count: int, expected: int, step: int, name: str
     CaptureError
         Where the markers stand in no place, in several, or the other way round.
     """
-    found = [
-        first
-        for first in range(count - expected + 1)
-        if _frames(image, first, first + expected - step, step)
-    ]
+    found = [first for first in firsts if _frames(image, first, first + expected - step, step)]
     if len(found) == 1:
         return found[0]
     if found:
