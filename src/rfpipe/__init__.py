@@ -2,8 +2,9 @@
 
 ``open_transport`` opens what a run stored, ``coarser`` lowers its resolution, ``picture_weights``
 makes a pattern of a picture; ``acquire`` runs a whole acquisition in this process; ``OperatorRig``
-is a rig made from a matrix or linear operator, and ``CameraModel`` the camera that it may be given.
-Each is imported when it is first used, so that ``import rfpipe`` stays quick.
+is a rig made from a matrix or linear operator, which ``read_matrix`` finds in files of other
+programs, and ``CameraModel`` the camera that it may be given. Each is imported when it is first
+used, so that ``import rfpipe`` stays quick.
 """
 
 from importlib import import_module
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from rfpipe.rigs import OperatorRig
     from rfpipe.stages.acquire import acquire
     from rfpipe.transport import coarser, open_transport
+    from rfpipe.transport.matrix_files import read_matrix
     from rfpipe.weights import picture_weights
 
     __version__: str
@@ -26,6 +28,7 @@ __all__ = [
     "coarser",
     "open_transport",
     "picture_weights",
+    "read_matrix",
 ]
 
 _HOMES = {
@@ -35,6 +38,7 @@ _HOMES = {
     "coarser": "rfpipe.transport",
     "open_transport": "rfpipe.transport",
     "picture_weights": "rfpipe.weights",
+    "read_matrix": "rfpipe.transport.matrix_files",
 }
 
 

@@ -11,6 +11,7 @@ __all__ = [
     "InputError",
     "IntegrityError",
     "LockedError",
+    "PicturesNeeded",
     "RfpipeError",
     "StaleStoreError",
     "StoreError",
@@ -32,6 +33,10 @@ class InputError(RfpipeError, ValueError):
 
 class CaptureError(RfpipeError):
     """A rig failed, or what it returned can't be a picture of the pattern shown."""
+
+
+class PicturesNeeded(CaptureError):  # noqa: N818 - no failure: somebody is to take them
+    """A rig whose pictures are taken elsewhere waits for those of some patterns."""
 
 
 class ClusterError(RfpipeError):

@@ -13,7 +13,7 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.cli import app, main
 from rfpipe.config import json_schema
 from rfpipe.errors import InputError
-from rfpipe.pictures import read_image, write_image
+from rfpipe.pictures.images import read_image, write_image
 from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
 from rfpipe.transport import save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet

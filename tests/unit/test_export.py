@@ -22,7 +22,7 @@ from rfpipe.export import (
     relit_pictures,
     write_movie,
 )
-from rfpipe.pictures import read_image, srgb, write_image
+from rfpipe.pictures.images import read_image, srgb, write_image
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.transport import coarser, open_transport
 from rfpipe.transport.dense import DenseTransport

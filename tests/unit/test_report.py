@@ -25,7 +25,7 @@ from tests.reports import (
 
 from rfpipe.config import Config
 from rfpipe.errors import InputError, StoreError
-from rfpipe.pictures import srgb
+from rfpipe.pictures.images import srgb
 from rfpipe.report import build_report
 from rfpipe.report.benchmarks import benchmarks_section
 from rfpipe.report.blocks import Section

@@ -5,8 +5,9 @@ from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
 from rfpipe.stages.evaluating.studies import FIGURES
 from rfpipe.stages.evaluating.sweep import is_swept
-from rfpipe.stages.jobs.code import acquisition_code, module_of, stage_code
+from rfpipe.stages.jobs.code import module_of, stage_code
 from rfpipe.stages.jobs.notify import notify
+from rfpipe.stages.jobs.settings import stages_of
 from rfpipe.stages.plan import plan_of
 
 if len(workflow.configfiles) == 1:
@@ -47,27 +48,8 @@ def plan(wildcards):
 
 
 def stages(wildcards):
-    """What the stages of an acquisition do, before any rig, and the code that they do it with.
-
-    Snakemake sees no change of code inside the library.
-    """
-    capture = SETTINGS.capture
-    return {
-        "capture_options": {
-            "references": [capture.black_frames, capture.floodlit_frames],
-            "symmetry_frames": capture.symmetry_frames,
-            "batch_patterns": capture.batch_patterns,
-            "drift_patterns": capture.drift_patterns,
-            "keep_raw": capture.keep_raw,
-            "warm_up_minutes": capture.warm_up_minutes,
-            "when_patterns_change": capture.when_patterns_change,
-        },
-        "merge_options": {**plain(SETTINGS.merge), "keep_raw": capture.keep_raw},
-        "normalization": SETTINGS.normalization,
-        "number_format": SETTINGS.storage.number_format,
-        "asymmetry": capture.asymmetry,
-        "code": acquisition_code(module_of(METHODS, plan(wildcards)["method"])),
-    }
+    """What the stages of an acquisition do, before any rig, and the code that they do it with."""
+    return stages_of(SETTINGS, wildcards.scene, wildcards.method)
 
 
 def every_acquisition(name):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rfpipe.cli import fit, offline
 from rfpipe.cli.export import app as export
 from rfpipe.errors import InputError, RfpipeError
 
@@ -28,6 +29,10 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+app.command()(fit.fit)
+app.command()(offline.patterns)
+app.command("import")(offline.import_)
 
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")]
 TransportPath = Annotated[
@@ -151,7 +156,7 @@ def relight(
     Several views stand one above the other in the pattern and in the output.
     """
     from rfpipe.blocks import RayDomain
-    from rfpipe.pictures import write_image
+    from rfpipe.pictures.images import write_image
     from rfpipe.transport import open_transport
 
     transport = open_transport(path)
@@ -260,7 +265,7 @@ def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.flo
     import numpy as np
 
     from rfpipe.blocks import RayDomain
-    from rfpipe.pictures import read_image
+    from rfpipe.pictures.images import read_image
     from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
 
     if name == "white":

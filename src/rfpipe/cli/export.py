@@ -329,7 +329,7 @@ def _write(
     path: Path, picture: NDArray[np.float32], white: float | None, about: dict[str, str]
 ) -> None:
     """Write a picture, complete or not at all."""
-    from rfpipe.pictures import write_image
+    from rfpipe.pictures.images import write_image
     from rfpipe.store.files import storage_errors, whole_file
 
     failing = storage_errors(path, "writing", picture.nbytes, resumes=False)

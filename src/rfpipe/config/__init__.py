@@ -16,6 +16,7 @@ from rfpipe.config.files import (
     parse_rig_config,
 )
 from rfpipe.config.model import Config, NumberFormat, StorageConfig
+from rfpipe.config.offline import OfflineConfig
 from rfpipe.config.scenes import SceneSettings
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "CameraDriver",
     "Config",
     "NumberFormat",
+    "OfflineConfig",
     "ProjectorDriver",
     "RigConfig",
     "RigDriver",

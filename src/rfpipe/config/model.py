@@ -21,6 +21,7 @@ from rfpipe.config.base import (
 )
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.figures import FiguresConfig
+from rfpipe.config.offline import OfflineConfig
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
 
@@ -48,9 +49,10 @@ _DEFAULT_METHODS = ("near_far", "symmetric", "dual")
 class CaptureConfig(Settings):
     """How patterns are shown and pictures taken."""
 
-    rig: Literal["simulated", "remote"] = Field(
+    rig: Literal["simulated", "remote", "offline"] = Field(
         "simulated",
-        description="The rig: simulated, or remote, behind an acquisition server ('rfpipe serve').",
+        description="The rig: simulated; remote, behind an acquisition server ('rfpipe serve'); or "
+        "offline, whose pictures are taken elsewhere ('rfpipe patterns', 'rfpipe import').",
     )
     url: str = Field(
         "http://127.0.0.1:8750",
@@ -132,9 +134,9 @@ class CaptureConfig(Settings):
         return frames
 
     @property
-    def rule(self) -> Literal["simulated", "hardware"]:
-        """Which of the workflow's two rules of capture."""
-        return "simulated" if self.rig == "simulated" else "hardware"
+    def rule(self) -> Literal["simulated", "hardware", "offline"]:
+        """Which of the workflow's rules of capture."""
+        return "hardware" if self.rig == "remote" else self.rig
 
     @property
     def drift_patterns(self) -> int:
@@ -260,7 +262,8 @@ class Config(Settings):
     )
     camera: CameraConfig | None = Field(
         default_factory=CameraConfig,
-        description="The simulated camera, or null for exact radiance.",
+        description="The simulated camera, or the one that takes an offline rig's pictures; null "
+        "for exact radiance.",
     )
     capture: CaptureConfig = group_of(CaptureConfig)
     merge: MergeConfig = group_of(MergeConfig)
@@ -270,6 +273,7 @@ class Config(Settings):
         "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
         "to each image's energy, for the colours that a mosaic loses).",
     )
+    offline: OfflineConfig = group_of(OfflineConfig)
     rig_file: Text | None = Field(
         None,
         description="Settings of the rig that 'snakemake calibrate' calibrates, a YAML file, or "
@@ -298,6 +302,7 @@ class Config(Settings):
                 "notify": True,
                 "rig_file": True,
                 "capture": {"keep_raw", "url", "token_file", "patience_seconds"},
+                "offline": {"markers"},
             },
         )
 
@@ -335,12 +340,13 @@ class Config(Settings):
         captured = [name for name, scene in self.scenes.items() if scene.is_captured]
         if captured and self.capture.rig == "simulated":
             raise ValueError(
-                f"capture.rig should be remote for scenes.{captured[0]}, which is a "
+                f"capture.rig should be remote or offline for scenes.{captured[0]}, which is a "
                 "real scene, not a simulated one"
             )
-        if self.capture.rig == "remote" and len(self.scenes) > 1:
+        if self.capture.rig != "simulated" and len(self.scenes) > 1:
             raise ValueError(
-                f"scenes should be one with capture.rig remote, not {', '.join(self.scenes)}: a "
+                f"scenes should be one with capture.rig {self.capture.rig}, not "
+                f"{', '.join(self.scenes)}: a "
                 "rig sees one at a time; give each settings of its own"
             )
         for name, method in self.acquisitions:
@@ -351,6 +357,22 @@ class Config(Settings):
                     f"scenes.{name}.methods should be methods for any rig, such as {{dual: {{}}}}: "
                     f"{method} needs a coaxial one, whose camera and projector share their rays"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _pictures_can_be_taken_elsewhere(self) -> Self:
+        if self.capture.rig != "offline":
+            return self
+        if self.capture.drift_minutes is not None:
+            raise ValueError(
+                "capture.drift_minutes should be null with capture.rig offline, whose pictures say "
+                "nothing of their time"
+            )
+        if self.offline.camera_corners is not None and self.camera is None:
+            raise ValueError(
+                "camera should be set with offline.camera_corners, not null: exact radiance isn't "
+                "resampled"
+            )
         return self
 
     @model_validator(mode="after")

@@ -13,7 +13,7 @@ from rfpipe.errors import InputError
 from rfpipe.export.movies import write_movie
 from rfpipe.export.paths import LightPath
 from rfpipe.export.scales import Scale
-from rfpipe.pictures import srgb
+from rfpipe.pictures.images import srgb
 from rfpipe.transport.base import Light
 
 __all__ = ["relit_movie", "relit_pictures"]

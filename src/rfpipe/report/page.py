@@ -142,6 +142,8 @@ def _lead(inputs: Inputs) -> str:
     camera = inputs.config.camera
     if inputs.config.capture.rig == "remote":
         taken = "by a rig behind an acquisition server"
+    elif inputs.config.capture.rig == "offline":
+        taken = "from pictures that were taken elsewhere and imported"
     elif camera is None:
         taken = "from exact radiance"
     else:

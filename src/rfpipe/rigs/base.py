@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.transport.operators import PatternOperator
 from rfpipe.weights import as_weights
 
 __all__ = [
@@ -40,21 +41,6 @@ WARM_UP_KEY = 1_000_003
 
 SYMMETRY_KEY = 1_000_004
 """The same of the random patterns that tell whether a rig is coaxial: (this, i)."""
-
-
-class PatternOperator(Protocol):
-    """Light transport as a function of patterns.
-
-    The image of a pattern must not depend, to the last bit, on the patterns that it comes with:
-    else a capture that was resumed in the middle of a batch differs from an undisturbed one.
-    """
-
-    @property
-    def channels(self) -> int:
-        """Colour channels, 1 or 3."""
-
-    def apply(self, patterns: Float) -> NDArray[Any]:
-        """Return the images (B, camera rays, C) of patterns (B, projector rays)."""
 
 
 class Rig(Protocol):

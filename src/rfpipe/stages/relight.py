@@ -223,7 +223,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     if accept_bundle(manifest, made_from):
         return
     transport = open_transport(folder / "transport.zarr")
-    if scene.is_captured:
+    if not scene.has_truth:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
         names = list(relighting_patterns(transport.projector_shape))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.pictures import png_bytes
+from rfpipe.pictures.images import png_bytes
 
 __all__ = ["as_html"]
 

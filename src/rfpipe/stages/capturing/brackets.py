@@ -72,6 +72,13 @@ class Brackets:
         with FrameStore.open(self.path) as frames:
             return self.count - int(np.count_nonzero(frames.done))
 
+    def missing(self, most: int) -> list[tuple[int, int]]:
+        """Return the runs of brackets that aren't captured yet, ``first, last``, of so many."""
+        if not self.path.exists():
+            return [(first, min(first + most, self.count)) for first in range(0, self.count, most)]
+        with FrameStore.open(self.path) as frames:
+            return list(frames.missing(most))
+
     def opened(self) -> FrameStore:
         """Open the store for writing; make it where there is none."""
         sensor = self.rig.sensor
