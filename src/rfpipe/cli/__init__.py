@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rfpipe.cli.publish import publish
 from rfpipe.errors import InputError, RfpipeError
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+app.command()(publish)
 
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")]
 TransportPath = Annotated[
