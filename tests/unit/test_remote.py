@@ -207,11 +207,12 @@ def bucket(run: Path) -> Iterator[str]:
 
 
 def _put(address: str, content: bytes, patience: float = 0.0) -> None:
-    asked = urllib.request.Request(address, content, method="PUT")
+    headers = {"Content-Type": "application/octet-stream", "x-amz-acl": "public-read"}
+    asked = urllib.request.Request(address, content, headers, method="PUT")
     end = time.monotonic() + patience
     while True:
         try:
-            with urllib.request.urlopen(asked):
+            with urllib.request.urlopen(asked, timeout=10):
                 return
         except OSError:
             if time.monotonic() > end:

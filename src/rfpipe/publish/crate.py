@@ -11,7 +11,7 @@ from rfpipe.errors import StoreError
 from rfpipe.provenance import versions
 from rfpipe.publish.citation import UNPUBLISHED, Citation
 
-__all__ = ["METADATA_FILE", "PREVIEW_FILE", "Described", "crate_files", "need_rocrate"]
+__all__ = ["METADATA_FILE", "PREVIEW_FILE", "Described", "crate_metadata", "need_rocrate"]
 
 _PAGE = "README.md"
 METADATA_FILE, PREVIEW_FILE = "ro-crate-metadata.json", "ro-crate-preview.html"
@@ -38,7 +38,7 @@ def need_rocrate() -> None:
         ) from error
 
 
-def crate_files(
+def crate_metadata(
     citation: Citation,
     parts: Described,
     *,
@@ -46,8 +46,8 @@ def crate_files(
     settings: list[str],
     outputs: list[str],
     times: tuple[str, str],
-) -> tuple[str, str]:
-    """Return a crate's metadata (JSON-LD) and its page for people (HTML).
+) -> str:
+    """Return a crate's metadata (JSON-LD).
 
     Parameters
     ----------
@@ -111,15 +111,7 @@ def crate_files(
     action["object"] = _one_or_all([crate.dereference(name) for name in settings])
     action["result"] = _one_or_all([crate.dereference(name) for name in outputs])
     crate.root_dataset["mentions"] = action
-    return _metadata(crate), crate_page(crate)
-
-
-def crate_page(crate: Any) -> str:
-    """Return ro-crate-py's page about a crate."""
-    from rocrate.model.preview import Preview
-
-    page: str = Preview(crate).generate_html()
-    return page
+    return _metadata(crate)
 
 
 def _metadata(crate: Any) -> str:

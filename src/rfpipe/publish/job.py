@@ -11,10 +11,10 @@ from typing import Any
 from rfpipe.errors import InputError
 from rfpipe.publish.citation import Citation
 from rfpipe.publish.contents import SETTINGS, Acquisition, Run, files_of_store, settings_of
-from rfpipe.publish.crate import METADATA_FILE, PREVIEW_FILE, crate_files, need_rocrate
+from rfpipe.publish.crate import METADATA_FILE, PREVIEW_FILE, crate_metadata, need_rocrate
 from rfpipe.publish.croissant import croissant
 from rfpipe.publish.datacite import datacite
-from rfpipe.publish.pages import EXAMPLE, citation_cff, example, readme
+from rfpipe.publish.pages import EXAMPLE, citation_cff, example, page, readme
 from rfpipe.publish.pictures import reference_pictures
 from rfpipe.publish.writing import Writer, writing
 from rfpipe.transport.places import MANIFEST
@@ -217,7 +217,7 @@ def _add_pages(writer: Writer, run: Run, citation: Citation) -> None:
         },
     }
     writer.add("README.md", readme(run, citation, meanings, MANIFEST, first).encode())
-    metadata, page = crate_files(
+    metadata = crate_metadata(
         citation,
         _parts(writer, stores),
         workflow=_WORKFLOW if _WORKFLOW in writer.digests else None,
@@ -225,7 +225,7 @@ def _add_pages(writer: Writer, run: Run, citation: Citation) -> None:
         outputs=[*(f"{name}/" for name in stores), *([_REPORT] if run.report else [])],
         times=run.times,
     )
-    writer.add(PREVIEW_FILE, page.encode())
+    writer.add(PREVIEW_FILE, page(run, citation, meanings, writer.digests).encode())
     writer.add(METADATA_FILE, metadata.encode())
     lines = [f"{digest}  {name}\n" for name, digest in sorted(writer.digests.items())]
     writer.add(MANIFEST, "".join(lines).encode())

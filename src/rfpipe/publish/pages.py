@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Collection
 from typing import Any
 
 import yaml
@@ -11,9 +12,10 @@ from rfpipe.provenance import versions
 from rfpipe.publish.citation import Citation
 from rfpipe.publish.contents import Acquisition, Run
 
-__all__ = ["EXAMPLE", "citation_cff", "example", "readme"]
+__all__ = ["EXAMPLE", "citation_cff", "example", "page", "readme"]
 
 EXAMPLE = "read.py"
+_REPORT, _VIEWS = "results/report/index.html", "results/report/view/"
 
 _EXAMPLE = '''\
 """Relight this publication: python read.py [its folder, zip file or address]."""
@@ -97,6 +99,43 @@ def readme(
         license=citation.license,
         license_url=citation.license_url,
     )
+
+
+def page(run: Run, citation: Citation, files: dict[str, str], names: Collection[str]) -> str:
+    """Return the page about a publication, in HTML: what the scenes look like, and where all is.
+
+    Parameters
+    ----------
+    files : dict of str to str
+        What is to be found in it: names, and what they are.
+    names : collection of str
+        Of all files.
+    """
+    from jinja2 import Environment, PackageLoader
+
+    pictured = []
+    for found in run.acquisitions:
+        picture = f"pictures/{found.scene}/{found.method}/floodlit"
+        pictured.append(
+            {
+                "scene": found.scene,
+                "method": found.method,
+                "patterns": f"{found.facts['patterns']:,}",
+                "shape": _times(found.facts["camera_shape"]),
+                "picture": f"{picture}.png" if f"{picture}.png" in names else None,
+                "exr": f"{picture}.exr",
+            }
+        )
+    template = Environment(loader=PackageLoader("rfpipe.publish", "."), autoescape=True)
+    text: str = template.get_template("page.html.j2").render(
+        citation=citation,
+        report=_REPORT if _REPORT in names else None,
+        views=sorted(n for n in names if n.startswith(_VIEWS) and n.endswith(".html")),
+        acquisitions=pictured,
+        example=example(run.acquisitions[0]),
+        files=files,
+    )
+    return text
 
 
 def citation_cff(citation: Citation) -> str:
