@@ -33,7 +33,12 @@ app.command()(publish)
 
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")]
 TransportPath = Annotated[
-    Path, typer.Argument(metavar="TRANSPORT", help="A transport.zarr that a run left in results/.")
+    Path,
+    typer.Argument(
+        metavar="TRANSPORT",
+        help="A transport.zarr that a run left in results/; or a folder, zip file or address "
+        "(https://, s3://) that holds one.",
+    ),
 ]
 
 

@@ -59,6 +59,10 @@ class Place(ABC):
     def nbytes(self) -> int | None:
         """Bytes of all files in this folder; None when that can't be told."""
 
+    def announce(self) -> None:
+        """Say that this folder is about to be read, and nothing that lies behind it."""
+        return
+
     def __truediv__(self, name: str) -> Place:
         return self._at(f"{self.key}/{name}")
 
@@ -120,6 +124,15 @@ class ZipPlace(Place):
         """Bytes of all files in this folder, as they lie in the zip file."""
         prefix, infos = self._prefix, self._archive.infolist()
         return sum(info.compress_size for info in infos if info.filename.startswith(prefix))
+
+    def announce(self) -> None:
+        """Have a zip file behind an address be read ahead no further than this folder goes."""
+        offsets = sorted((info.header_offset, info.filename) for info in self._archive.infolist())
+        inside = [n for n, (_, name) in enumerate(offsets) if name.startswith(self._prefix)]
+        file: Any = self._archive.fp
+        if inside and hasattr(file, "until"):
+            behind = offsets[inside[-1] + 1 :]
+            file.until = behind[0][0] if behind else self._archive.start_dir
 
     @property
     def _prefix(self) -> str:

@@ -100,6 +100,11 @@ class _Ranged(io.RawIOBase):
     """A file behind an address that is read by ranges, and a little ahead.
 
     Its end comes with the first request: that is where zip files keep their directory.
+
+    Attributes
+    ----------
+    until : int
+        Up to where to read ahead; the file's end, unless somebody knows better.
     """
 
     def __init__(self, store: Any, key: str, address: str) -> None:
@@ -111,6 +116,7 @@ class _Ranged(io.RawIOBase):
                 raise StoreError(f"{address}: no such file; check the address") from None
             self._size = int(found.meta["size"])
             self._tail = bytes(found.bytes())
+        self.until = self._size
         self._position = 0
         self._ahead = _FIRST_BYTES
         self._start, self._block = 0, b""
@@ -157,7 +163,7 @@ class _Ranged(io.RawIOBase):
         held = self._block[start - self._start :] if self._block else b""
         first = start + len(held)
         with remote_errors(self._address):
-            last = min(max(stop, first + self._ahead), self._size)
+            last = max(stop, min(first + self._ahead, self.until))
             fetched = bytes(self._store.get_range(self._key, start=first, end=last))
         self._start, self._block = start, held + fetched
         self._ahead = min(2 * self._ahead, _MOST_BYTES)

@@ -44,6 +44,15 @@ def find_transport(path: str | Path) -> Path | Place:
     raise StoreError(f"{place}: has {len(names)} transports; name one of\n{listed}")
 
 
+def _is_store(place: Path | Place) -> bool:
+    """Whether a place is to be opened as it is: a store, or a path that can only be said not to."""
+    if isinstance(place, Path):
+        return (place / METADATA).exists() or not place.is_dir()
+    if place.key:
+        return place.key.endswith(".zarr")
+    return bool(place.read_many([METADATA]))  # a zip file of a store alone
+
+
 def transports_in(place: Path | Place) -> list[str]:
     """Return the names, relative to a folder, of the transports below it.
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from rfpipe.errors import InputError, StoreError
+from rfpipe.store.places import Place
 from rfpipe.transport.base import Transport
 from rfpipe.transport.places import find_transport
 from rfpipe.transport.stored import Bundle
@@ -96,7 +97,10 @@ def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Tran
     """
     from rfpipe.store.arrays import open_arrays
 
-    return unpack_transport(open_arrays(find_transport(path)), memory_budget)
+    place = find_transport(path)
+    if isinstance(place, Place):
+        place.announce()
+    return unpack_transport(open_arrays(place), memory_budget)
 
 
 def unpack_transport(bundle: Bundle, memory_budget: int) -> Transport:
