@@ -72,7 +72,7 @@ def contents(path: Path) -> dict[str, bytes]:
         return {file.relative_to(path).as_posix(): file.read_bytes() for file in files}
     with zipfile.ZipFile(path) as archive:
         assert all(info.compress_type == zipfile.ZIP_STORED for info in archive.infolist())
-        return {name: archive.read(name) for name in archive.namelist()}
+        return {name: archive.read(name) for name in archive.namelist() if name[-1] != "/"}
 
 
 def test_a_zip_and_a_folder_hold_the_same_files_with_their_digests(run: Path) -> None:
@@ -236,6 +236,32 @@ def test_other_settings_than_the_runs_are_refused(run: Path, tmp_path: Path) -> 
     (run / "results/report/results.json").unlink()
     published(run, "--config", other, *GIVEN)
     assert b"seed: 7" in contents(run / "publication.zip")["settings.yaml"]
+
+
+def test_an_unfinished_acquisition_is_left_out_and_named(run: Path) -> None:
+    (run / "results/desk/symmetric/L00").mkdir(parents=True)
+    assert "aren't complete: desk by symmetric" in published(run, *GIVEN)
+    assert not any("symmetric" in name for name in contents(run / "publication.zip"))
+
+
+def test_without_the_workflow_rfpipe_itself_is_what_ran(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rfpipe.publish.job._workflow_source", lambda: None)
+    published(run, *GIVEN)
+    files = contents(run / "publication.zip")
+    assert not any(name.startswith("source/") for name in files)
+    graph = json.loads(files["ro-crate-metadata.json"])["@graph"]
+    entities = {entity["@id"]: entity for entity in graph}
+    assert entities["#run"]["instrument"] == {"@id": "#rfpipe"}
+    assert "mainEntity" not in entities["./"]
+    assert entities["./"]["conformsTo"] == {"@id": "https://w3id.org/ro/wfrun/process/0.5"}
+
+
+def test_an_unknown_key_of_a_kept_citation_is_said(run: Path) -> None:
+    (run / "publication.yaml").write_text("titel: A desk\n")
+    with pytest.raises(InputError, match="titel is unknown; known are title"):
+        published(run, *GIVEN)
 
 
 def test_a_calibration_goes_with_a_real_rig(run: Path) -> None:

@@ -109,6 +109,8 @@ def publish(
         overwrite=overwrite,
     )
     _say(made.path, made.files, made.nbytes, citation)
+    if run.incomplete:
+        typer.echo(f"left out, since they aren't complete: {', '.join(run.incomplete)}", err=True)
 
 
 def _completed(values: dict[str, Any], run: Run) -> dict[str, Any]:

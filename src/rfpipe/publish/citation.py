@@ -217,12 +217,15 @@ def _checked(model: Any, data: dict[str, Any], where: str = "") -> Any:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        problems = "; ".join(
-            f"{'.'.join(map(str, problem['loc']))} {problem['input']!r}: "
-            f"{problem['msg'].removeprefix('Value error, ')}"
-            for problem in error.errors(include_url=False)
-        )
+        problems = "; ".join(map(_said, error.errors(include_url=False)))
         raise InputError(f"{where + ': ' if where else ''}{problems}") from error
+
+
+def _said(problem: Any) -> str:
+    place = ".".join(map(str, problem["loc"]))
+    if problem["type"] == "extra_forbidden":
+        return f"{place} is unknown; known are {', '.join(Citation.model_fields)}"
+    return f"{place} {problem['input']!r}: {problem['msg'].removeprefix('Value error, ')}"
 
 
 def _orcid_check(orcid: str) -> str:

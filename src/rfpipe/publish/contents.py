@@ -102,6 +102,13 @@ class Run:
         return report if (report / "index.html").is_file() else None
 
     @property
+    def incomplete(self) -> list[str]:
+        """Scenes and methods whose acquisition has begun but has no transport yet."""
+        begun = {folder.parent for folder in self.results.glob("*/*/L00") if folder.is_dir()}
+        left = begun - {found.folder for found in self.acquisitions}
+        return sorted(f"{folder.parent.name} by {folder.name}" for folder in left)
+
+    @property
     def title(self) -> str:
         """The report's title, if it was given one, or one made of the scenes' names."""
         titled = (self.settings or {}).get("report", {}).get("title")

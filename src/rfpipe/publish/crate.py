@@ -21,6 +21,11 @@ _PROFILES = {
     "https://w3id.org/ro/wfrun/workflow/0.5": "Workflow Run Crate",
     "https://w3id.org/workflowhub/workflow-ro-crate/1.0": "Workflow RO-Crate",
 }
+# used here, and not in the context of RO-Crate 1.1
+_TERMS = {
+    "creditText": "http://schema.org/creditText",
+    "sha256": "https://w3id.org/ro/terms/workflow-run#sha256",
+}
 _PARAMETER = "https://bioschemas.org/profiles/FormalParameter/1.0-RELEASE"
 _WORKFLOW_PROFILE = "https://bioschemas.org/profiles/ComputationalWorkflow/1.0-RELEASE"
 
@@ -65,7 +70,7 @@ def crate_metadata(
     from rocrate.rocrate import ROCrate
 
     crate = ROCrate(version="1.1")
-    crate.metadata.extra_terms["sha256"] = "https://w3id.org/ro/terms/workflow-run#sha256"
+    crate.metadata.extra_terms.update(_TERMS)
     for name, properties in parts.items():
         if name == workflow:
             continue

@@ -38,6 +38,7 @@ class Writer(ABC):
     def __init__(self) -> None:
         self.digests: dict[str, str] = {}
         self.sizes: dict[str, int] = {}
+        self._stores: set[str] = set()
 
     def add(self, name: str, source: Path | bytes) -> None:
         """Write a file, a copy of another or some bytes.
@@ -57,6 +58,10 @@ class Writer(ABC):
             with storage_errors(source, "reading"):
                 opened = source.open("rb")
                 size = os.fstat(opened.fileno()).st_size
+        store, found, _ = name.partition(".zarr/")
+        if found and store not in self._stores:
+            self._stores.add(store)
+            self._begin_folder(f"{store}.zarr/")
         written = 0
         with opened, self._opened(name, size) as target:
             while block := opened.read(_BLOCK_BYTES):
@@ -69,6 +74,10 @@ class Writer(ABC):
     def _opened(self, name: str, size: int) -> IO[bytes]:
         """Open a file of about `size` bytes for writing."""
 
+    def _begin_folder(self, name: str) -> None:  # noqa: ARG002
+        """Note the folder of a store, which is spoken of as a whole."""
+        return
+
 
 class _ZipWriter(Writer):
     """Files in a zip, as they are: what is in them is compressed, and is read by ranges."""
@@ -78,11 +87,10 @@ class _ZipWriter(Writer):
         self._archive = archive
 
     def _opened(self, name: str, size: int) -> IO[bytes]:
-        info = zipfile.ZipInfo(name, _EPOCH)
-        info.compress_type = zipfile.ZIP_STORED
-        info.create_system = 3  # Unix, on every machine
-        info.external_attr = 0o100644 << 16
-        return self._archive.open(info, "w", force_zip64=size >= _LARGE)
+        return self._archive.open(_entry(name, 0o100644 << 16), "w", force_zip64=size >= _LARGE)
+
+    def _begin_folder(self, name: str) -> None:
+        self._archive.writestr(_entry(name, (0o40755 << 16) | 0x10), b"")
 
 
 class _FolderWriter(Writer):
@@ -94,6 +102,14 @@ class _FolderWriter(Writer):
         path = self._folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         return path.open("wb")
+
+
+def _entry(name: str, attributes: int) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo(name, _EPOCH)
+    info.compress_type = zipfile.ZIP_STORED
+    info.create_system = 3  # Unix, on every machine
+    info.external_attr = attributes
+    return info
 
 
 @contextmanager
