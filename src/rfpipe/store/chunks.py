@@ -103,13 +103,12 @@ def open_array_at(place: Place) -> zarr.Array[Any]:
         When it can't be fetched.
     """
     import zarr
-    from zarr.core.buffer import default_buffer_prototype
+    from zarr.buffer.cpu import Buffer
 
     content = place.read_many([METADATA])
     try:
         content |= place.read_many(array_keys(json.loads(content[METADATA])))
-        buffer = default_buffer_prototype().buffer
-        held = {name: buffer.from_bytes(data) for name, data in content.items()}
+        held: Any = {name: Buffer.from_bytes(data) for name, data in content.items()}
         return zarr.open_array(zarr.storage.MemoryStore(held, read_only=True), mode="r")
     except DAMAGE as error:
         raise damaged_metadata(place, error) from error
