@@ -12,6 +12,7 @@ import typer
 
 from rfpipe.cli import fit, offline
 from rfpipe.cli.export import app as export
+from rfpipe.cli.publish import publish
 from rfpipe.errors import InputError, RfpipeError
 
 if TYPE_CHECKING:
@@ -33,10 +34,16 @@ app = typer.Typer(
 app.command()(fit.fit)
 app.command()(offline.patterns)
 app.command("import")(offline.import_)
+app.command()(publish)
 
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")]
 TransportPath = Annotated[
-    Path, typer.Argument(metavar="TRANSPORT", help="A transport.zarr that a run left in results/.")
+    Path,
+    typer.Argument(
+        metavar="TRANSPORT",
+        help="A transport.zarr that a run left in results/; or a folder, zip file or address "
+        "(https://, s3://) that holds one.",
+    ),
 ]
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import IntegrityError
 from rfpipe.store import FrameStore, open_arrays, read_manifest
+from rfpipe.store.places import Place
 
 __all__ = ["REFERENCE", "SYMMETRY", "AcquisitionFolder", "advice_on_damage"]
 
@@ -100,7 +101,7 @@ def advice_on_damage(manifest: Path) -> Iterator[None]:
         raise IntegrityError(f"{error}. To do so, remove {manifest} and run again") from error
 
 
-def _check_digest(path: Path, found: str, expected: dict[str, Any]) -> None:
+def _check_digest(path: Path | Place, found: str, expected: dict[str, Any]) -> None:
     if found != expected["digest"]:
         raise IntegrityError(
             f"{path}: has the digest {found}; its manifest says {expected['digest']}. Run the "
