@@ -9,6 +9,8 @@ REPORT := results/report/index.html
 RIG ?= config/bench.yaml
 # the settings of the thesis' figures; at full size config/figures_full.yaml
 FIGURES ?= config/figures.yaml
+LOCK_OPTIONS := --upgrade --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+  --no-emit-find-links --no-header --no-annotate --quiet
 # more options for snakemake, as in: make run ARGS="--dry-run"
 ARGS ?=
 
@@ -20,7 +22,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-.PHONY: help install run thesis figures calibrate serve unlock test lint format bench benchmark \
+.PHONY: validators help install run thesis figures calibrate serve unlock test lint format bench benchmark \
   config lock clean
 
 help: ## list the targets
@@ -74,6 +76,11 @@ unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock r
 test: lint ## check everything: lint, types, layers, workflow, tests
 	pytest -n 2 --dist worksteal
 
+validators: $(INSTALLED) ## install what some tests check published runs by, into .venv-validators
+	uv venv --quiet --allow-existing --python $(VENV)/bin/python .venv-validators
+	uv pip install --quiet --require-hashes --python .venv-validators/bin/python \
+	  --requirement validators.lock
+
 lint: $(INSTALLED) ## check style, types, layers and the workflow
 	ruff check .
 	ruff format --check .
@@ -99,9 +106,8 @@ config: $(INSTALLED) ## write config/config.yaml and the JSON schemas from their
 	python -m rfpipe.report docs
 
 lock: $(INSTALLED) ## resolve pyproject.toml anew into requirements.lock
-	uv pip compile pyproject.toml --extra dev --upgrade --universal --python-version 3.11 \
-	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --no-annotate \
-	  --quiet --output-file requirements.lock
+	uv pip compile pyproject.toml --extra dev $(LOCK_OPTIONS) --output-file requirements.lock
+	uv pip compile --group validators $(LOCK_OPTIONS) --output-file validators.lock
 
 clean: ## remove caches and build files; results and .venv stay
 	rm -rf .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis dist
