@@ -8,6 +8,7 @@ from rfpipe.stages.evaluating.sweep import is_swept
 from rfpipe.stages.jobs.code import acquisition_code, module_of, stage_code
 from rfpipe.stages.jobs.notify import notify
 from rfpipe.stages.plan import plan_of
+from rfpipe.stages.verifying.again import write_run
 
 if len(workflow.configfiles) == 1:
     load_config(workflow.configfiles[0])  # finds keys that stand twice, too
