@@ -16,6 +16,7 @@ from rfpipe.config.files import (
     parse_rig_config,
 )
 from rfpipe.config.model import Config, NumberFormat, StorageConfig
+from rfpipe.config.reading import read_yaml
 from rfpipe.config.scenes import SceneSettings
 
 __all__ = [
@@ -36,4 +37,5 @@ __all__ = [
     "load_rig_config",
     "parse_config",
     "parse_rig_config",
+    "read_yaml",
 ]

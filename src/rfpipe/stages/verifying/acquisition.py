@@ -35,7 +35,7 @@ def check_acquisition(path: Path, checked: Checked) -> None:
     """Check what the stages of an acquisition left."""
     if StoreLock.holder(path) is not None:
         checked.notes.append(f"{path}: is being acquired at this moment; not checked")
-        checked.seen.update(path.rglob("*.zarr"))
+        checked.seen |= {*path.rglob("*.zarr"), *path.rglob("*.json")}
         return
     _Acquisition(AcquisitionFolder(path), checked).check()
 

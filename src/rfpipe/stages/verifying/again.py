@@ -22,7 +22,7 @@ RUN = "run.json"
 def write_run(
     results: Path, snakefile: Path, configfiles: Iterable[Path], overrides: dict[str, Any]
 ) -> None:
-    """Keep how a run is started; paths as seen from the folder in which ``results`` lies.
+    """Keep how a run is started; each path as seen from the folder of ``results``, and as it is.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ def write_run(
     """
     home = results.resolve().parent
 
-    def seen(path: Path) -> str:
-        return os.path.relpath(path.resolve(), home)
+    def seen(path: Path) -> list[str]:
+        return [os.path.relpath(path.resolve(), home), str(path.resolve())]
 
     write_manifest(
         results / RUN,
@@ -54,13 +54,13 @@ def run_again(results: Path) -> str:
     try:
         known = read_manifest(results / RUN)
     except StoreError:
-        known = {"snakefile": "Snakefile", "configfiles": [], "config": {}}
+        known = {"snakefile": ["Snakefile"], "configfiles": [], "config": {}}
         if not (home / "Snakefile").is_file():
             return (
                 f"{_snakemake()} --directory {shell_path(home)} --configfile SETTINGS_OF_THAT_RUN"
             )
-    snakefile = (home / known["snakefile"]).resolve()
-    configfiles = [(home / name).resolve() for name in known["configfiles"]]
+    snakefile = _there(home, known["snakefile"])
+    configfiles = [_there(home, names) for names in known["configfiles"]]
     if snakefile.parent == home and not configfiles and not known["config"]:
         there = "" if home == Path.cwd() else f"-C {shell_path(home)} "
         return f"make {there}run"
@@ -73,6 +73,12 @@ def run_again(results: Path) -> str:
     if known["config"]:
         words += ["--config", *(shlex.quote(f"{n}={v}") for n, v in known["config"].items())]
     return " ".join(words)
+
+
+def _there(home: Path, names: list[str]) -> Path:
+    """Return the first of a path's names that leads to a file; a folder may have been moved."""
+    places = [(home / name).resolve() for name in names]
+    return next((place for place in places if place.is_file()), places[0])
 
 
 def shell_path(path: Path) -> str:
