@@ -309,6 +309,7 @@ def test_a_run_damaged_in_ten_ways_at_once_is_mended_by_the_commands_named(
     for removal, _, _ in commands:
         subprocess.run(removal, shell=True, check=True)
     (again,) = {again for _, _, again in commands}
-    subprocess.run(f"{again} {TINY}", shell=True, check=True, capture_output=True)
+    again = again.replace("snakemake", f"snakemake {TINY}", 1)  # and not the whole report
+    subprocess.run(again, shell=True, check=True, capture_output=True)
     assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")
     assert verify(run).findings == []

@@ -22,6 +22,7 @@ from rfpipe.errors import ConfigError
 __all__ = [
     "bench_yaml",
     "default_yaml",
+    "is_rig",
     "json_schema",
     "load_config",
     "load_rig_config",
@@ -82,6 +83,14 @@ def load_rig_config(path: str | Path) -> RigConfig:
 def parse_rig_config(data: object, source: str) -> RigConfig:
     """Check settings of a rig that are already in memory; errors as `load_config`."""
     return _parsed(RigConfig, data, source)
+
+
+def is_rig(data: object) -> bool:
+    """Whether settings are those of a rig rather than of a run, by the keys that they have."""
+    if not isinstance(data, Mapping):
+        return False
+    of_rig = sum(key in RigConfig.model_fields for key in data)
+    return of_rig > sum(key in Config.model_fields for key in data)
 
 
 def json_schema() -> dict[str, Any]:
