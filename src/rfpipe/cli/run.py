@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -39,13 +40,31 @@ def run(context: typer.Context) -> None:
         load_config(files[0])
     beside = Path(sys.executable).with_name("snakemake")
     program = str(beside) if beside.exists() else shutil.which("snakemake") or "snakemake"
-    ended = subprocess.run([program, *context.args], check=False).returncode
+    ended = _to_its_end([program, *context.args])
     if ended:
         raise typer.Exit(ended if ended > 0 else 1)
     folder = next(reversed([*_values(context.args, _DIRECTORY)]), "")
     report = Path(folder) / _REPORT
     if report.is_file():
         typer.echo(f"report: {os.path.normpath(report)}")
+
+
+def _to_its_end(command: list[str]) -> int:
+    """Run a program to its own end and return its status, whatever signals come.
+
+    Ctrl-C reaches it as well, from the terminal; SIGTERM is passed on. It ends its jobs by itself.
+    """
+    process = subprocess.Popen(command)
+    # handlers, which a program that is started doesn't inherit
+    before = {
+        signal.SIGINT: signal.signal(signal.SIGINT, lambda *_: None),
+        signal.SIGTERM: signal.signal(signal.SIGTERM, lambda *_: process.terminate()),
+    }
+    try:
+        return process.wait()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _values(arguments: Sequence[str], names: Sequence[str]) -> Iterator[str]:

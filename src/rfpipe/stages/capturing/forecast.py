@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Forecast", "Need", "forecast"]
 
+# Rays to which the seconds of an acquisition, for each pattern and ray, are those of another.
+_LIKE_SECONDS = 4.0
+
 
 @dataclass(frozen=True)
 class Need:
@@ -114,7 +117,10 @@ def _here(plan: Plan, scene: str, patterns: int, taken: Sequence[Taken]) -> floa
     same = [one.seconds for one in taken if one.is_of(scene, plan) and one.seconds is not None]
     if same:
         return same[0]
-    alike = [one for one in taken if one.name == plan.name] or taken
+    # what starting takes counts for much in small ones
+    alike = [
+        one for one in taken if one.method == plan.method.name and one.is_near(plan, _LIKE_SECONDS)
+    ]
     each = [one.seconds_a_sample for one in alike if one.seconds_a_sample is not None]
     if not each:
         return None

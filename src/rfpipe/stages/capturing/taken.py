@@ -14,6 +14,9 @@ from rfpipe.store import read_manifest
 
 __all__ = ["Taken", "proportion", "taken_in"]
 
+# Rays to which an acquisition's patterns tell something of another's.
+_LIKE = 16.0
+
 
 @dataclass(frozen=True)
 class Taken:
@@ -44,6 +47,11 @@ class Taken:
     patterns: int
     capture_seconds: float | None
     seconds: float | None
+
+    def is_near(self, plan: Plan, factor: float) -> bool:
+        """Whether it has as many rays as a plan, to a factor."""
+        share = prod(self.projector_shape) / plan.projector.size
+        return 1 / factor <= share <= factor
 
     def is_of(self, scene: str, plan: Plan) -> bool:
         """Whether it is the acquisition of a scene by a plan."""
@@ -77,11 +85,11 @@ def taken_in(results: Path) -> list[Taken]:
 def proportion(taken: Iterable[Taken], plan: Plan) -> float | None:
     """Return how many patterns others by a plan's method took for each that was expected of them.
 
-    None where there are no others.
+    None where there are no others of a like size.
     """
     logs = []
     for one in taken:
-        if one.name != plan.name and one.method != plan.method.name:
+        if plan.method.name != one.method or not one.is_near(plan, _LIKE):
             continue
         try:
             of_it = Plan(
