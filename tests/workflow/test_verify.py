@@ -7,6 +7,7 @@ import logging
 import shutil
 import subprocess
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -256,6 +257,16 @@ def test_a_published_folder_is_checked_by_its_list(intact: Path, tmp_path: Path)
     (crate / "manifest-sha256.txt").write_text("\n".join(lines) + "\n")
     checked = verify(crate)
     assert (checked.findings, checked.files) == ([], len(files))
+    archive = Path(shutil.make_archive(str(tmp_path / "crate"), "zip", tmp_path, "crate"))
+    checked = verify(archive)
+    assert (checked.findings, checked.files) == ([], len(files))
+    content = bytearray(archive.read_bytes())
+    with zipfile.ZipFile(archive) as held:
+        largest = max(held.infolist(), key=lambda info: info.compress_size)
+    content[largest.header_offset + 30 + len(largest.filename) + largest.compress_size // 2] ^= 1
+    archive.write_bytes(content)
+    (finding,) = verify(archive).findings
+    assert finding.path.name == Path(largest.filename).name
     files[0].write_bytes(b"something else")
     files[1].unlink()
     (crate / "more.txt").write_text("?")

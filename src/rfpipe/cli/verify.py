@@ -21,7 +21,7 @@ def verify(
         typer.Argument(
             metavar="FOLDER",
             help="A run's folder, its results or a part of them, a calibration, or a published "
-            "folder with a manifest-sha256.txt.",
+            "folder or zip with a manifest-sha256.txt.",
         ),
     ] = Path("results"),
     mend: Annotated[

@@ -11,7 +11,7 @@ from rfpipe.errors import InputError, StoreError
 from rfpipe.stages.verifying.acquisition import check_acquisition, is_acquisition
 from rfpipe.stages.verifying.again import RUN, run_again, shell_path
 from rfpipe.stages.verifying.findings import Checked, Finding, Mend
-from rfpipe.stages.verifying.published import check_list, is_listed
+from rfpipe.stages.verifying.published import LIST, check_list, published
 from rfpipe.stages.verifying.report_files import check_report_files
 from rfpipe.stages.verifying.stores import check_store, first_sentence
 from rfpipe.store import read_manifest
@@ -29,7 +29,7 @@ def verify(folder: Path, progress: Callable[[int], object] | None = None) -> Che
     ----------
     folder : Path
         A run's (with ``results``), its results or one acquisition of them, a calibration, a store,
-        or a published folder with a list of its files.
+        or a published folder or zip with a list of its files.
     progress : callable, optional
         Called with the number of bytes that were read, as they are.
 
@@ -42,12 +42,16 @@ def verify(folder: Path, progress: Callable[[int], object] | None = None) -> Che
     InputError
         When there is no such folder, or nothing in it that could be checked.
     """
-    if not folder.is_dir():
-        raise InputError(f"{folder}: is no folder; expected that of a run, such as results")
     checked = Checked(progress=progress or (lambda _: None))
-    if is_listed(folder):
-        check_list(folder, checked)
-        return checked
+    with published(folder) as files:
+        if files is not None:
+            check_list(files, checked)
+            return checked
+    if not folder.is_dir():
+        raise InputError(
+            f"{folder}: is no folder, and no zip with a {LIST}; expected a run's folder, such as "
+            "results"
+        )
     for root in _roots(folder):
         _check_below(root, checked)
     if not checked.stores + checked.manifests + checked.files and not checked.notes:
