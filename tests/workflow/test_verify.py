@@ -11,11 +11,14 @@ import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.workflow.harness import TINY, Workflow
 from tests.workflow.stagewise import CAMERA, CODE, SHAPE, FaultyRig, damage, matrix_rig
 from tests.workflow.test_levels import STAGES, left
 
+from rfpipe.calibration import CalibrationFolder
+from rfpipe.calibration.base import Findings, Verdict
 from rfpipe.errors import IntegrityError
 from rfpipe.stages import capture, levels
 from rfpipe.stages.folder import AcquisitionFolder
@@ -199,6 +202,30 @@ def test_a_damaged_header_of_a_capture_heals(
         assert acquire(run) == []
     assert "CAPTURING ANEW" not in caplog.text
     assert left(results) == left(intact)
+
+
+@pytest.mark.parametrize("after", ["fingerprint", "exposures"])
+def test_a_digit_of_a_header_without_a_copy_is_found(results: Path, after: str) -> None:
+    store = results / "matrix/symmetric/L02/capture.zarr"
+    (store / "header.json").unlink()  # as earlier versions left it
+    assert verify(results).findings == []
+    other_digit(store / "zarr.json", after)
+    (finding,) = verify(results).findings
+    assert "its header is damaged" in finding.what
+
+
+def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:
+    folder = CalibrationFolder(tmp_path / "calibration")
+    folder.write("dark", Findings(Verdict("good", ""), {"a": 1}, {"black": np.ones(4)}), "x")
+    folder.write("light", Findings(Verdict("good", ""), {"a": 1}, {"light": np.ones(9)}), "x")
+    assert verify(folder.path).findings == []
+    shutil.rmtree(folder.store("dark"))
+    shutil.copytree(folder.store("light"), folder.store("dark"))
+    (finding,) = verify(folder.path).findings
+    assert "isn't the store of dark.json" in finding.what
+    command = command_for(finding)
+    assert command.startswith(f"rm -rf {folder.manifest('dark')} && rfpipe calibrate RIG.yaml")
+    assert command.endswith(str(folder.path))
 
 
 def test_frames_of_unknown_settings_are_not_taken_for_others(results: Path) -> None:

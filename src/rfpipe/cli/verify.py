@@ -42,7 +42,7 @@ def verify(
     workflow makes damaged stages anew from those before them, and shows only those patterns again
     whose pictures are damaged. Exit status 1 when anything is wrong.
     """
-    from rfpipe.stages.verifying.verify import bytes_below, results_of
+    from rfpipe.stages.verifying.verify import bytes_below, command_for
     from rfpipe.stages.verifying.verify import verify as check
 
     if sys.stderr.isatty() and folder.is_dir():
@@ -58,13 +58,13 @@ def verify(
         _print(folder, checked)
     removals = checked.removals()
     if mend and removals:
-        from rfpipe.stages.verifying.again import run_again
         from rfpipe.store.files import remove_tree
 
         for path in removals:
             remove_tree(path)
-        again = run_again(results_of(checked.findings[0]))
-        typer.echo(f"removed {len(removals)} files; now run: {again}", err=as_json)
+        agains = dict.fromkeys(command_for(each).rpartition(" && ")[2] for each in checked.findings)
+        again = " && ".join(filter(None, agains))
+        typer.echo(f"removed {len(removals)} files and folders; now run: {again}", err=as_json)
         return
     if checked.findings:
         raise typer.Exit(1)

@@ -13,7 +13,7 @@ from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder
 from rfpipe.stages.merge import SUMS
 from rfpipe.stages.merging.references import REFERENCES
 from rfpipe.stages.verifying.findings import Checked, Mend
-from rfpipe.stages.verifying.stores import check_bundle, check_frames, first_sentence
+from rfpipe.stages.verifying.stores import check_bundle, check_frames, first_sentence, made_for
 from rfpipe.store import StoreLock, read_manifest
 
 __all__ = ["check_acquisition", "is_acquisition"]
@@ -125,6 +125,8 @@ class _Acquisition:
                 continue
             check = check_frames if (part or stage) in _FRAMES else check_bundle
             wrong, digest = check(path, self.checked)
+            if check is check_frames and not wrong:
+                wrong = made_for(path, None if stated is None else stated.get("fingerprint"))
             for what in wrong:
                 self._wrong(path, what, manifest)
             if stated is not None:

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import IntegrityError, StoreError
+from rfpipe.provenance import fingerprint
 from rfpipe.stages.verifying.findings import Checked
 from rfpipe.store import FrameStore, bytes_on_disk, header_is_whole, open_arrays
 from rfpipe.store.chunks import METADATA
 
-__all__ = ["check_bundle", "check_frames", "check_store", "first_sentence"]
+__all__ = ["check_bundle", "check_frames", "check_store", "first_sentence", "made_for"]
 
 _NAMED = 8
 
@@ -84,6 +85,22 @@ def check_frames(path: Path, checked: Checked) -> tuple[list[str], str | None]:
         wrong.append(first_sentence(error, path))
     checked.read(bytes_on_disk(path))
     return wrong, digest
+
+
+def made_for(path: Path, stated: str | None) -> list[str]:
+    """Say where a store of frames was made for other settings than stated.
+
+    The attributes of captured frames are all that was shown, and their fingerprint tells of it.
+    """
+    try:
+        store = FrameStore.open(path)
+    except StoreError:
+        return []  # which is found elsewhere
+    if stated not in (None, store.fingerprint):
+        return ["its header is damaged, or it was made for other settings than its manifest says"]
+    if "rig" in store.attributes and fingerprint(store.attributes) != store.fingerprint:
+        return ["its header is damaged: its attributes aren't those of its fingerprint"]
+    return []
 
 
 def _items(items: list[int], count: int) -> str:

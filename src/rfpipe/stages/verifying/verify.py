@@ -68,11 +68,17 @@ def command_for(finding: Finding) -> str:
     if mend.how == "restore":
         return ""
     again = (
-        "rfpipe calibrate RIG.yaml" if mend.how == "calibrate" else run_again(results_of(finding))
+        f"rfpipe calibrate RIG.yaml --output {shell_path(_calibration_of(finding.path))}"
+        if mend.how == "calibrate"
+        else run_again(results_of(finding))
     )
     if not mend.remove:
         return again
     return f"rm -rf {' '.join(map(shell_path, mend.remove))} && {again}"
+
+
+def _calibration_of(path: Path) -> Path:
+    return next((place.parent for place in path.parents if place.name == "steps"), path.parent)
 
 
 def results_of(finding: Finding) -> Path:
