@@ -21,6 +21,7 @@ from rfpipe.calibration import CalibrationFolder
 from rfpipe.calibration.base import Findings, Verdict
 from rfpipe.errors import IntegrityError
 from rfpipe.stages import capture, levels
+from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
@@ -228,22 +229,26 @@ def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:
     assert command.endswith(str(folder.path))
 
 
-def test_frames_of_unknown_settings_are_not_taken_for_others(results: Path) -> None:
+@pytest.mark.parametrize("told_by", ["manifest", "header"])
+def test_frames_of_unknown_settings_are_not_taken_for_others(results: Path, told_by: str) -> None:
     run = results / "matrix" / "symmetric"
-    store = run / "L02/capture.zarr"
+    store, manifest = run / "L02/capture.zarr", run / "L02/capture.json"
     (store / "header.json").unlink()
-    (store / "zarr.json").unlink()
-    manifest = run / "L02/capture.json"
-    chunks = sorted(path.name for path in store.glob("c.*"))
-    write_manifest(manifest, {**read_manifest(manifest), "fingerprint": "0" * 32})
-    from rfpipe.stages.capturing.brackets import Brackets
-
-    rig = matrix_rig(noise=CAMERA)
-    shown = {"patterns": len(chunks), "other": 1}
-    other = Brackets(rig, store, "level 2", len(chunks), shown, lambda first, last: None)  # type: ignore[arg-type,return-value]
+    count = read_manifest(manifest)["patterns"]
+    if told_by == "manifest":
+        (store / "zarr.json").unlink()
+        write_manifest(manifest, {**read_manifest(manifest), "fingerprint": "0" * 32})
+    else:
+        manifest.unlink()
+        other_digit(store / "zarr.json", "exposures")
+    before = left(store)
+    others = Brackets(
+        matrix_rig(noise=CAMERA), store, "level 2", count, {"patterns": count, "other": 1},
+        lambda first, last: (np.zeros((last - first, *SHAPE), np.float32), []),
+    )  # fmt: skip
     with pytest.raises(IntegrityError, match="aren't known to be those"):
-        other.settle("recapture")
-    assert sorted(path.name for path in store.glob("c.*")) == chunks
+        others.settle("recapture")
+    assert left(store) == before
 
 
 def test_a_running_acquisition_is_left_alone(results: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -128,8 +129,12 @@ class Brackets:
 
     @property
     def _is_of_others(self) -> bool:
-        """Whether the stage's manifest says that the store is of other patterns or another rig."""
+        """Whether the store is of other patterns or another rig, as far as anything still tells."""
         name = self.path.stem
+        with suppress(StoreError):
+            found = FrameStore.open(self.path)
+            if self.made_for not in (found.fingerprint, fingerprint(found.attributes)):
+                return True  # more than one thing is wrong with it
         try:
             stated = read_manifest(self.path.with_name("capture.json"))
         except StoreError:
