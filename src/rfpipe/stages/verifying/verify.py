@@ -144,11 +144,12 @@ def _check_manifest(path: Path, checked: Checked) -> None:
         if digest is not None and stated is not None and digest != stated:
             what = f"isn't the store of {path.name}: its digest is {digest}, not {stated}"
             checked.wrong(store, what, mend)
-    table = path.with_suffix(".csv")
     if "times" in facts:
+        table, sweep = path.with_name(facts["table"]), path.with_name("sweep.json")
         checked.files += 1
         if not table.is_file() or digest_of(table.read_bytes()) != facts["times"]:
-            mend = Mend("run", (path, store, table), "the sweep is acquired again")
+            gone = (path, sweep, sweep.with_suffix(".zarr"), table)
+            mend = Mend("run", gone, "the sweep is acquired again")
             checked.wrong(table, "is missing or altered", mend)
     of = facts.get("transport")
     if of is not None and path.with_name("transport.json") in checked.seen:
