@@ -4,7 +4,6 @@ PYTHON ?= python3
 VENV := .venv
 INSTALLED := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip
-REPORT := results/report/index.html
 # the settings of a rig, for calibrate and serve
 RIG ?= config/bench.yaml
 # the settings of the thesis' figures; at full size config/figures_full.yaml
@@ -46,19 +45,16 @@ $(INSTALLED): requirements.lock pyproject.toml
 	@touch $@
 
 run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the report's path
-	@snakemake $(ARGS) || { status=$$?; \
+	@rfpipe run $(ARGS) || { status=$$?; \
 	  echo "make: the run stopped. 'make run' goes on where it stopped;" \
 	    "after a kill -9 it is 'make unlock run'." >&2; exit $$status; }
-	@echo "report: $(REPORT)"
 
 thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/
-	@snakemake --directory thesis --configfile config/thesis.yaml $(ARGS)
-	@echo "report: thesis/$(REPORT)"
+	@rfpipe run --directory thesis --configfile config/thesis.yaml $(ARGS)
 
 figures: $(INSTALLED) ## make every figure and table of the thesis, reduced, in the folder figures/
-	@snakemake --directory figures --configfile $(FIGURES) $(ARGS)
+	@rfpipe run --directory figures --configfile $(FIGURES) $(ARGS)
 	@rfpipe check-report figures/results/report
-	@echo "report: figures/$(REPORT)"
 
 calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (docs/rig.md)
 	@rfpipe calibrate $(RIG)

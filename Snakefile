@@ -43,6 +43,15 @@ rule all:
         "results/report/index.html",
 
 
+onstart:
+    write_run(
+        Path("results"),
+        Path(workflow.main_snakefile),
+        workflow.overwrite_configfiles,
+        workflow.config_settings.config,
+    )
+
+
 onsuccess:
     print("rfpipe: done.")
     notify(SETTINGS.notify, "done", log[0])

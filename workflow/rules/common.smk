@@ -1,6 +1,6 @@
 # What the rules share: the checked settings, and functions that give each rule its part of them.
 
-from rfpipe.config import load_config, parse_config
+from rfpipe.config import load_config, parse_config, read_yaml
 from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
 from rfpipe.stages.evaluating.studies import FIGURES
@@ -9,7 +9,10 @@ from rfpipe.stages.jobs.code import module_of, stage_code
 from rfpipe.stages.jobs.notify import notify
 from rfpipe.stages.jobs.settings import stages_of
 from rfpipe.stages.plan import plan_of
+from rfpipe.stages.verifying.again import write_run
 
+for configfile in workflow.configfiles:
+    read_yaml(configfile)  # finds what Snakemake reads otherwise than it was meant
 if len(workflow.configfiles) == 1:
     load_config(workflow.configfiles[0])  # finds keys that stand twice, too
 SETTINGS = parse_config(config, "the configuration")

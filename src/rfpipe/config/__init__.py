@@ -17,6 +17,7 @@ from rfpipe.config.files import (
 )
 from rfpipe.config.model import Config, NumberFormat, StorageConfig
 from rfpipe.config.offline import OfflineConfig
+from rfpipe.config.reading import read_yaml
 from rfpipe.config.scenes import SceneSettings
 
 __all__ = [
@@ -38,4 +39,5 @@ __all__ = [
     "load_rig_config",
     "parse_config",
     "parse_rig_config",
+    "read_yaml",
 ]

@@ -5,8 +5,10 @@ Plain data only: the layers above build cameras, scenes and methods from it.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
+from urllib.parse import urlsplit
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
@@ -41,6 +43,8 @@ NumberFormat = Literal["float32", "uint16", "uint8"]
 
 Batch = Annotated[int, Field(ge=1, le=1024)]
 SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+
+_Address = TypeVar("_Address", str, str | None)
 
 # Those of the default run, in the order of its report.
 _DEFAULT_METHODS = ("near_far", "symmetric", "dual")
@@ -126,6 +130,11 @@ class CaptureConfig(Settings):
         "patterns: recapture (it says so first) or refuse.",
     )
 
+    @field_validator("url")
+    @classmethod
+    def _server_has_a_port(cls, url: str) -> str:
+        return _checked_port(url)
+
     @field_validator("symmetry_frames")
     @classmethod
     def _make_pairs(cls, frames: int) -> int:
@@ -189,6 +198,11 @@ class ResourcesConfig(Settings):
         "path.",
     )
 
+    @field_validator("cluster")
+    @classmethod
+    def _cluster_has_a_port(cls, address: str | None) -> str | None:
+        return _checked_port(address)
+
 
 class StorageConfig(Settings):
     """How the transport is stored."""
@@ -222,6 +236,18 @@ class ReportConfig(Settings):
         description="The thesis' figures on physically based scenes, or null for none: side, "
         "samples, positions and cache; they need the extra rfpipe[mitsuba].",
     )
+
+
+def _checked_port(address: _Address) -> _Address:
+    """Return an address as it is; raise ValueError where its port is none."""
+    if address is not None:
+        try:
+            port = urlsplit(address).port
+        except ValueError:
+            port = 0
+        if port == 0:
+            raise ValueError("should have a port from 1 to 65535")
+    return address
 
 
 def _default_scenes() -> dict[str, SceneSettings]:
@@ -327,6 +353,21 @@ class Config(Settings):
                 "2.0e-3}} of the scene"
             )
         return settings
+
+    @field_validator("notify")
+    @classmethod
+    def _notify_is_a_command(cls, command: str | None) -> str | None:
+        if command is None:
+            return None
+        try:
+            words = shlex.split(command)
+        except ValueError as error:  # a quotation mark without its other one
+            raise ValueError(
+                f"should be a program and its arguments, quoted as for a shell: {error}"
+            ) from None
+        if not words:
+            raise ValueError("should name a program, or be null")
+        return command
 
     @model_validator(mode="after")
     def _scenes_have_methods(self) -> Self:

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["png_bytes", "read_image", "srgb", "write_image"]
+__all__ = ["png_bytes", "read_image", "resized", "scaled", "srgb", "write_image"]
 
 _SUFFIXES = (".exr", ".png")
+_LARGEST = 32_768
 
 
 def read_image(path: Path) -> NDArray[np.float32]:
@@ -117,3 +118,41 @@ def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
     shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     rgb: NDArray[np.float64] = np.broadcast_to(shown, (*shown.shape[:-1], 3))
     return rgb
+
+
+def scaled(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
+    """Return a picture (H, W, C) so many times as large; by whole numbers of pixels or smoothly.
+
+    Raises
+    ------
+    InputError
+        When less than a pixel or more than 32,768 a side would be left.
+    """
+    height, width = (round(extent * factor) for extent in image.shape[:2])
+    if min(height, width) < 1 or max(height, width) > _LARGEST:
+        raise InputError(
+            f"--scale {factor:g} makes {height} x {width} pixels; expected 1 to {_LARGEST:,} a side"
+        )
+    if factor == int(factor):
+        return image.repeat(int(factor), axis=0).repeat(int(factor), axis=1)
+    return resized(image, (height, width))
+
+
+def resized(picture: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return a picture (H, W) or (H, W, C) at another size: pixels averaged, or interpolated.
+
+    Raises
+    ------
+    InputError
+        When it can't be resized.
+    """
+    import OpenImageIO as oiio
+
+    source = oiio.ImageBuf(np.ascontiguousarray(np.atleast_3d(picture), np.float32))
+    height, width = shape
+    roi = oiio.ROI(0, width, 0, height, 0, 1, 0, source.nchannels)
+    found = oiio.ImageBufAlgo.resize(source, "triangle", 0.0, roi)
+    if found.has_error:
+        raise InputError(f"a picture can't be resized to {height} x {width}: {found.geterror()}")
+    pixels = np.asarray(found.get_pixels(oiio.FLOAT), np.float32)
+    return pixels.reshape(height, width, *picture.shape[2:])

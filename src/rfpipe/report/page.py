@@ -27,6 +27,7 @@ from rfpipe.report.inputs import Inputs, load_inputs
 from rfpipe.report.origin import provenance_of
 from rfpipe.report.placing import Place
 from rfpipe.report.text import ray_size
+from rfpipe.stages.verifying.report_files import write_report_files
 from rfpipe.store.files import write_atomically
 
 __all__ = ["build_report", "make_sections", "write_page"]
@@ -64,6 +65,7 @@ def build_report(
     shown = write_page(page, title, lead, make_sections(inputs), results, swatches, _SOURCE)
     numbers = Results(title=title, lead=lead, provenance=provenance_of(inputs), sections=shown)
     write_results(page.with_name(RESULTS_NAME), numbers)
+    write_report_files(page.parent)
 
 
 def write_page(

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry import ExactSensor
 from rfpipe.rigs import Rig
-from rfpipe.stages.aside import settle
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run
 from rfpipe.stages.capturing.drift import DRIFT
@@ -95,7 +94,7 @@ def run(
         _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
         return
     for part in parts:
-        settle(part.path, part.made_for, part.shown, when_patterns_change)
+        part.settle(when_patterns_change)
     to_capture = sum(part.count_missing() for part in parts)
     if to_capture:
         camera = rig.sensor, tuple(rig.camera_shape), rig.channels

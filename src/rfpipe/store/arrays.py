@@ -70,8 +70,7 @@ class ArrayBundle:
             whole = False
         if not whole:
             raise IntegrityError(
-                f"{path}: its attributes don't match their digest; remove it and run the stage "
-                "that writes it again"
+                f"{path}: its attributes don't match their digest. {_advice(path)}"
             )
         self.names: tuple[str, ...] = tuple(sorted(self._entries))
 
@@ -306,9 +305,29 @@ def _refuse_foreign(path: Path) -> None:
     except IntegrityError:
         return  # a damaged bundle is worth nothing
     except StoreError as error:
+        if _has_lost_its_header(path):
+            return
         raise InputError(
             f"{path}: stands here but is no bundle of arrays; move it away or choose another place"
         ) from error
+
+
+def _advice(path: Path) -> str:
+    manifest = path.with_suffix(".json")
+    if manifest.exists():
+        return f"Remove {manifest} and run the stage that writes it again; `rfpipe verify` says how"
+    return f"Remove {path} and run the stage that writes it again"
+
+
+def _has_lost_its_header(path: Path) -> bool:
+    """Whether a folder without metadata holds nothing but arrays, as a bundle's does."""
+    if (path / METADATA).exists() or not path.is_dir() or not any(path.iterdir()):
+        return False
+    return all(
+        file.name == METADATA or file.relative_to(part).parts[0].startswith("c")
+        for part in path.iterdir()
+        for file in (part.rglob("*") if part.is_dir() else [path / "a file"])
+    )
 
 
 def _array_entry(array: NDArray[Any]) -> dict[str, Any]:
