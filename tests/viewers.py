@@ -96,9 +96,7 @@ def run_program(
         if parts is not None and about["parts"][operation["part"]] not in parts:
             continue
         own = {name: arrays[index] for name, index in operation["arrays"].items()}
-        source, target = (
-            buffers[operation[end]][:, operation[f"{end}At"] :] for end in ends
-        )
+        source, target = (buffers[operation[end]][:, operation[f"{end}At"] :] for end in ends)
         _RUN[operation["kind"]](own, source, target, operation["transposed"] != dual)
     return buffers[0 if dual else 1].astype(np.float32)
 

@@ -77,6 +77,23 @@ def every_acquisition(name):
     ]
 
 
+def every_view(wildcards):
+    """The page of each scene and method on which one paints with light."""
+    return [
+        f"results/report/view/{scene}_{method}.html"
+        for scene, method in SETTINGS.acquisitions
+    ]
+
+
+def other_acquisitions(wildcards):
+    """The transports of a scene by its other methods."""
+    return [
+        f"results/{scene}/{method}/transport.json"
+        for scene, method in SETTINGS.acquisitions
+        if scene == wildcards.scene and method != wildcards.method
+    ]
+
+
 def every_sweep(name):
     """A file of each scene and method that is acquired at several tolerances."""
     return [

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rfpipe.cli.view import view
 from rfpipe.errors import InputError, RfpipeError
 
 if TYPE_CHECKING:
@@ -162,6 +163,9 @@ def relight(
     picture = image.reshape(*RayDomain(lit.camera_shape).picture_shape, lit.channels)
     write_image(output, picture, white)
     typer.echo(f"{output}: {_times(lit.camera_shape)}, radiance up to {image.max():.4g}")
+
+
+app.command()(view)
 
 
 @app.command("check-report")

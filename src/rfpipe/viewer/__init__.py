@@ -2,5 +2,6 @@
 
 from rfpipe.viewer.build import Compared, View, Written, write_view
 from rfpipe.viewer.lowering import lower
+from rfpipe.viewer.stored import write_acquisition
 
-__all__ = ["Compared", "View", "Written", "lower", "write_view"]
+__all__ = ["Compared", "View", "Written", "lower", "write_acquisition", "write_view"]

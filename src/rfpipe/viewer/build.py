@@ -18,12 +18,12 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.provenance import generator
 from rfpipe.store.files import storage_errors, write_atomically
-from rfpipe.transport.base import Float, Transport
+from rfpipe.transport.base import Transport
 from rfpipe.viewer.lowering import lower
 from rfpipe.viewer.packing import Packed, pack_array, pack_program
 from rfpipe.viewer.preview import preview_of
 
-__all__ = ["Compared", "View", "Written", "write_view"]
+__all__ = ["Compared", "View", "Written", "white_of", "write_view"]
 
 LARGEST = 30 * 10**6
 """Bytes of data, as the page holds them, beyond which a folder is written."""
@@ -108,8 +108,8 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
     view : View
     output : Path
         The HTML file. Where the data would take more than `largest` bytes in it, a folder of that
-        name without its suffix, to be put on any web server: ``index.html``, and the data by levels,
-        which browsers read coarse first.
+        name without its suffix, to be put on any web server: ``index.html``, and the data by
+        levels, which browsers read coarse first; the file then leads there.
     largest : int
 
     Returns
@@ -162,6 +162,8 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
     with storage_errors(page, "write", len(text)):
         page.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(page, text)
+    if is_folder:
+        write_atomically(output, _leading_to(page.relative_to(output.parent), view.title))
     left_out = [level for level in every if level not in chosen]
     return Written(page, written + len(text), chosen, left_out, is_folder)
 
@@ -187,20 +189,22 @@ def _compared(view: View) -> tuple[Packed | None, list[bytes]]:
         picture = np.broadcast_to(picture[..., None], shape)
     if picture.shape != shape:
         raise InputError(
-            f"{view.compared.name}: is a picture of shape {picture.shape}, the camera's is {shape}; "
-            "resize the picture"
+            f"{view.compared.name}: is a picture of shape {picture.shape}, the camera's is "
+            f"{shape}; resize the picture"
         )
     return None, [pack_array(np.moveaxis(picture, -1, 0))]
 
 
 def _seen(transport: Transport) -> dict[str, Any]:
     """Return what the page has to know of the light: which radiance is white, and symmetry."""
+    return {"white": white_of(transport), "coaxial": _is_coaxial(transport)}
+
+
+def white_of(transport: Transport) -> float:
+    """Return the radiance that a page shows as white: all but 0.5 % of the floodlit picture."""
     floodlit = transport.relight(np.ones(transport.projector_shape, np.float32))
-    white = float(np.percentile(floodlit, 99.5)) if floodlit.size else 1.0
-    return {
-        "white": white if white > 0 else float(floodlit.max(initial=0)) or 1.0,
-        "coaxial": _is_coaxial(transport),
-    }
+    white = float(np.percentile(floodlit, 99.5))
+    return white if white > 0 else float(floodlit.max()) or 1.0
 
 
 def _is_coaxial(transport: Transport) -> bool:
@@ -212,6 +216,18 @@ def _is_coaxial(transport: Transport) -> bool:
     channels = range(transport.channels)
     there, back = transport.forward(light, channels), transport.adjoint(light, channels)
     return bool(np.linalg.norm(there - back) <= _COAXIAL * np.linalg.norm(there))
+
+
+def _leading_to(page: Path, title: str) -> bytes:
+    """Return a page that leads to that of a folder."""
+    from markupsafe import escape
+
+    place = escape(page.as_posix())
+    return (
+        f'<!DOCTYPE html><html lang="en"><meta charset="utf-8"><title>{escape(title)}</title>'
+        f'<meta http-equiv="refresh" content="0; url={place}"><p><a href="{place}">{escape(title)}'
+        "</a></p></html>\n"
+    ).encode()
 
 
 def _named(prefix: str, blobs: Iterable[bytes]) -> list[tuple[str, bytes]]:

@@ -13,7 +13,9 @@ from rfpipe.transport.base import Transport
 
 __all__ = ["preview_of"]
 
-_LARGEST = 40_000  # bytes; the page's own text takes as much again, and both come in the first 100 kB
+_LARGEST = (
+    40_000  # bytes; the page's own text takes as much again, and both come in the first 100 kB
+)
 _QUALITIES = (90, 80, 65, 50, 30)
 
 
@@ -46,6 +48,8 @@ def preview_of(transport: Transport, white: float) -> str:
                 if len(found) <= _LARGEST:
                     break
             else:
-                half = oiio.ROI(0, (picture.spec().width + 1) // 2, 0, (picture.spec().height + 1) // 2)
+                half = oiio.ROI(
+                    0, (picture.spec().width + 1) // 2, 0, (picture.spec().height + 1) // 2
+                )
                 picture = oiio.ImageBufAlgo.resize(picture, roi=half)
     return f"data:image/jpeg;base64,{b64encode(found).decode()}"

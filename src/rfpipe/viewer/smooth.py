@@ -74,7 +74,8 @@ def _refinement(shape: tuple[int, ...], scale: int) -> csr_array[np.float32]:
     views, *coarse = _grid(shape, scale)
     _, *fine = _grid(shape, scale // 2)
     rows, columns = (_refined(*sizes) for sizes in zip(fine, coarse, strict=True))
-    matrix: Any = kron(eye_array(views), kron(rows, columns)).tocsr().astype(np.float32)
+    found: Any = kron(eye_array(views), kron(rows, columns)).tocsr()
+    matrix: csr_array[np.float32] = found.astype(np.float32)
     return matrix
 
 
@@ -107,7 +108,8 @@ def haar_matrix(haar: Haar) -> csr_array[np.float32]:
         c, d = (rest[index[:, :, 1, :, side].ravel()] for side in (0, 1))
         found += [(a + c - b - d) / 2, (a + b - c - d) / 2, (a + d - b - c) / 2]
         rest = (a + b + c + d) / 2
-    matrix: Any = vstack([*found, rest]).tocsr().astype(np.float32)
+    stacked: Any = vstack([*found, rest]).tocsr()
+    matrix: csr_array[np.float32] = stacked.astype(np.float32)
     return matrix
 
 

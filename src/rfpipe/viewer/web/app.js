@@ -198,6 +198,9 @@ function makeScreens() {
 }
 
 async function begin() {
+  if (MANIFEST.files && location.protocol === "file:") {
+    throw new Error("its data come from a web server; in this folder, run: python -m http.server");
+  }
   makeScreens();
   bindControls();
   bindScreens();

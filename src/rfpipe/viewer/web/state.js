@@ -1,7 +1,7 @@
 // What is set on the page, and how a link keeps it.
 const INITIAL = {
   tool: "spot", side: "projector", x: 0.5, y: 0.5, px: -1, py: -1, size: 8, soft: 0.5, angle: 0,
-  colour: "#ffffff", exposure: 0, tone: "srgb", auto: false, level: -1, off: "", litView: -1,
+  colour: "#ffffff", exposure: 2, tone: "soft", auto: false, level: -1, off: "", litView: -1,
   seenView: 0, wipe: 0, difference: false, limit: 5, path: "",
 };
 
