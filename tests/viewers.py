@@ -93,7 +93,8 @@ def run_program(
     for operation in reversed(operations) if dual else operations:
         if level not in operation["levels"]:
             continue
-        if parts is not None and about["parts"][operation["part"]] not in parts:
+        part = operation["part"]
+        if parts is not None and part >= 0 and about["parts"][part] not in parts:
             continue
         own = {name: arrays[index] for name, index in operation["arrays"].items()}
         source, target = (buffers[operation[end]][:, operation[f"{end}At"] :] for end in ends)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
 from rfpipe.errors import InputError
+from rfpipe.store.files import digest_of
 from rfpipe.transport.base import Transport
 from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.footprints.transport import FootprintTransport
@@ -86,9 +87,13 @@ class Builder:
         self._part = name
         self._number = number
 
-    def begin_chain(self, name: str) -> None:
-        """Go on with operations that feed each other; their buffers have names of their own."""
-        self._key = (self._part, self._number, name)
+    def begin_chain(self, name: str, *, is_common: bool = False) -> None:
+        """Go on with operations that feed each other; their buffers have names of their own.
+
+        A chain may be common to parts that agree in all of it but what they name as theirs.
+        """
+        self._key = ("", 0, name) if is_common else (self._part, self._number, name)
+        self._of_chain = "" if is_common else self._part
         self._chain = self._chains.setdefault(self._key, len(self._chains))
         self._step, self._was_shared = 0, False
 
@@ -108,8 +113,9 @@ class Builder:
         self._step += not (is_shared and self._was_shared)
         self._was_shared = is_shared
         kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        part = self._part if is_shared else self._of_chain
         made = Operation(
-            kind, source, target, kept, chain=self._chain, step=self._step, part=self._part, **more
+            kind, source, target, kept, chain=self._chain, step=self._step, part=part, **more
         )
         program, identity = self._program, made.identity
         if identity not in self._found:
@@ -278,8 +284,10 @@ def _lower_multiscale(builder: Builder, transport: MultiscaleTransport) -> None:
     arrays, basis = transport.pack()[0], transport.basis
     if not len(basis):
         return
-    first, second = arrays.get("pairs", basis.pairs)
     rays = math.prod(transport.shape)
+    # near and far range go by the same functions, of which each worker needs one pyramid
+    same = digest_of(arrays["functions"], arrays["factor"])
+    builder.begin_chain(f"functions {same}", is_common=True)
     light, received = builder.buffer("light", rays), builder.buffer("received", rays)
     given, taken = builder.buffer("given", len(basis)), builder.buffer("taken", len(basis))
     steps, places = pyramid(basis)
@@ -290,8 +298,12 @@ def _lower_multiscale(builder: Builder, transport: MultiscaleTransport) -> None:
         builder.csr(grids[-2], grids[-1], step, transposed=True)
     for octave, start, index in places:
         builder.add("gather", grids[octave], given, {"index": index}, target_at=start)
-    coupled = {"first": first, "second": second, "values": arrays["cores"]}
-    builder.add("pairs", given, taken, coupled)
+    first, second = arrays.get("pairs", basis.pairs)
+    order = np.lexsort((second, first))
+    for start in range(0, len(order), _SHARE):
+        own = order[start : start + _SHARE]
+        coupled = {"first": first[own], "second": second[own], "values": arrays["cores"][:, own]}
+        builder.add("pairs", given, taken, coupled, shared=True)
     back = [
         received,
         *(builder.buffer(f"back {octave}", step.shape[1]) for octave, step in enumerate(steps)),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.store.files import digest_of
-from rfpipe.viewer.program import Program
+from rfpipe.viewer.program import SHORT, Program
 
 __all__ = ["Packed", "pack_array", "pack_program"]
 
@@ -104,6 +104,7 @@ def pack_program(program: Program) -> Packed:
         "levels": program.levels,
         "parts": program.parts,
         "buffers": program.buffers,
+        "short": SHORT,
         "arrays": [
             {
                 "type": _TYPES[arrays[digest].dtype.name],
@@ -123,9 +124,10 @@ def pack_program(program: Program) -> Packed:
                 "transposed": operation.transposed,
                 "shared": operation.shared,
                 "chain": operation.chain,
-                "part": program.parts.index(operation.part),
+                "part": program.parts.index(operation.part) if operation.part else -1,
                 "levels": levels,
                 "work": operation.work,
+                "entries": operation.entries,
                 "arrays": {name: number[digest] for name, digest in names.items()},
             }
             for operation, levels, names in zip(

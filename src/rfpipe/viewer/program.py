@@ -12,16 +12,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
+import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.store.files import digest_of
 
-__all__ = ["CAMERA", "PROJECTOR", "Kind", "Operation", "Program"]
+__all__ = ["CAMERA", "PROJECTOR", "SHORT", "Kind", "Operation", "Program"]
 
 Kind = Literal["gather", "scale", "csr", "dense", "pairs", "leaves"]
 
 PROJECTOR, CAMERA = 0, 1
 """The buffers of the two sides' rays."""
+
+SHORT = 12
+"""A leaf over so many pairs of rays or fewer is worked off pair by pair: to set out on it takes
+longer."""
+
+# What a leaf, and an entry that is looked up, take beside a product in a long run of numbers.
+_A_LEAF, _AN_ENTRY = 100, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +65,7 @@ class Operation:
     chain : int
         Operations of one chain feed each other.
     part : str
-        The part of the transport that it belongs to.
+        The part of the transport that it belongs to; none if to several.
     """
 
     kind: Kind
@@ -74,8 +82,29 @@ class Operation:
 
     @property
     def work(self) -> int:
-        """Products that it takes, about."""
-        return max(array.size for array in self.arrays.values())
+        """How long it takes, about, in units of a product in a long run of numbers."""
+        size = max(array.size for array in self.arrays.values())
+        if self.kind == "leaves":
+            entries = self.entries
+            few = int(np.count_nonzero(self._products <= SHORT))
+            channels = max(len(array) for array in self.arrays.values() if array.ndim == 2)
+            long = len(self.arrays["block_a"]) - few
+            return size + channels * (_A_LEAF * long + _AN_ENTRY * entries)
+        return size * (1 if self.kind == "dense" else _AN_ENTRY)
+
+    @property
+    def entries(self) -> int:
+        """Pairs of rays of the leaves over at most `SHORT` of them; 0 of other operations."""
+        if self.kind != "leaves":
+            return 0
+        products = self._products
+        return int(products[products <= SHORT].sum())
+
+    @property
+    def _products(self) -> NDArray[np.int64]:
+        sizes = self.arrays["sizes"].astype(np.int64)
+        a, b = self.arrays["block_a"], self.arrays["block_b"]
+        return np.where(a == b, sizes[a] * (sizes[a] + 1) // 2, sizes[a] * sizes[b])
 
     @property
     def identity(self) -> str:
@@ -115,7 +144,8 @@ class Program:
     @property
     def parts(self) -> list[str]:
         """The parts' names, in order."""
-        return list(dict.fromkeys(operation.part for operation in self.operations))
+        named = (operation.part for operation in self.operations)
+        return list(dict.fromkeys(name for name in named if name))
 
     def at_level(self, level: int) -> Iterator[Operation]:
         """Yield the operations that run at a level."""

@@ -33,6 +33,7 @@ function needed() {
     if (op.kind === "leaves") {
       const n = length(about.arrays[op.arrays.block_a]);
       bytes += aligned(16 * n) + aligned(4 * n * about.channels);
+      bytes += 2 * aligned(4 * op.entries) + aligned(4 * op.entries * about.channels);
     }
   }
   let largest = 0;
@@ -115,30 +116,65 @@ function place(index) {
 
 function prepareLeaves(op) {
   const get = (name) => (name in op.arrays ? raw.get(op.arrays[name]) : null);
-  const a = get("block_a"), b = get("block_b"), sizes = get("sizes"), channels = about.channels;
+  const a = get("block_a"), b = get("block_b"), sizes = get("sizes"), { channels } = about;
   const starts = new Int32Array(sizes.length + 1);
   for (let i = 0; i < sizes.length; i++) starts[i + 1] = starts[i] + sizes[i];
-  op.n = a.length;
-  op.table = allocate(16 * op.n);
-  const ends = new Int32Array(op.n + 1);
-  for (let i = 0, t = op.table >> 2; i < op.n; i++, t += 4) {
-    const nb = a[i] === b[i] ? 0 : sizes[b[i]];
-    I.set([starts[a[i]], sizes[a[i]], starts[b[i]], nb], t);
-    ends[i + 1] = ends[i] + sizes[a[i]] + nb;
+  const count = a.length, ends = new Int32Array(count + 1);
+  for (let i = 0; i < count; i++) {
+    ends[i + 1] = ends[i] + sizes[a[i]] + (a[i] === b[i] ? 0 : sizes[b[i]]);
   }
-  const signs = get("signs");
-  op.signs = allocate(4 * op.n * channels);
-  for (let i = 0; i < op.n * channels; i++) F[(op.signs >> 2) + i] = signs ? signs[i] : 1;
-  const codes = get("codes"), total = ends[op.n];
-  op.stride = total;
-  op.values = allocate(4 * total * channels);
-  if (codes) decodeFactors(codes, get("scales"), ends, op.values >> 2);
-  else F.set(get("values"), op.values >> 2);
+  const total = ends[count], codes = get("codes"), signs = get("signs");
+  const factors = codes ? decodedFactors(codes, get("scales"), ends) : get("values");
+  const isShort = (i) => {
+    const na = sizes[a[i]], nb = sizes[b[i]];
+    return (a[i] === b[i] ? na * (na + 1) / 2 : na * nb) <= about.short;
+  };
+  const long = [], short = [];
+  for (let i = 0; i < count; i++) (isShort(i) ? short : long).push(i);
+  const numbers = long.reduce((sum, i) => sum + ends[i + 1] - ends[i], 0);
+  Object.assign(op, { n: long.length, stride: numbers, table: allocate(16 * long.length),
+    signs: allocate(4 * long.length * channels), values: allocate(4 * numbers * channels) });
+  long.forEach((i, k) => {
+    const nb = a[i] === b[i] ? 0 : sizes[b[i]];
+    I.set([starts[a[i]], sizes[a[i]], starts[b[i]], nb], (op.table >> 2) + 4 * k);
+  });
+  for (let channel = 0; channel < channels; channel++) {
+    let to = (op.values >> 2) + channel * numbers;
+    long.forEach((i, k) => {
+      F[(op.signs >> 2) + channel * long.length + k] = signs ? signs[channel * count + i] : 1;
+      F.set(factors.subarray(channel * total + ends[i], channel * total + ends[i + 1]), to);
+      to += ends[i + 1] - ends[i];
+    });
+  }
+  prepareEntries(op, short, { a, b, sizes, starts, ends, factors, signs });
+}
+
+// Leaves over few rays as pairs of rays.
+function prepareEntries(op, short, { a, b, sizes, starts, ends, factors, signs }) {
+  const { channels } = about, n = op.entries, total = ends[ends.length - 1], count = a.length;
+  op.pairs = { first: allocate(4 * n), second: allocate(4 * n), values: allocate(4 * n * channels) };
+  let to = 0;
+  for (const i of short) {
+    const na = sizes[a[i]], nb = sizes[b[i]], same = a[i] === b[i], at = ends[i];
+    const other = same ? at : at + na;
+    for (let row = 0; row < na; row++) {
+      for (let column = same ? row : 0; column < nb; column++, to++) {
+        I[(op.pairs.first >> 2) + to] = starts[a[i]] + row;
+        I[(op.pairs.second >> 2) + to] = starts[b[i]] + column;
+        for (let channel = 0; channel < channels; channel++) {
+          const sign = signs ? signs[channel * count + i] : 1;
+          F[(op.pairs.values >> 2) + channel * n + to] =
+            sign * factors[channel * total + at + row] * factors[channel * total + other + column];
+        }
+      }
+    }
+  }
 }
 
 // A factor is its code squared times its leaf's scale; later channels are differences to the first.
-function decodeFactors(codes, scales, ends, at) {
+function decodedFactors(codes, scales, ends) {
   const n = ends.length - 1, total = ends[n], mask = codes.BYTES_PER_ELEMENT === 1 ? 255 : 65535;
+  const factors = new Float32Array(about.channels * total);
   for (let channel = 0; channel < about.channels; channel++) {
     for (let leaf = 0; leaf < n; leaf++) {
       const scale = scales[channel * n + leaf];
@@ -148,10 +184,11 @@ function decodeFactors(codes, scales, ends, at) {
           const folded = codes[channel * total + k];
           code = (((folded >> 1) ^ -(folded & 1)) + code) & mask;
         }
-        F[at + channel * total + k] = code * code * scale;
+        factors[channel * total + k] = code * code * scale;
       }
     }
   }
+  return factors;
 }
 
 function run({ light, colour, dual, level, parts }) {
@@ -165,7 +202,7 @@ function run({ light, colour, dual, level, parts }) {
       for (let i = 0; i < rays; i++) F[to + i] = light[from + i] * weight;
     }
   }
-  const chosen = own.filter((op) => op.ready && parts[op.part] && op.levels.includes(level));
+  const chosen = own.filter((op) => op.ready && (op.part < 0 || parts[op.part]) && op.levels.includes(level));
   if (dual) chosen.reverse();
   let counted = -1;
   for (const op of chosen) {
@@ -190,7 +227,9 @@ function run({ light, colour, dual, level, parts }) {
 function apply(op, channel, transposed, x, y) {
   if (op.kind === "leaves") {
     const values = op.values + 4 * channel * op.stride, signs = op.signs + 4 * channel * op.n;
+    const { first, second, values: entries } = op.pairs;
     kernels.leaves(op.n, op.table, values, signs, x, y, counts);
+    kernels.pairs(op.entries, first, second, entries + 4 * channel * op.entries, x, y);
     return;
   }
   const at = (name) => placed.get(op.arrays[name]);
