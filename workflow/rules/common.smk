@@ -1,13 +1,16 @@
 # What the rules share: the checked settings, and functions that give each rule its part of them.
 
+import rfpipe
 from rfpipe.config import load_config, parse_config
 from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
+from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.studies import FIGURES
 from rfpipe.stages.evaluating.sweep import is_swept
 from rfpipe.stages.jobs.code import acquisition_code, module_of, stage_code
 from rfpipe.stages.jobs.notify import notify
 from rfpipe.stages.plan import plan_of
+from rfpipe.store.files import digest_of
 
 if len(workflow.configfiles) == 1:
     load_config(workflow.configfiles[0])  # finds keys that stand twice, too
@@ -26,6 +29,14 @@ def plain(settings):
 
 # All settings but those that shape no result: changing these does nothing anew.
 SHAPING = SETTINGS.shaping()
+
+# What the viewer's pages run, which is no Python.
+VIEWER_WEB = fingerprint(
+    [
+        digest_of(path.read_bytes())
+        for path in sorted((Path(rfpipe.__file__).parent / "viewer").glob("*/*.*"))
+    ]
+)
 
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
 

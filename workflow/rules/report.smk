@@ -1,5 +1,3 @@
-import rfpipe
-from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.studies import FIGURES, STUDIES
 
 # Simulated scenes on which the methods are compared: no part of what a rig's report is about.

@@ -15,5 +15,6 @@ rule view:
         mem_mib=MEMORY_MIB,
     params:
         code=stage_code("viewer"),
+        web=VIEWER_WEB,
     script:
         "../scripts/view.py"

@@ -49,7 +49,7 @@ def view(
     largest: Annotated[
         float,
         typer.Option(
-            min=0.1,
+            min=0,
             help="Megabytes of data beyond which a folder for a web server is written in place of "
             "one page.",
         ),

@@ -104,7 +104,9 @@ class Operation:
     def _products(self) -> NDArray[np.int64]:
         sizes = self.arrays["sizes"].astype(np.int64)
         a, b = self.arrays["block_a"], self.arrays["block_b"]
-        return np.where(a == b, sizes[a] * (sizes[a] + 1) // 2, sizes[a] * sizes[b])
+        own = sizes[a] * (sizes[a] + 1) // 2
+        products: NDArray[np.int64] = np.where(a == b, own, sizes[a] * sizes[b])
+        return products
 
     @property
     def identity(self) -> str:

@@ -5,7 +5,7 @@ const sides = { projector: new Side(MANIFEST.projector), camera: new Side(MANIFE
 const channels = MANIFEST.channels;
 let state = stateFromHash(location.hash);
 let engine, other, screens, painting, loadedPicture, floodlit = {}, shown = {}, readyLevels = [];
-let drawing = null, playing = null, recording = null, frames = 0, framesSince = 0, dragged = false;
+let drawing = null, playing = null, recording = null, frames = 0, framesSince = 0;
 
 const lit = () => sides[state.side];
 const seenName = () => ORDER[1 - ORDER.indexOf(state.side)];
@@ -91,7 +91,17 @@ function whiteOf(image) {
   return top || 1;
 }
 
-const exposedWhite = () => MANIFEST.white / 2 ** state.exposure;
+// A single pixel's light is dim but for the pixel itself: all but one in a thousand values, a few at
+// least, are below this white.
+function whiteOfMost(image) {
+  const sorted = Float32Array.from(image).sort(), n = sorted.length;
+  return sorted[n - 1 - Math.min(n - 1, Math.max(4 * channels, n / 1000 | 0))] || whiteOf(image);
+}
+
+function exposedWhite() {
+  if (state.tool !== "pixel") return MANIFEST.white / 2 ** state.exposure;
+  return whiteOfMost(shown.picture) / 2 ** (state.exposure - INITIAL.exposure);
+}
 
 async function redraw() {
   if (!readyLevels.length) return;
@@ -120,7 +130,8 @@ function paint() {
   screens.seen.show(picture, { view: state.seenView, white, tone: state.tone, other: usable,
     wipe: state.wipe / 100, limit: state.difference ? state.limit / 100 : 0 });
   $("seen").dataset.drawn = "yes";
-  if (!dragged || state.tool !== "pixel") paintLight();
+  if (state.tool === "pixel" && state.px >= 0) screens.seen.mark(state.px, state.py);
+  paintLight();
   if (usable && (state.wipe || state.difference)) {
     const { rms, largest } = differenceOf(picture, usable, MANIFEST.white);
     $("compared").textContent = `Differs by ${(100 * rms).toPrecision(2)} % (relative RMS); at ` +
@@ -138,7 +149,7 @@ async function paintLight() {
     const dual = state.side === "projector";
     const row = await engine.picture(request(light, Array(channels).fill(1), dual));
     if (row && state.tool === "pixel") {
-      screens.light.show(row, { view, white: whiteOf(row), tone: "log" });
+      screens.light.show(row, { view, white: whiteOfMost(row), tone: "soft" });
     }
     return;
   }
@@ -191,10 +202,8 @@ function makeScreens() {
     seen: new Screen($("seen"), seen(), channels),
   };
   painting = new Painting(lit(), channels);
-  if (screens) {
-    $("light-name").textContent = state.side === "projector" ? "Projector's side" : "Camera's side";
-    $("seen-name").textContent = state.side === "projector" ? "Camera's view" : "Projector's view";
-  }
+  $("light-name").textContent = state.side === "projector" ? "Projector's side" : "Camera's side";
+  $("seen-name").textContent = state.side === "projector" ? "Camera's view" : "Projector's view";
 }
 
 async function begin() {

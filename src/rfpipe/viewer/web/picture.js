@@ -57,6 +57,19 @@ class Screen {
       }
     }
     this.context.putImageData(this.pixels, 0, 0);
+    if (other && edge > 0 && edge < width) {
+      this.context.fillStyle = "#ffffff90";
+      this.context.fillRect(edge, 0, Math.max(1, width / 350), this.side.height);
+    }
+  }
+
+  // A frame about the pixel at a place, in parts of the image.
+  mark(x, y) {
+    const column = Math.floor(x * this.side.width), row = Math.floor(y * this.side.height);
+    const around = Math.max(1, Math.round(this.side.width / 80));
+    this.context.strokeStyle = "#ffb000";
+    this.context.lineWidth = Math.max(0.5, this.side.width / 300);
+    this.context.strokeRect(column - around, row - around, 2 * around + 1, 2 * around + 1);
   }
 
   // The light over a dim view of what it falls on; `weights` has one plane or one a channel.
