@@ -355,7 +355,7 @@ def test_a_large_transport_is_read_from_a_folder(
         page = opened(chromium, f"{address}/big/", "#tool=flood&difference=true")
         settled(page)
         alike(page, transport)
-        wait_until(page, "shown.still !== undefined")
+        wait_until(page, "still !== null")
         settled(page)
         assert "Differs by" in page.inner_text("#compared")
         assert page.said == []

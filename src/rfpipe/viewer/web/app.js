@@ -4,7 +4,7 @@ const ORDER = ["projector", "camera"];
 const sides = { projector: new Side(MANIFEST.projector), camera: new Side(MANIFEST.camera) };
 const channels = MANIFEST.channels;
 let state = stateFromHash(location.hash);
-let engine, other, screens, painting, loadedPicture, floodlit = {}, shown = {}, readyLevels = [];
+let engine, other, screens, painting, loadedPicture = null, still = null, floodlit = {}, shown = {}, readyLevels = [];
 let drawing = null, playing = null, recording = null, frames = 0, framesSince = 0;
 
 const lit = () => sides[state.side];
@@ -103,24 +103,26 @@ function exposedWhite() {
   return whiteOfMost(shown.picture) / 2 ** (state.exposure - INITIAL.exposure);
 }
 
-async function redraw() {
-  if (!readyLevels.length) return;
-  const { light, colour } = lightNow(), dual = state.side === "camera", asked = stateToHash(state);
-  shown.light = light;
-  shown.colour = colour;
+// What the page shows next: the light and its pictures, as things are set now.
+async function pictured() {
+  const { light, colour } = lightNow(), dual = state.side === "camera", hash = stateToHash(state);
   const wanted = [engine.picture(request(light, colour, dual))];
   if (other && (state.wipe || state.difference)) {
-    const about = other.about;
-    wanted.push(other.picture({ light, colour, dual, level: about.levels.at(-1),
-      parts: about.parts.map(() => true) }));
+    const { levels, parts } = other.about;
+    const all = { light, colour, dual, level: levels.at(-1), parts: parts.map(() => true) };
+    wanted.push(other.picture(all));
   }
   const [picture, compared] = await Promise.all(wanted);
-  if (!picture) return;
-  shown.picture = picture;
-  shown.compared = compared || (MANIFEST.still && !dual ? shown.still : null);
-  if (state.auto) state.exposure = Math.log2(MANIFEST.white / whiteOf(picture));
+  const beside = compared || (MANIFEST.still && !dual ? still : null);
+  return { light, colour, picture, compared: beside, hash };
+}
+
+function show(found) {
+  if (!found.picture || found.picture.length !== channels * seen().rays) return;
+  shown = found;
+  if (state.auto) state.exposure = Math.log2(MANIFEST.white / whiteOf(found.picture));
   paint();
-  document.body.dataset.shown = asked;
+  document.body.dataset.shown = state.auto ? stateToHash(state) : found.hash;
   count();
 }
 
@@ -132,7 +134,7 @@ function paint() {
   $("seen").dataset.drawn = "yes";
   if (state.tool === "pixel" && state.px >= 0) screens.seen.mark(state.px, state.py);
   paintLight();
-  if (usable && (state.wipe || state.difference)) {
+  if (usable && (state.wipe || state.difference) && !playing && drawing === null) {
     const { rms, largest } = differenceOf(picture, usable, MANIFEST.white);
     $("compared").textContent = `Differs by ${(100 * rms).toPrecision(2)} % (relative RMS); at ` +
       `most ${(100 * largest).toPrecision(2)} % of white.`;
@@ -147,8 +149,8 @@ async function paintLight() {
     const side = seen(), image = pixel(side, state.px * side.width, state.py * side.height);
     const light = side.inViews(image, state.seenView);
     const dual = state.side === "projector";
-    const row = await engine.picture(request(light, Array(channels).fill(1), dual));
-    if (row && state.tool === "pixel") {
+    const row = await engine.picture(request(light, Array(channels).fill(1), dual), "row");
+    if (row && row.length === channels * lit().rays && state.tool === "pixel") {
       screens.light.show(row, { view, white: whiteOfMost(row), tone: "soft" });
     }
     return;
@@ -163,7 +165,7 @@ async function findFloodlit() {
     const light = new Float32Array(sides[ORDER[1 - ORDER.indexOf(name)]].rays).fill(1);
     const all = { ...request(light, Array(channels).fill(1), dual),
       parts: MANIFEST.parts.map(() => true) };
-    floodlit[name] = await engine.picture(all) || floodlit[name];
+    floodlit[name] = await engine.picture(all, "floodlit") || floodlit[name];
   }
 }
 
@@ -177,21 +179,25 @@ function count() {
   }
 }
 
-// At most one picture is on its way; moves meanwhile end in one more.
+// At most one picture is on its way while another is shown; moves meanwhile end in one more.
 let asked = false, going = false;
 async function update(keep = true) {
   if (keep && !playing) rememberSoon();
   asked = true;
-  if (going) return;
+  if (going || !readyLevels.length) return;
   going = true;
   try {
-    while (asked) {
+    asked = false;
+    for (let coming = pictured(); coming;) {
+      const found = await coming;
+      coming = asked ? pictured() : null;
       asked = false;
-      await redraw();
+      show(found);
     }
   } finally {
     going = false;
   }
+  if (asked) update(keep);
 }
 
 // ---- beginning
@@ -238,7 +244,7 @@ async function loadStill(blob) {
   const planes = new Uint8Array(await new Response(stream).arrayBuffer()), n = planes.length / 4;
   const bytes = new Uint8Array(planes.length);
   for (let k = 0; k < planes.length; k++) bytes[4 * (k % n) + Math.floor(k / n)] = planes[k];
-  shown.still = new Float32Array(bytes.buffer);
+  still = new Float32Array(bytes.buffer);
   update(false);
 }
 

@@ -157,7 +157,7 @@ function bindScreens() {
     canvas.addEventListener("pointermove", (event) => {
       if (drawing === event.pointerId) moveTo(placeOf(event, canvas), which);
     });
-    const end = () => { drawing = null; };
+    const end = () => { drawing = null; update(false); };
     canvas.addEventListener("pointerup", end);
     canvas.addEventListener("pointercancel", end);
     canvas.addEventListener("keydown", (event) => byKey(event, which));
@@ -209,7 +209,8 @@ function startPlaying() {
   const move = () => {
     if (!playing) return;
     [state.x, state.y] = path.at((performance.now() - since) / 1000);
-    update(false).then(() => { if (playing) playing.frame = requestAnimationFrame(move); });
+    update(false);
+    playing.frame = requestAnimationFrame(move);
   };
   playing = { frame: 0 };
   playing.frame = requestAnimationFrame(move);

@@ -8,7 +8,7 @@ class Engine {
     this.onlevel = () => {};
     this.onfail = () => {};
     this.id = 0;
-    this.waiting = null;
+    this.waiting = new Map();
     this.busy = null;
     const shares = shareOut(manifest, count);
     const source = WORKER_SOURCE;
@@ -54,22 +54,23 @@ class Engine {
       !op.levels.includes(level) || Object.values(op.arrays).every((i) => this.loaded.has(i))));
   }
 
-  // The picture under a light. Of several that wait only the newest is made; others give null.
-  picture(request) {
+  // The picture under a light. Of several for one purpose that wait only the newest is made; others
+  // give null.
+  picture(request, purpose = "seen") {
     return new Promise((resolve) => {
-      if (this.waiting) this.waiting.resolve(null);
-      this.waiting = { request, resolve };
+      if (this.waiting.has(purpose)) this.waiting.get(purpose).resolve(null);
+      this.waiting.set(purpose, { request, resolve });
       if (!this.busy) this.next();
     });
   }
 
   next() {
-    if (!this.waiting) return;
-    const { request, resolve } = this.waiting;
-    this.waiting = null;
+    if (!this.waiting.size) return;
+    const [purpose, { request, resolve }] = this.waiting.entries().next().value;
+    this.waiting.delete(purpose);
     this.busy = { id: ++this.id, left: this.workers.length, sum: null, resolve };
     for (const worker of this.workers) worker.postMessage({ run: { ...request, id: this.id } });
-    if (!this.workers.length) this.collect(null);
+    if (!this.workers.length) this.collect(new Float32Array(0));
   }
 
   collect(picture) {
@@ -78,8 +79,8 @@ class Engine {
     else for (let i = 0; i < picture.length; i++) busy.sum[i] += picture[i];
     if (--busy.left > 0) return;
     this.busy = null;
+    this.next(); // the workers go on while the page shows this one
     busy.resolve(busy.sum);
-    this.next();
   }
 }
 
