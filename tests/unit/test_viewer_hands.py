@@ -216,6 +216,7 @@ def test_a_damaged_link_still_opens(chromium: Any, symmetric: Path) -> None:
     page = opened(chromium, symmetric, damaged)
     settled(page)
     alike(page, transport_of("symmetric"))
+    assert page.evaluate("[state.seenView, state.tone]") == [0, "soft"]
     assert page.said == []
     page.context.close()
 
@@ -285,6 +286,8 @@ def test_parts_of_the_light_go_on_and_off(chromium: Any, tmp_path: Path) -> None
 def test_views_are_chosen_on_both_sides(chromium: Any, tmp_path: Path) -> None:
     transport = transport_of("light field")
     page = opened(chromium, write_view(View(transport, "Views"), tmp_path / "field.html").page)
+    drag(page, "#seen", (0.9, 0.9), (0.9, 0.8))  # of all lit views none is that seen
+    assert page.evaluate("[state.x, state.y]") == [0.5, 0.5]
     slide(page, "litView", 1)
     slide(page, "seenView", 1)
     light = np.array(page.evaluate("[...shown.light]")).reshape(2, 4, 6)
@@ -293,6 +296,7 @@ def test_views_are_chosen_on_both_sides(chromium: Any, tmp_path: Path) -> None:
     expected = transport.relight(light)[..., 0]
     picture = np.array(page.evaluate("[...shown.picture]")).reshape(2, 4, 6)
     np.testing.assert_allclose(picture, expected, atol=1e-3 * expected.max())
+    assert page.input_value("#seenView") == "1"
     assert page.evaluate("$('seen').getContext('2d').getImageData(0, 0, 6, 4).data[0]") > 0
     page.context.close()
 
@@ -344,6 +348,9 @@ def test_a_large_transport_is_read_from_a_folder(
 ) -> None:
     transport = transport_of("symmetric")
     compared = Compared(transport.relight(np.ones(SHAPE)), "the truth", is_truth=True)
+    older = tmp_path / "big" / "levels" / "level_99.bin"
+    older.parent.mkdir(parents=True)
+    older.write_bytes(b"of an older one")
     written = write_view(View(transport, "Large", compared=compared), tmp_path / "big.html", 1000)
     assert written.is_folder
     assert written.page == tmp_path / "big" / "index.html"
@@ -351,6 +358,7 @@ def test_a_large_transport_is_read_from_a_folder(
     text = written.page.read_bytes()
     assert b"data:image/jpeg" in text[:100_000]
     assert len(list((tmp_path / "big" / "levels").iterdir())) > 3
+    assert not older.exists()
     with served(tmp_path, handler) as address:
         page = opened(chromium, f"{address}/big/", "#tool=flood&difference=true")
         settled(page)

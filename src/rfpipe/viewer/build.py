@@ -245,6 +245,9 @@ def _write_files(folder: Path, name: str, packed: Packed) -> int:
         held.append(blob)
     for file, held in parts.items():
         _write(folder / file, b"".join(held))
+    for older in (folder / name).glob("level_*.bin"):
+        if f"{name}/{older.name}" not in parts:
+            older.unlink()
     packed.manifest["files"] = places
     return packed.nbytes
 

@@ -33,20 +33,41 @@ async function embedded(prefix, index) {
   }
 }
 
-const files = new Map();
-async function fetched(file, from, bytes) {
-  if (files.has(file)) return files.get(file).then((all) => all.slice(from, from + bytes));
-  const answer = await fetch(file, { headers: { Range: `bytes=${from}-${from + bytes - 1}` } });
+// Arrays that lie side by side in a file come together, up to so many bytes at a time.
+const TOGETHER = 2 ** 20;
+
+function inGroups(places) {
+  const groups = [];
+  for (const [file, from, bytes] of places) {
+    const last = groups.at(-1);
+    if (last && last.file === file && last.end === from && from + bytes - last.from <= TOGETHER) {
+      last.end = from + bytes;
+    } else groups.push({ file, from, end: from + bytes });
+    groups.at(-1).count = (groups.at(-1).count || 0) + 1;
+  }
+  return groups.flatMap((group) => Array(group.count).fill(group));
+}
+
+const wholeFiles = new Map();
+async function fetched(group) {
+  const { file, from, end } = group;
+  if (wholeFiles.has(file)) return (await wholeFiles.get(file)).subarray(from, end);
+  const answer = await fetch(file, { headers: { Range: `bytes=${from}-${end - 1}` } });
   if (!answer.ok) throw new Error(`${file}: ${answer.status} ${answer.statusText}`);
   const found = answer.arrayBuffer().then((data) => new Uint8Array(data));
   if (answer.status === 206) return found;
-  files.set(file, found); // a server without ranges sends all of it, once
-  return (await found).slice(from, from + bytes);
+  wholeFiles.set(file, found); // a server without ranges sends all of it, once
+  return (await found).subarray(from, end);
 }
 
 function blobs(prefix, manifest) {
   if (!manifest.files) return (index) => embedded(prefix, index);
-  return (index) => fetched(...manifest.files[index]);
+  const groups = inGroups(manifest.files);
+  return async (index) => {
+    const group = groups[index], [, from, bytes] = manifest.files[index];
+    group.data ||= fetched(group);
+    return (await group.data).slice(from - group.from, from - group.from + bytes);
+  };
 }
 
 function kernel() {
@@ -203,6 +224,7 @@ async function update(keep = true) {
 // ---- beginning
 
 function makeScreens() {
+  bound();
   screens = {
     light: new Screen($("light"), lit(), channels),
     seen: new Screen($("seen"), seen(), channels),

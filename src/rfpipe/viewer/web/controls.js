@@ -14,6 +14,8 @@ function rememberSoon() {
 
 // Show the state in the controls.
 function showControls() {
+  $("litView").max = lit().views - 1;
+  $("seenView").max = seen().views - 1;
   for (const id of SLIDERS) {
     $(id).value = state[id];
     const text = UNITS[id](Number(state[id]));
@@ -36,9 +38,7 @@ function showControls() {
   for (const element of document.querySelectorAll("[data-for]")) {
     element.hidden = !element.dataset.for.split(" ").includes(state.tool);
   }
-  $("litView").max = lit().views - 1;
   $("litView").closest(".row").hidden = lit().views < 2;
-  $("seenView").max = seen().views - 1;
   $("seenView").closest(".row").hidden = seen().views < 2;
   const off = state.off.split(",");
   for (const box of $("parts").querySelectorAll("input")) box.checked = !off.includes(box.value);
@@ -47,15 +47,23 @@ function showControls() {
     : { flood: "all of it", picture: loadedPicture ? "the picture" : "choose a picture" }[state.tool]
       || "drag here";
   $("seen-note").textContent = state.tool === "pixel" ? "click: where does its light come from?"
-    : MANIFEST.coaxial ? "or drag here" : "";
+    : sharesPlaces() ? "or drag here" : "";
   $("path").textContent = state.path ? `${(state.path.length / 80).toFixed(1)} s recorded.`
     : "Nothing recorded: Play sweeps over the scene.";
 }
 
-function set(changes) {
-  Object.assign(state, changes);
+// Views that there are.
+function bound() {
   state.seenView = clamp(Math.round(state.seenView), 0, seen().views - 1);
   state.litView = clamp(Math.round(state.litView), -1, lit().views - 1);
+}
+
+// Whether a place in the picture that is seen is one of the light's.
+const sharesPlaces = () => MANIFEST.coaxial && (lit().views < 2 || state.litView === state.seenView);
+
+function set(changes) {
+  Object.assign(state, changes);
+  bound();
   showControls();
   update();
 }
@@ -130,7 +138,7 @@ function placeOf(event, canvas) {
 
 function moveTo({ x, y }, which) {
   if (which === "seen" && state.tool === "pixel") set({ px: x, py: y });
-  else if (which === "light" || MANIFEST.coaxial) {
+  else if (which === "light" || sharesPlaces()) {
     state.x = x;
     state.y = y;
     if (state.tool === "pixel") state.px = state.py = -1;
