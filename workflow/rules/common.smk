@@ -1,8 +1,10 @@
 # What the rules share: the checked settings, and functions that give each rule its part of them.
 
+import rfpipe
 from rfpipe.config import load_config, parse_config, read_yaml
 from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
+from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.studies import FIGURES
 from rfpipe.stages.evaluating.sweep import is_swept
 from rfpipe.stages.jobs.code import module_of, stage_code
@@ -10,6 +12,7 @@ from rfpipe.stages.jobs.notify import notify
 from rfpipe.stages.jobs.settings import stages_of
 from rfpipe.stages.plan import plan_of
 from rfpipe.stages.verifying.again import write_run
+from rfpipe.store.files import digest_of
 
 for configfile in workflow.configfiles:
     read_yaml(configfile)  # finds what Snakemake reads otherwise than it was meant
@@ -30,6 +33,14 @@ def plain(settings):
 
 # All settings but those that shape no result: changing these does nothing anew.
 SHAPING = SETTINGS.shaping()
+
+# What the viewer's pages run, which is no Python.
+VIEWER_WEB = fingerprint(
+    [
+        digest_of(path.read_bytes())
+        for path in sorted((Path(rfpipe.__file__).parent / "viewer").glob("*/*.*"))
+    ]
+)
 
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
 
@@ -59,6 +70,23 @@ def every_acquisition(name):
     """A file of each scene and method."""
     return [
         f"results/{scene}/{method}/{name}" for scene, method in SETTINGS.acquisitions
+    ]
+
+
+def every_view(wildcards):
+    """The page of each scene and method on which one paints with light."""
+    return [
+        f"results/report/view/{scene}_{method}.html"
+        for scene, method in SETTINGS.acquisitions
+    ]
+
+
+def other_acquisitions(wildcards):
+    """The transports of a scene by its other methods."""
+    return [
+        f"results/{scene}/{method}/transport.json"
+        for scene, method in SETTINGS.acquisitions
+        if scene == wildcards.scene and method != wildcards.method
     ]
 
 

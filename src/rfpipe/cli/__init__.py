@@ -16,6 +16,7 @@ from rfpipe.cli.plan import plan
 from rfpipe.cli.publish import publish
 from rfpipe.cli.run import PASSED_ON, run
 from rfpipe.cli.verify import verify
+from rfpipe.cli.view import view
 from rfpipe.errors import InputError, RfpipeError
 
 if TYPE_CHECKING:
@@ -194,6 +195,9 @@ app.command()(offline.patterns)
 app.command("import")(offline.import_)
 app.command()(fit.fit)
 app.command()(publish)
+
+
+app.command()(view)
 
 
 @app.command("check-report")
