@@ -3,13 +3,13 @@
 import importlib.resources
 import json
 import subprocess
-import sys
 import zipfile
 from datetime import date
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.validators import validators_python
 from tests.workflow.harness import ROOT, Workflow
 
 import rfpipe
@@ -69,7 +69,7 @@ def crate(undisturbed: Workflow, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 def printed(script: str, *arguments: object) -> object:
     """What a script prints last; the validators' own warnings are theirs."""
-    command = [sys.executable, "-W", "ignore", "-c", script, *map(str, arguments)]
+    command = [validators_python(), "-W", "ignore", "-c", script, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
