@@ -249,9 +249,12 @@ def open_arrays(path: Path | Place) -> ArrayBundle:
 
 
 def _advice(path: Path | Place) -> str:
-    if isinstance(path, Path):
-        return f"Remove {path} and run the stage that writes it again"
-    return f"Fetch {path} anew, or tell who published it"
+    if not isinstance(path, Path):
+        return f"Fetch {path} anew, or tell who published it"
+    manifest = path.with_suffix(".json")
+    if manifest.exists():
+        return f"Remove {manifest} and run the stage that writes it again; `rfpipe verify` says how"
+    return f"Remove {path} and run the stage that writes it again"
 
 
 def _opened(path: Path | Place) -> Any:
@@ -310,13 +313,6 @@ def _refuse_foreign(path: Path) -> None:
         raise InputError(
             f"{path}: stands here but is no bundle of arrays; move it away or choose another place"
         ) from error
-
-
-def _advice(path: Path) -> str:
-    manifest = path.with_suffix(".json")
-    if manifest.exists():
-        return f"Remove {manifest} and run the stage that writes it again; `rfpipe verify` says how"
-    return f"Remove {path} and run the stage that writes it again"
 
 
 def _has_lost_its_header(path: Path) -> bool:

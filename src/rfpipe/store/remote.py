@@ -209,12 +209,13 @@ def connect(address: str) -> tuple[Any, str, str]:
     options: Any = {"allow_http": True}
     store: Any
     if scheme == "s3":
-        unsigned = not any(os.environ.get(name) for name in _CREDENTIALS)
+        signed = any(os.environ.get(name) for name in _CREDENTIALS)
+        unsigned: Any = {} if signed else {"skip_signature": True}
         store = S3Store(
             parts.netloc,
             client_options=options,
             retry_config=_RETRIES,
-            **({"skip_signature": True} if unsigned else {}),
+            **unsigned,
         )
     else:
         store = HTTPStore.from_url(f"{root}/", client_options=options, retry_config=_RETRIES)
