@@ -4,11 +4,12 @@ PYTHON ?= python3
 VENV := .venv
 INSTALLED := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip
-REPORT := results/report/index.html
 # the settings of a rig, for calibrate and serve
 RIG ?= config/bench.yaml
 # the settings of the thesis' figures; at full size config/figures_full.yaml
 FIGURES ?= config/figures.yaml
+LOCK_OPTIONS := --upgrade --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
+  --no-emit-find-links --no-header --no-annotate --quiet
 # more options for snakemake, as in: make run ARGS="--dry-run"
 ARGS ?=
 
@@ -20,7 +21,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-.PHONY: help install run thesis figures calibrate serve unlock test lint format bench benchmark \
+.PHONY: validators help install run thesis figures calibrate serve unlock test lint format bench benchmark \
   config lock clean
 
 help: ## list the targets
@@ -44,19 +45,16 @@ $(INSTALLED): requirements.lock pyproject.toml
 	@touch $@
 
 run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the report's path
-	@snakemake $(ARGS) || { status=$$?; \
+	@rfpipe run $(ARGS) || { status=$$?; \
 	  echo "make: the run stopped. 'make run' goes on where it stopped;" \
 	    "after a kill -9 it is 'make unlock run'." >&2; exit $$status; }
-	@echo "report: $(REPORT)"
 
 thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/
-	@snakemake --directory thesis --configfile config/thesis.yaml $(ARGS)
-	@echo "report: thesis/$(REPORT)"
+	@rfpipe run --directory thesis --configfile config/thesis.yaml $(ARGS)
 
 figures: $(INSTALLED) ## make every figure and table of the thesis, reduced, in the folder figures/
-	@snakemake --directory figures --configfile $(FIGURES) $(ARGS)
+	@rfpipe run --directory figures --configfile $(FIGURES) $(ARGS)
 	@rfpipe check-report figures/results/report
-	@echo "report: figures/$(REPORT)"
 
 calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (docs/rig.md)
 	@rfpipe calibrate $(RIG)
@@ -73,6 +71,11 @@ unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock r
 
 test: lint ## check everything: lint, types, layers, workflow, tests
 	pytest -n 2 --dist worksteal
+
+validators: $(INSTALLED) ## install what some tests check published runs by, into .venv-validators
+	uv venv --quiet --allow-existing --python $(VENV)/bin/python .venv-validators
+	uv pip install --quiet --require-hashes --python .venv-validators/bin/python \
+	  --requirement validators.lock
 
 lint: $(INSTALLED) ## check style, types, layers and the workflow
 	ruff check .
@@ -99,9 +102,8 @@ config: $(INSTALLED) ## write config/config.yaml and the JSON schemas from their
 	python -m rfpipe.report docs
 
 lock: $(INSTALLED) ## resolve pyproject.toml anew into requirements.lock
-	uv pip compile pyproject.toml --extra dev --upgrade --universal --python-version 3.11 \
-	  --generate-hashes --no-emit-index-url --no-emit-find-links --no-header --no-annotate \
-	  --quiet --output-file requirements.lock
+	uv pip compile pyproject.toml --extra dev $(LOCK_OPTIONS) --output-file requirements.lock
+	uv pip compile --group validators $(LOCK_OPTIONS) --output-file validators.lock
 
 clean: ## remove caches and build files; results and .venv stay
 	rm -rf .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis dist

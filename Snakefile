@@ -3,7 +3,8 @@
 Each scene of the configuration is acquired with each method, level by level: the levels above
 decide on the patterns of a level (schedule), the rig shows them (capture), brackets become radiance
 (merge) that adds up to the floodlit image (normalize), and the method learns from it (refine). The
-transport is assembled from all levels, relit, compared with the truth and reported.
+transport is assembled from all levels, relit, compared with the truth, put on a page on which one
+paints with light (view), and reported.
 
 An acquisition is one job, since a level is little work beside a job's start, and how many levels
 have patterns to show turns out on the way. Each of its stages leaves a store and, written last, a
@@ -32,6 +33,7 @@ if not workflow.overwrite_configfiles:
 include: "workflow/rules/common.smk"
 include: f"workflow/rules/acquire_{SETTINGS.capture.rule}.smk"
 include: "workflow/rules/relight.smk"
+include: "workflow/rules/view.smk"
 include: "workflow/rules/report.smk"
 include: "workflow/rules/calibrate.smk"
 
@@ -41,6 +43,15 @@ rule all:
     input:
         every_acquisition("transport.json"),
         "results/report/index.html",
+
+
+onstart:
+    write_run(
+        Path("results"),
+        Path(workflow.main_snakefile),
+        workflow.overwrite_configfiles,
+        workflow.config_settings.config,
+    )
 
 
 onsuccess:

@@ -1,8 +1,9 @@
 """Acquire, store and relight the light transport between a projector and a camera.
 
-``open_transport`` opens what a run stored; ``acquire`` runs a whole acquisition in this process;
-``OperatorRig`` is a rig made from a matrix or linear operator, and ``CameraModel`` the camera that
-it may be given. Each is imported when it is first
+``open_transport`` opens what a run stored, ``coarser`` lowers its resolution, ``picture_weights``
+makes a pattern of a picture; ``acquire`` runs a whole acquisition in this process; ``OperatorRig``
+is a rig made from a matrix or linear operator, which ``read_matrix`` finds in files of other
+programs, and ``CameraModel`` the camera that it may be given. Each is imported when it is first
 used, so that ``import rfpipe`` stays quick.
 """
 
@@ -13,17 +14,31 @@ if TYPE_CHECKING:
     from rfpipe.photometry import CameraModel
     from rfpipe.rigs import OperatorRig
     from rfpipe.stages.acquire import acquire
-    from rfpipe.transport import open_transport
+    from rfpipe.transport import coarser, open_transport
+    from rfpipe.transport.matrix_files import read_matrix
+    from rfpipe.weights import picture_weights
 
     __version__: str
 
-__all__ = ["CameraModel", "OperatorRig", "__version__", "acquire", "open_transport"]
+__all__ = [
+    "CameraModel",
+    "OperatorRig",
+    "__version__",
+    "acquire",
+    "coarser",
+    "open_transport",
+    "picture_weights",
+    "read_matrix",
+]
 
 _HOMES = {
     "CameraModel": "rfpipe.photometry",
     "OperatorRig": "rfpipe.rigs",
     "acquire": "rfpipe.stages.acquire",
+    "coarser": "rfpipe.transport",
     "open_transport": "rfpipe.transport",
+    "picture_weights": "rfpipe.weights",
+    "read_matrix": "rfpipe.transport.matrix_files",
 }
 
 

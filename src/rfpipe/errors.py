@@ -4,13 +4,22 @@ Every message names the file or setting, its value, what was expected and what t
 else that escapes the library is a bug.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
 __all__ = [
     "CaptureError",
     "ClusterError",
     "ConfigError",
+    "DamagedStageError",
     "InputError",
     "IntegrityError",
     "LockedError",
+    "PicturesNeeded",
     "RfpipeError",
     "StaleStoreError",
     "StoreError",
@@ -34,6 +43,10 @@ class CaptureError(RfpipeError):
     """A rig failed, or what it returned can't be a picture of the pattern shown."""
 
 
+class PicturesNeeded(CaptureError):  # noqa: N818 - no failure: somebody is to take them
+    """A rig whose pictures are taken elsewhere waits for those of some patterns."""
+
+
 class ClusterError(RfpipeError):
     """The cluster that was to do the work doesn't answer, isn't fit for it, or lost it."""
 
@@ -44,6 +57,20 @@ class StoreError(RfpipeError):
 
 class IntegrityError(StoreError):
     """Stored bytes differ from the digest that was recorded when they were written."""
+
+
+class DamagedStageError(IntegrityError):
+    """What a stage left is damaged or missing; it is made anew where its manifest is missing.
+
+    Attributes
+    ----------
+    manifest : Path
+        The stage's.
+    """
+
+    def __init__(self, message: str, manifest: Path) -> None:
+        super().__init__(message)
+        self.manifest = manifest
 
 
 class StaleStoreError(StoreError):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
+from rfpipe.weights import as_weights
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class Schedule:
     pattern_of_ray : ndarray of int32, shape `shape`, optional
         Index of the pattern that lights each ray, -1 for none.
     weights : ndarray of float32, shape (count, *shape), optional
-        Explicit patterns with weights in [0, 1]; excludes `pattern_of_ray`.
+        Explicit patterns with weights in [0, 1]; excludes `pattern_of_ray`. Booleans, and whole
+        numbers 0 and 1, become float32; a picture's 0 to 255 are refused.
     complete : bool
         Whether every ray that can send light to the camera is lit exactly once by the level,
         so that its images add up to the floodlit image (the premise of thesis B.2).
@@ -52,6 +54,9 @@ class Schedule:
             raise InputError(
                 f"a schedule over {self.shape} needs an array {expected}, got {given.shape}"
             )
+        if self.weights is not None:
+            weights = as_weights(self.weights, f"a pattern of level {self.level}")
+            object.__setattr__(self, "weights", weights)
 
     @classmethod
     def floodlit(cls, shape: tuple[int, ...]) -> Schedule:

@@ -11,9 +11,9 @@ from rfpipe.photometry import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.rigs import DeviceRig, ProjectorLayout
 from rfpipe.rigs.geometry import centred_corners, tilted_corners
-from rfpipe.rigs.matrices import as_pattern_operator
 from rfpipe.rigs.optics import OpticalPath
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
+from rfpipe.transport.operators import as_pattern_operator
 
 SENSOR = CameraModel(exposures=(1 / 64, 1 / 16))
 RAYS, PROJECTOR, CAMERA = (4, 5), (18, 22), (11, 14)

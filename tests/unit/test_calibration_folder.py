@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import ClassVar, Self
 
 import numpy as np
 import pytest
@@ -24,13 +25,40 @@ RAYS = (16, 16)
 SETTINGS = CalibrationConfig(dark_frames=4, levels=6, codes=17, symmetry_patterns=6, tolerance=0.03)
 
 
+class Counted:
+    """Progress that keeps, by the steps' titles, the pictures told beforehand and those shown."""
+
+    steps: ClassVar[dict[str, list[int]]] = {}
+
+    def __init__(self, title: str, total: int) -> None:
+        self._counts = self.steps.setdefault(title, [total, 0])
+
+    def advance(self, patterns: int) -> None:
+        self._counts[1] += patterns
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, CalibrationFolder]:
     """A bench of a gamma of 2.2, calibrated."""
     bench = wedge_bench(RAYS, gamma=GAMMA)
     folder = CalibrationFolder(tmp_path_factory.mktemp("calibrated") / "calibration")
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, progress=Counted)
     return bench, folder
+
+
+def test_each_step_tells_how_many_pictures_it_shows(
+    calibrated: tuple[Bench, CalibrationFolder],
+) -> None:
+    assert set(Counted.steps) == {step.title for step in STEPS.values()}
+    for title, (told, shown) in Counted.steps.items():
+        assert told == shown, title
+    assert Counted.steps[STEPS["dark"].title] == [4, 4]
 
 
 def test_a_calibration_finds_the_bench(calibrated: tuple[Bench, CalibrationFolder]) -> None:

@@ -11,10 +11,11 @@ from typer.testing import CliRunner
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.cli import app, main
-from rfpipe.cli.images import read_image, write_image
 from rfpipe.config import json_schema
 from rfpipe.errors import InputError
+from rfpipe.pictures.images import read_image, write_image
 from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
+from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
@@ -212,3 +213,86 @@ def test_scenes_are_listed_with_their_options() -> None:
     assert "wedge_120: Two planes that meet at 120 degrees" in text
     assert "    surfaces (needed): Left and right plane." in text
     assert "    projector (None): The projector where it does not share the camera's rays" in text
+
+
+def test_the_version_is_told() -> None:
+    assert run("--version").startswith("rfpipe 0.")
+
+
+@pytest.mark.parametrize("name", ["rig.yaml", "bench.yaml"])
+def test_validate_recognises_a_rig(name: str) -> None:
+    assert "rfpipe calibrate and serve" in run("validate", CONFIG.with_name(name))
+
+
+def test_info_names_the_transports_below_a_folder(
+    transport: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lines = run("info", tmp_path).splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith(f"{transport}: 4 x 6 rays seen")
+    (tmp_path / "empty").mkdir()
+    assert "no transport lies" in failure(monkeypatch, capsys, "info", tmp_path / "empty")
+
+
+@pytest.mark.parametrize(("scale", "shape"), [(3, (12, 18)), (2.5, (10, 15)), (0.5, (2, 3))])
+def test_relit_pictures_at_scale(
+    transport: Path, tmp_path: Path, scale: float, shape: tuple[int, int]
+) -> None:
+    small, large = tmp_path / "small.exr", tmp_path / "large.exr"
+    run("relight", transport, "--pattern", "white", "--output", small)
+    run("relight", transport, "--pattern", "white", "--output", large, "--scale", scale)
+    found, given = read_image(large), read_image(small)
+    assert found.shape == (*shape, 3)
+    assert found.mean() == pytest.approx(given.mean(), rel=0.1)
+    if scale == 3:
+        np.testing.assert_array_equal(found[1::3, 1::3], given)
+
+
+def test_a_pattern_is_resized_when_asked(
+    transport: Path, factors: NDArray[np.float32], tmp_path: Path
+) -> None:
+    pattern = picture(tmp_path / "pattern.exr", np.full((40, 60, 1), 0.25, np.float32))
+    output = tmp_path / "image.exr"
+    said = run("relight", transport, "--pattern", pattern, "--output", output, "--resize")
+    assert "resized from 40 x 60 to 4 x 6 pixels" in said
+    expected = 0.25 * (factors * factors.sum(axis=1, keepdims=True)).T.reshape(*SHAPE, 3)
+    np.testing.assert_allclose(read_image(output), expected, rtol=1e-4)
+
+
+def test_a_transport_of_another_run_is_not_relit(
+    transport: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write_manifest(transport.with_suffix(".json"), {"digest": "0" * 32})
+    text = failure(
+        monkeypatch, capsys, "relight", transport, "--pattern", "white", "--output",
+        tmp_path / "image.exr",
+    )  # fmt: skip
+    assert f"remove {transport.with_suffix('.json')} and run again" in text
+
+
+def test_run_checks_settings_and_names_the_report_of_its_folder(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "Snakefile: isn't here" in failure(monkeypatch, capsys, "run")
+    report = Path("elsewhere/results/report/index.html")
+    report.parent.mkdir(parents=True)
+    report.touch()
+    Path("Snakefile").write_text("rule all:\n    output: 'done.txt'\n    shell: 'touch {output}'\n")
+    Path("latin.yaml").write_bytes("seed: 1\nreport: {title: Lumière}\n".encode("latin-1"))
+    said = failure(monkeypatch, capsys, "run", "--configfile", "latin.yaml", "-n")
+    assert "latin.yaml: line 2: can't be read" in said
+    monkeypatch.setattr(sys, "argv", ["rfpipe", "run", "--directory=elsewhere", "--cores", "1"])
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 0
+    assert capsys.readouterr().out.endswith(f"report: {report}\n")
+    assert Path("elsewhere/done.txt").exists()

@@ -328,7 +328,7 @@ def test_an_old_scene_is_refused_with_the_new_spelling() -> None:
 
 def test_an_unknown_kind_is_refused_with_those_there_are() -> None:
     text = message({"scenes": {"mine": {"kind": "wegde"}}})
-    assert "scenes.mine: 'wegde' is unknown; expected one of captured, corner, mitsuba" in text
+    assert "scenes.mine: 'wegde' is unknown; expected one of captured, corner, matrix" in text
 
 
 def test_the_schema_knows_the_options_of_every_kind() -> None:
@@ -347,6 +347,13 @@ def test_the_schema_knows_the_options_of_every_kind() -> None:
         ("seed: 1\nseed: 2\n", "the key 'seed' stands twice"),
         ("seed: [1\n", "is not valid YAML"),
         ("- seed\n", "expected 'key: value' lines"),
+        ("? [a, b]\n: 1\n", "a key is a list; expected a name"),
+        ("{a: 1}: 2\n", "a key is a group; expected a name"),
+        (f"seed: {'9' * 5000}\n", "a number has 5,000 digits"),
+        (f"seed: {'[' * 3000}\n", "nested deeper than 100"),
+        ("seed: 010\n", "010 may be meant as one of two numbers"),
+        ("seed: 08\n", "08 may be meant as one of two numbers"),
+        ("capture: {warm_up_minutes: 1:30}\n", "1:30 may be meant as one of two numbers"),
     ],
 )
 def test_broken_file(tmp_path: Path, text: str, expected: str) -> None:
@@ -354,6 +361,32 @@ def test_broken_file(tmp_path: Path, text: str, expected: str) -> None:
     with pytest.raises(ConfigError, match=expected) as caught:
         load_config(path)
     assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_a_file_that_is_not_utf_8_is_named_with_the_line(tmp_path: Path) -> None:
+    path = tmp_path / "latin.yaml"
+    path.write_bytes("seed: 1\nreport:\n  title: Lumière\n".encode("latin-1"))
+    with pytest.raises(ConfigError, match=r"latin\.yaml: line 3: .*0xe8 is no UTF-8"):
+        load_config(path)
+
+
+def test_a_text_of_digits_stays_one(tmp_path: Path) -> None:
+    assert load_config(write(tmp_path, "report: {title: '010'}")).report.title == "010"
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        ({"notify": "mail -s 'done"}, "notify is .*No closing quotation"),
+        ({"notify": "  "}, "notify is .*should name a program"),
+        ({"capture": {"url": "http://host:99999"}}, "capture.url is .*port from 1 to 65535"),
+        ({"capture": {"url": "http://host:0"}}, "capture.url is .*port from 1 to 65535"),
+        ({"resources": {"cluster": "tcp://host:70000"}}, "port from 1 to 65535"),
+    ],
+)
+def test_what_can_not_work_after_hours_is_found_before(data: object, expected: str) -> None:
+    with pytest.raises(ConfigError, match=expected):
+        parse_config(data, "mine.yaml")
 
 
 def test_missing_file(tmp_path: Path) -> None:

@@ -12,11 +12,14 @@ from rfpipe.cli import app
 from rfpipe.config import Config
 from rfpipe.photometry import CameraModel, ExactSensor
 from rfpipe.stages.capturing.forecast import forecast
+from rfpipe.stages.capturing.taken import taken_in
+from rfpipe.stages.plan import Plan
+from rfpipe.store import write_manifest
 
 
 def settings(**changes: object) -> Config:
     scene = {"kind": "plane", "surfaces": ["texture"], "shape": [5, 7]}
-    return Config.model_validate({"scenes": {"wall": scene}, **changes})
+    return Config.model_validate({"scenes": {"wall": scene}} | changes)
 
 
 def test_it_counts_patterns_references_looks_and_the_warm_up() -> None:
@@ -47,6 +50,38 @@ def test_a_method_that_descends_shows_at_most_every_block() -> None:
     assert only.most.seconds == 2.0 * (
         56 + 2 + 6
     )  # with the random patterns that tell whether the rig is coaxial
+
+
+def test_it_learns_from_acquisitions_that_are_there(tmp_path: Path) -> None:
+    facts = {
+        "scene": "wall", "method": "symmetric", "acquired_by": "symmetric",
+        "camera_shape": [5, 7], "projector_shape": [5, 7], "channels": 3, "patterns": 20,
+        "options": Plan("symmetric", "symmetric", (5, 7), (5, 7), 3).options.options(),
+    }  # fmt: skip
+    place = tmp_path / "wall" / "symmetric"
+    write_manifest(place / "transport.json", facts)
+    for stage in ("capture", "merge"):
+        (place / "L00").mkdir(exist_ok=True)
+        (place / f"L00/{stage}.benchmark.tsv").write_text("s\n1.5\n")
+    (tmp_path / "wall/dual").mkdir()
+    (tmp_path / "wall/dual/transport.json").write_text("damaged")
+    taken = taken_in(tmp_path)
+    assert [(one.patterns, one.seconds, one.capture_seconds) for one in taken] == [(20, 3.0, 1.5)]
+
+    same = settings(methods={"symmetric": {}})
+    (only,) = forecast(same, ExactSensor(), taken)
+    assert (only.expected.patterns, only.known, only.here) == (20, "taken", 3.0)
+    (other,) = forecast(settings(methods={"symmetric": {"tolerance": 0.1}}), ExactSensor(), taken)
+    assert (other.expected.patterns, other.known) == (20, "alike")  # 35 are expected without
+    (large,) = forecast(
+        settings(
+            methods={"symmetric": {}},
+            scenes={"wall": {"kind": "plane", "surfaces": ["texture"], "shape": [50, 70]}},
+        ),
+        ExactSensor(),
+        taken,
+    )
+    assert (large.known, large.here) == ("thesis", None)
 
 
 def test_the_command_says_what_does_not_fit(

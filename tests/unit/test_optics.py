@@ -6,8 +6,8 @@ import pytest
 from rfpipe.errors import InputError
 from rfpipe.rigs import ProjectorLayout
 from rfpipe.rigs.geometry import centred_corners, tilted_corners
-from rfpipe.rigs.matrices import as_pattern_operator
 from rfpipe.rigs.optics import OpticalPath
+from rfpipe.transport.operators import as_pattern_operator
 
 SHAPE, PROJECTOR, CAMERA = (6, 8), (40, 50), (33, 44)
 RAYS = 48

@@ -25,7 +25,7 @@ from tests.reports import (
 
 from rfpipe.config import Config
 from rfpipe.errors import InputError, StoreError
-from rfpipe.photometry.response import srgb
+from rfpipe.pictures.images import srgb
 from rfpipe.report import build_report
 from rfpipe.report.benchmarks import benchmarks_section
 from rfpipe.report.blocks import Section
@@ -230,8 +230,12 @@ def test_indirect_light_is_amplified_by_a_round_factor(results):
 
 def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
     acquired(tmp_path, GREY)
+    view = tmp_path / "report" / "view" / "grey_brute_force.html"
+    view.parent.mkdir()
+    view.write_text("a page to light the scene on", "utf-8")
     build_report(GREY, tmp_path, tmp_path / "report" / "index.html", *tables_of(tmp_path))
     page = Page(tmp_path / "report" / "index.html")
+    assert "view/grey_brute_force.html" in page.links
     assert "exact radiance, no noise" in page.words
     for missing in ("Fig. 5.9", "Fig. 5.7", "Fig. 5.10", "Fig. 3.8", "Fig. B.1", "Table 5.1"):
         assert missing not in page.words

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from tests.reports import BOTH, Page, acquired, benchmarked, measured, studied, tables_of
 
 from rfpipe.errors import InputError, StoreError
-from rfpipe.photometry.response import srgb
+from rfpipe.pictures.images import srgb
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.report import build_report, check_report
 from rfpipe.report.blocks import Illustration, Section

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -12,6 +13,7 @@ from rfpipe.stages.evaluating import evaluate, sweep
 from rfpipe.stages.evaluating.evaluate import error_rows
 from rfpipe.stages.evaluating.sweep import stored
 from rfpipe.stages.settings import acquire_options
+from rfpipe.stages.verifying.verify import verify
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.dense import DenseTransport
@@ -116,3 +118,15 @@ def test_error_rows_name_each_pattern():
     assert (first["pattern"], first["rms_unlit"]) == ("one", 0)
     assert second["rms_unlit"] == pytest.approx(0.5)
     assert second["ciede2000"] > first["ciede2000"] == 0
+
+
+def test_an_altered_table_of_times_is_found(swept, tmp_path):
+    folder = tmp_path / "results" / "corner" / "symmetric"
+    shutil.copytree(swept, folder)
+    assert verify(folder).findings == []
+    (folder / "sweep.csv").write_text("value\n1\n")
+    (finding,) = verify(folder).findings
+    assert finding.path == folder / "sweep.csv"
+    assert {path.name for path in finding.mend.remove} == {
+        "sweep.json", "sweep.zarr", "sweep.csv", "sweep_times.json",
+    }  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from pathlib import Path
 from typing import Any
 
@@ -71,9 +70,7 @@ def test_the_whole_run_ends_in_a_report_and_then_has_nothing_to_do(copy: Workflo
     assert not copy.path("field/dual").exists()
     assert not copy.path("field/symmetric/sweep.json").exists()
     assert "Fig. 5.8" in page
-    began = time.monotonic()
     assert "Nothing to be done" in copy.run()
-    assert time.monotonic() - began < 10
 
 
 ONE_SCENE = {"tiny": CONFIG["scenes"]["tiny"]}

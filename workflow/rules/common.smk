@@ -1,14 +1,21 @@
 # What the rules share: the checked settings, and functions that give each rule its part of them.
 
-from rfpipe.config import load_config, parse_config
+import rfpipe
+from rfpipe.config import load_config, parse_config, read_yaml
 from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
+from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.studies import FIGURES
 from rfpipe.stages.evaluating.sweep import is_swept
-from rfpipe.stages.jobs.code import acquisition_code, module_of, stage_code
+from rfpipe.stages.jobs.code import module_of, stage_code
 from rfpipe.stages.jobs.notify import notify
+from rfpipe.stages.jobs.settings import stages_of
 from rfpipe.stages.plan import plan_of
+from rfpipe.stages.verifying.again import write_run
+from rfpipe.store.files import digest_of
 
+for configfile in workflow.configfiles:
+    read_yaml(configfile)  # finds what Snakemake reads otherwise than it was meant
 if len(workflow.configfiles) == 1:
     load_config(workflow.configfiles[0])  # finds keys that stand twice, too
 SETTINGS = parse_config(config, "the configuration")
@@ -26,6 +33,14 @@ def plain(settings):
 
 # All settings but those that shape no result: changing these does nothing anew.
 SHAPING = SETTINGS.shaping()
+
+# What the viewer's pages run, which is no Python.
+VIEWER_WEB = fingerprint(
+    [
+        digest_of(path.read_bytes())
+        for path in sorted((Path(rfpipe.__file__).parent / "viewer").glob("*/*.*"))
+    ]
+)
 
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
 
@@ -47,33 +62,31 @@ def plan(wildcards):
 
 
 def stages(wildcards):
-    """What the stages of an acquisition do, before any rig, and the code that they do it with.
-
-    Snakemake sees no change of code inside the library.
-    """
-    capture = SETTINGS.capture
-    return {
-        "capture_options": {
-            "references": [capture.black_frames, capture.floodlit_frames],
-            "symmetry_frames": capture.symmetry_frames,
-            "batch_patterns": capture.batch_patterns,
-            "drift_patterns": capture.drift_patterns,
-            "keep_raw": capture.keep_raw,
-            "warm_up_minutes": capture.warm_up_minutes,
-            "when_patterns_change": capture.when_patterns_change,
-        },
-        "merge_options": {**plain(SETTINGS.merge), "keep_raw": capture.keep_raw},
-        "normalization": SETTINGS.normalization,
-        "number_format": SETTINGS.storage.number_format,
-        "asymmetry": capture.asymmetry,
-        "code": acquisition_code(module_of(METHODS, plan(wildcards)["method"])),
-    }
+    """What the stages of an acquisition do, before any rig, and the code that they do it with."""
+    return stages_of(SETTINGS, wildcards.scene, wildcards.method)
 
 
 def every_acquisition(name):
     """A file of each scene and method."""
     return [
         f"results/{scene}/{method}/{name}" for scene, method in SETTINGS.acquisitions
+    ]
+
+
+def every_view(wildcards):
+    """The page of each scene and method on which one paints with light."""
+    return [
+        f"results/report/view/{scene}_{method}.html"
+        for scene, method in SETTINGS.acquisitions
+    ]
+
+
+def other_acquisitions(wildcards):
+    """The transports of a scene by its other methods."""
+    return [
+        f"results/{scene}/{method}/transport.json"
+        for scene, method in SETTINGS.acquisitions
+        if scene == wildcards.scene and method != wildcards.method
     ]
 
 

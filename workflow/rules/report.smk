@@ -1,5 +1,3 @@
-import rfpipe
-from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.studies import FIGURES, STUDIES
 
 # Simulated scenes on which the methods are compared: no part of what a rig's report is about.
@@ -64,6 +62,7 @@ rule report:
         studies=expand("results/studies/{study}.json", study=SHOWN_STUDIES),
         errors="results/report/tables/errors.csv",
         speed_error="results/report/tables/speed_error.csv",
+        views=every_view,
         # what `make bench` left, if anything, when the workflow starts
         benchmarks=sorted(map(str, Path("results/bench").glob("*.csv"))),
     output:

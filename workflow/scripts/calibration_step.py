@@ -3,10 +3,12 @@ from pathlib import Path
 from rfpipe.calibration.job import calibrate_rig
 from rfpipe.config import RigConfig
 from rfpipe.stages.jobs.job import start
+from rfpipe.stages.jobs.progress import Progress
 
 start(snakemake.log[0])
 calibrate_rig(
     RigConfig(**snakemake.params.rig),
     Path(snakemake.output[0]).parents[1],
     only=[snakemake.wildcards.step],
+    progress=Progress,
 )

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rfpipe.calibration.base import Findings, Verdict
 from rfpipe.calibration.steps import STEPS, Bench, Step, camera_numbers, steps_of
+from rfpipe.calibration.watched import Progress, WatchedProjector
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.photometry import Resampling
@@ -102,6 +104,7 @@ def calibrate(
     settings: CalibrationConfig,
     rays: tuple[int, int] | None = None,
     only: Iterable[str] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Do the steps that aren't done yet for these devices and settings.
 
@@ -119,6 +122,8 @@ def calibrate(
         Ray domain, or that of each view; None: each projector pixel is a ray.
     only : iterable of str, optional
         Steps to do, those that they need being done; None for all, and then `finish`.
+    progress : callable, optional
+        ``progress(title, pictures)`` makes what counts a step's pictures.
 
     Raises
     ------
@@ -141,7 +146,7 @@ def calibrate(
     with StoreLock(folder.path / "steps"):
         for name, step in steps.items():
             if name in wanted:
-                _do(step, Bench(projector, camera, settings, rays, {}), folder, devices)
+                _do(step, Bench(projector, camera, settings, rays, {}), folder, devices, progress)
         if only is None:
             finish(folder, settings)
 
@@ -177,7 +182,13 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> Calibratio
     return calibration
 
 
-def _do(step: Step, bench: Bench, folder: CalibrationFolder, devices: Mapping[str, Any]) -> None:
+def _do(
+    step: Step,
+    bench: Bench,
+    folder: CalibrationFolder,
+    devices: Mapping[str, Any],
+    progress: Progress | None,
+) -> None:
     needs = {name: folder.read(name) for name in step.needs}
     made_for = fingerprint(
         {
@@ -192,7 +203,13 @@ def _do(step: Step, bench: Bench, folder: CalibrationFolder, devices: Mapping[st
         return
     if folder.is_done(step.name):
         _log.info("%s: measured anew, as devices, settings or other steps changed", step.title)
-    findings = step.measure(replace(bench, found=needs))
+    bench = replace(bench, found=needs)
+    with (
+        nullcontext() if progress is None else progress(step.title, step.pictures(bench)) as counts
+    ):
+        if counts is not None:
+            bench = replace(bench, projector=WatchedProjector(bench.projector, counts))
+        findings = step.measure(bench)
     folder.write(step.name, findings, made_for)
     level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
     _log.log(level, "%s: %s. %s", step.title, findings.verdict.standing, findings.verdict.text)

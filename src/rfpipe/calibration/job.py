@@ -7,6 +7,7 @@ from contextlib import closing
 from pathlib import Path
 
 from rfpipe.calibration.folder import CalibrationFolder, calibrate
+from rfpipe.calibration.watched import Progress
 from rfpipe.config import RigConfig
 from rfpipe.rigs.build import devices_from_config
 
@@ -23,7 +24,10 @@ def uncalibrated(config: RigConfig) -> RigConfig:
 
 
 def calibrate_rig(
-    config: RigConfig, folder: Path, only: Iterable[str] | None = None
+    config: RigConfig,
+    folder: Path,
+    only: Iterable[str] | None = None,
+    progress: Progress | None = None,
 ) -> CalibrationFolder:
     """Do the steps of a rig's calibration that aren't done yet.
 
@@ -35,6 +39,8 @@ def calibrate_rig(
         Where the calibration is to lie.
     only : iterable of str, optional
         Steps to do; None for all, and then the calibration itself.
+    progress : callable, optional
+        As `rfpipe.calibration.folder.calibrate`.
 
     Returns
     -------
@@ -50,5 +56,5 @@ def calibrate_rig(
     place = CalibrationFolder(folder)
     projector, camera = devices_from_config(uncalibrated(config))
     with closing(projector), closing(camera):
-        calibrate(projector, camera, place, config.calibrate, config.rays, only)
+        calibrate(projector, camera, place, config.calibrate, config.rays, only, progress)
     return place

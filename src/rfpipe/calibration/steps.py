@@ -33,7 +33,7 @@ from rfpipe.calibration.linearity import (
 )
 from rfpipe.calibration.mapping import SmoothMap
 from rfpipe.calibration.rays import RayFit, fit_rays
-from rfpipe.calibration.symmetry import symmetry_findings, take_symmetry
+from rfpipe.calibration.symmetry import symmetry_findings, symmetry_pictures, take_symmetry
 from rfpipe.calibration.transfer import (
     levels_of,
     measure_transfer,
@@ -119,6 +119,8 @@ class Step:
         Settings that shape its findings.
     measure : callable
         Drives the devices and returns the findings.
+    pictures : callable
+        Counts the pictures that it shows, for its progress.
     """
 
     name: str
@@ -126,6 +128,7 @@ class Step:
     needs: tuple[str, ...]
     settings: tuple[str, ...]
     measure: Callable[[Bench], Findings]
+    pictures: Callable[[Bench], int] = lambda _: 0
 
 
 def camera_numbers(found: Mapping[str, Findings]) -> dict[str, Any]:
@@ -225,23 +228,39 @@ def _symmetry(bench: Bench) -> Findings:
     return symmetry_findings(measure_symmetry(*taken), bench.settings.tolerance)
 
 
+def _structured(bench: Bench) -> int:
+    settings = bench.settings
+    code = settings.period_pixels, settings.phase_steps
+    return sum(1 for _ in structured_light(bench.projector.shape, *code))
+
+
+def _random(bench: Bench) -> int:
+    rays = bench.found["rays"].arrays
+    settings = bench.settings
+    shape = ProjectorLayout.from_arrays(rays).shape
+    return symmetry_pictures(shape, settings.symmetry_patterns, settings.dark_frames)
+
+
 STEPS: dict[str, Step] = {
     step.name: step
     for step in (
-        Step("dark", "Black level and dark frames", (), ("dark_frames",), _dark),
-        Step("linearity", "Linearity of the camera", ("dark",), ("tolerance",), _linearity),
+        Step("dark", "Black level and dark frames", (), ("dark_frames",), _dark,
+             lambda bench: bench.settings.dark_frames),
+        Step("linearity", "Linearity of the camera", ("dark",), ("tolerance",), _linearity,
+             lambda _: len(LEVELS)),
         Step(
             "light", "Response of the projector", ("dark", "linearity"), ("codes", "tolerance"),
-            _light,
+            _light, lambda bench: len(codes_of(bench.settings.codes)),
         ),
         Step(
             "transfer", "Photon-transfer curve", ("dark", "linearity", "light"),
             ("levels", "repeats"), _transfer,
+            lambda bench: len(levels_of(bench.settings.levels)) * bench.settings.repeats,
         ),
         Step(
             "correspondence", "Correspondence of projector and camera",
             ("dark", "linearity", "light", "transfer"), ("period_pixels", "phase_steps"),
-            _correspondence,
+            _correspondence, _structured,
         ),
         Step(
             "rays", "Rays of camera and projector", ("correspondence",),
@@ -249,7 +268,7 @@ STEPS: dict[str, Step] = {
         ),
         Step(
             "symmetry", "Symmetry", ("dark", "linearity", "light", "transfer", "rays"),
-            ("dark_frames", "symmetry_patterns", "tolerance"), _symmetry,
+            ("dark_frames", "symmetry_patterns", "tolerance"), _symmetry, _random,
         ),
     )
 }  # fmt: skip

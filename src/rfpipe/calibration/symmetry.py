@@ -13,7 +13,7 @@ from rfpipe.photometry import MergeOptions
 from rfpipe.photometry.symmetry import CONFIDENCE, Pictures, Symmetry, random_signs
 from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY, Rig
 
-__all__ = ["symmetry_findings", "take_symmetry"]
+__all__ = ["symmetry_findings", "symmetry_pictures", "take_symmetry"]
 
 Double = NDArray[np.float64]
 
@@ -54,13 +54,21 @@ def take_symmetry(
     on, noise = merged(np.ones((black_count, *shape), np.float32), FLOODLIT_KEY)
     floodlit, variance = on.mean(axis=0), noise.mean(axis=0) / black_count
     pictures = []
-    for side in SCALES:
-        if side > 1 and side * 2 > max(RayDomain(shape).image_shape):
-            continue
+    for side in _sides(shape):
         signs = random_signs(shape, side, count, seed)
         taken = merged((signs > 0).astype(np.float32), side)
         pictures.append(Pictures.of(signs, taken, (floodlit, variance), side))
     return floodlit, variance, pictures
+
+
+def symmetry_pictures(shape: tuple[int, ...], count: int, black_count: int) -> int:
+    """Count the pictures that `take_symmetry` shows on a domain of rays."""
+    return 2 * black_count + count * len(_sides(shape))
+
+
+def _sides(shape: tuple[int, ...]) -> list[int]:
+    """Return the sides of the patches of random patterns: two must fit."""
+    return [side for side in SCALES if side == 1 or side * 2 <= max(RayDomain(shape).image_shape)]
 
 
 def symmetry_findings(symmetry: Symmetry, tolerance: float) -> Findings:

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rfpipe.cli import fit, offline
+from rfpipe.cli.export import app as export
+from rfpipe.cli.info import info, open_checked, times
+from rfpipe.cli.plan import plan
+from rfpipe.cli.publish import publish
+from rfpipe.cli.run import PASSED_ON, run
+from rfpipe.cli.verify import verify
+from rfpipe.cli.view import view
 from rfpipe.errors import InputError, RfpipeError
 
 if TYPE_CHECKING:
@@ -24,21 +31,56 @@ app = typer.Typer(
     name="rfpipe",
     help="Serve a rig; inspect and relight the light transport between a projector and a camera.",
     no_args_is_help=True,
-    add_completion=False,
+    invoke_without_command=True,
     pretty_exceptions_enable=False,
 )
 
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print rfpipe's version and exit.", is_eager=True),
+    ] = False,
+) -> None:
+    if version:
+        from importlib.metadata import version as version_of
+
+        typer.echo(f"rfpipe {version_of('rfpipe')}")
+        raise typer.Exit
+
+
 ConfigPath = Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")]
+
+
+def _pattern_names(incomplete: str) -> list[str]:
+    """Complete the name of a pattern; a file is completed by the shell."""
+    from rfpipe.scenes.relighting import RELIGHTING_PATTERNS
+
+    return [name for name in ("white", *RELIGHTING_PATTERNS) if name.startswith(incomplete)]
+
+
 TransportPath = Annotated[
-    Path, typer.Argument(metavar="TRANSPORT", help="A transport.zarr that a run left in results/.")
+    Path,
+    typer.Argument(
+        metavar="TRANSPORT",
+        help="A transport.zarr that a run left in results/; or a folder, zip file or address "
+        "(https://, s3://) that holds one.",
+    ),
 ]
 
 
 @app.command()
 def validate(config: ConfigPath) -> None:
-    """Check a settings file; say every mistake in it."""
-    from rfpipe.config import load_config
+    """Check a settings file, a run's or a rig's; say every mistake in it."""
+    from rfpipe.config import load_config, load_rig_config, read_yaml
+    from rfpipe.config.files import is_rig
 
+    if is_rig(read_yaml(config)):
+        rig = load_rig_config(config)
+        what = "a bench in software" if rig.bench is not None else f"a rig, {rig.kind}"
+        typer.echo(f"{config}: valid. The settings of {what}, for rfpipe calibrate and serve")
+        return
     settings = load_config(config)
     lines = [f"{scene} by {', '.join(settings.methods_of(scene))}" for scene in settings.scenes]
     typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions: {'; '.join(lines)}")
@@ -68,27 +110,7 @@ def scenes() -> None:
         _list_options(SceneSettings.model_of(name))
 
 
-@app.command()
-def plan(
-    config: ConfigPath,
-    folder: Annotated[
-        Path, typer.Option(help="Where the results are to lie, for the disk's free space.")
-    ] = Path("results"),
-) -> None:
-    """Tell what a run will take, before the lamp is switched on: patterns, time and disk.
-
-    Expected are the counts of the thesis for scenes of as many levels; at most, those of a scene
-    without any structure.
-    """
-    from rfpipe.cli.plan import table
-    from rfpipe.config import load_config
-    from rfpipe.photometry import sensor_from_config
-    from rfpipe.stages.capturing.forecast import forecast
-    from rfpipe.store.files import free_bytes
-
-    settings = load_config(config)
-    found = forecast(settings, sensor_from_config(settings.camera))
-    typer.echo(table(found, free_bytes(folder)))
+app.command()(plan)
 
 
 @app.command()
@@ -99,22 +121,9 @@ def schema() -> None:
     typer.echo(json.dumps(json_schema(), indent=2))
 
 
-@app.command()
-def info(path: TransportPath) -> None:
-    """Show a transport's shape, channels, bytes and table of levels."""
-    from rfpipe.transport import open_transport
-
-    transport = open_transport(path)
-    rows, columns = map(math.prod, (transport.camera_shape, transport.projector_shape))
-    dense = rows * columns * transport.channels * 4  # float32
-    typer.echo(f"camera     {_times(transport.camera_shape)} = {rows:,} rays")
-    typer.echo(f"projector  {_times(transport.projector_shape)} = {columns:,} rays")
-    typer.echo(f"channels   {transport.channels}")
-    typer.echo(
-        f"bytes      {transport.nbytes:,} ({transport.nbytes / dense:.2%} of a dense matrix)"
-    )
-    typer.echo()
-    typer.echo(transport.levels.to_string(index=False))
+app.command()(info)
+app.command(context_settings=PASSED_ON)(run)
+app.command()(verify)
 
 
 @app.command()
@@ -124,9 +133,10 @@ def relight(
         str,
         typer.Option(
             metavar="NAME|FILE",
+            autocompletion=_pattern_names,
             help="The light: white, vertical_bar, horizontal_bar, noise, binary or spot; or a "
             "picture of the projector's size, one channel (white light) or RGB, its values taken "
-            "as linear weights.",
+            "as linear weights: whole numbers as fractions of their largest, 255 of 8 bits.",
         ),
     ],
     output: Annotated[
@@ -144,24 +154,50 @@ def relight(
         float | None,
         typer.Option(help="Radiance shown as white in a .png; the image's maximum by default."),
     ] = None,
+    scale: Annotated[
+        float,
+        typer.Option(
+            min=0.01,
+            max=100,
+            help="Write the picture so many times as large: whole numbers make squares of pixels, "
+            "others are interpolated.",
+        ),
+    ] = 1.0,
+    resize: Annotated[
+        bool,
+        typer.Option(
+            "--resize", help="Resize a pattern that has another size than the rays; says so."
+        ),
+    ] = False,
 ) -> None:
     """Render the image under a pattern.
 
     Several views stand one above the other in the pattern and in the output.
     """
     from rfpipe.blocks import RayDomain
-    from rfpipe.cli.images import write_image
-    from rfpipe.transport import open_transport
+    from rfpipe.pictures.images import scaled, write_image
 
-    transport = open_transport(path)
+    transport = open_checked(path)
     if level is not None:
         transport = transport.truncate(level)
     lit = transport.T if dual else transport
-    weights = _pattern(pattern, lit.projector_shape, lit.channels)
+    weights = _pattern(pattern, lit.projector_shape, lit.channels, resize=resize)
     image = lit.relight(weights)
     picture = image.reshape(*RayDomain(lit.camera_shape).picture_shape, lit.channels)
+    picture = scaled(picture, scale)
     write_image(output, picture, white)
-    typer.echo(f"{output}: {_times(lit.camera_shape)}, radiance up to {image.max():.4g}")
+    size = times(lit.camera_shape if scale == 1 else picture.shape[:2])
+    typer.echo(f"{output}: {size}, radiance up to {image.max():.4g}")
+
+
+app.add_typer(export, name="export")
+app.command()(offline.patterns)
+app.command("import")(offline.import_)
+app.command()(fit.fit)
+app.command()(publish)
+
+
+app.command()(view)
 
 
 @app.command("check-report")
@@ -195,10 +231,11 @@ def calibrate(
     from rfpipe.calibration.job import calibrate_rig
     from rfpipe.config import load_rig_config
     from rfpipe.report.calibration import build_calibration_report
+    from rfpipe.stages.jobs.progress import Progress
 
     logging.basicConfig(format="%(message)s")
     logging.getLogger("rfpipe").setLevel(logging.INFO)
-    folder = calibrate_rig(load_rig_config(rig), output, step)
+    folder = calibrate_rig(load_rig_config(rig), output, step, Progress)
     typer.echo(f"report: {build_calibration_report(folder)}")
 
 
@@ -254,12 +291,14 @@ def _list_options(model: type[Described]) -> None:
             typer.echo(f"    {option} ({default}): {field.description}")
 
 
-def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.float32]:
+def _pattern(
+    name: str, shape: tuple[int, ...], channels: int, *, resize: bool = False
+) -> NDArray[np.float32]:
     """Make a named pattern, or read a picture: its views one above the other."""
     import numpy as np
 
     from rfpipe.blocks import RayDomain
-    from rfpipe.cli.images import read_image
+    from rfpipe.pictures.images import read_image, resized
     from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
 
     if name == "white":
@@ -273,20 +312,23 @@ def _pattern(name: str, shape: tuple[int, ...], channels: int) -> NDArray[np.flo
         )
     picture = read_image(Path(name))
     expected = RayDomain(shape).picture_shape
+    if picture.shape[:2] != expected and resize:
+        typer.echo(
+            f"pattern {name}: resized from {times(picture.shape[:2])} to {times(expected)} pixels",
+            err=True,
+        )
+        picture = resized(picture, expected).clip(0, 1)
     if picture.shape[:2] != expected:
         raise InputError(
-            f"pattern {name}: is {_times(picture.shape[:2])} pixels (height x width); expected "
-            f"{_times(expected)}, the shape of the rays that send the light; resize the picture"
+            f"pattern {name}: is {times(picture.shape[:2])} pixels (height x width); expected "
+            f"{times(expected)}, the shape of the rays that send the light; resize the picture, or "
+            "add --resize"
         )
     if picture.ndim == 3 and channels == 1:
         raise InputError(
             f"pattern {name}: is RGB, but the transport has one channel; give a grey picture"
         )
     return picture.reshape(*shape, *picture.shape[2:])
-
-
-def _times(shape: tuple[int, ...]) -> str:
-    return " x ".join(map(str, shape))
 
 
 def main() -> None:

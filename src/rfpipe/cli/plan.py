@@ -1,17 +1,50 @@
-"""The forecast of a run as a table."""
+"""``rfpipe plan``: the forecast of a run as a table."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 if TYPE_CHECKING:
     from rfpipe.stages.capturing.forecast import Forecast
 
-__all__ = ["table"]
+__all__ = ["plan", "table"]
+
+_FROM = {"taken": "as taken", "alike": "as others", "thesis": "thesis"}
 
 
-def table(forecasts: Sequence[Forecast], free: int) -> str:
+def plan(
+    config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")],
+    folder: Annotated[
+        Path,
+        typer.Option(
+            help="Where the results are to lie, for the disk's free space; acquisitions that are "
+            "there are learnt from."
+        ),
+    ] = Path("results"),
+) -> None:
+    """Tell what a run will take, before the lamp is switched on: patterns, time and disk.
+
+    Expected are the counts of the same acquisitions in the results' folder; else those of the
+    thesis for scenes of as many levels, in the proportion in which others by the same method came
+    out. At most are those of a scene without any structure.
+    """
+    from rfpipe.config import load_config
+    from rfpipe.photometry import sensor_from_config
+    from rfpipe.stages.capturing.forecast import forecast
+    from rfpipe.stages.capturing.taken import taken_in
+    from rfpipe.store.files import free_bytes
+
+    settings = load_config(config)
+    found = forecast(settings, sensor_from_config(settings.camera), taken_in(folder))
+    simulated = settings.capture.rig == "simulated"
+    typer.echo(table(found, free_bytes(folder), simulated=simulated))
+
+
+def table(forecasts: Sequence[Forecast], free: int, *, simulated: bool = False) -> str:
     """Return a run's acquisitions, their sum, and what to make of it.
 
     Parameters
@@ -19,6 +52,8 @@ def table(forecasts: Sequence[Forecast], free: int) -> str:
     forecasts : sequence of Forecast
     free : int
         Bytes free where the results are to lie.
+    simulated : bool
+        Whether the rig is simulated, and doesn't wait for a lamp.
     """
     import pandas as pd
 
@@ -31,7 +66,9 @@ def table(forecasts: Sequence[Forecast], free: int) -> str:
             "rays": f"{one.rays:,}",
             "levels": one.levels,
             "patterns": f"{one.expected.patterns:,}",
-            "time": _duration(one.expected.seconds),
+            "known": _FROM[one.known],
+            **({"here": "?" if one.here is None else _duration(one.here)} if simulated else {}),
+            "on a rig" if simulated else "time": _duration(one.expected.seconds),
             "disk": shown_bytes(one.expected.disk.total),
             "at most": f"{one.most.patterns:,}",
             "in": _duration(one.most.seconds),
@@ -41,18 +78,30 @@ def table(forecasts: Sequence[Forecast], free: int) -> str:
     ]
     seconds = sum(one.expected.seconds for one in forecasts)
     disk = sum(one.expected.disk.total for one in forecasts)
-    lines = [pd.DataFrame(rows).to_string(index=False), ""]
     sums = (
-        f"One after the other: {_duration(seconds)} of capture, {shown_bytes(disk)} of disk before "
-        f"compression; {shown_bytes(free)} are free."
+        f"One after the other: {_duration(seconds)} of capture{' on a rig' if simulated else ''}, "
+        f"{shown_bytes(disk)} of disk before compression; {shown_bytes(free)} are free."
     )
     lines = [pd.DataFrame(rows).to_string(index=False), "", sums]
+    if simulated:
+        lines.append(_here(forecasts))
     if disk > free:
         lines.append(
             "That may not fit: make room, put the results on another disk, or set "
             "capture.keep_raw to false. A level that doesn't fit is refused before its capture."
         )
     return "\n".join(lines)
+
+
+def _here(forecasts: Sequence[Forecast]) -> str:
+    """Say what the simulation takes, as far as that is known."""
+    known = [one.here for one in forecasts if one.here is not None]
+    said = "The rig is simulated, and doesn't wait for a lamp"
+    if not known:
+        return f"{said}: how long that takes here will be known from the first acquisition on."
+    unknown = len(forecasts) - len(known)
+    more = f", and {unknown} of which nothing is known yet" if unknown else ""
+    return f"{said}: here, one after the other, {_duration(sum(known))} with all processing{more}."
 
 
 def _duration(seconds: float) -> str:

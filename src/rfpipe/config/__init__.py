@@ -16,6 +16,8 @@ from rfpipe.config.files import (
     parse_rig_config,
 )
 from rfpipe.config.model import Config, NumberFormat, StorageConfig
+from rfpipe.config.offline import OfflineConfig
+from rfpipe.config.reading import read_yaml
 from rfpipe.config.scenes import SceneSettings
 
 __all__ = [
@@ -25,6 +27,7 @@ __all__ = [
     "CameraDriver",
     "Config",
     "NumberFormat",
+    "OfflineConfig",
     "ProjectorDriver",
     "RigConfig",
     "RigDriver",
@@ -36,4 +39,5 @@ __all__ = [
     "load_rig_config",
     "parse_config",
     "parse_rig_config",
+    "read_yaml",
 ]

@@ -15,12 +15,14 @@ from rfpipe.config.devices import BenchConfig, RigConfig
 from rfpipe.config.drivers import ProjectorDriver
 from rfpipe.config.model import Config
 from rfpipe.config.problems import explained, shown
+from rfpipe.config.reading import read_yaml
 from rfpipe.config.schema import schema_of
 from rfpipe.errors import ConfigError
 
 __all__ = [
     "bench_yaml",
     "default_yaml",
+    "is_rig",
     "json_schema",
     "load_config",
     "load_rig_config",
@@ -52,7 +54,7 @@ def load_config(path: str | Path) -> Config:
         When the file can't be read or isn't YAML, and for every unknown key, wrong type and
         value out of range: with the file, the key, the value and what was expected.
     """
-    return parse_config(_read(path), str(path))
+    return parse_config(read_yaml(path), str(path))
 
 
 def parse_config(data: object, source: str) -> Config:
@@ -75,12 +77,20 @@ def parse_config(data: object, source: str) -> Config:
 
 def load_rig_config(path: str | Path) -> RigConfig:
     """Read the settings of a rig; errors as `load_config`."""
-    return parse_rig_config(_read(path), str(path))
+    return parse_rig_config(read_yaml(path), str(path))
 
 
 def parse_rig_config(data: object, source: str) -> RigConfig:
     """Check settings of a rig that are already in memory; errors as `load_config`."""
     return _parsed(RigConfig, data, source)
+
+
+def is_rig(data: object) -> bool:
+    """Whether settings are those of a rig rather than of a run, by the keys that they have."""
+    if not isinstance(data, Mapping):
+        return False
+    of_rig = sum(key in RigConfig.model_fields for key in data)
+    return of_rig > sum(key in Config.model_fields for key in data)
 
 
 def json_schema() -> dict[str, Any]:
@@ -129,19 +139,6 @@ def bench_yaml() -> str:
     return _file_of(bench_rig, RIG_SCHEMA_NAME, head)
 
 
-def _read(path: str | Path) -> object:
-    """Read a YAML file; an empty one is no settings."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: can't be read as a settings file: {error}") from error
-    try:
-        data = yaml.load(text, Loader=_UniqueKeyLoader)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{path}: is not valid YAML: {error}") from error
-    return {} if data is None else data
-
-
 def _parsed(kind: type[_S], data: object, source: str) -> _S:
     """Check settings, and say every mistake in them."""
     if not isinstance(data, Mapping):
@@ -160,21 +157,6 @@ def _file_of(settings: Settings, schema: str, head: Sequence[str]) -> str:
     """Write settings as YAML under a head of comments."""
     lines = [f"# yaml-language-server: $schema={schema}", *head, ""]
     return "\n".join([*lines, *_yaml_lines(settings, 0, commented=True)]) + "\n"
-
-
-class _UniqueKeyLoader(yaml.SafeLoader):
-    """YAML's safe loader, but a key that stands twice is an error instead of the last one."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen = set()
-        for key_node, _ in node.value:
-            key = key_node.value
-            if key in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key!r} stands twice; remove one", key_node.start_mark
-                )
-            seen.add(key)
-        return super().construct_mapping(node, deep)
 
 
 def _yaml_lines(settings: BaseModel, indent: int, *, commented: bool) -> list[str]:

@@ -5,8 +5,10 @@ Plain data only: the layers above build cameras, scenes and methods from it.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
+from urllib.parse import urlsplit
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
@@ -21,6 +23,7 @@ from rfpipe.config.base import (
 )
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.figures import FiguresConfig
+from rfpipe.config.offline import OfflineConfig
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
 
@@ -41,6 +44,8 @@ NumberFormat = Literal["float32", "uint16", "uint8"]
 Batch = Annotated[int, Field(ge=1, le=1024)]
 SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 
+_Address = TypeVar("_Address", str, str | None)
+
 # Those of the default run, in the order of its report.
 _DEFAULT_METHODS = ("near_far", "symmetric", "dual")
 
@@ -48,9 +53,10 @@ _DEFAULT_METHODS = ("near_far", "symmetric", "dual")
 class CaptureConfig(Settings):
     """How patterns are shown and pictures taken."""
 
-    rig: Literal["simulated", "remote"] = Field(
+    rig: Literal["simulated", "remote", "offline"] = Field(
         "simulated",
-        description="The rig: simulated, or remote, behind an acquisition server ('rfpipe serve').",
+        description="The rig: simulated; remote, behind an acquisition server ('rfpipe serve'); or "
+        "offline, whose pictures are taken elsewhere ('rfpipe patterns', 'rfpipe import').",
     )
     url: str = Field(
         "http://127.0.0.1:8750",
@@ -124,6 +130,11 @@ class CaptureConfig(Settings):
         "patterns: recapture (it says so first) or refuse.",
     )
 
+    @field_validator("url")
+    @classmethod
+    def _server_has_a_port(cls, url: str) -> str:
+        return _checked_port(url)
+
     @field_validator("symmetry_frames")
     @classmethod
     def _make_pairs(cls, frames: int) -> int:
@@ -132,9 +143,9 @@ class CaptureConfig(Settings):
         return frames
 
     @property
-    def rule(self) -> Literal["simulated", "hardware"]:
-        """Which of the workflow's two rules of capture."""
-        return "simulated" if self.rig == "simulated" else "hardware"
+    def rule(self) -> Literal["simulated", "hardware", "offline"]:
+        """Which of the workflow's rules of capture."""
+        return "hardware" if self.rig == "remote" else self.rig
 
     @property
     def drift_patterns(self) -> int:
@@ -187,6 +198,11 @@ class ResourcesConfig(Settings):
         "path.",
     )
 
+    @field_validator("cluster")
+    @classmethod
+    def _cluster_has_a_port(cls, address: str | None) -> str | None:
+        return _checked_port(address)
+
 
 class StorageConfig(Settings):
     """How the transport is stored."""
@@ -220,6 +236,18 @@ class ReportConfig(Settings):
         description="The thesis' figures on physically based scenes, or null for none: side, "
         "samples, positions and cache; they need the extra rfpipe[mitsuba].",
     )
+
+
+def _checked_port(address: _Address) -> _Address:
+    """Return an address as it is; raise ValueError where its port is none."""
+    if address is not None:
+        try:
+            port = urlsplit(address).port
+        except ValueError:
+            port = 0
+        if port == 0:
+            raise ValueError("should have a port from 1 to 65535")
+    return address
 
 
 def _default_scenes() -> dict[str, SceneSettings]:
@@ -260,7 +288,8 @@ class Config(Settings):
     )
     camera: CameraConfig | None = Field(
         default_factory=CameraConfig,
-        description="The simulated camera, or null for exact radiance.",
+        description="The simulated camera, or the one that takes an offline rig's pictures; null "
+        "for exact radiance.",
     )
     capture: CaptureConfig = group_of(CaptureConfig)
     merge: MergeConfig = group_of(MergeConfig)
@@ -270,6 +299,7 @@ class Config(Settings):
         "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
         "to each image's energy, for the colours that a mosaic loses).",
     )
+    offline: OfflineConfig = group_of(OfflineConfig)
     rig_file: Text | None = Field(
         None,
         description="Settings of the rig that 'snakemake calibrate' calibrates, a YAML file, or "
@@ -298,6 +328,7 @@ class Config(Settings):
                 "notify": True,
                 "rig_file": True,
                 "capture": {"keep_raw", "url", "token_file", "patience_seconds"},
+                "offline": {"markers"},
             },
         )
 
@@ -323,6 +354,21 @@ class Config(Settings):
             )
         return settings
 
+    @field_validator("notify")
+    @classmethod
+    def _notify_is_a_command(cls, command: str | None) -> str | None:
+        if command is None:
+            return None
+        try:
+            words = shlex.split(command)
+        except ValueError as error:  # a quotation mark without its other one
+            raise ValueError(
+                f"should be a program and its arguments, quoted as for a shell: {error}"
+            ) from None
+        if not words:
+            raise ValueError("should name a program, or be null")
+        return command
+
     @model_validator(mode="after")
     def _scenes_have_methods(self) -> Self:
         check_methods_of_scenes(
@@ -335,12 +381,13 @@ class Config(Settings):
         captured = [name for name, scene in self.scenes.items() if scene.is_captured]
         if captured and self.capture.rig == "simulated":
             raise ValueError(
-                f"capture.rig should be remote for scenes.{captured[0]}, which is a "
+                f"capture.rig should be remote or offline for scenes.{captured[0]}, which is a "
                 "real scene, not a simulated one"
             )
-        if self.capture.rig == "remote" and len(self.scenes) > 1:
+        if self.capture.rig != "simulated" and len(self.scenes) > 1:
             raise ValueError(
-                f"scenes should be one with capture.rig remote, not {', '.join(self.scenes)}: a "
+                f"scenes should be one with capture.rig {self.capture.rig}, not "
+                f"{', '.join(self.scenes)}: a "
                 "rig sees one at a time; give each settings of its own"
             )
         for name, method in self.acquisitions:
@@ -351,6 +398,22 @@ class Config(Settings):
                     f"scenes.{name}.methods should be methods for any rig, such as {{dual: {{}}}}: "
                     f"{method} needs a coaxial one, whose camera and projector share their rays"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _pictures_can_be_taken_elsewhere(self) -> Self:
+        if self.capture.rig != "offline":
+            return self
+        if self.capture.drift_minutes is not None:
+            raise ValueError(
+                "capture.drift_minutes should be null with capture.rig offline, whose pictures say "
+                "nothing of their time"
+            )
+        if self.offline.camera_corners is not None and self.camera is None:
+            raise ValueError(
+                "camera should be set with offline.camera_corners, not null: exact radiance isn't "
+                "resampled"
+            )
         return self
 
     @model_validator(mode="after")

@@ -89,6 +89,11 @@ class SceneSettings(Described):
         return self.camera_ray_shape == self.ray_shape
 
     @property
+    def has_truth(self) -> bool:
+        """Whether its light under any pattern is known, to compare with."""
+        return not self.is_captured
+
+    @property
     def is_swept(self) -> bool:
         """Whether it is acquired with several options; a real one isn't."""
         return self.sweep and not self.is_captured

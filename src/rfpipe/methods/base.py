@@ -109,6 +109,10 @@ class Pack:
     arrays: Mapping[str, NDArray[Any]]
     attributes: Mapping[str, Any]
 
+    def __or__(self, more: Pack) -> Pack:
+        """Return what both hold."""
+        return Pack({**self.arrays, **more.arrays}, {**self.attributes, **more.attributes})
+
 
 class Method(ABC, Generic[State]):
     """An acquisition method: a state machine from floodlit image to transport.

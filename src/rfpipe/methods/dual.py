@@ -217,7 +217,7 @@ class Dual(Descent[DualState]):
     def pack(self, state: DualState) -> Pack:
         """Return the responses that the last refinement stored, and the frontier."""
         own = super().pack(state)
-        return Pack({**own.arrays, **arrays_of(state.stored[-1], "stored_")}, own.attributes)
+        return own | Pack(arrays_of(state.stored[-1], "stored_"), {})
 
     def _restored(self, start: DualState, packs: Sequence[Pack]) -> DualState:
         state = super()._restored(start, packs)

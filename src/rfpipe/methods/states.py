@@ -21,8 +21,6 @@ __all__ = [
     "arrays_of",
     "joined",
     "level_row",
-    "nested",
-    "nested_in",
     "unprefixed",
     "with_arrays",
 ]
@@ -180,23 +178,6 @@ def joined(parts: Sequence[S], axis: int = -1) -> S:
 def appended(before: S | None, more: S) -> S:
     """Put the arrays of a dataclass behind those of another, where there is one, by axis 0."""
     return more if before is None else joined([before, more], axis=0)
-
-
-def nested(pack: Pack, prefix: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays of another method's pack as part of one's own, their names prefixed."""
-    return {f"{prefix}{name}": array for name, array in pack.arrays.items()}
-
-
-def nested_in(packs: Sequence[Pack], prefix: str, key: str) -> list[Pack]:
-    """Return another method's packs out of one's own, where there are any.
-
-    Their arrays are as `nested` named them, their attributes the attribute `key`.
-    """
-    return [
-        Pack(unprefixed(prefix, pack.arrays), pack.attributes[key])
-        for pack in packs
-        if key in pack.attributes
-    ]
 
 
 def unprefixed(prefix: str, arrays: Arrays) -> dict[str, NDArray[Any]]:

@@ -1,4 +1,4 @@
-"""The response of a non-linear camera: its table, its nominal form, its recovery; a screen's."""
+"""The response of a non-linear camera: its table, its nominal form, its recovery."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.provenance import generator
 
-__all__ = ["Response", "recover_response", "srgb"]
+__all__ = ["Response", "recover_response"]
 
 Double = NDArray[np.float64]
 
@@ -173,24 +173,3 @@ def _table(log_exposure: Double) -> Response:
     keep[-1], light[-1] = True, 1
     keep[:-1] &= light[:-1] < 1
     return Response(level[keep], light[keep])
-
-
-def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
-    """Render radiance for a screen.
-
-    Parameters
-    ----------
-    radiance : ndarray, shape (*shape, C)
-        C is 1 or 3.
-    white : float
-        Radiance shown as white; more is cut off.
-
-    Returns
-    -------
-    ndarray of float64, shape (*shape, 3)
-        In [0, 1], with the transfer curve of sRGB (IEC 61966-2-1).
-    """
-    linear = np.clip(np.asarray(radiance, np.float64) / white, 0, 1)
-    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    rgb: NDArray[np.float64] = np.broadcast_to(shown, (*shown.shape[:-1], 3))
-    return rgb

@@ -133,7 +133,7 @@ def setup_section(inputs: Inputs) -> Section:
     """Camera, scenes and versions."""
     config = inputs.config
     blocks: list[Block] = []
-    if config.capture.rig == "remote":
+    if config.capture.rig != "simulated":
         text = [_REMOTE]
     elif config.camera is None:
         text = ["The camera is ideal: exact radiance, no noise."]
@@ -174,7 +174,7 @@ def setup_section(inputs: Inputs) -> Section:
 
 
 _REMOTE = (
-    "The pictures were taken by a rig behind an acquisition server. Its projector, camera and "
+    "The pictures were taken by a real rig, or one served like one. Its projector, camera and "
     "calibration are described in L00/capture.json beside each acquisition's results."
 )
 

@@ -27,6 +27,7 @@ from rfpipe.report.inputs import Inputs, load_inputs
 from rfpipe.report.origin import provenance_of
 from rfpipe.report.placing import Place
 from rfpipe.report.text import ray_size
+from rfpipe.stages.verifying.report_files import write_report_files
 from rfpipe.store.files import write_atomically
 
 __all__ = ["build_report", "make_sections", "write_page"]
@@ -61,9 +62,12 @@ def build_report(
         )
     title, lead = config.report.title, _lead(inputs)
     swatches = methods.swatches(inputs.methods)
-    shown = write_page(page, title, lead, make_sections(inputs), results, swatches, _SOURCE)
+    shown = write_page(
+        page, title, lead, make_sections(inputs), results, swatches, _SOURCE, _views(inputs, page)
+    )
     numbers = Results(title=title, lead=lead, provenance=provenance_of(inputs), sections=shown)
     write_results(page.with_name(RESULTS_NAME), numbers)
+    write_report_files(page.parent)
 
 
 def write_page(
@@ -74,6 +78,7 @@ def write_page(
     root: Path,
     swatches: Mapping[str, str] | None = None,
     source: str = "",
+    views: Mapping[str, Sequence[tuple[str, str]]] | None = None,
 ) -> list[SectionEntry]:
     """Write a page that opens from disk, its pictures embedded.
 
@@ -90,6 +95,8 @@ def write_page(
         Colours that stand before these texts in tables.
     source : str
         What stands at the page's end.
+    views : mapping of str to sequence of (str, str), optional
+        Pages to light a scene on, by the scene: method, and the page's path from this one.
 
     Returns
     -------
@@ -98,7 +105,14 @@ def write_page(
     """
     place = Place(page.parent, root)
     shown = [place.put(section) for section in sections]
-    text = _render(title=title, lead=lead, sections=shown, swatches=swatches or {}, source=source)
+    text = _render(
+        title=title,
+        lead=lead,
+        sections=shown,
+        swatches=swatches or {},
+        source=source,
+        views=views or {},
+    )
     write_atomically(page, text.encode())
     return [section.entry for section in shown]
 
@@ -135,6 +149,16 @@ def make_sections(inputs: Inputs) -> list[Section]:
     return [section for section in candidates if section is not None and section.blocks]
 
 
+def _views(inputs: Inputs, page: Path) -> dict[str, list[tuple[str, str]]]:
+    """Return the viewer's pages that lie in the folder ``view`` beside the page."""
+    found: dict[str, list[tuple[str, str]]] = {}
+    for run in inputs.runs:
+        path = f"view/{run.scene}_{run.method}.html"
+        if (page.parent / path).is_file():
+            found.setdefault(run.title, []).append((run.method_title, path))
+    return found
+
+
 def _lead(inputs: Inputs) -> str:
     """Say in a sentence what the report is about."""
     settings = [inputs.config.scenes[scene] for scene in inputs.scenes]
@@ -142,6 +166,8 @@ def _lead(inputs: Inputs) -> str:
     camera = inputs.config.camera
     if inputs.config.capture.rig == "remote":
         taken = "by a rig behind an acquisition server"
+    elif inputs.config.capture.rig == "offline":
+        taken = "from pictures that were taken elsewhere and imported"
     elif camera is None:
         taken = "from exact radiance"
     else:

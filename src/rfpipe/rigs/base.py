@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.transport.operators import PatternOperator
+from rfpipe.weights import as_weights
 
 __all__ = [
     "BLACK_LEVEL_KEY",
@@ -39,21 +41,6 @@ WARM_UP_KEY = 1_000_003
 
 SYMMETRY_KEY = 1_000_004
 """The same of the random patterns that tell whether a rig is coaxial: (this, i)."""
-
-
-class PatternOperator(Protocol):
-    """Light transport as a function of patterns.
-
-    The image of a pattern must not depend, to the last bit, on the patterns that it comes with:
-    else a capture that was resumed in the middle of a batch differs from an undisturbed one.
-    """
-
-    @property
-    def channels(self) -> int:
-        """Colour channels, 1 or 3."""
-
-    def apply(self, patterns: Float) -> NDArray[Any]:
-        """Return the images (B, camera rays, C) of patterns (B, projector rays)."""
 
 
 class Rig(Protocol):
@@ -117,6 +104,7 @@ def check_patterns(
         )
     if len(keys) != len(patterns):
         raise InputError(f"{len(patterns)} patterns came with {len(keys)} keys; one key each")
+    patterns = as_weights(patterns, "the batch of patterns")
     is_right = (patterns >= 0) & (patterns <= 1)  # NaN is neither
     if not is_right.all():
         where = tuple(int(i) for i in np.argwhere(~is_right)[0])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.weights import as_weights
 
 __all__ = ["Camera", "Closing", "Projector", "bracket_of", "check_picture"]
 
@@ -122,6 +123,7 @@ def check_picture(picture: NDArray[Any], shape: tuple[int, int]) -> Float:
     picture = np.asarray(picture)
     if picture.shape != shape:
         raise InputError(f"the picture has the shape {picture.shape}; this projector shows {shape}")
+    picture = as_weights(picture, "the picture")
     least, largest = (float(picture.min()), float(picture.max())) if picture.size else (0.0, 0.0)
     if not (least >= 0 and largest <= 1):  # NaN is neither
         where = tuple(int(i) for i in np.argwhere(~((picture >= 0) & (picture <= 1)))[0])

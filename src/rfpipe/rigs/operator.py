@@ -14,7 +14,7 @@ from rfpipe.blocks import ray_shape
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_config
 from rfpipe.rigs.base import Key, check_patterns
-from rfpipe.rigs.matrices import Transportish, as_pattern_operator
+from rfpipe.transport.operators import Transportish, as_pattern_operator
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig

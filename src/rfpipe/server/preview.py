@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.photometry.response import srgb
+from rfpipe.pictures.images import srgb
 from rfpipe.server.worker import Shown
 
 __all__ = ["preview_png"]

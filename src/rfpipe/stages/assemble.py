@@ -45,11 +45,14 @@ def run(
     """
     n_levels = plan.n_levels
     refined = [folder.read_manifest(level, "refine")["digest"] for level in range(n_levels)]
+    made_of = {
+        "refine": refined,
+        "references": folder.read_manifest(0, "merge")[REFERENCES]["digest"],
+    }
     made_from = fingerprint(
         {
             "plan": plan.describe(),
-            "refine": refined,
-            "references": folder.read_manifest(0, "merge")[REFERENCES]["digest"],
+            **made_of,
             "number_format": number_format,
             "code": code,
         }
@@ -65,6 +68,7 @@ def run(
         {
             **about,
             "stage": "assemble",
+            "made_of": made_of,
             # what a choice came to
             "acquired_by": plan.method.name,
             "digest": digest,

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry import ExactSensor
 from rfpipe.rigs import Rig
-from rfpipe.stages.aside import settle
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run
 from rfpipe.stages.capturing.drift import DRIFT
@@ -26,7 +25,7 @@ from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import bytes_on_disk, write_manifest
 from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
 
-__all__ = ["frame_settings", "run"]
+__all__ = ["brackets_of", "frame_settings", "run"]
 
 _TIME = "seconds_per_pattern"
 
@@ -86,43 +85,16 @@ def run(
     LockedError
         When another process captures into this folder.
     """
-    schedule = read_schedule(folder, level)
-    described = frame_settings(rig)
-    counts = (1, 1) if isinstance(rig.sensor, ExactSensor) else references
+    counts = _counts(rig, references)
     counted = {"black_frames": counts[0], "floodlit_frames": counts[1]}
-
-    def of_references(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        return reference_patterns(rig.projector_shape, counts[0], first, last)
-
-    def of_symmetry(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        return symmetry_patterns(rig.projector_shape, symmetry_frames, first, last)
-
-    def of_schedule(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        return schedule.batch(first, last), [(level, index) for index in range(first, last)]
-
-    shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
-    path = folder.store(level, "capture")
-    of_level = Brackets(rig, path, f"level {level}", schedule.count, shown, of_schedule)
-    before: dict[str, Brackets] = {}
     facts: dict[str, dict[str, Any]] = {REFERENCE: counted, SYMMETRY: {"frames": symmetry_frames}}
-    if level == 0:
-        of_rig = {**counted, "rig": described}
-        path = folder.store(level, REFERENCE)
-        before[REFERENCE] = Brackets(
-            rig, path, "reference brackets", sum(counts), of_rig, of_references
-        )
-    if level == 0 and symmetry_frames:
-        of_rig = {"symmetry_frames": symmetry_frames, "rig": described}
-        path = folder.store(level, SYMMETRY)
-        before[SYMMETRY] = Brackets(
-            rig, path, "brackets of random patterns", symmetry_frames, of_rig, of_symmetry
-        )
+    of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
     parts = [*before.values(), of_level]
     if folder.believing and _stands(folder, level, of_level, before):
-        _log.info("%s: all %d patterns are captured", of_level.name, schedule.count)
+        _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
         return
     for part in parts:
-        settle(part.path, part.made_for, part.shown, when_patterns_change)
+        part.settle(when_patterns_change)
     to_capture = sum(part.count_missing() for part in parts)
     if to_capture:
         camera = rig.sensor, tuple(rig.camera_shape), rig.channels
@@ -132,8 +104,8 @@ def run(
             check_run(need, expected_patterns, folder.path, keep_raw=keep_raw)
         merged = folder.store(level, "merge")  # of a capture before: replaced
         present = bytes_on_disk(merged) if merged.exists() else 0
-        need = DiskNeed.of(*camera, to_capture, schedule.count)
-        check_level(f"level {level}", need, folder.path, present, keep_raw=keep_raw)
+        need = DiskNeed.of(*camera, to_capture, of_level.count)
+        check_level(of_level.name, need, folder.path, present, keep_raw=keep_raw)
         if 0 < 60 * warm_up_minutes < seconds_since_capture(folder.path):
             warm_up(rig, warm_up_minutes)
     batch = (resources or Resources()).fitting(_bytes_in_hand(rig), batch_patterns)
@@ -150,14 +122,68 @@ def run(
         {
             "stage": "capture",
             "level": level,
-            "patterns": schedule.count,
+            "patterns": of_level.count,
             "units": COUNT_UNIT if is_counts else RADIANCE_UNIT,
             "exposures_s": list(rig.sensor.exposures),
-            "rig": described,
+            "rig": of_level.shown["rig"],
             **captured,
             **beside,
         },
     )
+
+
+def brackets_of(
+    rig: Rig,
+    folder: AcquisitionFolder,
+    level: int,
+    references: tuple[int, int],
+    symmetry_frames: int = 0,
+) -> tuple[Brackets, dict[str, Brackets]]:
+    """Return a level's brackets, and those that are captured before them, by their stores' names.
+
+    Parameters
+    ----------
+    rig : Rig
+    folder : AcquisitionFolder
+    level : int
+    references, symmetry_frames
+        As of `run`.
+    """
+    schedule = read_schedule(folder, level)
+    described = frame_settings(rig)
+    counts = _counts(rig, references)
+
+    def of_references(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+        return reference_patterns(rig.projector_shape, counts[0], first, last)
+
+    def of_symmetry(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+        return symmetry_patterns(rig.projector_shape, symmetry_frames, first, last)
+
+    def of_schedule(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+        return schedule.batch(first, last), [(level, index) for index in range(first, last)]
+
+    shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
+    path = folder.store(level, "capture")
+    of_level = Brackets(rig, path, f"level {level}", schedule.count, shown, of_schedule)
+    before: dict[str, Brackets] = {}
+    if level == 0:
+        of_rig = {"black_frames": counts[0], "floodlit_frames": counts[1], "rig": described}
+        path = folder.store(level, REFERENCE)
+        before[REFERENCE] = Brackets(
+            rig, path, "reference brackets", sum(counts), of_rig, of_references
+        )
+    if level == 0 and symmetry_frames:
+        of_rig = {"symmetry_frames": symmetry_frames, "rig": described}
+        path = folder.store(level, SYMMETRY)
+        before[SYMMETRY] = Brackets(
+            rig, path, "brackets of random patterns", symmetry_frames, of_rig, of_symmetry
+        )
+    return of_level, before
+
+
+def _counts(rig: Rig, references: tuple[int, int]) -> tuple[int, int]:
+    """Return how many all-off and all-on brackets there are."""
+    return (1, 1) if isinstance(rig.sensor, ExactSensor) else references
 
 
 def _stands(

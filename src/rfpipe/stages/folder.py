@@ -10,8 +10,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from rfpipe.errors import IntegrityError
+from rfpipe.errors import DamagedStageError, IntegrityError, StoreError
 from rfpipe.store import FrameStore, open_arrays, read_manifest
+from rfpipe.store.places import Place
 
 __all__ = ["REFERENCE", "SYMMETRY", "AcquisitionFolder", "advice_on_damage"]
 
@@ -68,10 +69,10 @@ class AcquisitionFolder:
 
         Raises
         ------
-        StoreError
-            When manifest or store are missing.
-        IntegrityError
-            When they are damaged, or don't belong together.
+        StoreError, IntegrityError
+            When the manifest is missing or damaged.
+        DamagedStageError
+            When the store is damaged or missing, or isn't the manifest's.
         """
         manifest = self.manifest(level, stage)
         expected = read_manifest(manifest)
@@ -93,14 +94,21 @@ class AcquisitionFolder:
 
 @contextmanager
 def advice_on_damage(manifest: Path) -> Iterator[None]:
-    """Say how to make a damaged store again: its stage runs when its manifest is missing."""
+    """Say how to make a damaged or missing store again: its stage runs without its manifest.
+
+    Raises
+    ------
+    DamagedStageError
+        In place of a `StoreError`.
+    """
     try:
         yield
-    except IntegrityError as error:
-        raise IntegrityError(f"{error}. To do so, remove {manifest} and run again") from error
+    except StoreError as error:
+        text = f"{error}. To do so, remove {manifest} and run again"
+        raise DamagedStageError(text, manifest) from error
 
 
-def _check_digest(path: Path, found: str, expected: dict[str, Any]) -> None:
+def _check_digest(path: Path | Place, found: str, expected: dict[str, Any]) -> None:
     if found != expected["digest"]:
         raise IntegrityError(
             f"{path}: has the digest {found}; its manifest says {expected['digest']}. Run the "

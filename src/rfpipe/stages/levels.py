@@ -3,18 +3,21 @@
 Each stage leaves its store and manifest, log and time in the level's folder, as if it ran alone. A
 stage that finds its manifest, made from the same things, has nothing to do: a job that was stopped
 goes on where it stopped, and one that runs again for changed settings or code does only what they
-change.
+change. What a stage finds damaged of those before it is made anew, captures apart.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from rfpipe.methods import Method
+from rfpipe.errors import DamagedStageError
 from rfpipe.photometry.normalize import Mode
 from rfpipe.stages import assemble, merge, normalize, refine, schedule, symmetry
 from rfpipe.stages.capturing.sensors import read_sensor
@@ -22,10 +25,15 @@ from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
-from rfpipe.store import StoreLock
+from rfpipe.store import StoreLock, restore_header
 from rfpipe.units import NumberFormat
 
 __all__ = ["run"]
+
+_log = logging.getLogger(__name__)
+
+_Work = tuple[Path, Callable[[], Any]]
+"""A stage's manifest, and what does the stage."""
 
 
 def run(
@@ -84,14 +92,13 @@ def run(
     def refined(level: int) -> None:
         plan.carry(level + 1, refine.run(plan, folder, level, code["refine"], resources))
 
-    def settled() -> Method[Any]:
-        with _stage(folder.manifest(0, SYMMETRY)):
-            found = symmetry.run(
-                read_sensor(folder), folder,
-                saturation_fraction=merge_options["saturation_fraction"], code=code["symmetry"],
-                keep_raw=capture_options.get("keep_raw", True),
-            )  # fmt: skip
-            return found.judge(plan.method, plan.options, asymmetry)
+    def judged() -> None:
+        found = symmetry.run(
+            read_sensor(folder), folder,
+            saturation_fraction=merge_options["saturation_fraction"], code=code["symmetry"],
+            keep_raw=capture_options.get("keep_raw", True),
+        )  # fmt: skip
+        plan.settle(found.judge(plan.method, plan.options, asymmetry))
 
     stages: dict[str, Callable[[int], None]] = {
         "schedule": lambda level: schedule.run(plan, folder, level, code["schedule"]),
@@ -108,18 +115,72 @@ def run(
         ),
         "refine": refined,
     }  # fmt: skip
+
+    def work_of(level: int) -> Iterator[_Work]:
+        if level == plan.n_levels:
+            manifest = folder.path / "transport.json"
+            yield (
+                manifest,
+                partial(
+                    assemble.run, plan, folder, manifest, scene, number_format, code["assemble"]
+                ),
+            )
+            return
+        for name, stage in stages.items():
+            yield folder.manifest(level, name), partial(stage, level)
+            if is_judged and level == 0 and name == "merge":
+                yield folder.manifest(0, SYMMETRY), judged
+
     with StoreLock(folder.path):
-        level = 0
-        while level < plan.n_levels:
-            for name, stage in stages.items():
-                with _stage(folder.manifest(level, name)):
-                    stage(level)
-                if is_judged and level == 0 and name == "merge":
-                    plan.settle(settled())
-            level += 1
-        manifest = folder.path / "transport.json"
-        with _stage(manifest):
-            assemble.run(plan, folder, manifest, scene, number_format, code["assemble"])
+        level: int | None
+        level, anew = 0, _Anew()
+        while level is not None:
+            level = anew.go_on(level, work_of(level))
+
+
+@dataclass
+class _Anew:
+    """Does the stages of one level after the other; damaged ones anew, none more than once."""
+
+    made: set[Path] = field(default_factory=set)
+
+    def go_on(self, level: int, work: Iterable[_Work]) -> int | None:
+        """Do a level's work, or the transport's, which comes last; return the level that follows.
+
+        That is an earlier one where a stage found something damaged. None: all is done.
+        """
+        for manifest, stage in work:
+            with _stage(manifest):
+                try:
+                    stage()
+                except DamagedStageError as error:
+                    return self._level_of(error)
+            if manifest.stem == "transport":
+                return None
+        return level + 1
+
+    def _level_of(self, error: DamagedStageError) -> int:
+        """Return the level of a damaged stage, which will find no manifest there.
+
+        Captures are left to the user, who knows whether the scene still stands there: of theirs,
+        headers alone are restored.
+
+        Raises
+        ------
+        DamagedStageError
+            The given one, where nothing can be done about it.
+        """
+        manifest = error.manifest
+        if manifest in self.made:
+            raise error
+        if manifest.stem == "capture":
+            restored = [restore_header(store) for store in manifest.parent.glob("*.zarr")]
+            if not any(restored):
+                raise error
+        self.made.add(manifest)
+        manifest.unlink(missing_ok=True)
+        _log.warning("%s: made anew. %s", manifest, str(error).partition(". To do so")[0])
+        return int(manifest.parent.name.removeprefix("L"))
 
 
 @contextmanager

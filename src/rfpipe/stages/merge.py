@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.errors import IntegrityError, LockedError, StoreError
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.capturing.drift import DRIFT, measure
-from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, advice_on_damage
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.merging.raw import RawFrames
@@ -271,8 +272,12 @@ def _kept(
     if not copy.exists():
         raw.must_be_there("there are no merged images of them")
         return None
-    with advice_on_damage(copy):
+    try:
         facts = read_manifest(copy)
+    except IntegrityError as error:
+        raw.must_be_there("what is known of the merged images is damaged")
+        _log.warning("made anew, since it is damaged: %s", error)
+        return None
     if facts["fingerprint"] != made_from:
         if not raw.dropped:
             return None
@@ -289,8 +294,16 @@ def _is_intact(folder: AcquisitionFolder, level: int, facts: dict[str, Any]) -> 
     if intact_bundle(folder.store(level, SUMS), made_from) is None:
         return False
     store = folder.store(level, "merge")
-    with FrameStore.create(store, tuple(facts["shape"]), facts["dtype"], made_from, {}) as images:
-        return images.complete
+    try:
+        FrameStore.open(store)  # or one would be made where the header is missing
+        shape = tuple(facts["shape"])
+        with FrameStore.create(store, shape, facts["dtype"], made_from, {}) as images:
+            return images.complete
+    except LockedError:
+        raise
+    except StoreError as error:
+        _log.warning("made anew, since it is damaged: %s", error)
+        return False
 
 
 def _drop_raw(folder: AcquisitionFolder, level: int) -> None:

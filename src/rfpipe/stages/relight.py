@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError
+from rfpipe.errors import InputError, IntegrityError
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.slices import leaf_levels, line_patterns
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.references import read_floodlit
 from rfpipe.stages.results import accept_bundle, write_bundle
-from rfpipe.store import read_manifest
+from rfpipe.store import open_arrays, read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.units import RADIANCE_UNIT
 
@@ -202,6 +202,27 @@ def _entries(
     return np.concatenate(columns).swapaxes(0, 1)
 
 
+def check_transport(store: Path) -> None:
+    """Check that a transport is that of the manifest beside it, if there is one.
+
+    Raises
+    ------
+    IntegrityError
+        When it is another one.
+    StoreError
+        When it can't be read.
+    """
+    manifest = store.with_suffix(".json")
+    if not manifest.is_file() or store.name != "transport.zarr":
+        return
+    stated, found = read_manifest(manifest).get("digest"), open_arrays(store).digest
+    if stated not in (None, found):
+        raise IntegrityError(
+            f"{store}: isn't the transport of the manifest beside it: its digest is {found}, not "
+            f"{stated}. To make it anew from its levels, remove {manifest} and run again"
+        )
+
+
 def run(folder: Path, scene: SceneSettings, code: str) -> None:
     """Relight the transport of an acquisition; write ``relight.zarr`` and ``relight.json``.
 
@@ -222,8 +243,9 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
     if accept_bundle(manifest, made_from):
         return
+    check_transport(folder / "transport.zarr")
     transport = open_transport(folder / "transport.zarr")
-    if scene.is_captured:
+    if not scene.has_truth:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
         names = list(relighting_patterns(transport.projector_shape))
@@ -233,6 +255,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         names = list(scene_patterns(simulated))
     facts = {
         "stage": "relight",
+        "transport": acquired["digest"],
         "scene": acquired["scene"],
         "method": acquired["method"],
         "names": names,

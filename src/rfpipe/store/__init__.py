@@ -8,6 +8,7 @@ from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays
 from rfpipe.store.dropping import drop, to_disk
 from rfpipe.store.files import bytes_on_disk
 from rfpipe.store.frames import FrameStore
+from rfpipe.store.headers import header_is_whole, keep_header, rebuild_header, restore_header
 from rfpipe.store.items import ItemWriter
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import read_manifest, write_manifest
@@ -19,8 +20,12 @@ __all__ = [
     "StoreLock",
     "bytes_on_disk",
     "drop",
+    "header_is_whole",
+    "keep_header",
     "open_arrays",
     "read_manifest",
+    "rebuild_header",
+    "restore_header",
     "to_disk",
     "write_arrays",
     "write_manifest",

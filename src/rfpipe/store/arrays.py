@@ -19,6 +19,7 @@ from rfpipe.store.chunks import (
     compression_for,
     layout,
     open_array,
+    open_array_at,
     read_attributes,
     small_layout,
 )
@@ -32,6 +33,7 @@ from rfpipe.store.files import (
     storage_errors,
 )
 from rfpipe.store.lock import StoreLock
+from rfpipe.store.places import Place
 
 __all__ = ["ArrayBundle", "open_arrays", "write_arrays"]
 
@@ -46,8 +48,8 @@ class ArrayBundle:
 
     Attributes
     ----------
-    path : Path
-        Its folder, a zarr group.
+    path : Path or Place
+        Its folder, a zarr group; a `Place` is read where it lies.
     attributes : dict
         Plain data that its writer left.
     names : tuple of str
@@ -56,7 +58,7 @@ class ArrayBundle:
         Of all arrays and attributes; what `write_arrays` returned.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | Place) -> None:
         header = read_attributes(path, _KIND)
         self.path = path
         try:
@@ -68,8 +70,7 @@ class ArrayBundle:
             whole = False
         if not whole:
             raise IntegrityError(
-                f"{path}: its attributes don't match their digest; remove it and run the stage "
-                "that writes it again"
+                f"{path}: its attributes don't match their digest. {_advice(path)}"
             )
         self.names: tuple[str, ...] = tuple(sorted(self._entries))
 
@@ -118,14 +119,13 @@ class ArrayBundle:
         array: NDArray[Any] | None = None
         cause: Exception | None = None
         try:
-            array = np.asarray(open_array(self.path / name, "r")[...], order="C")
+            array = np.asarray(_opened(self.path / name)[...], order="C")
         except (IntegrityError, *DAMAGE) as error:
             cause = error
         if array is None or _array_entry(array) != entry:
             raise IntegrityError(
                 f"{self.path / name}: array {name!r} is missing, truncated or altered; expected "
-                f"the digest {entry['digest']}. Remove {self.path} and run the stage that writes "
-                "it again"
+                f"the digest {entry['digest']}. {_advice(self.path)}"
             ) from cause
         return array
 
@@ -143,8 +143,22 @@ class ArrayBundle:
 
     @property
     def nbytes_stored(self) -> int:
-        """Bytes on disk."""
-        return bytes_on_disk(self.path)
+        """Bytes on disk, or where it lies."""
+        return self.nbytes_stored_of("")
+
+    def nbytes_stored_of(self, prefix: str) -> int:
+        """Bytes on disk of the arrays whose names begin with `prefix`, of all files without.
+
+        A web server doesn't tell; then it is the bytes in memory.
+        """
+        names = [name for name in self.names if name.startswith(prefix)]
+        places = [self.path / name for name in names] if prefix else [self.path]
+        found = [
+            bytes_on_disk(place) if isinstance(place, Path) else place.nbytes() for place in places
+        ]
+        if None in found:
+            return sum(self.nbytes(name) for name in names)
+        return sum(filter(None, found))
 
     def _entry(self, name: str) -> dict[str, Any]:
         if name not in self._entries:
@@ -221,7 +235,7 @@ def write_arrays(
     return digest
 
 
-def open_arrays(path: Path) -> ArrayBundle:
+def open_arrays(path: Path | Place) -> ArrayBundle:
     """Open a bundle; arrays are read when asked for.
 
     Raises
@@ -232,6 +246,19 @@ def open_arrays(path: Path) -> ArrayBundle:
         When its metadata are damaged.
     """
     return ArrayBundle(path)
+
+
+def _advice(path: Path | Place) -> str:
+    if not isinstance(path, Path):
+        return f"Fetch {path} anew, or tell who published it"
+    manifest = path.with_suffix(".json")
+    if manifest.exists():
+        return f"Remove {manifest} and run the stage that writes it again; `rfpipe verify` says how"
+    return f"Remove {path} and run the stage that writes it again"
+
+
+def _opened(path: Path | Place) -> Any:
+    return open_array(path, "r") if isinstance(path, Path) else open_array_at(path)
 
 
 def _write_group(
@@ -281,9 +308,22 @@ def _refuse_foreign(path: Path) -> None:
     except IntegrityError:
         return  # a damaged bundle is worth nothing
     except StoreError as error:
+        if _has_lost_its_header(path):
+            return
         raise InputError(
             f"{path}: stands here but is no bundle of arrays; move it away or choose another place"
         ) from error
+
+
+def _has_lost_its_header(path: Path) -> bool:
+    """Whether a folder without metadata holds nothing but arrays, as a bundle's does."""
+    if (path / METADATA).exists() or not path.is_dir() or not any(path.iterdir()):
+        return False
+    return all(
+        file.name == METADATA or file.relative_to(part).parts[0].startswith("c")
+        for part in path.iterdir()
+        for file in (part.rglob("*") if part.is_dir() else [path / "a file"])
+    )
 
 
 def _array_entry(array: NDArray[Any]) -> dict[str, Any]:
@@ -294,5 +334,5 @@ def _array_entry(array: NDArray[Any]) -> dict[str, Any]:
     }
 
 
-def _bundle_digest(entries: dict[str, Any], attributes: dict[str, Any], path: Path) -> str:
+def _bundle_digest(entries: dict[str, Any], attributes: dict[str, Any], path: Path | Place) -> str:
     return digest_of(canonical_json([entries, attributes], f"{path}: attributes"))

@@ -10,6 +10,7 @@ import numpy as np
 
 from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.store.files import storage_errors
+from rfpipe.store.places import Place, array_keys
 
 if TYPE_CHECKING:
     import zarr
@@ -22,6 +23,7 @@ __all__ = [
     "damaged_metadata",
     "layout",
     "open_array",
+    "open_array_at",
     "read_attributes",
     "small_layout",
 ]
@@ -90,7 +92,29 @@ def open_array(path: Path, mode: Literal["r", "r+"]) -> zarr.Array[Any]:
         raise damaged_metadata(path, error) from error
 
 
-def read_attributes(path: Path, kind: str) -> dict[str, Any]:
+def open_array_at(place: Place) -> zarr.Array[Any]:
+    """Fetch a zarr array from where it lies and open it for reading.
+
+    Raises
+    ------
+    IntegrityError
+        When its metadata are damaged.
+    StoreError
+        When it can't be fetched.
+    """
+    import zarr
+    from zarr.buffer.cpu import Buffer
+
+    content = place.read_many([METADATA])
+    try:
+        content |= place.read_many(array_keys(json.loads(content[METADATA])))
+        held: Any = {name: Buffer.from_bytes(data) for name, data in content.items()}
+        return zarr.open_array(zarr.storage.MemoryStore(held, read_only=True), mode="r")
+    except DAMAGE as error:
+        raise damaged_metadata(place, error) from error
+
+
+def read_attributes(path: Path | Place, kind: str) -> dict[str, Any]:
     """Attributes of a store that rfpipe wrote, read without zarr.
 
     Parameters
@@ -108,10 +132,9 @@ def read_attributes(path: Path, kind: str) -> dict[str, Any]:
         When its metadata are damaged.
     """
     metadata = path / METADATA
-    if not metadata.is_file():
+    if isinstance(metadata, Path) and not metadata.is_file():
         raise StoreError(f"{path}: no store of {kind} here; run the stage that writes it")
-    with storage_errors(metadata, "reading"):
-        content = metadata.read_bytes()
+    content = _read(metadata, kind)
     try:
         attributes = json.loads(content)["attributes"]
         found = attributes["kind"]
@@ -122,7 +145,19 @@ def read_attributes(path: Path, kind: str) -> dict[str, Any]:
     return dict(attributes)
 
 
-def damaged_metadata(path: Path, error: Exception) -> IntegrityError:
+def _read(metadata: Path | Place, kind: str) -> bytes:
+    if isinstance(metadata, Path):
+        with storage_errors(metadata, "reading"):
+            return metadata.read_bytes()
+    try:
+        return metadata.read_bytes()
+    except FileNotFoundError as error:
+        raise StoreError(
+            f"{metadata}: no such file, so no store of {kind}; check the address"
+        ) from error
+
+
+def damaged_metadata(path: Path | Place, error: Exception) -> IntegrityError:
     """Error that names a store's damaged metadata and says what to do."""
     return IntegrityError(
         f"{path / METADATA}: damaged metadata ({type(error).__name__}: {error}); restore this "

@@ -26,6 +26,7 @@ __all__ = [
     "plain",
     "remove_tree",
     "storage_errors",
+    "whole_file",
     "write_atomically",
 ]
 
@@ -81,7 +82,9 @@ def plain(value: dict[str, Any], where: str) -> dict[str, Any]:
 
 
 @contextmanager
-def storage_errors(path: Path, action: str, needed_bytes: int = 0) -> Iterator[None]:
+def storage_errors(
+    path: Path, action: str, needed_bytes: int = 0, *, resumes: bool = True
+) -> Iterator[None]:
     """Turn an OSError into a StoreError that says what to do.
 
     Parameters
@@ -92,6 +95,8 @@ def storage_errors(path: Path, action: str, needed_bytes: int = 0) -> Iterator[N
         What is being done, such as ``"writing items 3 to 7"``.
     needed_bytes
         Size of the data before compression; 0 when it doesn't matter.
+    resumes
+        Whether a second run goes on where this one stopped.
 
     Raises
     ------
@@ -103,9 +108,10 @@ def storage_errors(path: Path, action: str, needed_bytes: int = 0) -> Iterator[N
     except OSError as error:
         reason = error.strerror or str(error)
         if error.errno in _FULL:
+            goes_on = ": it goes on where it stopped" if resumes else ""
             advice = (
                 f"{needed_bytes:,} bytes needed, {free_bytes(path.parent):,} bytes free on its "
-                "file system; make room and run again: it goes on where it stopped"
+                f"file system; make room and run again{goes_on}"
             )
         elif error.errno in _FORBIDDEN:
             advice = (
@@ -137,6 +143,24 @@ def write_atomically(path: Path, content: bytes) -> None:
         except OSError:
             partial.unlink(missing_ok=True)
             raise
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Give a name to write a large file under, which becomes `path` when it is whole.
+
+    The name ends as `path` does, since some writers tell the format by it. What an interrupted
+    write leaves is removed.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".partial-{path.name}")
+    try:
+        yield partial
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def hidden_sibling(path: Path, purpose: str) -> Path:

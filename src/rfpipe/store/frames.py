@@ -314,6 +314,14 @@ class FrameStore:
             )
         return block
 
+    def damaged(self) -> list[int]:
+        """List the captured items that can't be read as they were written; reads them all."""
+        return self._array.damaged(0, self.shape[0], self._digests)
+
+    def files_of(self, items: Sequence[int]) -> list[Path]:
+        """Files in which items lie."""
+        return [self._array.file(item // self.items_per_chunk) for item in items]
+
     def digest(self) -> str:
         """Digest of all items in their order, whatever the order they were written in.
 

@@ -42,6 +42,21 @@ class StoreLock:
         self._lock_file = hidden_sibling(path, "lock")
         self._descriptor: int | None = None
 
+    @staticmethod
+    def holder(path: Path) -> str | None:
+        """Name the process that holds the lock of a store, None where none does."""
+        try:
+            descriptor = os.open(hidden_sibling(path, "lock"), os.O_RDONLY)
+        except OSError:
+            return None
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return os.read(descriptor, 32).decode(errors="replace").strip() or "unknown"
+        finally:
+            os.close(descriptor)
+        return None
+
     def acquire(self) -> None:
         """Take the lock, or raise at once."""
         with storage_errors(self._lock_file, "locking"):

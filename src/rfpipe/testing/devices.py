@@ -91,11 +91,13 @@ class ProjectorContract:
             projector.show(picture)
             one_wrong = picture.copy()
             one_wrong[-1, -1] = np.nan
+            counts: NDArray[Any] = np.rint(255 * picture).astype(np.uint8)
             for name, wrong in (
                 ("another shape", np.zeros((height + 1, width), np.float32)),
                 ("three channels", np.zeros((height, width, 3), np.float32)),
                 ("a weight of 1.5", np.full_like(picture, 1.5)),
                 ("a negative weight", np.full_like(picture, -0.5)),
+                ("a picture of 0 to 255", counts),
                 ("NaN", one_wrong),
             ):
                 require_raises(

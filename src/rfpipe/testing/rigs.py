@@ -131,12 +131,14 @@ class RigContract:
         """Wrong shapes, weights outside [0, 1], NaN, and missing keys raise InputError."""
         with self._opened() as rig:
             good = np.ones((1, *rig.projector_shape), np.float32)
+            counts: NDArray[Any] = (255 * good).astype(np.uint8)
             wrong_shape = np.ones((1, *rig.projector_shape, 2), np.float32)
             for name, patterns, keys in (
                 ("a wrong shape", wrong_shape, [(1, 0)]),
                 ("a weight of 1.5", 1.5 * good, [(1, 0)]),
                 ("a negative weight", -good, [(1, 0)]),
                 ("NaN", np.nan * good, [(1, 0)]),
+                ("a picture of 0 to 255", counts, [(1, 0)]),
                 ("a pattern without key", good, []),
             ):
                 require_raises(

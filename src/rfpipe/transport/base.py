@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from math import prod
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.transport.algebra import MatrixAlgebra, Rays
 from rfpipe.transport.history import history
 from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
+from rfpipe.weights import as_weights
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,10 +25,99 @@ if TYPE_CHECKING:
 
 Float = NDArray[np.float32]
 
+LIMIT = 8 * 2**30
+"""Bytes that a matrix in a file may take by default, before compression."""
 _BATCH = 64
 
 
-class Transport(ABC):
+_SHOWN_RAYS = 2**20
+"""Rays of both sides up to which a notebook shows a picture, which takes a second or so."""
+
+
+class Light(MatrixAlgebra):
+    """What can be relit: a transport, its dual, or either between coarser rays."""
+
+    @property
+    def T(self) -> Light:  # noqa: N802 - as in scipy and numpy
+        """The dual transport: from the camera's rays to the projector's (eq. 2.12)."""
+        return TransposedTransport(self)
+
+    def relight(self, pattern: NDArray[Any]) -> Float:
+        """Return the image under a pattern, ``c = T p`` (eq. 2.11).
+
+        Parameters
+        ----------
+        pattern : array, shape (*projector_shape) or (*projector_shape, channels)
+            Any finite real weights; without a channel axis the light is white.
+
+        Returns
+        -------
+        ndarray of float32, shape (*camera_shape, channels)
+
+        Raises
+        ------
+        InputError
+            If the pattern has another shape or is not finite.
+        """
+        image: Float = self.relight_batch(np.asarray(pattern)[None])[0]
+        return image
+
+    def relight_batch(self, patterns: NDArray[Any]) -> Float:
+        """Relight with several patterns ``(P, *projector_shape[, channels])`` at once."""
+        planar = planar_patterns(patterns, self.projector_shape, self.channels)
+        return _images(self.forward(planar, range(self.channels)), self.camera_shape)
+
+    def channel(self, index: int) -> LinearOperator:
+        """Return one channel's matrix, rows x columns, as a scipy ``LinearOperator``."""
+        if not 0 <= index < self.channels:
+            raise InputError(f"channel {index} of a transport with channels 0..{self.channels - 1}")
+        return _channel_operator(self, index)
+
+    def save(
+        self, path: str | Path, *, rows: Rays = None, columns: Rays = None, limit_bytes: int = LIMIT
+    ) -> None:
+        """Write the matrix into a file, part by part, complete or not at all.
+
+        Parameters
+        ----------
+        path : path
+            Ends in ``.npz``, ``.h5``, ``.hdf5`` or ``.mat`` (v7.3); docs/export.md tells what is in
+            them. What stands there is replaced.
+        rows, columns
+            As in `toarray`.
+        limit_bytes : int
+            That the matrix may take before compression.
+
+        Raises
+        ------
+        InputError
+            If the name ends otherwise, there is no such ray, or the matrix is larger.
+        StoreError
+            If the file can't be written, or the package that writes it isn't installed.
+        """
+        from rfpipe.transport.files import write_matrix
+
+        write_matrix(self, Path(path), rows, columns, limit_bytes)
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: a table, and the picture under full light."""
+        from rfpipe.transport.shown import as_html
+
+        image = None
+        if prod(self.projector_shape) + prod(self.camera_shape) <= _SHOWN_RAYS:
+            image = self.relight(np.ones(self.projector_shape, np.float32))
+        return as_html(type(self).__name__, self._facts(), image)
+
+    def _facts(self) -> dict[str, str]:
+        """What a notebook shows in its table."""
+        return {
+            "camera": _rays(self.camera_shape),
+            "projector": _rays(self.projector_shape),
+            "channels": str(self.channels),
+        }
+
+
+class Transport(Light):
     """Light transport ``T``, one matrix a colour channel: rows camera rays, columns projector rays.
 
     Parameters
@@ -61,14 +154,6 @@ class Transport(ABC):
             f"{type(self).__name__}(camera {self.camera_shape}, projector "
             f"{self.projector_shape}, {channels}, {self.nbytes / 1e6:.3g} MB)"
         )
-
-    @abstractmethod
-    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
-        """Return ``T p`` for planar patterns ``(P, K, projector rays)``, K = ``len(channels)``."""
-
-    @abstractmethod
-    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
-        """Return ``T^T c`` for planar images ``(P, K, camera rays)``, K = ``len(channels)``."""
 
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
@@ -111,6 +196,13 @@ class Transport(ABC):
         """Bytes stored: on disk if opened from a store, of the arrays if in memory."""
         return self._bytes_in_memory() if self._nbytes is None else self._nbytes
 
+    def _facts(self) -> dict[str, str]:
+        facts = {**super()._facts(), "bytes": f"{self.nbytes:,}"}
+        if self.level_rows:
+            shown = [int(row["patterns"]) for row in self.level_rows if row.get("patterns")]
+            facts["acquired by"] = f"{sum(shown):,} patterns in {len(shown)} levels"
+        return facts
+
     @abstractmethod
     def _bytes_in_memory(self) -> int:
         """Bytes of the arrays."""
@@ -147,41 +239,57 @@ class Transport(ABC):
         """
         return history(self.level_rows)
 
-    @property
-    def T(self) -> TransposedTransport:  # noqa: N802 - as in scipy and numpy
-        """The dual transport: from the camera's rays to the projector's (eq. 2.12)."""
-        return TransposedTransport(self)
-
-    def relight(self, pattern: NDArray[Any]) -> Float:
-        """Return the image under a pattern, ``c = T p`` (eq. 2.11).
+    def save(
+        self,
+        path: str | Path,
+        *,
+        rows: Rays = None,
+        columns: Rays = None,
+        limit_bytes: int = LIMIT,
+        number_format: NumberFormat | None = None,
+    ) -> None:
+        """Write the transport as it is into a store, ``.zarr``, or its matrix into a file.
 
         Parameters
         ----------
-        pattern : array, shape (*projector_shape) or (*projector_shape, channels)
-            Any finite real weights; without a channel axis the light is white.
-
-        Returns
-        -------
-        ndarray of float32, shape (*camera_shape, channels)
+        path : path
+            A store is opened again by `rfpipe.open_transport`. Of a matrix see `Light.save`.
+        rows, columns, limit_bytes
+            Of a matrix, see there.
+        number_format : {"float32", "uint16", "uint8"}, optional
+            Of a store, see `rfpipe.transport.save_transport`; by default it keeps every bit.
 
         Raises
         ------
         InputError
-            If the pattern has another shape or is not finite.
+            As `Light.save`, and where an option is not for that kind of file.
+        StoreError
+            As there.
         """
-        image: Float = self.relight_batch(np.asarray(pattern)[None])[0]
-        return image
+        if Path(path).suffix.lower() != ".zarr":
+            if number_format is not None:
+                raise InputError(f"{path}: a matrix is kept as float32; number_format is of .zarr")
+            super().save(path, rows=rows, columns=columns, limit_bytes=limit_bytes)
+        elif rows is not None or columns is not None:
+            raise InputError(f"{path}: a store holds the whole transport; rows and columns don't")
+        else:
+            self.store(path, number_format or "float32")
 
-    def relight_batch(self, patterns: NDArray[Any]) -> Float:
-        """Relight with several patterns ``(P, *projector_shape[, channels])`` at once."""
-        planar = planar_patterns(patterns, self.projector_shape, self.channels)
-        return _images(self.forward(planar, range(self.channels)), self.camera_shape)
+    def store(
+        self, path: str | Path, number_format: NumberFormat = "float32", **attributes: Any
+    ) -> str:
+        """Write a store; see `rfpipe.transport.save_transport`."""
+        from rfpipe.store.arrays import write_arrays
 
-    def channel(self, index: int) -> LinearOperator:
-        """Return one channel's matrix, rows x columns, as a scipy ``LinearOperator``."""
-        if not 0 <= index < self.channels:
-            raise InputError(f"channel {index} of a transport with channels 0..{self.channels - 1}")
-        return _channel_operator(self, index)
+        if number_format not in get_args(NumberFormat):
+            expected = ", ".join(get_args(NumberFormat))
+            raise InputError(f"number format {number_format!r}; expected one of {expected}")
+        arrays, own = self.pack(number_format)
+        return write_arrays(Path(path), arrays, {**attributes, **own}, small=True)
+
+
+def _rays(shape: tuple[int, ...]) -> str:
+    return f"{' x '.join(map(str, shape))} = {prod(shape):,} rays"
 
 
 def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: int) -> Float:
@@ -189,7 +297,7 @@ def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: in
 
     White light is the same memory for all channels.
     """
-    patterns = np.asarray(patterns)
+    patterns = as_weights(patterns)
     count = patterns.shape[0]
     if patterns.shape == (count, *shape):
         rays = np.ascontiguousarray(patterns, np.float32).reshape(count, 1, -1)
@@ -213,44 +321,44 @@ def _images(planar: Float, shape: tuple[int, ...]) -> Float:
     return images
 
 
-class TransposedTransport:
-    """The dual of a transport: light from the camera's rays, seen by the projector.
+class TransposedTransport(Light):
+    """The dual of a transport: light from the camera's rays, seen by the projector."""
 
-    Has `relight`, `relight_batch`, `channel` and `T` as a `Transport` has, the domains swapped.
-    """
-
-    def __init__(self, primal: Transport) -> None:
-        self.T = primal
+    def __init__(self, primal: Light) -> None:
+        self._primal = primal
         self.camera_shape = primal.projector_shape
         self.projector_shape = primal.camera_shape
         self.channels = primal.channels
 
     def __repr__(self) -> str:
-        return f"{self.T!r}.T"
+        return f"{self._primal!r}.T"
 
-    def relight(self, pattern: NDArray[Any]) -> Float:
-        """Return the dual image ``p'' = T^T c''`` (eq. 2.12), ``(*projector_shape, channels)``."""
-        image: Float = self.relight_batch(np.asarray(pattern)[None])[0]
-        return image
+    @property
+    def T(self) -> Light:  # noqa: N802
+        """The transport that this is the dual of."""
+        return self._primal
 
-    def relight_batch(self, patterns: NDArray[Any]) -> Float:
-        """Return the dual images of several camera patterns at once."""
-        planar = planar_patterns(patterns, self.projector_shape, self.channels)
-        return _images(self.T.adjoint(planar, range(self.channels)), self.camera_shape)
+    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
+        """Return ``T^T c`` for planar patterns ``(P, K, camera rays)``."""
+        return self._primal.adjoint(patterns, channels)
+
+    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
+        """Return ``T p`` for planar images ``(P, K, projector rays)``."""
+        return self._primal.forward(images, channels)
 
     def channel(self, index: int) -> LinearOperator:
         """Return one channel's transposed matrix as a scipy ``LinearOperator``."""
-        operator: LinearOperator = self.T.channel(index).T
+        operator: LinearOperator = self._primal.channel(index).T
         return operator
 
 
-def _channel_operator(transport: Transport, index: int) -> LinearOperator:
+def _channel_operator(transport: Light, index: int) -> LinearOperator:
     from scipy.sparse.linalg import LinearOperator
 
     def product(apply: Callable[[Float, Sequence[int]], Float]) -> Callable[[Float], Float]:
         def of(x: NDArray[Any]) -> Float:
             """Apply to a vector or to the columns of a matrix; scipy gives the result x's shape."""
-            columns = x.reshape(len(x), -1)
+            columns = as_weights(x, "the vector").reshape(len(x), -1)
             planar = np.ascontiguousarray(columns.T[:, None], np.float32)
             return apply(planar, [index])[:, 0].T
 

@@ -6,8 +6,11 @@ import importlib
 from pathlib import Path
 from typing import Any, get_args
 
-from rfpipe.errors import InputError, StoreError
+from rfpipe.errors import StoreError
+from rfpipe.store.places import Place
+from rfpipe.transport.algebra import MEMORY_BUDGET
 from rfpipe.transport.base import Transport
+from rfpipe.transport.places import find_transport
 from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
 
@@ -23,9 +26,6 @@ _CLASSES = {
 }
 
 _FORMATS = get_args(NumberFormat)
-
-MEMORY_BUDGET = 4 * 2**30
-"""Bytes of a transport that stay in memory by default."""
 
 
 def save_transport(
@@ -58,12 +58,7 @@ def save_transport(
     InputError
         If the number format is none of the three.
     """
-    from rfpipe.store.arrays import write_arrays
-
-    if number_format not in _FORMATS:
-        raise InputError(f"number format {number_format!r}; expected one of {', '.join(_FORMATS)}")
-    arrays, own = transport.pack(number_format)
-    return write_arrays(Path(path), arrays, {**attributes, **own}, small=True)
+    return transport.store(path, number_format, **attributes)
 
 
 def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Transport:
@@ -71,8 +66,14 @@ def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Tran
 
     Parameters
     ----------
-    path : path
-        The ``transport.zarr`` that an acquisition wrote.
+    path : path or address
+        The ``transport.zarr`` that an acquisition wrote; or a folder or zip file that holds one,
+        such as what ``rfpipe publish`` makes; of several, name one:
+        ``crate.zip/results/desk/symmetric/transport.zarr``. Each may lie on a server and is then
+        read from there by ranges, no more of it than is used: ``https://host/crate.zip``,
+        ``s3://bucket/run/results/desk/symmetric/transport.zarr``. That needs the extra
+        ``rfpipe[publish]``; S3 takes credentials, region and endpoint from the usual variables of
+        the environment (``AWS_...``), and goes unsigned without credentials.
     memory_budget : int
         Bytes. A transport whose arrays are larger is read anew, part by part, each time that it
         is used; the results are the same. A dense one always stays in memory.
@@ -80,13 +81,19 @@ def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Tran
     Raises
     ------
     StoreError
-        If there is no transport at `path`, or a later version of rfpipe has written it.
+        If there is no transport at `path`, or more than one, if a later version of rfpipe has
+        written it, or if a server doesn't answer.
+    InputError
+        If the address is of another kind.
     IntegrityError
         When an array that is read does not match its digest.
     """
     from rfpipe.store.arrays import open_arrays
 
-    return unpack_transport(open_arrays(Path(path)), memory_budget)
+    place = find_transport(path)
+    if isinstance(place, Place):
+        place.announce()
+    return unpack_transport(open_arrays(place), memory_budget)
 
 
 def unpack_transport(bundle: Bundle, memory_budget: int) -> Transport:

@@ -9,7 +9,7 @@ from typing import Any, Generic, Protocol, TypeVar, overload
 
 from numpy.typing import NDArray
 
-from rfpipe.store.files import bytes_on_disk
+from rfpipe.store.places import Place
 
 K = TypeVar("K")
 S = TypeVar("S")
@@ -18,7 +18,7 @@ S = TypeVar("S")
 class Bundle(Protocol):
     """Named arrays and attributes of a store: an `rfpipe.store.ArrayBundle`, or a part of one."""
 
-    path: Path
+    path: Path | Place
     attributes: dict[str, Any]
     names: tuple[str, ...]
 
@@ -31,6 +31,9 @@ class Bundle(Protocol):
     @property
     def nbytes_stored(self) -> int:
         """Bytes on disk."""
+
+    def nbytes_stored_of(self, prefix: str) -> int:
+        """Bytes on disk of the arrays whose names begin with `prefix`."""
 
 
 class PartOfBundle:
@@ -66,7 +69,11 @@ class PartOfBundle:
     @property
     def nbytes_stored(self) -> int:
         """Bytes on disk of its arrays."""
-        return sum(bytes_on_disk(self.path / (self._prefix + name)) for name in self.names)
+        return self.nbytes_stored_of("")
+
+    def nbytes_stored_of(self, prefix: str) -> int:
+        """Bytes on disk of its arrays whose names begin with `prefix`."""
+        return self._whole.nbytes_stored_of(self._prefix + prefix)
 
 
 def by_prefix(bundle: Bundle, parts: Iterable[str]) -> dict[str, dict[str, str]]:

@@ -1,25 +1,20 @@
-"""Dual photography as the continuation of a footprint acquisition: levels of another number."""
+"""Dual photography as the continuation of a footprint acquisition."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
-
-from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import LevelImages, Pack
+from rfpipe.methods.base import Pack
 from rfpipe.methods.dual import Dual, DualOptions, DualState
 from rfpipe.methods.footprints.state import FootprintState
-from rfpipe.methods.images import FloodlitImage, renumbered
 from rfpipe.methods.near_far.pictures import Pictures
-from rfpipe.methods.states import nested, nested_in
-from rfpipe.patterns import Schedule
+from rfpipe.methods.nested import Nested
 
-__all__ = ["begin", "most_patterns", "packed", "refine", "restored", "schedule"]
+__all__ = ["DUAL", "begin", "most_patterns", "packed", "restored"]
 
-_PREFIX = "dual_"
+DUAL = Nested(Dual(), "dual")
+
 # Mean errors of relit pictures in tolerances of dual photography: of scenes with glass and mirrors,
 # where the model doesn't fit, they are 3 to 17, of diffuse scenes 1 to 6, more at small tolerances.
 _UNFIT, _FIT = 10.0, 3.0
@@ -29,34 +24,18 @@ _COARSEST = 0.01  # tolerance
 def begin(state: FootprintState, pictures: Pictures) -> DualState:
     """Start from the floodlit image, which is there already."""
     part = _UNFIT if state.unfit else _FIT
-    tolerance = min(state.options.target_error / part, _COARSEST)
-    begun = _start(state, tolerance)
-    image = pictures.floodlit, pictures.floodlit_variance
-    return Dual().refine(begun, FloodlitImage.of(state.camera, state.projector, *image))
+    start = _start(state, min(state.options.target_error / part, _COARSEST))
+    return DUAL.begun(start, pictures.floodlit, pictures.floodlit_variance)
 
 
-def schedule(state: DualState, level: int) -> Schedule:
-    """Return the next patterns under a level's number."""
-    return replace(Dual().schedule(state), level=level)
-
-
-def refine(state: DualState, images: LevelImages, memory_bytes: int) -> DualState:
-    """Refine a level."""
-    return Dual().refine(state, renumbered(images, state.level), memory_bytes)
-
-
-def packed(state: DualState) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """Return a state's arrays, their names prefixed, and its attributes."""
-    pack = Dual().pack(state)
-    return nested(pack, _PREFIX), {**pack.attributes, "tolerance": state.options.tolerance}
+def packed(state: DualState) -> Pack:
+    """Return a state as part of a pack, with the tolerance."""
+    return DUAL.packed(state, tolerance=state.options.tolerance)
 
 
 def restored(start: FootprintState, packs: Sequence[Pack]) -> DualState | None:
     """Return the state after the last of packs, None where none of them has any."""
-    own = nested_in(packs, _PREFIX, "dual")
-    if not own:
-        return None
-    return Dual().restore(_start(start, own[0].attributes["tolerance"]), own)
+    return DUAL.restored(packs, lambda attributes: _start(start, attributes["tolerance"]))
 
 
 def most_patterns(camera: RayDomain, projector: RayDomain) -> int:

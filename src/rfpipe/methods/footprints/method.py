@@ -8,10 +8,9 @@ with no structured light. Where the model doesn't fit, dual photography follows.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, replace
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
@@ -19,14 +18,14 @@ from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, Pack
 from rfpipe.methods.dual import Dual
 from rfpipe.methods.footprints import candidates, handover, rounds
 from rfpipe.methods.footprints.state import MOST, ROUNDS, FootprintState, kind_of
-from rfpipe.methods.held_out.estimate import Estimate, Held
+from rfpipe.methods.held_out.rounds import HeldOutMethod
 from rfpipe.methods.near_far.pictures import Pictures
-from rfpipe.methods.states import Packing, PackingMethod, arrays_of, level_row, unprefixed
+from rfpipe.methods.states import Packing, arrays_of, level_row, unprefixed
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 
 
-class Footprints(PackingMethod[FootprintState]):
+class Footprints(HeldOutMethod[FootprintState]):
     """Footprint acquisition as a `Method`, for any rig.
 
     Rounds of random patterns are fitted until the estimate of the error, from pictures that no fit
@@ -39,22 +38,14 @@ class Footprints(PackingMethod[FootprintState]):
     title = "Footprint acquisition"
     colour = "#6a3d9a"
     marker = "p"
-    estimates_error = True
-    Options = ErrorOptions
-    trades = "target_error"
     trials = (0.05, 0.01, 0.005)
+    most = MOST
     packing = Packing(("level", "following", "unfit", "new", "new_held", "rows"))
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
         """Return the floodlit level, all rounds, and the levels of dual photography."""
         self.check(camera, projector)
         return len(ROUNDS) + Dual().n_levels(camera, projector)
-
-    def expected_patterns(
-        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
-    ) -> int:
-        """Return the patterns of all rounds: they don't grow with the resolution."""
-        return min(projector.size, options.patterns or MOST)
 
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
         """Return those of a scene for which all blocks are lit one by one, after all rounds."""
@@ -76,7 +67,7 @@ class Footprints(PackingMethod[FootprintState]):
             return Schedule.nothing(level, shape)
         if state.kind == "hierarchy":
             assert state.dual is not None
-            return handover.schedule(state.dual, level)
+            return handover.DUAL.schedule(state.dual, level)
         return rounds.patterns(state)
 
     def refine(
@@ -112,44 +103,22 @@ class Footprints(PackingMethod[FootprintState]):
             arrays |= arrays_of(state.pictures)
         elif state.new:
             assert state.model is not None
-            arrays |= arrays_of(state.pictures.since(len(state.pictures.lit) - state.new))
-            del arrays["floodlit"], arrays["floodlit_variance"]
+            arrays |= state.pictures.latest(state.new)
             arrays |= {f"model_{name}": array for name, array in state.model.items()}
             arrays |= arrays_of(state.found, "found_")
-        if state.new_held:
-            held = arrays_of(state.held, "held_").items()
-            arrays |= {name: array[-state.new_held :] for name, array in held}
-        attributes = {
-            **own.attributes,
-            "estimates": [list(astuple(each)) for each in state.estimates],
-        }
+        own |= Pack(arrays, {})
         if state.dual is not None and (just == "hierarchy" or _begun(state)):
-            inner, attributes["dual"] = handover.packed(state.dual)
-            arrays |= inner
-        return Pack(arrays, attributes)
+            own |= handover.packed(state.dual)
+        return own
 
     def _restored(self, start: FootprintState, packs: Sequence[Pack]) -> FootprintState:
         own = [pack.arrays for pack in packs]
         fitted = [arrays for arrays in own if "found_keys" in arrays]
-        held = [found for arrays in own if (found := unprefixed("held_", arrays))]
-        taken = [arrays for arrays in own if "lit" in arrays]
-        lit, radiance, variance = (
-            np.concatenate([arrays[name] for arrays in taken])
-            for name in ("lit", "radiance", "variance")
-        )
         return replace(
             super()._restored(start, packs),
-            pictures=Pictures(
-                own[0]["floodlit"],
-                own[0]["floodlit_variance"],
-                lit.astype(np.bool_),
-                radiance,
-                variance,
-            ),
-            held=_held(held) if held else None,
+            pictures=Pictures.restored(packs),
             model=unprefixed("model_", fitted[-1]) if fitted else None,
             found=candidates.Footprints(**unprefixed("found_", fitted[-1])) if fitted else None,
-            estimates=tuple(Estimate(*found) for found in packs[-1].attributes["estimates"]),
             dual=handover.restored(start, packs),
         )
 
@@ -157,9 +126,3 @@ class Footprints(PackingMethod[FootprintState]):
 def _begun(state: FootprintState) -> bool:
     """Tell whether the last level was the round after which dual photography took over."""
     return state.following == "hierarchy" and bool(state.rows[-1]["patterns"])
-
-
-def _held(packs: list[dict[str, NDArray[Any]]]) -> Held:
-    """Return the held-out pictures of all packs."""
-    lit, radiance = (np.concatenate([pack[name] for pack in packs]) for name in ("lit", "radiance"))
-    return Held(lit.astype(np.bool_), radiance)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +18,11 @@ from rfpipe.methods.footprints.patterns import random_patterns
 from rfpipe.methods.footprints.series import Series
 from rfpipe.methods.footprints.state import ROUNDS, FootprintState, kind_of
 from rfpipe.methods.footprints.transport import arrays_of_model, nearness, spread_evenly
-from rfpipe.methods.held_out.estimate import Estimate, Held, error_of
-from rfpipe.methods.held_out.patterns import (
-    HELD_OUT,
-    held_out_shapes,
-    held_out_spots,
-    held_out_strip,
-    within,
-)
+from rfpipe.methods.held_out.estimate import Estimate, error_of
+from rfpipe.methods.held_out.patterns import HELD_OUT
 from rfpipe.methods.images import read_planar
 from rfpipe.methods.near_far.pictures import Pictures
-from rfpipe.methods.states import appended, level_row
+from rfpipe.methods.states import level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints.transport import FootprintTransport
@@ -55,11 +50,8 @@ _log = logging.getLogger(__name__)
 
 def patterns(state: FootprintState) -> Schedule:
     """Return a round's patterns: held-out ones, then random ones."""
-    shape, level = state.projector.shape, state.level
     held, count = _asked(state)
-    shown = random_patterns(shape, level, count)
-    weights = np.concatenate([np.reshape(held, (len(held), *shape)), shown]).astype(np.float32)
-    return Schedule(level, shape, len(weights), weights=weights)
+    return state.round(held, random_patterns(state.projector.shape, state.level, count))
 
 
 def begin(state: FootprintState, images: LevelImages) -> FootprintState:
@@ -88,11 +80,10 @@ def refine(state: FootprintState, images: LevelImages) -> FootprintState:
     count, first = images.schedule.count, len(_asked(state)[0])
     lit = images.schedule.batch(0, count).reshape(count, -1) > 0
     radiance, variance = read_planar(images, state.channels, state.camera.size, count)
-    held = Held(lit[:first], radiance[:first])
-    state = replace(state, held=appended(state.held, held))
+    state = state.with_held(lit[:first], radiance[:first])
     row = level_row(state.level, count)
     if count == first:
-        return state.after(row, new=0, new_held=first)
+        return state.after(row, new=0)
     assert state.pictures is not None
     pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
     unit = _unit(pictures)
@@ -107,7 +98,6 @@ def refine(state: FootprintState, images: LevelImages) -> FootprintState:
         row,
         pictures=pictures,
         new=count - first,
-        new_held=first,
         model=arrays,
         found=model.grey,
     )
@@ -118,7 +108,7 @@ def refine_hierarchy(
 ) -> FootprintState:
     """Let dual photography refine a level of its own."""
     assert state.dual is not None
-    inner = handover.refine(state.dual, images, memory_bytes)
+    inner = handover.DUAL.refine(state.dual, images, memory_bytes)
     row = {**inner.rows[-1], "level": state.level}
     after = state.after(row, dual=inner, new=0, new_held=0)
     return judge(after) if images.schedule.count else after
@@ -126,9 +116,7 @@ def refine_hierarchy(
 
 def judge(state: FootprintState) -> FootprintState:
     """Estimate the error of what would be returned after the last level."""
-    _, found = best(state)
-    row = {**state.rows[-1], "estimated_error": found.error}
-    return replace(state, rows=(*state.rows[:-1], row), estimates=(*state.estimates, found))
+    return state.judged(best(state)[1])
 
 
 def decide(state: FootprintState) -> FootprintState:
@@ -149,11 +137,7 @@ def decide(state: FootprintState) -> FootprintState:
 
 def best(state: FootprintState) -> tuple[Transport, Estimate]:
     """Return what predicts the held-out pictures best, and how well."""
-    found = list(_candidates(state))
-    if state.held is None:
-        return found[0], Estimate(1.0, 1.0, 1.0, 1.0, 1.0)
-    estimated = [(each, _estimate(state, each)) for each in found]
-    return min(estimated, key=lambda pair: pair[1].error)
+    return state.best(_candidates(state), partial(_estimate, state))
 
 
 def model_of(state: FootprintState) -> FootprintTransport:
@@ -199,36 +183,16 @@ def _directly_lit(state: FootprintState, lit: NDArray[np.bool_]) -> NDArray[np.b
 
 def _slow(state: FootprintState) -> bool:
     """Tell whether the last round cut the error too little for more to be worth it."""
-    # by other held-out pictures, errors don't compare
-    if state.new_held or len(state.estimates) < 3:
-        return False
-    before, found = state.estimates[-2:]
     part = 1 - state.rows[-1]["patterns"] / state.shown
-    return bool(found.error > part**_STALLED * before.error)
+    return state.leaves(part**_STALLED)
 
 
 def _asked(state: FootprintState) -> tuple[list[NDArray[np.bool_]], int]:
     """Return a round's held-out patterns, each as often as it is shown, and how many others."""
-    held = [each for each in _not_held_yet(state) for _ in range(HELD_OUT)]
     reached = state.estimates and state.estimates[-1].error <= state.options.target_error
-    if state.unfit or reached:
-        return held, 0  # all that is left is to see whether spots are as good
-    count = ROUNDS[state.level - 1]
-    if not state.options.patterns:
-        return held, count
-    room = state.options.patterns - state.shown
-    return within(room, held, count, judged=state.level > 1 and state.held is not None)
-
-
-def _not_held_yet(state: FootprintState) -> Iterator[NDArray[np.bool_]]:
-    """Yield the held-out patterns that are due: shapes at first, then what a model tells."""
-    shape = state.projector.shape
-    if state.level == 1:
-        yield held_out_shapes(shape)
-    elif state.held is not None and len(state.held.lit) == HELD_OUT:
-        near = nearness(model_of(state), state.camera, state.projector)
-        yield held_out_strip(near)
-        yield held_out_spots(shape)
+    # all that is left may be to see whether spots are as good
+    count = 0 if state.unfit or reached else ROUNDS[state.level - 1]
+    return state.asked(count, lambda: nearness(model_of(state), state.camera, state.projector))
 
 
 def _unit(pictures: Pictures) -> float:

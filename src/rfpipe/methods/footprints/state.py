@@ -8,13 +8,11 @@ from typing import Any, Literal
 
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.dual import DualState
 from rfpipe.methods.footprints.candidates import Footprints
-from rfpipe.methods.held_out.estimate import Estimate, Held
 from rfpipe.methods.held_out.patterns import MOST_HELD_OUT
+from rfpipe.methods.held_out.rounds import HeldOutState
 from rfpipe.methods.near_far.pictures import Pictures
-from rfpipe.methods.states import MethodState
 
 __all__ = ["MOST", "ROUNDS", "FootprintState", "Kind", "kind_of"]
 
@@ -34,8 +32,8 @@ def kind_of(level: int) -> Kind:
 
 
 @dataclass(frozen=True)
-class FootprintState(MethodState):
-    """The state of a footprint acquisition, beside what all states have.
+class FootprintState(HeldOutState):
+    """The state of a footprint acquisition, beside what those of all rounds have.
 
     Attributes
     ----------
@@ -46,38 +44,22 @@ class FootprintState(MethodState):
         out.
     pictures : Pictures, optional
         All pictures of the rounds; None before the floodlit image.
-    new, new_held : int
-        How many of them, and of `held`, the last level brought.
-    held : Held, optional
-        Patterns of the projector and pictures that no fit sees; None before the first round.
     model : mapping of str to ndarray, optional
         The arrays of the `FootprintTransport` that was found last.
     found : Footprints, optional
         With what the next search begins, in the unit of the fits.
     dual : DualState, optional
         Where dual photography has taken over.
-    estimates : tuple of Estimate
-        After each level that had images, of what is returned from then on.
     """
 
-    options: ErrorOptions
     following: Kind = "round"
     unfit: bool = False
     pictures: Pictures | None = None
-    new: int = 0
-    new_held: int = 0
-    held: Held | None = None
     model: Mapping[str, NDArray[Any]] | None = None
     found: Footprints | None = None
     dual: DualState | None = None
-    estimates: tuple[Estimate, ...] = ()
 
     @property
     def kind(self) -> Kind:
         """What the next level is for."""
         return kind_of(self.level)
-
-    @property
-    def shown(self) -> int:
-        """Patterns shown so far."""
-        return sum(row["patterns"] for row in self.rows)

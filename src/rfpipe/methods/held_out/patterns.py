@@ -20,7 +20,6 @@ __all__ = [
     "held_out_spots",
     "held_out_strip",
     "octave_noise",
-    "within",
 ]
 
 HELD_OUT = 2
@@ -58,28 +57,6 @@ def held_out_spots(shape: tuple[int, ...]) -> NDArray[np.bool_]:
         top, left = random.integers(0, height - side + 1), random.integers(0, width - side + 1)
         spots[view, top : top + side, left : left + side] = True
     return spots.reshape(shape)
-
-
-def within(
-    room: int, held: list[NDArray[np.bool_]], count: int, *, judged: bool
-) -> tuple[list[NDArray[np.bool_]], int]:
-    """Return which held-out patterns, and how many others, a limit of patterns leaves of a round.
-
-    Parameters
-    ----------
-    room : int
-        Patterns that may still be shown.
-    held : list of ndarray of bool
-        Held-out patterns that are due.
-    count : int
-        Other patterns.
-    judged : bool
-        Whether there are held-out pictures already: without any, a round would say nothing of the
-        error.
-    """
-    if room > len(held):
-        return held, min(count, room - len(held))
-    return [], max(room, 0) if judged else 0
 
 
 def brightest(image: NDArray[np.floating[Any]], part: float) -> NDArray[np.bool_]:

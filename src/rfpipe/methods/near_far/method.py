@@ -8,36 +8,29 @@ and where light is thrown to single places, symmetric photography comes before t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import astuple, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, Pack
-from rfpipe.methods.held_out.estimate import Estimate, Held
+from rfpipe.methods.held_out.rounds import HeldOutMethod, gathered, latest
 from rfpipe.methods.near_far import handover, rounds
 from rfpipe.methods.near_far.model import Model
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.near_far.state import BLOCKS, MOST, ROUNDS, NearFarState, kind_of
 from rfpipe.methods.residual.estimate import Residual
 from rfpipe.methods.residual.pictures import CellPictures
-from rfpipe.methods.states import (
-    Packing,
-    PackingMethod,
-    arrays_of,
-    level_row,
-    unprefixed,
-)
+from rfpipe.methods.states import Packing, arrays_of, level_row, unprefixed
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 from rfpipe.transport.multiscale.basis import MultiscaleBasis
 
 
-class NearFar(PackingMethod[NearFarState]):
+class NearFar(HeldOutMethod[NearFarState]):
     """Near/far acquisition as a `Method`.
 
     Rounds of random patterns are fitted until the estimate of the error, from pictures that no fit
@@ -52,10 +45,8 @@ class NearFar(PackingMethod[NearFarState]):
     colour = "#b3263a"
     marker = "D"
     needs_coaxial_rig = True
-    estimates_error = True
-    Options = ErrorOptions
-    trades = "target_error"
     trials = (0.05, 0.01, 0.003)
+    most = MOST
     packing = Packing(("level", "following", "new", "new_held", "of_hierarchy", "rows"))
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
@@ -63,12 +54,6 @@ class NearFar(PackingMethod[NearFarState]):
         self.check(camera, projector)
         hierarchy = Symmetric().n_levels(camera, projector)
         return len(ROUNDS) + 2 * len(BLOCKS) + hierarchy
-
-    def expected_patterns(
-        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
-    ) -> int:
-        """Return the patterns of all rounds: they don't grow with the resolution."""
-        return min(projector.size, options.patterns or MOST)
 
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
         """Return those of a scene in which no block is of low rank, after all rounds."""
@@ -91,7 +76,7 @@ class NearFar(PackingMethod[NearFarState]):
             return Schedule.nothing(level, shape)
         if state.kind == "hierarchy":
             assert state.symmetric is not None
-            return handover.schedule(state.symmetric, level)
+            return handover.SYMMETRIC.schedule(state.symmetric, level)
         return rounds.patterns(state)
 
     def refine(
@@ -133,25 +118,17 @@ class NearFar(PackingMethod[NearFarState]):
             arrays |= arrays_of(state.pictures)
         elif just == "smooth" and state.new:
             assert state.model is not None
-            arrays |= arrays_of(state.pictures.since(len(state.pictures.lit) - state.new))
-            del arrays["floodlit"], arrays["floodlit_variance"]
+            arrays |= state.pictures.latest(state.new)
             arrays |= {"functions": state.model.basis.functions, "cores": state.model.cores}
         elif state.new:
             assert state.taken is not None
-            arrays |= _latest(state.taken, state.new, "taken_")
+            arrays |= latest(state.taken, state.new, "taken_")
         if state.residual is not None and state.new and just != "hierarchy":
             arrays |= arrays_of(state.residual, "residual_")
-        if state.new_held:
-            arrays |= _latest(state.held, state.new_held, "held_")
-        attributes = {
-            **own.attributes,
-            "estimates": [list(astuple(each)) for each in state.estimates],
-            "leaves": state.residual is not None,
-        }
+        own |= Pack(arrays, {"leaves": state.residual is not None})
         if state.symmetric is not None and "hierarchy" in (just, state.following):
-            inner, attributes["symmetric"] = handover.packed(state.symmetric)
-            arrays |= inner
-        return Pack(arrays, attributes)
+            own |= handover.SYMMETRIC.packed(state.symmetric)
+        return own
 
     def _restored(self, start: NearFarState, packs: Sequence[Pack]) -> NearFarState:
         own = [pack.arrays for pack in packs]
@@ -159,32 +136,12 @@ class NearFar(PackingMethod[NearFarState]):
         if fitted := [arrays for arrays in own if "cores" in arrays]:
             basis = MultiscaleBasis(start.projector.shape, fitted[-1]["functions"])
             model = Model(basis, fitted[-1]["cores"])
-        taken = [found for arrays in own if (found := unprefixed("taken_", arrays))]
-        held = [found for arrays in own if (found := unprefixed("held_", arrays))]
         left = [found for arrays in own if (found := unprefixed("residual_", arrays))]
-        smooth = [arrays for arrays in own if "lit" in arrays]
         return replace(
             super()._restored(start, packs),
-            pictures=Pictures(
-                own[0]["floodlit"],
-                own[0]["floodlit_variance"],
-                *_joined(smooth, "radiance", "variance"),
-            ),
-            taken=CellPictures(*_joined(taken, "seen", "variance")) if taken else None,
-            held=Held(*_joined(held, "radiance")) if held else None,
+            pictures=Pictures.restored(packs),
+            taken=gathered(CellPictures, packs, "taken_"),
             model=model,
             residual=Residual(**left[-1]) if packs[-1].attributes["leaves"] else None,
-            estimates=tuple(Estimate(*found) for found in packs[-1].attributes["estimates"]),
             symmetric=handover.restored(start.projector, start.channels, start.options, packs),
         )
-
-
-def _joined(packs: Sequence[Mapping[str, NDArray[Any]]], *names: str) -> tuple[Any, ...]:
-    """Return the patterns of all packs, and what else they hold of the pictures, by name."""
-    lit, *others = (np.concatenate([arrays[name] for arrays in packs]) for name in ("lit", *names))
-    return lit.astype(np.bool_), *others
-
-
-def _latest(pictures: Any, count: int, prefix: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays of the last pictures."""
-    return {name: array[-count:] for name, array in arrays_of(pictures, prefix).items()}

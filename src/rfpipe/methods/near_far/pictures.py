@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import Float
+from rfpipe.methods.base import Float, Pack
+from rfpipe.methods.held_out.rounds import gathered, latest
 
 __all__ = ["SIGNIFICANT", "Pictures", "completed"]
 
@@ -60,14 +63,19 @@ class Pictures:
             variance=np.concatenate([self.variance, variance]),
         )
 
-    def since(self, first: int) -> Pictures:
-        """Return those from a number on."""
-        return replace(
-            self,
-            lit=self.lit[first:],
-            radiance=self.radiance[first:],
-            variance=self.variance[first:],
-        )
+    def latest(self, count: int) -> dict[str, NDArray[Any]]:
+        """Return the arrays of the last ones by name."""
+        arrays = latest(self, count)
+        del arrays["floodlit"], arrays["floodlit_variance"]
+        return arrays
+
+    @classmethod
+    def restored(cls, packs: Sequence[Pack]) -> Pictures:
+        """Return those of packs, the first of which has the floodlit image."""
+        lit, variance = (packs[0].arrays[name] for name in ("floodlit", "floodlit_variance"))
+        found = gathered(cls, packs, floodlit=lit, floodlit_variance=variance)
+        assert found is not None
+        return found
 
     def channel(self, index: int) -> Pictures:
         """Return one channel."""

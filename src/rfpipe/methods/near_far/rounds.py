@@ -5,19 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.methods.base import Float, LevelImages
-from rfpipe.methods.held_out.estimate import Estimate, Held, error_of
-from rfpipe.methods.held_out.patterns import (
-    HELD_OUT,
-    held_out_shapes,
-    held_out_spots,
-    held_out_strip,
-    within,
-)
+from rfpipe.methods.held_out.estimate import Estimate, error_of
+from rfpipe.methods.held_out.patterns import HELD_OUT
 from rfpipe.methods.images import read_planar
 from rfpipe.methods.near_far import handover
 from rfpipe.methods.near_far.beyond import MOST_CELLS, all_pictures, canvas_of, cells_of, taken
@@ -25,7 +20,7 @@ from rfpipe.methods.near_far.model import fit
 from rfpipe.methods.near_far.patterns import block_patterns, probe_patterns
 from rfpipe.methods.near_far.pictures import Pictures, completed
 from rfpipe.methods.near_far.state import BLOCKS, ROUNDS, Kind, NearFarState, kind_of
-from rfpipe.methods.near_far.transport import as_transport, light_range
+from rfpipe.methods.near_far.transport import LightRange, as_transport, light_range
 from rfpipe.methods.residual.estimate import Residual
 from rfpipe.methods.residual.estimate import estimate as estimate_residual
 from rfpipe.methods.residual.pictures import Canvas
@@ -61,14 +56,9 @@ def patterns(state: NearFarState) -> Schedule:
     if state.kind == "residual":
         shown = block_patterns(cells_of(shape), level, count)
     else:
-        found = None
-        if level > 1 and count:
-            assert state.model is not None
-            assert state.pictures is not None
-            found = light_range(shape, state.model, state.pictures.floodlit)
+        found = _range(state) if level > 1 and count else None
         shown = probe_patterns(shape, level, count, found)
-    weights = np.concatenate([np.reshape(held, (len(held), *shape)), shown]).astype(np.float32)
-    return Schedule(level, shape, len(weights), weights=weights)
+    return state.round(held, shown)
 
 
 def begin(state: NearFarState, images: LevelImages) -> NearFarState:
@@ -91,7 +81,7 @@ def smooth(state: NearFarState, images: LevelImages) -> NearFarState:
     domain = state.projector.shape
     model = fit(domain, pictures)
     row = level_row(state.level, count, nodes=len(model.basis.first), rank_k=0)
-    held = _with_held(state, lit[:first], radiance[:first])
+    held = state.with_held(lit[:first], radiance[:first])
     fitted = held.after(row, pictures=pictures, new=count - first, model=model, residual=None)
     [(_, base)] = _bases(fitted)
     return fitted if state.level == 1 else replace(fitted, residual=_if_it_helps(fitted, base))
@@ -118,7 +108,7 @@ def beyond(state: NearFarState, images: LevelImages) -> NearFarState:
     assert state.pictures is not None
     pictures, count, first = state.pictures, images.schedule.count, len(_asked(state)[0])
     lit = images.schedule.batch(0, first).reshape(first, state.projector.size) > 0
-    state = _with_held(state, lit, _read(state, images, first)[0])
+    state = state.with_held(lit, _read(state, images, first)[0])
     row = level_row(state.level, count, rank_k=0)
     if count == first:
         return state.after(row, new=0)
@@ -140,7 +130,7 @@ def refine_hierarchy(state: NearFarState, images: LevelImages, memory_bytes: int
     """Let symmetric photography refine a level of its own; its pictures serve later rounds, too."""
     assert state.symmetric is not None
     assert state.pictures is not None
-    inner = handover.refine(state.symmetric, images, memory_bytes)
+    inner = handover.SYMMETRIC.refine(state.symmetric, images, memory_bytes)
     shared, count = state.rows[: _BEFORE_HIERARCHY + 1], images.schedule.count
     errors = [row.get("estimated_error") for row in state.rows[len(shared) :]]
     own = [
@@ -167,9 +157,7 @@ def refine_hierarchy(state: NearFarState, images: LevelImages, memory_bytes: int
 
 def judge(state: NearFarState) -> NearFarState:
     """Estimate the error of what would be returned after the last level."""
-    _, found = best(state)
-    row = {**state.rows[-1], "estimated_error": found.error}
-    return replace(state, rows=(*state.rows[:-1], row), estimates=(*state.estimates, found))
+    return state.judged(best(state)[1])
 
 
 def decide(state: NearFarState) -> NearFarState:
@@ -179,10 +167,11 @@ def decide(state: NearFarState) -> NearFarState:
     # the first estimate knows neither strip nor spots: it bounds the error if nothing is indirect
     known = len(state.held.lit) > HELD_OUT if state.held else False
     reached = found.error <= target and (known or found.indirect <= target)
-    stalled = state.kind != just or _slow(state) or _costly(state)
+    ended, slow, costly = state.kind != just, _slow(state), _costly(state)
+    stalled = ended or costly or (slow and not _nearly(state))
     share = _UNEXPLAINED_AT_FIRST if first else _UNEXPLAINED
     lost = just == "smooth" and found.dark > share * found.indirect
-    if reached or (limit and state.shown >= limit) or (stalled and found.is_noise):
+    if reached or (limit and state.shown >= limit) or ((stalled or slow) and found.is_noise):
         return replace(state, following="done")
     if not limit and state.symmetric is None and (lost or (stalled and just == "residual")):
         _log.info("light goes to single places; going on with symmetric photography")
@@ -198,11 +187,7 @@ def decide(state: NearFarState) -> NearFarState:
 
 def best(state: NearFarState) -> tuple[Transport, Estimate]:
     """Return what predicts the held-out pictures best, and how well."""
-    found = list(_candidates(state))
-    if state.held is None:
-        return found[0], Estimate(1.0, 1.0, 1.0, 1.0, 1.0)
-    estimated = [(each, _estimate(state, each)) for each in found]
-    return min(estimated, key=lambda pair: pair[1].error)
+    return state.best(_candidates(state), partial(_estimate, state))
 
 
 def _candidates(state: NearFarState) -> Iterator[Transport]:
@@ -263,63 +248,59 @@ def _estimate(state: NearFarState, transport: Transport) -> Estimate:
 
 def _slow(state: NearFarState) -> bool:
     """Tell whether the last round cut the error too little for more of its kind to be worth it."""
-    # by other held-out pictures, errors don't compare
-    if state.new_held or len(state.estimates) < 3:
-        return False
-    before, found = state.estimates[-2:]
     share = _STALLED
     if kind_of(state.level - 1, state.hierarchy) == "residual":
         share = (1 - state.rows[-1]["patterns"] / state.shown) ** _STALLED_BLOCKS
-    return found.error > share * before.error
+    return state.leaves(share)
 
 
 def _costly(state: NearFarState) -> bool:
     """Tell whether the target would take more blocks than a hierarchy, as errors fall so far."""
     found, shown = state.estimates[-3:], state.shown
-    of_blocks = kind_of(state.level - 1, state.hierarchy) == "residual"
     # the first estimate is of other held-out pictures
-    if not of_blocks or state.symmetric is not None or len(state.estimates) < 4:
+    if not _before_hierarchy(state) or len(state.estimates) < 4:
         return False
     asked = [row["patterns"] for row in state.rows if row["patterns"]]
     before = shown - sum(asked[-2:])
     power = np.log(found[0].error / found[-1].error) / np.log(shown / before)
-    target = state.options.target_error
-    more = shown * ((found[-1].error / target) ** (1 / max(power, _STALLED_BLOCKS)) - 1)
+    return not _cheaper(state, max(power, _STALLED_BLOCKS))
+
+
+def _nearly(state: NearFarState) -> bool:
+    """Tell whether blocks that hardly help still reach the target before a hierarchy would."""
+    return _before_hierarchy(state) and _cheaper(state, _STALLED_BLOCKS)
+
+
+def _before_hierarchy(state: NearFarState) -> bool:
+    of_blocks = kind_of(state.level - 1, state.hierarchy) == "residual"
+    return of_blocks and state.symmetric is None
+
+
+def _cheaper(state: NearFarState, power: float) -> bool:
+    """Tell whether blocks take fewer patterns than a hierarchy, with errors falling so."""
+    target, found = state.options.target_error, state.estimates[-1]
+    more = state.shown * ((found.error / target) ** (1 / power) - 1)
     of_hierarchy = _OF_HIERARCHY * state.hierarchy * (_HUNDREDTH / target) ** _GROWS
-    return bool(more > of_hierarchy)
+    return bool(more <= of_hierarchy)
 
 
 def _asked(state: NearFarState) -> tuple[list[NDArray[np.bool_]], int]:
     """Return a round's held-out patterns, each as often as it is shown, and how many others."""
-    held = [each for each in _not_held_yet(state) for _ in range(HELD_OUT)]
     if state.kind == "smooth":
         count = ROUNDS[state.level - 1]
     elif state.estimates[-1].error <= state.options.target_error:
-        return held, 0  # all that is left is to see whether spots are as good
+        count = 0  # all that is left is to see whether spots are as good
     else:
         before = _BEFORE_HIERARCHY + state.hierarchy if state.symmetric else len(ROUNDS) + 1
         count = BLOCKS[state.level - before]
-    if not state.options.patterns:
-        return held, count
-    room = state.options.patterns - state.shown
-    return within(room, held, count, judged=state.level > 1 and state.held is not None)
+    return state.asked(count, lambda: _range(state).nearness)
 
 
-def _not_held_yet(state: NearFarState) -> Iterator[NDArray[np.bool_]]:
-    """Yield the held-out patterns that are due: shapes at first, then what a model tells."""
-    shape = state.projector.shape
-    if state.level == 1:
-        yield held_out_shapes(shape)
-    elif state.held is not None and len(state.held.lit) == HELD_OUT:
-        assert state.model is not None
-        assert state.pictures is not None
-        yield held_out_strip(light_range(shape, state.model, state.pictures.floodlit).nearness)
-        yield held_out_spots(shape)
-
-
-def _with_held(state: NearFarState, lit: NDArray[np.bool_], radiance: Float) -> NearFarState:
-    """Return a state that has more held-out pictures."""
-    return replace(state, held=appended(state.held, Held(lit, radiance)), new_held=len(lit))
+def _range(state: NearFarState) -> LightRange:
+    """Find where indirect light comes from."""
+    assert state.model is not None
+    assert state.pictures is not None
+    return light_range(state.projector.shape, state.model, state.pictures.floodlit)
 
 
 def _read(state: NearFarState, images: LevelImages, count: int) -> tuple[Float, Float]:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from rfpipe.methods.base import ErrorOptions
-from rfpipe.methods.held_out.estimate import Estimate, Held
 from rfpipe.methods.held_out.patterns import MOST_HELD_OUT
+from rfpipe.methods.held_out.rounds import HeldOutState
 from rfpipe.methods.near_far.model import Model
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.residual.estimate import Residual
 from rfpipe.methods.residual.pictures import CellPictures
-from rfpipe.methods.states import MethodState
 from rfpipe.methods.symmetric.method import SymmetricState
 
 __all__ = ["BLOCKS", "MOST", "ROUNDS", "Kind", "NearFarState", "kind_of"]
@@ -48,8 +46,8 @@ def kind_of(level: int, hierarchy: int) -> Kind:
 
 
 @dataclass(frozen=True)
-class NearFarState(MethodState):
-    """The state of a near/far acquisition, beside what all states have.
+class NearFarState(HeldOutState):
+    """The state of a near/far acquisition, beside what those of all rounds have.
 
     Attributes
     ----------
@@ -61,10 +59,6 @@ class NearFarState(MethodState):
         All pictures of smooth light's rounds; None before the floodlit image.
     taken : CellPictures, optional
         Those of all other levels, which are looked at in cells alone.
-    new, new_held : int
-        How many of either, and of `held`, the last level brought.
-    held : Held, optional
-        Pictures that no fit sees; None before the first round.
     model : Model, optional
         Smooth light.
     symmetric : SymmetricState, optional
@@ -73,30 +67,18 @@ class NearFarState(MethodState):
         What a model leaves, as it was found last.
     of_hierarchy : bool
         Whether that is what the hierarchy leaves.
-    estimates : tuple of Estimate
-        After each level that had images, of what is returned from then on.
     """
 
-    options: ErrorOptions
     hierarchy: int
     following: Kind = "smooth"
     pictures: Pictures | None = None
     taken: CellPictures | None = None
-    new: int = 0
-    new_held: int = 0
-    held: Held | None = None
     model: Model | None = None
     symmetric: SymmetricState | None = None
     residual: Residual | None = None
     of_hierarchy: bool = False
-    estimates: tuple[Estimate, ...] = ()
 
     @property
     def kind(self) -> Kind:
         """What the next level is for."""
         return kind_of(self.level, self.hierarchy)
-
-    @property
-    def shown(self) -> int:
-        """Patterns shown so far."""
-        return sum(row["patterns"] for row in self.rows)

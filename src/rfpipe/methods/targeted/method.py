@@ -11,23 +11,11 @@ import numpy as np
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import MEMORY_BYTES, LevelImages, Method, Pack, TargetOptions
 from rfpipe.methods.held_out.estimate import Held, error_of
-from rfpipe.methods.held_out.patterns import (
-    HELD_OUT,
-    MOST_HELD_OUT,
-    held_out_shapes,
-    held_out_spots,
-    held_out_strip,
-)
-from rfpipe.methods.images import read_planar, renumbered
-from rfpipe.methods.states import (
-    Descent,
-    MethodState,
-    appended,
-    arrays_of,
-    nested,
-    nested_in,
-    unprefixed,
-)
+from rfpipe.methods.held_out.patterns import MOST_HELD_OUT
+from rfpipe.methods.held_out.rounds import due, gathered, latest
+from rfpipe.methods.images import read_planar
+from rfpipe.methods.nested import Nested
+from rfpipe.methods.states import Descent, MethodState, appended
 from rfpipe.methods.targeted.nearness import nearness
 from rfpipe.methods.targeted.state import Kind, Shown, TargetedState
 from rfpipe.patterns import Schedule
@@ -35,7 +23,7 @@ from rfpipe.transport.base import Transport
 
 __all__ = ["Targeted"]
 
-_INNER, _HELD = "inner_", "held_"
+_HELD = "held_"
 
 
 class Targeted(Method[TargetedState]):
@@ -53,7 +41,7 @@ class Targeted(Method[TargetedState]):
     estimates_error = True
 
     def __init__(self, inner: Descent[Any]) -> None:
-        self.inner = inner
+        self.inner, self.nested = inner, Nested(inner, "inner")
         self.name, self.title, self.colour = inner.name, inner.title, inner.colour
         self.marker, self.line = inner.marker, inner.line
         self.needs_coaxial_rig = inner.needs_coaxial_rig
@@ -96,14 +84,11 @@ class Targeted(Method[TargetedState]):
         """Show what the inner method asks for, or held-out patterns."""
         level, shape = state.level, state.inner.projector.shape
         if state.following == "inner":
-            return replace(self.inner.schedule(state.inner), level=level)
+            return self.nested.schedule(state.inner, level)
         if state.following == "done":
             return Schedule.nothing(level, shape)
-        held = [held_out_shapes(shape)]
-        if state.held is not None:
-            near = nearness(self.transport(state))
-            held = [held_out_strip(near), held_out_spots(shape)]
-        weights = np.repeat(np.stack(held), HELD_OUT, axis=0).astype(np.float32)
+        held = due(shape, state.held, lambda: nearness(self.transport(state)))
+        weights = np.stack(held).astype(np.float32)
         return Schedule(level, shape, len(weights), weights=weights)
 
     def refine(
@@ -117,8 +102,8 @@ class Targeted(Method[TargetedState]):
             state = self._with_held(state, images)
             state = self._judged(replace(state, error=self._error(state, state.best)))
         else:
-            own = renumbered(images, state.inner.level)
-            state = replace(state, inner=self.inner.refine(state.inner, own, memory_bytes))
+            inner = self.nested.refine(state.inner, images, memory_bytes)
+            state = replace(state, inner=inner)
             state = self._judged(state) if count and state.held else state
         if state.held is None:
             return replace(state, best=state.inner).after(Shown(kind, count, None), "held")
@@ -176,39 +161,30 @@ class Targeted(Method[TargetedState]):
             "error": state.error,
         }
         if last.kind == "inner":
-            own = self.inner.pack(state.inner)
-            return Pack(nested(own, _INNER), {**attributes, "inner": dict(own.attributes)})
+            return Pack({}, attributes) | self.nested.packed(state.inner)
         if last.kind == "done":
             return Pack({}, attributes)
         assert state.held is not None
         assert state.known is not None
-        held = arrays_of(state.held, _HELD)
-        arrays = {name: array[-last.patterns :] for name, array in held.items()}
-        return Pack({**arrays, "known": state.known.astype(np.uint8)}, attributes)
+        held = latest(state.held, last.patterns, _HELD)
+        return Pack({**held, "known": state.known.astype(np.uint8)}, attributes)
 
     def restore(self, start: TargetedState, packs: Sequence[Pack]) -> TargetedState:
         """Return the state after the last of `packs`, one a level from level 0 on."""
         if not packs:
             return start
         about = packs[-1].attributes
-        own = nested_in(packs, _INNER, "inner")
+        own = self.nested.packs_in(packs)
         inner = self.inner.restore(start.inner, own)
         best = about["best"]
-        state = replace(
+        known = [pack.arrays["known"] for pack in packs if "known" in pack.arrays]
+        return replace(
             start,
             inner=inner,
             best=inner if best == inner.level else self.inner.restore(start.inner, own[:best]),
             shown=tuple(Shown(*pack.attributes["shown"]) for pack in packs),
             following=about["following"],
+            held=gathered(Held, packs, _HELD),
+            known=known[-1].astype(np.bool_) if known else None,
             error=about["error"],
         )
-        return state if state.error is None else _with_pictures(state, packs)
-
-
-def _with_pictures(state: TargetedState, packs: Sequence[Pack]) -> TargetedState:
-    """Return a state with the held-out pictures of packs."""
-    arrays = [pack.arrays for pack in packs if "known" in pack.arrays]
-    held = None
-    for pictures in (unprefixed(_HELD, own) for own in arrays):
-        held = appended(held, Held(pictures["lit"].astype(np.bool_), pictures["radiance"]))
-    return replace(state, held=held, known=arrays[-1]["known"].astype(np.bool_))

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError
+from rfpipe.errors import CaptureError, IntegrityError, StoreError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
+from rfpipe.stages.aside import settle
 from rfpipe.stages.capturing.shown import Keys
 from rfpipe.stages.jobs.progress import Progress
-from rfpipe.store import FrameStore
+from rfpipe.store import (
+    FrameStore,
+    keep_header,
+    read_manifest,
+    rebuild_header,
+    restore_header,
+)
+from rfpipe.store.chunks import METADATA
 
 __all__ = ["Brackets", "Watch"]
 
@@ -72,13 +81,84 @@ class Brackets:
         with FrameStore.open(self.path) as frames:
             return self.count - int(np.count_nonzero(frames.done))
 
+    def missing(self, most: int) -> list[tuple[int, int]]:
+        """Return the runs of brackets that aren't captured yet, ``first, last``, of so many."""
+        if not self.path.exists():
+            return [(first, min(first + most, self.count)) for first in range(0, self.count, most)]
+        with FrameStore.open(self.path) as frames:
+            return list(frames.missing(most))
+
+    def settle(self, when_changed: Literal["recapture", "refuse"]) -> None:
+        """Make way for these brackets, see `rfpipe.stages.aside.settle`; a damaged header heals.
+
+        A damaged header says nothing about the settings that a store was made with, and must not
+        be taken for others.
+
+        Raises
+        ------
+        StaleStoreError, LockedError
+            As there.
+        IntegrityError
+            When the header is damaged, and is none of a store of these brackets.
+        """
+        if self.path.exists() and not self._is_known():
+            if self._is_of_others or not rebuild_header(self.path, self._made_at):
+                raise IntegrityError(
+                    f"{self.path / METADATA}: damaged, and its frames aren't known to be those "
+                    "that are to be captured now. Restore this file, or the settings that they "
+                    f"were captured with; or move {self.path} away, and all of its patterns are "
+                    "shown again"
+                )
+            _log.warning(
+                "%s: its header was damaged or missing; made again from the schedule and the "
+                "journal, so that no pattern has to be shown again for it", self.path,
+            )  # fmt: skip
+        settle(self.path, self.made_for, self.shown, when_changed)
+
     def opened(self) -> FrameStore:
         """Open the store for writing; make it where there is none."""
+        frames = self._made_at(self.path)
+        keep_header(self.path)
+        return frames
+
+    def _is_known(self) -> bool:
+        """Whether the header, or its copy, says truly what a store was made for."""
+        if restore_header(self.path):
+            _log.warning("%s: its header was damaged or missing; restored", self.path)
+        try:
+            found = FrameStore.open(self.path)
+        except StoreError:
+            return False
+        # from here on only stores without a copy can be damaged
+        if fingerprint(found.attributes) != found.fingerprint:
+            return False
+        return found.fingerprint != self.made_for or (found.shape, found.dtype) == self._layout
+
+    @property
+    def _is_of_others(self) -> bool:
+        """Whether the store is of other patterns or another rig, as far as anything still tells."""
+        name = self.path.stem
+        with suppress(StoreError):
+            found = FrameStore.open(self.path)
+            if self.made_for not in (found.fingerprint, fingerprint(found.attributes)):
+                return True  # more than one thing is wrong with it
+        try:
+            stated = read_manifest(self.path.with_name("capture.json"))
+        except StoreError:
+            return False
+        part = stated if name == "capture" else stated.get(name, {})
+        return bool(part.get("fingerprint", self.made_for) != self.made_for)
+
+    @property
+    def _layout(self) -> tuple[tuple[int, ...], np.dtype[Any]]:
         sensor = self.rig.sensor
+        item = sensor.frame_shape(self.rig.camera_shape, self.rig.channels)
+        return (self.count, *item), np.dtype(sensor.frame_dtype)
+
+    def _made_at(self, path: Path) -> FrameStore:
         return FrameStore.create(
-            self.path,
-            (self.count, *sensor.frame_shape(self.rig.camera_shape, self.rig.channels)),
-            sensor.frame_dtype,
+            path,
+            *self._layout,
             self.made_for,
             self.shown,
             # a twelfth more bytes than by zstd, written and read in half the time

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rfpipe.photometry import ExactSensor, Sensor
 from rfpipe.stages.capturing.disk import DiskNeed
 from rfpipe.stages.capturing.drift import item_count
+from rfpipe.stages.capturing.taken import Taken, proportion
 from rfpipe.stages.plan import Plan, plan_of
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
 
 __all__ = ["Forecast", "Need", "forecast"]
+
+# Rays to which the seconds of an acquisition, for each pattern and ray, are those of another.
+_LIKE_SECONDS = 4.0
 
 
 @dataclass(frozen=True)
@@ -44,9 +49,14 @@ class Forecast:
     rays, levels : int
         Rays of the projector, and levels of their block tree.
     expected : Need
-        By the counts that the thesis reports for scenes of this many levels.
+        As this acquisition took before; else by the counts that the thesis reports for scenes of
+        this many levels, in the proportion in which others came out.
     most : Need
         Of a scene without any structure. It may be beyond reach; each level is checked again.
+    known : {"taken", "alike", "thesis"}
+        What `expected` is known from.
+    here : float or None
+        Seconds with all processing where the rig is simulated, as far as others tell.
     """
 
     scene: str
@@ -55,9 +65,11 @@ class Forecast:
     levels: int
     expected: Need
     most: Need
+    known: Literal["taken", "alike", "thesis"] = "thesis"
+    here: float | None = None
 
 
-def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
+def forecast(settings: Config, sensor: Sensor, taken: Sequence[Taken] = ()) -> list[Forecast]:
     """Tell what each acquisition of a run will take; nothing is shown or written.
 
     Parameters
@@ -65,6 +77,8 @@ def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
     settings : Config
     sensor : Sensor
         The camera's.
+    taken : sequence of Taken
+        Acquisitions to learn from.
 
     Raises
     ------
@@ -74,13 +88,43 @@ def forecast(settings: Config, sensor: Sensor) -> list[Forecast]:
     found = []
     for scene, name in settings.acquisitions:
         plan = Plan(**plan_of(settings, scene, name))
-        of_method = plan.method.expected_patterns, plan.method.most_patterns
-        needs = (
-            _need(settings, sensor, plan, patterns(plan.camera, plan.projector, plan.options))
-            for patterns in of_method
-        )
-        found.append(Forecast(scene, name, plan.projector.size, plan.n_levels, *needs))
+        rays = plan.camera, plan.projector, plan.options
+        most = plan.method.most_patterns(*rays)
+        patterns, known = _expected(plan, scene, taken, most)
+        expected, at_most = (_need(settings, sensor, plan, count) for count in (patterns, most))
+        here = _here(plan, scene, patterns, taken) if settings.capture.rig == "simulated" else None
+        about = scene, name, plan.projector.size, plan.n_levels
+        found.append(Forecast(*about, expected, at_most, known, here))
     return found
+
+
+def _expected(
+    plan: Plan, scene: str, taken: Sequence[Taken], most: int
+) -> tuple[int, Literal["taken", "alike", "thesis"]]:
+    """Return the patterns that are expected, and what they are known from."""
+    for one in taken:
+        if one.is_of(scene, plan):
+            return one.patterns, "taken"
+    expected = plan.method.expected_patterns(plan.camera, plan.projector, plan.options)
+    share = proportion(taken, plan)
+    if share is None:
+        return expected, "thesis"
+    return min(max(1, round(expected * share)), most), "alike"
+
+
+def _here(plan: Plan, scene: str, patterns: int, taken: Sequence[Taken]) -> float | None:
+    """Return the seconds of a simulated acquisition, by the same one or by others."""
+    same = [one.seconds for one in taken if one.is_of(scene, plan) and one.seconds is not None]
+    if same:
+        return same[0]
+    # what starting takes counts for much in small ones
+    alike = [
+        one for one in taken if one.method == plan.method.name and one.is_near(plan, _LIKE_SECONDS)
+    ]
+    each = [one.seconds_a_sample for one in alike if one.seconds_a_sample is not None]
+    if not each:
+        return None
+    return patterns * plan.camera.size * plan.channels * sum(each) / len(each)
 
 
 def _need(settings: Config, sensor: Sensor, plan: Plan, patterns: int) -> Need:

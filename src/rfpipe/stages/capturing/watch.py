@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.rigs import DRIFT_KEY
-from rfpipe.stages.aside import settle
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.drift import DRIFT, item_count, item_due, look
 from rfpipe.stages.capturing.shown import Keys
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.merger import Merger
 from rfpipe.stages.merging.references import read_merger
-from rfpipe.store import FrameStore
+from rfpipe.store import FrameStore, restore_header
 
 __all__ = ["DriftWatch", "watch_of"]
 
@@ -93,6 +92,7 @@ def watch_of(
     path, patterns = folder.store(level, DRIFT), level_brackets.count
     is_begun = level_brackets.count_missing() < patterns
     if is_begun and path.exists():
+        restore_header(path)
         with FrameStore.open(path) as old:
             of_this_capture = old.attributes.get("made_beside") == level_brackets.made_for
             every = int(old.attributes["every"]) if of_this_capture else 0
@@ -116,7 +116,7 @@ def watch_of(
         "rig": level_brackets.shown["rig"],
     }
     brackets = Brackets(rig, path, f"level {level}, drift watch", count, shown, floodlit)
-    settle(path, brackets.made_for, shown, "recapture")
+    brackets.settle("recapture")
     merger = None
     if folder.manifest(0, "merge").exists():
         merger = read_merger(rig.sensor, folder, _SATURATION_FRACTION)

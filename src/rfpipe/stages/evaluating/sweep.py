@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.results import accept_bundle, write_bundle
 from rfpipe.stages.settings import acquire_options
-from rfpipe.store.files import write_atomically
+from rfpipe.store import write_manifest
+from rfpipe.store.files import digest_of, write_atomically
 from rfpipe.units import RADIANCE_UNIT, NumberFormat
 
 if TYPE_CHECKING:
@@ -164,8 +165,10 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
     if times.exists() and accept_bundle(manifest, made_from):
         return
     found = sweep_option(config, scene, method)
-    table = pd.DataFrame(found.times).to_csv(index=False, lineterminator="\n")
-    write_atomically(times, table.encode())
+    table = pd.DataFrame(found.times).to_csv(index=False, lineterminator="\n").encode()
+    write_atomically(times, table)
+    # apart from the sweep's manifest, which is the same in every run
+    write_manifest(folder / "sweep_times.json", {"table": times.name, "times": digest_of(table)})
     about = {"stage": "sweep", "scene": scene, "method": method}
     facts = {**about, "rows": found.rows, "units": RADIANCE_UNIT}
     write_bundle(manifest, made_from, {"relit": found.relit}, facts)

@@ -57,6 +57,11 @@ class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[
         """The leaves with float32 factors, by level, the coarsest first."""
         return SetsOnDemand(self._held, lambda leaves: decoded(self.tree, leaves), keep=False)
 
+    @property
+    def held_leaf_sets(self) -> Sequence[LeafSet]:
+        """The leaves as they are held, by level: rounded factors as codes, see `LeafSet`."""
+        return self._held
+
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)`` in image order."""
         return apply_leaf_sets(self.tree, self._held, patterns, channels)

@@ -119,6 +119,11 @@ class MultilevelTransport(LevelTransport[PairSet]):
             result[first : first + _BATCH] = spread[..., self.tree.inverse]
         return result
 
+    def spread_pairs(self) -> Iterator[tuple[PairSet, Spread]]:
+        """Yield each level's pairs, and how their responses are spread over their blocks."""
+        for index, pairs in enumerate(self.pair_sets):
+            yield pairs, self._spread(index, pairs)
+
     @cached_property
     def _spreads(self) -> dict[int, Spread]:
         return {}
@@ -169,9 +174,8 @@ class MultilevelTransport(LevelTransport[PairSet]):
         """Yield each level's pairs, how they are spread, and the values of some channels."""
         chosen = list(channels)
         every = chosen == list(range(self.channels))
-        for index, pairs in enumerate(self.pair_sets):
-            values = pairs.values if every else pairs.values[chosen]
-            yield pairs, self._spread(index, pairs), values
+        for pairs, spread in self.spread_pairs():
+            yield pairs, spread, pairs.values if every else pairs.values[chosen]
 
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
         """Give what was subdivided at `level` of the blocks the sum of what was stored below it."""

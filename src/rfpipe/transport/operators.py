@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.base import PatternOperator
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import LinearOperator
 
-__all__ = ["Transportish", "as_pattern_operator"]
+__all__ = ["PatternOperator", "Transportish", "as_pattern_operator"]
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
@@ -29,6 +28,21 @@ PATTERNS_AT_ONCE = 16
 
 ALIGNMENT = 64
 """Rows and columns of a dense matrix are filled up to multiples of this."""
+
+
+class PatternOperator(Protocol):
+    """Light transport as a function of patterns.
+
+    The image of a pattern must not depend, to the last bit, on the patterns that it comes with:
+    else a capture that was resumed in the middle of a batch differs from an undisturbed one.
+    """
+
+    @property
+    def channels(self) -> int:
+        """Colour channels, 1 or 3."""
+
+    def apply(self, patterns: Float) -> NDArray[Any]:
+        """Return the images (B, camera rays, C) of patterns (B, projector rays)."""
 
 
 def as_pattern_operator(matrix: Transportish, rows: int, columns: int) -> PatternOperator:

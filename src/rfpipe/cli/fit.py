@@ -1,0 +1,103 @@
+"""``rfpipe fit``: light transport from a folder of pictures and their patterns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+__all__ = ["fit"]
+
+
+def fit(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FOLDER",
+            help="Pictures in its folder 'pictures' or in itself, patterns as pictures in its "
+            "folder 'patterns' or in patterns.npy, (pictures, H, W).",
+        ),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="The transport to write, such as transport.zarr.")
+    ],
+    lights: Annotated[
+        tuple[int, int] | None,
+        typer.Option(
+            metavar="ROWS COLUMNS",
+            help="One light at a time instead of patterns, OLAT: how the lights stand; 1 N for a "
+            "light stage.",
+        ),
+    ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(
+            help="A run's settings whose camera took the pictures: their brackets are merged, and "
+            "their noise is known. Without it, pictures are light, one for each pattern."
+        ),
+    ] = None,
+    black: Annotated[
+        Path | None, typer.Option(help="A picture without light to subtract, or a folder of some.")
+    ] = None,
+    transfer: Annotated[
+        Literal["linear", "srgb"], typer.Option(help="What integers in pictures stand for.")
+    ] = "linear",
+    reduce: Annotated[
+        int, typer.Option(min=1, help="Take the mean of so many by so many camera pixels as a ray.")
+    ] = 1,
+    coaxial: Annotated[
+        bool,
+        typer.Option(
+            "--coaxial", help="Camera and projector share their rays: few patterns then suffice."
+        ),
+    ] = False,
+    model: Annotated[
+        Literal["best", "linear", "near_far"],
+        typer.Option(
+            help="linear: regularised least squares; near_far: direct and smooth indirect light, "
+            "of coaxial rigs; best: what predicts left-out pictures better."
+        ),
+    ] = "best",
+) -> None:
+    """Find the light transport behind pictures of patterns that were chosen elsewhere.
+
+    Patterns may be one light at a time, Hadamard, random or any others, as weights of light.
+    Where they tell of each projector ray by itself, the transport follows directly; where they are
+    few, from what is most probable. How far it is off is estimated from pictures that are left
+    out. The transport opens in Python by rfpipe.open_transport, and relights by 'rfpipe relight'.
+    """
+    import logging
+
+    from rfpipe.config import load_config
+    from rfpipe.errors import InputError
+    from rfpipe.fitting import fit_transport, read_series
+    from rfpipe.fitting.folder import FolderOptions
+    from rfpipe.photometry import CameraModel, sensor_from_config
+    from rfpipe.transport import save_transport
+
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger("rfpipe").setLevel(logging.INFO)
+    camera = None
+    if settings is not None:
+        sensor = sensor_from_config(load_config(settings).camera)
+        if not isinstance(sensor, CameraModel):
+            raise InputError(f"{settings}: camera is null; without --settings pictures are light")
+        camera = sensor
+    series = read_series(folder, FolderOptions(lights, camera, black, transfer, reduce))
+    found = fit_transport(series, coaxial=coaxial, model=model)
+    save_transport(found.transport, output, scene=folder.name, method=f"fit, {found.model}")
+    count, rays = series.patterns.shape
+    typer.echo(
+        f"{output}: {count} pictures of {rays} projector rays "
+        f"({'complete' if found.complete else f'{series.rank} independent'}), by {found.model}"
+    )
+    for name, error in found.errors.items():
+        typer.echo(f"left-out pictures ({found.held_out}) are off by {error:.2%} by {name}")
+    if found.noise is not None:
+        typer.echo(f"relit pictures are off by {found.noise:.2%} for the pictures' noise")
+    if found.error is None:
+        typer.echo(
+            "no error is known: each pattern is needed, and nothing is known of noise. Take some "
+            "patterns twice, or give --settings, or a few more patterns"
+        )

@@ -1,0 +1,102 @@
+"""``rfpipe patterns`` and ``rfpipe import``: acquisitions whose pictures are taken elsewhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from rfpipe.rigs.offline import Sheet
+
+__all__ = ["import_", "patterns"]
+
+
+def patterns(
+    config: Annotated[
+        Path,
+        typer.Argument(metavar="CONFIG", help="A YAML file of settings: capture.rig offline."),
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder of the sheets; each has one in it.")
+    ] = Path("patterns"),
+    results: Annotated[Path, typer.Option(help="Where the results lie, or are to lie.")] = Path(
+        "results"
+    ),
+) -> None:
+    """Write the pictures that a projector is to show next, where the pictures are taken elsewhere.
+
+    For each scene and method a sheet, a folder of PNGs at the projector's resolution, numbered in
+    the order of showing, with patterns.json, which names each. Take a bracket of each picture, all
+    of one exposure after the other or in any order within a bracket, and lay the files into the
+    sheet's folder 'pictures'; then 'rfpipe import' reads them, and writes the next sheet, until
+    nothing is asked for. What is captured already isn't asked for again.
+    """
+    from rfpipe.config import load_config
+    from rfpipe.stages.offline import OfflineAcquisition
+
+    settings = load_config(config)
+    for scene, name in settings.acquisitions:
+        acquisition = OfflineAcquisition(settings, scene, name, results / scene / name)
+        rig = acquisition.rig()
+        level = acquisition.advance(rig)
+        sheet = None if level is None else acquisition.write(rig, output, config, results)
+        _tell(f"{scene} by {name}", sheet, results / scene / name, config)
+
+
+def import_(
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="FOLDER", help="A sheet's folder, as 'rfpipe patterns' wrote it."),
+    ],
+    pictures: Annotated[
+        Path | None,
+        typer.Option(help="Folder of the pictures; 'pictures' in the sheet's folder by default."),
+    ] = None,
+    anyway: Annotated[
+        bool, typer.Option("--anyway", help="Take pictures that are too bright or dark, too.")
+    ] = False,
+) -> None:
+    """Read the pictures that were taken of a sheet's patterns, go on, and write the next sheet.
+
+    Pictures are TIFF, PNG, EXR or raw files, which sort by the numbers in their names as they were
+    taken, a bracket's exposures together. All are checked before any is kept: number, size,
+    channels, bits, exposure times where the files say them, saturation, and, by the marker frames,
+    order; pictures before and after the markers are left out.
+    """
+    from rfpipe.config import load_config
+    from rfpipe.rigs.offline import read_sheet
+    from rfpipe.stages.offline import PICTURES, OfflineAcquisition
+
+    sheet = read_sheet(folder)
+    about = sheet.about
+    config, results = Path(about["settings"]), Path(about["results"])
+    scene, name = about["scene"], about["method"]
+    acquisition = OfflineAcquisition(load_config(config), scene, name, results / scene / name)
+    checked = acquisition.read(sheet, pictures or folder / PICTURES, anyway=anyway)
+    for note in checked.notes:
+        typer.echo(f"{folder}: {note}", err=True)
+    rig = acquisition.rig(checked)
+    level = acquisition.advance(rig)
+    typer.echo(f"{folder}: {len(checked.files)} brackets imported")
+    further = None if level is None else acquisition.write(rig, folder.parent, config, results)
+    _tell(f"{scene} by {name}", further, results / scene / name, config)
+
+
+def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> None:
+    """Say what is to be done next."""
+    if sheet is None:
+        typer.echo(
+            f"{acquisition}: nothing more is asked for; the transport is "
+            f'{folder / "transport.zarr"}. For the report: make run ARGS="--configfile {config}"'
+        )
+        return
+    about: dict[str, Any] = sheet.about
+    each = ", ".join(f"{seconds:g}" for seconds in sheet.exposures_s)
+    typer.echo(
+        f"{acquisition}: level {about['level']} asks for {sheet.patterns} patterns"
+        f"{' and 3 markers' if sheet.has_markers else ''}. Show {sheet.folder}/*.png in their "
+        f"order, take of each the exposures {each} s, put the pictures into "
+        f"{sheet.folder / 'pictures'}, then: rfpipe import {sheet.folder}"
+    )

@@ -1,0 +1,121 @@
+"""`rfpipe view`: a transport as a page that any browser opens."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rfpipe.errors import InputError
+
+if TYPE_CHECKING:
+    from rfpipe.transport import Transport
+    from rfpipe.viewer import Compared
+
+__all__ = ["view"]
+
+_PICTURES = (".exr", ".png", ".tif", ".tiff", ".jpg", ".jpeg", ".hdr")
+_EIGHT_BITS = (".png", ".jpg", ".jpeg")
+
+
+def view(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="TRANSPORT",
+            help="A transport.zarr that a run left in results/, or the folder that holds one.",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Page to write; by default SCENE_METHOD.html, in this folder."
+        ),
+    ] = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PATH",
+            help="Another transport of the same rays, or a picture of the camera's size (.exr in "
+            "the transport's radiance; of 8-bit pictures white is the page's), to wipe to.",
+        ),
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="As --compare; the differences are called errors."),
+    ] = None,
+    title: Annotated[str | None, typer.Option(help="Heading of the page.")] = None,
+    largest: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            help="Megabytes of data beyond which a folder for a web server is written in place of "
+            "one page.",
+        ),
+    ] = 30.0,
+) -> None:
+    """Write a page that lights the scene in any browser: offline, from one file, no server.
+
+    Drag a spot, a bar or a brush over the scene, take a picture as light, click a pixel to see
+    where its light comes from, go through the levels, light the camera's side; docs/viewer.md has
+    all of it. Large transports become a folder that any static web server serves, read coarse
+    first.
+
+    For example: rfpipe view results/planes_iv/symmetric -o scene.html
+    """
+    from rfpipe.viewer import write_view
+    from rfpipe.viewer.stored import find_transport, view_of
+
+    if compare is not None and truth is not None:
+        raise InputError("--compare and --truth: give one of them, a page has one comparison")
+    store = find_transport(path)
+    shown, kept = view_of(store, title)
+    beside = compare or truth
+    if beside is not None:
+        compared = _compared(beside, shown.transport, is_truth=truth is not None)
+        shown, kept = view_of(store, title, compared)
+    names = [str(kept[name]) for name in ("scene", "method") if kept.get(name)]
+    page = output or Path(f"{'_'.join(names) or store.stem}.html")
+    written = write_view(shown, page, round(largest * 1e6))
+    typer.echo(f"{written.page}: {written.nbytes / 1e6:.1f} MB, levels {_listed(written.levels)}")
+    if written.left_out:
+        typer.echo(f"one page had no room for the levels {_listed(written.left_out)} by themselves")
+    if written.is_folder:
+        typer.echo(
+            f"larger than {largest:g} MB as one page, so a folder: put it on a web server, or "
+            f"look at it with: python -m http.server --directory {written.page.parent}"
+        )
+
+
+def _compared(path: Path, transport: Transport, *, is_truth: bool) -> Compared:
+    """Read what to compare with: a transport, or a picture."""
+    from rfpipe.blocks import RayDomain
+    from rfpipe.pictures.images import read_image
+    from rfpipe.viewer import Compared
+    from rfpipe.viewer.stored import find_transport, view_of
+
+    if path.suffix.lower() not in _PICTURES:
+        other, _ = view_of(find_transport(path))
+        return Compared(other.transport, "truth" if is_truth else other.title, is_truth)
+    picture = read_image(path)
+    if path.suffix.lower() in _EIGHT_BITS:
+        import numpy as np
+
+        from rfpipe.viewer.build import white_of
+
+        low, high = picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4
+        linear = np.where(picture <= 0.04045, low, high) * white_of(transport)
+        picture = linear.astype(np.float32)
+    expected = RayDomain(transport.camera_shape).picture_shape
+    if picture.shape[:2] != expected:
+        raise InputError(
+            f"{path}: is {picture.shape[0]} x {picture.shape[1]} pixels; expected {expected[0]} x "
+            f"{expected[1]}, the camera's rays, several views one above the other; resize it"
+        )
+    picture = picture.reshape(*transport.camera_shape, *picture.shape[2:])
+    return Compared(picture, path.name, is_truth)
+
+
+def _listed(levels: list[int]) -> str:
+    return ", ".join(map(str, levels))

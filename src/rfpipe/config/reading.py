@@ -1,0 +1,104 @@
+"""Reading YAML files of settings: what can't be meant is an error that names its line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from rfpipe.errors import ConfigError
+
+__all__ = ["read_yaml"]
+
+_DEEPEST = 100
+_LONGEST_NUMBER = 400
+_MORE_THAN_ONE_NUMBER = re.compile(r"[-+]?(0[0-9_]+|[0-9][0-9_]*(:[0-9]{1,2})+(\.[0-9_]*)?)")
+"""Octal with a leading zero, and sixties with colons: 010 is 8 and 1:30 is 90 in YAML 1.1."""
+
+
+def read_yaml(path: str | Path) -> object:
+    """Read a YAML file; an empty one is no settings.
+
+    Raises
+    ------
+    ConfigError
+        When it can't be read, isn't UTF-8 or YAML, has a key twice or one that is no text, is
+        nested deeper than 100, or holds what may be meant as one of two numbers: with its place.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: can't be read as a settings file: {error}") from error
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content[: error.start].count(b"\n") + 1
+        raise ConfigError(
+            f"{path}: line {line}: can't be read as a settings file: byte "
+            f"0x{content[error.start]:02x} is no UTF-8; save the file in the encoding UTF-8"
+        ) from None
+    try:
+        data = yaml.load(text, Loader=_Loader)
+    except yaml.YAMLError as error:
+        said = str(error).replace('"<unicode string>"', f'"{path}"')
+        raise ConfigError(f"{path}: is not valid YAML: {said}") from error
+    return {} if data is None else data
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML's safe loader, stricter."""
+
+    def __init__(self, stream: Any) -> None:
+        super().__init__(stream)
+        self._depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        self._depth += 1
+        if self._depth > _DEEPEST:
+            raise _wrong(
+                f"brackets or indents are nested deeper than {_DEEPEST}; is one not closed?",
+                self.peek_event().start_mark,  # type: ignore[no-untyped-call]
+            )
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        return node
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key_node, _ in node.value:
+            if not isinstance(key_node, yaml.ScalarNode):
+                kind = "list" if isinstance(key_node, yaml.SequenceNode) else "group"
+                raise _wrong(f"a key is a {kind}; expected a name", key_node.start_mark)
+            key = key_node.value
+            if key in seen:
+                raise _wrong(f"the key {key!r} stands twice; remove one", key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+    def checked_scalar(self, node: yaml.ScalarNode) -> Any:
+        """Construct a number or a text, unless it could be meant as one of two numbers."""
+        text = str(node.value)
+        if node.style is None and _MORE_THAN_ONE_NUMBER.fullmatch(text):
+            raise _wrong(
+                f"{text} may be meant as one of two numbers: a leading 0 means octal in YAML, and "
+                "colons sixties. Write a decimal number without them, or put it in quotes if it "
+                "is a text",
+                node.start_mark,
+            )
+        if node.tag.endswith((":int", ":float")) and len(text) > _LONGEST_NUMBER:
+            raise _wrong(f"a number has {len(text):,} digits", node.start_mark)
+        construct = yaml.SafeLoader.yaml_constructors[node.tag]
+        try:
+            return construct(self, node)
+        except (ValueError, OverflowError) as error:
+            raise _wrong(f"{text[:40]}: {error}", node.start_mark) from None
+
+
+for _kind in ("int", "float", "str", "timestamp"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_kind}", _Loader.checked_scalar)
+
+
+def _wrong(what: str, mark: yaml.Mark | None) -> yaml.constructor.ConstructorError:
+    return yaml.constructor.ConstructorError(None, None, what, mark)

@@ -1,0 +1,127 @@
+"""Many pictures relit: each in a file, or all in a movie."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
+from rfpipe.export.movies import write_movie
+from rfpipe.export.paths import LightPath
+from rfpipe.export.scales import Scale
+from rfpipe.pictures.images import srgb
+from rfpipe.transport.base import Light
+
+__all__ = ["relit_movie", "relit_pictures"]
+
+Float = NDArray[np.float32]
+
+_WHITE = 99.9  # per cent of a frame's samples that are not cut off
+
+
+def relit_pictures(
+    light: Light, patterns: Iterable[Float], scale: Scale | None = None, view: int | None = None
+) -> Iterator[Float]:
+    """Yield the pictures under patterns, a few at a time in memory.
+
+    Parameters
+    ----------
+    light : Light
+    patterns : iterable of ndarray, shape (*projector_shape) or (*projector_shape, channels)
+        As `Light.relight` takes them.
+    scale : Scale, optional
+    view : int, optional
+        The one of several views to show; all of them, one above the other, by default.
+
+    Yields
+    ------
+    ndarray of float32, shape (H, W, C)
+        Radiance.
+
+    Raises
+    ------
+    InputError
+        If there is no such view, or a pattern isn't one.
+    """
+    domain = RayDomain(light.camera_shape)
+    if view is not None and not 0 <= view < domain.views:
+        raise InputError(f"view {view}: the camera's rays have views 0 to {domain.views - 1}")
+    for pattern in patterns:
+        image = light.relight(pattern).reshape(*domain.stack_shape, light.channels)
+        shown = image.reshape(*domain.picture_shape, -1) if view is None else image[view]
+        yield (scale or Scale()).apply(shown)
+
+
+def relit_movie(
+    light: Light,
+    path: Path,
+    lights: LightPath,
+    *,
+    fps: float = 25,
+    scale: Scale | None = None,
+    white: float | None = None,
+    view: int | None = None,
+    progress: bool = False,
+) -> float:
+    """Write the movie of a light path.
+
+    Parameters
+    ----------
+    light : Light
+    path : path
+        Ends in ``.mp4`` or ``.webm``.
+    lights : LightPath
+        Of the projector's rays.
+    fps : float
+        Pictures a second.
+    scale : Scale, optional
+    white : float, optional
+        Radiance shown as white; by default all but the brightest thousandth of the samples of the
+        brightest picture are shown as they are, for which all is relit twice.
+    view : int, optional
+        The one of several views to show.
+    progress : bool
+        Whether to show on stderr how far it is, if that is a terminal.
+
+    Returns
+    -------
+    float
+        Radiance shown as white.
+
+    Raises
+    ------
+    InputError
+        As `relit_pictures` and `write_movie`.
+    StoreError
+        As `write_movie`.
+    """
+    from tqdm import tqdm
+
+    def relit(scale: Scale | None, what: str) -> Iterator[Float]:
+        pictures = relit_pictures(light, _each(lights), scale, view)
+        return iter(
+            tqdm(pictures, what, lights.count, unit="picture", disable=None if progress else True)
+        )
+
+    if white is None:
+        brightest = (float(np.percentile(image, _WHITE)) for image in relit(None, "white"))
+        white = max(brightest) or 1.0
+    if not 0 < white < float("inf"):
+        raise InputError(f"white is {white}; expected a radiance above 0")
+    shown = (_eight_bits(image, white) for image in relit(scale, str(path)))
+    write_movie(path, shown, fps)
+    return white
+
+
+def _each(lights: LightPath) -> Iterator[Float]:
+    for index in range(lights.count):
+        yield lights.batch(index, index + 1)[0]
+
+
+def _eight_bits(image: Float, white: float) -> NDArray[np.uint8]:
+    shown: NDArray[np.uint8] = np.rint(255 * srgb(image, white)).astype(np.uint8)
+    return shown

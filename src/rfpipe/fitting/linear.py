@@ -1,0 +1,244 @@
+"""Regularised least squares: the transport of each camera ray from all pictures.
+
+A row t of T is taken for a Gaussian process over the projector's rays: its entries are equally
+large and, over some distance, alike. With patterns P, pictures ``y = P t`` of variance V and the
+prior's covariance K, ``t = K P^T (P K P^T + V / s)^-1 y``, s the prior's variance. One eigenvalue
+decomposition serves all rays. Where V is known, the distance, and s beside the brightness of a ray,
+are those under which the pictures are most probable. Where it isn't, complete patterns are solved
+directly, and for others cross-validation chooses. Where the patterns are complete and noise is
+small, all of them come to the direct solution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.fitting.series import Series
+from rfpipe.transport.base import Transport
+from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.low_rank import LowRankTransport
+
+__all__ = ["Linear", "solve_linear"]
+
+Float = NDArray[np.float32]
+Double = NDArray[np.float64]
+
+# Entries of a row share a mean, whose variance is that of an entry.
+_MEAN = 1.0
+# What keeps the direct solution from dividing by rounding.
+_DIRECT = 1e-13
+# Noise to signal, squared, among which the most probable is sought.
+_RIDGES: Double = np.logspace(-10, 2, 25)
+# Distances, in rays, over which entries may be alike.
+_SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
+# Cross-validation takes the least ridge whose score is within this part of the best one's.
+_AS_GOOD = 0.02
+# Eigenvalues below this part of the largest one are rounding; so is noise below it.
+_ROUNDING = 1e-13
+# Rays whose likelihood is looked at to choose the prior: enough of any picture.
+_LOOKED_AT = 512
+# Of the brightest ray, what every ray is taken to have at least.
+_DIMMEST = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The solution.
+
+    Attributes
+    ----------
+    left : ndarray of float32, shape (C, K, M)
+        Weights of each camera ray.
+    right : ndarray of float32, shape (K, N)
+        Functions of the projector's rays.
+    scale : float
+        Distance in rays over which entries are taken to be alike; 0 for none.
+    noise : ndarray of float64, shape (C, K, M)
+        Variance of `left` that the pictures' variance makes.
+    """
+
+    left: Float
+    right: Float
+    scale: float
+    noise: Float
+
+    def transport(self, series: Series, rows: list[dict[str, Any]]) -> Transport:
+        """Return it as a transport, as whichever of two kinds is smaller."""
+        channels, terms, rays = self.left.shape
+        lights = self.right.shape[1]
+        shapes = series.camera_shape, series.projector_shape
+        if terms * (rays + lights) >= rays * lights:
+            matrix = np.stack([left.T @ self.right for left in self.left])
+            return DenseTransport(*shapes, channels, rows, {"matrix": matrix})
+        arrays = {
+            "left": self.left,
+            "right": np.broadcast_to(self.right, (channels, terms, lights)).copy(),
+            "strengths": np.ones((channels, terms), np.float32),
+            "term_level": np.zeros(terms, np.int32),
+        }
+        return LowRankTransport(*shapes, channels, rows, arrays)
+
+    def noise_of(self, patterns: Float) -> Double:
+        """Return the variance of relit pictures (P, C, M) that the pictures' variance makes."""
+        shares = np.square(patterns.astype(np.float64) @ self.right.T.astype(np.float64))
+        spread: Double = np.einsum("pk,ckm->pcm", shares, self.noise, dtype=np.float64)
+        return spread
+
+
+def solve_linear(series: Series) -> Linear:
+    """Find the transport's rows.
+
+    Parameters
+    ----------
+    series : Series
+    """
+    weights = _of_pictures(series)
+    is_known = bool(series.variance.any())
+    if not is_known and series.is_complete:
+        return _Basis.of(series, weights, 0.0).solved(series, weights, _DIRECT)
+    looked = _looked_at(series)
+    seen = series.radiance[:, :, looked].astype(np.float64) * weights[:, None, None]
+    gain = _gains(series)[:, looked]
+    spread = series.variance[:, :, looked] * np.square(weights)[:, None, None]
+    noise = spread.mean(axis=0, dtype=np.float64)
+    best: tuple[float, _Basis, float] | None = None
+    for scale in _scales(series.projector_shape):
+        basis = _Basis.of(series, weights, scale)
+        scores = basis.surprises(seen, gain, noise) if is_known else basis.misses(seen, gain)
+        good = scores.min() if is_known else (1 + _AS_GOOD) * scores.min()
+        index = int(np.argmax(scores <= good))
+        if best is None or scores[index] < best[0]:
+            best = float(scores[index]), basis, float(_RIDGES[index])
+    assert best is not None
+    _, basis, ridge = best
+    return basis.solved(series, weights, ridge)
+
+
+@dataclass(frozen=True, eq=False)
+class _Basis:
+    """Patterns under a prior, decomposed.
+
+    Attributes
+    ----------
+    values : ndarray of float64, shape (R,)
+        Of the pictures' covariance under the prior, relative to the largest; not zero.
+    vectors : ndarray of float64, shape (K, R)
+    right : ndarray of float64, shape (R, N)
+    """
+
+    values: Double
+    vectors: Double
+    right: Double
+    scale: float
+
+    @classmethod
+    def of(cls, series: Series, weights: Double, scale: float) -> _Basis:
+        """Decompose weighted patterns under a prior of one scale."""
+        patterns = series.patterns.astype(np.float64) * weights[:, None]
+        spread = _spread(patterns, series.projector_shape, scale)
+        values, vectors = np.linalg.eigh(patterns @ spread.T)
+        largest = max(float(values[-1]), np.finfo(np.float64).tiny)
+        kept = values > _ROUNDING * largest
+        values, vectors = values[kept][::-1], vectors[:, kept][:, ::-1]
+        return cls(values / largest, vectors, (vectors.T @ spread) / largest, scale)
+
+    def surprises(self, seen: Double, gain: Double, noise: Double) -> Double:
+        """Return how improbable pictures (K, C, m) of known noise (C, m) are at each ridge."""
+        told, rest, silent = self._told(seen)
+        shining = noise > 0
+        found = np.empty(len(_RIDGES))
+        for index, ridge in enumerate(_RIDGES):
+            own = ridge * gain
+            variance = self.values[:, None, None] + own
+            unit = np.where(shining, noise, 1) / own
+            misfit = (told / variance).sum(axis=0) + (rest / own if silent else 0)
+            logs = np.log(variance).sum(axis=0) + silent * np.log(own)
+            score = len(seen) * np.log(unit) + logs + misfit / unit
+            found[index] = float(score[shining].sum())
+        return found
+
+    def misses(self, seen: Double, gain: Double) -> Double:
+        """Return the generalised cross-validation score of pictures (K, C, m) at each ridge."""
+        told, rest, silent = self._told(seen)
+        light = np.maximum(np.square(seen).sum(axis=0), np.finfo(np.float64).tiny)
+        found = np.empty(len(_RIDGES))
+        for index, ridge in enumerate(_RIDGES):
+            own = ridge * gain
+            left = own / (self.values[:, None, None] + own)
+            missed = (np.square(left) * told).sum(axis=0) + rest
+            free = left.sum(axis=0) + silent
+            found[index] = float((missed / np.square(free) / light).mean())
+        return found
+
+    def _told(self, seen: Double) -> tuple[Double, Double, int]:
+        """Return pictures' squares along the vectors, what is left of them, and of how many."""
+        told = np.square(np.einsum("kr,kcm->rcm", self.vectors, seen, optimize=True))
+        rest = np.maximum(np.square(seen).sum(axis=0) - told.sum(axis=0), 0)
+        return told, rest, len(self.vectors) - len(self.values)
+
+    def solved(self, series: Series, weights: Double, ridge: float) -> Linear:
+        """Return the rows at a ridge."""
+        rays = series.radiance.shape[2]
+        left = np.empty((series.channels, len(self.values), rays), np.float32)
+        noise = np.empty_like(left)
+        gain = _gains(series)
+        for channel in range(series.channels):
+            own = 1 / (self.values[:, None] + ridge * gain[channel])
+            seen = series.radiance[:, channel].astype(np.float64) * weights[:, None]
+            left[channel] = own * (self.vectors.T @ seen)
+            spread = series.variance[:, channel] * np.square(weights)[:, None]
+            noise[channel] = np.square(own) * (np.square(self.vectors).T @ spread)
+        return Linear(left, self.right.astype(np.float32), self.scale, noise)
+
+
+def _of_pictures(series: Series) -> Double:
+    """Return what each picture's deviations count, (K,): the inverse of its mean one."""
+    spread = series.variance.mean(axis=(1, 2), dtype=np.float64)
+    if not spread.any():
+        return np.ones(len(spread))
+    # a picture of no noise at all is one of which nothing was known
+    return np.asarray(1 / np.sqrt(np.maximum(spread / spread.mean(), 1e-3)))
+
+
+def _gains(series: Series) -> Double:
+    """Return the variance of each ray's pictures over its squared brightness, (C, M), of mean 1."""
+    light = np.sqrt(np.square(series.radiance, dtype=np.float64).mean(axis=0))
+    light = np.maximum(light, _DIMMEST * max(float(light.max()), float(np.finfo(np.float32).tiny)))
+    spread = series.variance.mean(axis=0, dtype=np.float64)
+    if not spread.any():  # nothing is known: as many per cent of every ray
+        return np.ones_like(light)
+    gain = np.maximum(spread, 1e-3 * spread.mean()) / np.square(light)
+    return np.asarray(gain / np.median(gain))
+
+
+def _scales(shape: tuple[int, ...]) -> list[float]:
+    """Return the distances to try, in rays."""
+    longest = max(RayDomain(shape).image_shape)
+    return [0.0, *(scale for scale in _SCALES if 2 * scale <= longest)]
+
+
+def _spread(patterns: Double, shape: tuple[int, ...], scale: float) -> Double:
+    """Return the patterns (K, N) times the prior's covariance."""
+    from scipy.ndimage import gaussian_filter
+
+    spread = patterns
+    if scale:
+        images = patterns.reshape(len(patterns), *RayDomain(shape).stack_shape)
+        sigma = (0, 0, scale, scale)
+        filtered = gaussian_filter(images, sigma, mode="constant", truncate=6)
+        own = np.zeros(tuple(2 * int(6 * scale) + 1 for _ in range(2)))
+        own[own.shape[0] // 2, own.shape[1] // 2] = 1
+        peak = gaussian_filter(own, scale, mode="constant", truncate=6).max()
+        spread = filtered.reshape(patterns.shape) / peak
+    return np.asarray(spread + _MEAN * patterns.sum(axis=1, keepdims=True))
+
+
+def _looked_at(series: Series) -> NDArray[np.int64]:
+    """Return some of the camera rays, evenly spread."""
+    rays = series.radiance.shape[2]
+    return np.unique(np.linspace(0, rays - 1, min(rays, _LOOKED_AT)).astype(np.int64))

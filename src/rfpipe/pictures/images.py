@@ -1,0 +1,158 @@
+"""Pictures: files in and out, by OpenImageIO, and radiance rendered for a screen."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError
+
+__all__ = ["png_bytes", "read_image", "resized", "scaled", "srgb", "write_image"]
+
+_SUFFIXES = (".exr", ".png")
+_LARGEST = 32_768
+
+
+def read_image(path: Path) -> NDArray[np.float32]:
+    """Read a picture as linear weights.
+
+    Parameters
+    ----------
+    path
+        A file of any format that OpenImageIO reads. Integers are scaled to [0, 1]; no transfer
+        curve is undone. Alpha is left out.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W) or (H, W, 3)
+
+    Raises
+    ------
+    InputError
+        When the file can't be read, or has neither one channel nor R, G and B.
+    """
+    import OpenImageIO as oiio
+
+    picture = oiio.ImageBuf(str(path))
+    pixels = picture.get_pixels(oiio.FLOAT) if picture.read() else None
+    if pixels is None:
+        raise InputError(f"{path}: can't be read as a picture: {picture.geterror()}")
+    names = list(picture.spec().channelnames)
+    if {"R", "G", "B"} <= set(names):  # in a file they stand in any order
+        return pixels[..., [names.index(name) for name in "RGB"]]
+    light = [index for index, name in enumerate(names) if name != "A"]
+    if len(light) == 1:
+        return pixels[..., light[0]]
+    raise InputError(f"{path}: has the channels {names}; expected one channel, or R, G and B")
+
+
+def write_image(
+    path: Path,
+    image: NDArray[np.floating],
+    white: float | None = None,
+    about: Mapping[str, str] | None = None,
+) -> None:
+    """Write radiance as a picture.
+
+    Parameters
+    ----------
+    path
+        ``.exr`` keeps the radiance (float32); ``.png`` is for looking at: 8 bits, sRGB.
+    image
+        Radiance, shape (H, W, 1) or (H, W, 3).
+    white
+        Radiance shown as white in a PNG; the image's maximum when None.
+    about
+        What the file says of itself, as attributes of its header.
+
+    Raises
+    ------
+    InputError
+        When the suffix is another one, or the file can't be written.
+    """
+    import OpenImageIO as oiio
+
+    if path.suffix.lower() not in _SUFFIXES:
+        raise InputError(f"{path}: expected a name that ends in {' or '.join(_SUFFIXES)}")
+    pixels, kind = image, "float"
+    if path.suffix.lower() == ".png":
+        top = float(image.max()) if white is None else white
+        pixels, kind = srgb(image, top or 1.0)[..., : image.shape[-1]], "uint8"
+    picture = oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
+    for name, text in (about or {}).items():
+        picture.specmod().attribute(name, text)
+    if not picture.write(str(path), kind):
+        raise InputError(f"{path}: can't be written: {picture.geterror()}")
+
+
+def png_bytes(image: NDArray[np.floating], white: float) -> bytes:
+    """Return radiance ``(H, W, 1)`` or ``(H, W, 3)`` as a PNG file of 8 bits, sRGB."""
+    from matplotlib.image import imsave
+
+    buffer = io.BytesIO()
+    imsave(buffer, srgb(image, white), format="png", metadata={"Software": ""})
+    return buffer.getvalue()
+
+
+def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
+    """Render radiance for a screen.
+
+    Parameters
+    ----------
+    radiance : ndarray, shape (*shape, C)
+        C is 1 or 3.
+    white : float
+        Radiance shown as white; more is cut off.
+
+    Returns
+    -------
+    ndarray of float64, shape (*shape, 3)
+        In [0, 1], with the transfer curve of sRGB (IEC 61966-2-1).
+    """
+    linear = np.clip(np.asarray(radiance, np.float64) / white, 0, 1)
+    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    rgb: NDArray[np.float64] = np.broadcast_to(shown, (*shown.shape[:-1], 3))
+    return rgb
+
+
+def scaled(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
+    """Return a picture (H, W, C) so many times as large; by whole numbers of pixels or smoothly.
+
+    Raises
+    ------
+    InputError
+        When less than a pixel or more than 32,768 a side would be left.
+    """
+    height, width = (round(extent * factor) for extent in image.shape[:2])
+    if min(height, width) < 1 or max(height, width) > _LARGEST:
+        raise InputError(
+            f"--scale {factor:g} makes {height} x {width} pixels; expected 1 to {_LARGEST:,} a side"
+        )
+    if factor == int(factor):
+        return image.repeat(int(factor), axis=0).repeat(int(factor), axis=1)
+    return resized(image, (height, width))
+
+
+def resized(picture: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return a picture (H, W) or (H, W, C) at another size: pixels averaged, or interpolated.
+
+    Raises
+    ------
+    InputError
+        When it can't be resized.
+    """
+    import OpenImageIO as oiio
+
+    source = oiio.ImageBuf(np.ascontiguousarray(np.atleast_3d(picture), np.float32))
+    height, width = shape
+    roi = oiio.ROI(0, width, 0, height, 0, 1, 0, source.nchannels)
+    found = oiio.ImageBufAlgo.resize(source, "triangle", 0.0, roi)
+    if found.has_error:
+        raise InputError(f"a picture can't be resized to {height} x {width}: {found.geterror()}")
+    pixels = np.asarray(found.get_pixels(oiio.FLOAT), np.float32)
+    return pixels.reshape(height, width, *picture.shape[2:])

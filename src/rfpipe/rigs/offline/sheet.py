@@ -1,0 +1,173 @@
+"""What is to be shown next: pictures for the projector, and a manifest that names them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError, StoreError
+from rfpipe.pictures import write_code_picture
+from rfpipe.provenance import fingerprint
+from rfpipe.rigs.base import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY, Key
+from rfpipe.rigs.offline.rig import OfflineRig
+from rfpipe.store import read_manifest, write_manifest
+
+__all__ = ["MANIFEST", "MARKERS_FIRST", "Sheet", "Shown", "read_sheet", "write_sheet"]
+
+MANIFEST = "patterns.json"
+"""Beside the pictures that it names."""
+
+MARKERS_FIRST = 2
+"""Markers before the patterns: one and its opposite, which comes again after the last."""
+
+_NAMES = {BLACK_LEVEL_KEY: "black", FLOODLIT_KEY: "white", SYMMETRY_KEY: "random"}
+_MARKER = "marker"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture to show, and to take a bracket of.
+
+    Attributes
+    ----------
+    file : str
+        Its name in the folder.
+    key : tuple of int, or None
+        What the acquisition calls it; None of a marker.
+    pattern : str
+        Fingerprint of its weights.
+    """
+
+    file: str
+    key: Key | None
+    pattern: str
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """All that is to be shown before an acquisition can go on.
+
+    Attributes
+    ----------
+    folder : Path
+    about : dict
+        Plain data: settings file, results' folder, scene, method, level.
+    exposures_s : tuple of float
+        Of each bracket, ascending, in seconds.
+    picture_size : (int, int)
+        Height and width of the pictures to be taken.
+    shown : tuple of Shown
+        In the order of showing.
+    """
+
+    folder: Path
+    about: dict[str, Any]
+    exposures_s: tuple[float, ...]
+    picture_size: tuple[int, int]
+    shown: tuple[Shown, ...] = field(default=())
+
+    @property
+    def has_markers(self) -> bool:
+        """Whether it begins and ends with markers."""
+        return bool(self.shown) and self.shown[0].key is None
+
+    @property
+    def patterns(self) -> int:
+        """Patterns to show, markers left out."""
+        return sum(each.key is not None for each in self.shown)
+
+
+def write_sheet(
+    rig: OfflineRig,
+    folder: Path,
+    asked: Iterable[tuple[Key, NDArray[np.float32]]],
+    about: dict[str, Any],
+    *,
+    gamma: float,
+    markers: bool,
+) -> Sheet:
+    """Write the pictures of patterns that are asked for, and last the manifest.
+
+    Parameters
+    ----------
+    rig : OfflineRig
+    folder : Path
+        Made where it isn't there; an older sheet in it is replaced.
+    asked : iterable of (key, pattern)
+    about : dict
+    gamma : float
+        Of the projector.
+    markers : bool
+        Whether marker frames stand before and after.
+
+    Raises
+    ------
+    StoreError
+        When the folder can't be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / MANIFEST).unlink(missing_ok=True)
+        for old in folder.glob("[0-9]*_*.png"):
+            old.unlink()
+    except OSError as error:
+        raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
+    shown: list[Shown] = []
+
+    def show(name: str, key: Key | None, pattern: NDArray[np.float32]) -> None:
+        file = f"{len(shown):04d}_{name}.png"
+        write_code_picture(folder / file, rig.picture(pattern), gamma)
+        shown.append(Shown(file, key, fingerprint(pattern)))
+
+    first, opposite = marker(rig.projector_shape)
+    if markers:
+        show(_MARKER, None, first)
+        show(_MARKER, None, opposite)
+    for key, pattern in asked:
+        show(_NAMES.get(key[0], "pattern"), key, np.asarray(pattern, np.float32))
+    if markers:
+        show(_MARKER, None, opposite)
+    sheet = Sheet(
+        folder, about, tuple(rig.camera_sensor.exposures), rig.picture_shape, tuple(shown)
+    )
+    stated = asdict(sheet)
+    del stated["folder"]
+    write_manifest(folder / MANIFEST, stated)
+    return sheet
+
+
+def read_sheet(folder: Path) -> Sheet:
+    """Read a sheet.
+
+    Raises
+    ------
+    InputError
+        When there is none in the folder.
+    IntegrityError
+        When its manifest is damaged.
+    """
+    if not (folder / MANIFEST).is_file():
+        raise InputError(
+            f"{folder}: holds no {MANIFEST}; give the folder that 'rfpipe patterns' wrote, with "
+            "the pictures taken in its folder 'pictures', or named by --pictures"
+        )
+    stated = read_manifest(folder / MANIFEST)
+    shown = tuple(
+        Shown(each["file"], each["key"] and tuple(each["key"]), each["pattern"])
+        for each in stated["shown"]
+    )
+    height, width = stated["picture_size"]
+    return Sheet(folder, stated["about"], tuple(stated["exposures_s"]), (height, width), shown)
+
+
+def marker(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the marker, two by two fields of light and dark, and its opposite."""
+    row, column = np.indices(shape)[-2:]
+    down, across = 2 * row // shape[-2], 2 * column // shape[-1]
+    first = ((down + across) % 2 == 0).astype(np.float32)
+    return first, 1 - first

@@ -1,0 +1,44 @@
+"""From a run's settings to what the stages of an acquisition are told."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rfpipe.plugins import METHODS
+from rfpipe.stages.jobs.code import acquisition_code, module_of
+
+if TYPE_CHECKING:
+    from rfpipe.config import Config
+
+__all__ = ["stages_of"]
+
+
+def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
+    """Return arguments of `rfpipe.stages.levels.run` as plain data, the same before any rig.
+
+    Among them is the fingerprint of the stages' code: Snakemake sees no change inside the library.
+
+    Parameters
+    ----------
+    settings : Config
+    scene, name : str
+        The acquisition: a scene and a method's section.
+    """
+    capture = settings.capture
+    method = settings.methods_of(scene)[name].method or name
+    return {
+        "capture_options": {
+            "references": [capture.black_frames, capture.floodlit_frames],
+            "symmetry_frames": capture.symmetry_frames,
+            "batch_patterns": capture.batch_patterns,
+            "drift_patterns": capture.drift_patterns,
+            "keep_raw": capture.keep_raw,
+            "warm_up_minutes": capture.warm_up_minutes,
+            "when_patterns_change": capture.when_patterns_change,
+        },
+        "merge_options": {**settings.merge.model_dump(mode="json"), "keep_raw": capture.keep_raw},
+        "normalization": settings.normalization,
+        "number_format": settings.storage.number_format,
+        "asymmetry": capture.asymmetry,
+        "code": acquisition_code(module_of(METHODS, method)),
+    }

@@ -1,0 +1,195 @@
+"""Acquisitions whose pictures are taken elsewhere: a level at a time, between two sessions."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError, PicturesNeeded
+from rfpipe.rigs.offline import OfflineRig, Sheet, check_pictures, offline_rig, read_sheet
+from rfpipe.rigs.offline.sheet import MANIFEST, write_sheet
+from rfpipe.stages import capture, levels
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.jobs.settings import stages_of
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.plan import Plan, plan_of
+
+if TYPE_CHECKING:
+    from rfpipe.config import Config
+    from rfpipe.rigs.offline import Checked
+
+__all__ = ["PICTURES", "OfflineAcquisition"]
+
+PICTURES = "pictures"
+"""Folder beside a sheet's patterns for what is taken of them."""
+
+_log = logging.getLogger("rfpipe")
+
+Asked = Iterator[tuple[tuple[int, ...], NDArray[np.float32]]]
+
+
+@dataclass
+class OfflineAcquisition:
+    """One scene's acquisition by one method, on the way from sheet to sheet.
+
+    Parameters
+    ----------
+    settings : Config
+        With capture.rig offline.
+    scene, name : str
+        The scene and the method's section.
+    folder : Path
+        ``results/{scene}/{method}``.
+    """
+
+    settings: Config
+    scene: str
+    name: str
+    folder: Path
+
+    def __post_init__(self) -> None:
+        if self.settings.capture.rig != "offline":
+            raise InputError(
+                f"capture.rig is {self.settings.capture.rig}; set it to offline for pictures that "
+                "are taken elsewhere"
+            )
+        self._level, self._options = 0, dict[str, Any]()
+
+    def advance(self, rig: OfflineRig, resources: Resources | None = None) -> int | None:
+        """Do all that can be done with a rig's pictures.
+
+        Parameters
+        ----------
+        rig : OfflineRig
+            As `rig`; with pictures, or without.
+        resources : Resources, optional
+
+        Returns
+        -------
+        int or None
+            The level whose pictures are to be taken next; None where ``transport.json`` stands.
+
+        Raises
+        ------
+        RfpipeError
+            As `rfpipe.stages.levels.run`.
+        """
+
+        def captured(folder: AcquisitionFolder, level: int, **options: Any) -> None:
+            self._level, self._options = level, options
+            capture.run(rig, folder, level, **options)
+
+        log = logging.getLogger("rfpipe")
+        handlers = list(log.handlers)
+        try:
+            levels.run(
+                Plan(**plan_of(self.settings, self.scene, self.name)),
+                self._files,
+                self.scene,
+                captured,
+                **stages_of(self.settings, self.scene, self.name),
+                resources=resources or Resources(self.settings.resources.memory_gib),
+            )
+        except PicturesNeeded:
+            return self._level
+        finally:
+            for handler in set(log.handlers) - set(handlers):  # of the stage that was left
+                log.removeHandler(handler)
+                handler.close()
+        return None
+
+    def rig(self, checked: Checked | None = None) -> OfflineRig:
+        """Return the rig of the settings, with the pictures that were checked if there are any."""
+        about = self.settings.scenes[self.scene]
+        rig = offline_rig(
+            self.settings.offline,
+            self.settings.camera,
+            about.camera_ray_shape,
+            about.ray_shape,
+            about.channels,
+        )
+        rig.brackets = checked
+        return rig
+
+    def write(self, rig: OfflineRig, folder: Path, settings_file: Path, results: Path) -> Sheet:
+        """Write what is to be shown at the level that `advance` came to.
+
+        Parameters
+        ----------
+        rig : OfflineRig
+        folder : Path
+            Of all sheets; this one has a folder in it.
+        settings_file, results : Path
+            For whoever imports the pictures.
+
+        Raises
+        ------
+        InputError
+            When the sheet's folder holds pictures of other patterns already.
+        StoreError
+            When it can't be written.
+        """
+        own = folder / f"{self.scene}_{self.name}_L{self._level:02d}"
+        about = {
+            "settings": str(settings_file.absolute()),
+            "results": str(results.absolute()),
+            "scene": self.scene,
+            "method": self.name,
+            "level": self._level,
+        }
+        asked = list(self._asked(rig))
+        pictures = own / PICTURES
+        if (own / MANIFEST).exists():
+            old = read_sheet(own)
+            if old.about == about and _same(old, rig, asked):
+                return old
+            if pictures.is_dir() and any(pictures.iterdir()):
+                raise InputError(
+                    f"{pictures}: holds pictures of patterns that aren't asked for any more, since "
+                    "settings or code changed; move them away, then write the patterns again"
+                )
+        sheet = write_sheet(
+            rig, own, asked, about,
+            gamma=self.settings.offline.projector_gamma, markers=self.settings.offline.markers,
+        )  # fmt: skip
+        pictures.mkdir(exist_ok=True)
+        return sheet
+
+    def read(self, sheet: Sheet, pictures: Path, *, anyway: bool = False) -> Checked:
+        """Check the pictures of a sheet; see `rfpipe.rigs.offline.check_pictures`."""
+        return check_pictures(self.rig(), sheet, pictures, anyway=anyway)
+
+    @property
+    def _files(self) -> AcquisitionFolder:
+        return AcquisitionFolder(self.folder, believing=True)
+
+    def _asked(self, rig: OfflineRig) -> Asked:
+        """Yield key and pattern of all that the level lacks."""
+        options = self._options
+        of_level, before = capture.brackets_of(
+            rig, self._files, self._level, options["references"], options["symmetry_frames"]
+        )
+        for part in (*before.values(), of_level):
+            for first, last in part.missing(self.settings.capture.batch_patterns):
+                patterns, keys = part.patterns(first, last)
+                yield from zip(map(tuple, keys), patterns, strict=True)
+
+
+def _same(old: Sheet, rig: OfflineRig, asked: list[Any]) -> bool:
+    """Tell whether a sheet asks for the same, in the same way."""
+    from rfpipe.provenance import fingerprint
+
+    wanted = [(key, fingerprint(np.asarray(pattern, np.float32))) for key, pattern in asked]
+    held = [(each.key, each.pattern) for each in old.shown if each.key is not None]
+    return (
+        held == wanted
+        and old.exposures_s == tuple(rig.camera_sensor.exposures)
+        and old.picture_size == rig.picture_shape
+        and all((old.folder / each.file).is_file() for each in old.shown)
+    )

@@ -1,0 +1,206 @@
+"""A recorded acquisition as a scene: its pictures answer for all light that its patterns span."""
+
+from __future__ import annotations
+
+from math import prod
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from rfpipe.config.base import Extent, Text
+from rfpipe.config.scenes import SceneSettings
+from rfpipe.errors import InputError, StoreError
+from rfpipe.provenance import fingerprint
+from rfpipe.scenes.base import Scene, SceneKind
+from rfpipe.scenes.kinds.views import Views
+from rfpipe.stages.capturing.sensors import read_sensor
+from rfpipe.stages.capturing.shown import symmetry_patterns
+from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
+from rfpipe.stages.merge import MergedFrames
+from rfpipe.stages.merging.references import read_floodlit, read_merger
+from rfpipe.stages.schedule import read_schedule
+
+__all__ = ["Recorded", "RecordedOptions", "RecordedScene"]
+
+# A pattern is spanned where the recorded ones make it up to within so much of full light.
+_SPANNED = 1e-3
+# As the merge has it where nothing else is set.
+_SATURATION_FRACTION = 0.98
+# Eigenvalues below this part of the largest one are rounding.
+_ROUNDING = 1e-10
+
+
+class RecordedOptions(Views):
+    """Which recording."""
+
+    folder: Text = Field(
+        description="Folder of the recorded acquisition, such as results/desk/brute_force, "
+        "relative to where rfpipe runs; its shape and channels are this scene's.",
+    )
+    camera_shape: tuple[Extent, Extent] | None = Field(
+        None,
+        description="Height and width of the camera's rays where the rig is not coaxial, 1 to 4096 "
+        "each; null where camera and projector share their rays.",
+    )
+    complete: bool = Field(
+        False,
+        description="Whether the recorded patterns span all light, as those of brute_force and "
+        "hadamard do: true or false. Then reports compare with it, too.",
+    )
+
+    @property
+    def camera_ray_shape(self) -> tuple[int, ...]:
+        """Shape of the camera's ray domain."""
+        return self.ray_shape if self.camera_shape is None else self.camera_shape
+
+    @property
+    def is_coaxial(self) -> bool:
+        """Whether camera and projector share their rays."""
+        return self.camera_shape is None
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether any light can be asked for."""
+        return self.complete
+
+    @property
+    def is_swept(self) -> bool:
+        """Whether it is acquired with several options, whose patterns must be spanned, too."""
+        return self.sweep and self.complete
+
+
+class Recorded(SceneKind):
+    """A recorded acquisition, whose patterns span those that are asked for."""
+
+    Options: ClassVar[type[SceneSettings]] = RecordedOptions
+
+    @classmethod
+    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
+        """Read the recording.
+
+        Raises
+        ------
+        InputError
+            When it has another shape or number of channels.
+        StoreError
+            When it isn't there, or nothing of it is merged.
+        """
+        scene = RecordedScene(options.folder)
+        for name, found, expected in (
+            ("shape", scene.projector_shape, options.ray_shape),
+            ("camera_shape", scene.camera_shape, options.camera_ray_shape),
+            ("channels", scene.channels, options.channels),
+        ):
+            if found != expected:
+                raise InputError(
+                    f"{options.folder}: was recorded with {name} {found}; the scene's settings say "
+                    f"{expected}. Set them to the recording's"
+                )
+        return scene
+
+
+class RecordedScene(Scene):
+    """The light that the pictures of an acquisition know of.
+
+    Its pictures are merged radiance, noise included; a picture of another pattern is the same sum
+    of them that makes up the pattern. All are held in memory.
+
+    Parameters
+    ----------
+    folder : path
+        ``results/{scene}/{method}``.
+
+    Raises
+    ------
+    StoreError
+        When nothing of it is merged.
+    IntegrityError
+        When it is damaged.
+    """
+
+    def __init__(self, folder: str | Path) -> None:
+        recorded = AcquisitionFolder(Path(folder))
+        floodlit, _ = read_floodlit(recorded)
+        digests = []
+        patterns, images = [], [floodlit[None]]
+        shape: tuple[int, ...] = ()
+        for level in _levels(recorded):
+            schedule = read_schedule(recorded, level)
+            shape = schedule.shape
+            if not schedule.count:
+                continue
+            with recorded.frames(level, "merge") as frames:
+                digests.append(frames.digest())
+                images.append(MergedFrames(frames).read(0, schedule.count)[0])
+            patterns.append(schedule.batch(0, schedule.count).reshape(schedule.count, -1))
+        random = _symmetry(recorded)
+        if random is not None and len(shape):
+            count = len(random)
+            digests.append(fingerprint(random))
+            images.append(random)
+            patterns.append(symmetry_patterns(shape, count, 0, count)[0].reshape(count, -1))
+        if not shape:
+            raise StoreError(f"{folder}: no level of it is merged; run its acquisition first")
+        super().__init__(floodlit.shape[:-1], shape, floodlit.shape[-1])
+        self._folder, self._digests = str(folder), digests
+        lit = np.concatenate([np.ones((1, prod(shape)), np.float32), *patterns])
+        self._patterns = lit.astype(np.float64)
+        self._images = np.concatenate(images).reshape(len(lit), -1)
+        values, vectors = np.linalg.eigh(self._patterns @ self._patterns.T)
+        kept = values > _ROUNDING * values[-1]
+        self._inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+
+    def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
+        """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape).
+
+        Raises
+        ------
+        InputError
+            Where a pattern isn't spanned by those that were recorded.
+        """
+        asked = np.asarray(patterns, np.float64).reshape(len(np.asarray(patterns)), -1)
+        if asked.shape[1] != prod(self.projector_shape):
+            raise InputError(
+                f"patterns of {asked.shape[1]} rays; the recording's have "
+                f"{prod(self.projector_shape)}"
+            )
+        images = np.empty((len(asked), prod(self.camera_shape), self.channels), np.float32)
+        for index, pattern in enumerate(asked):  # one by one, so that bits don't depend on others
+            shares = self._inverse @ (self._patterns @ pattern)
+            missed = float(np.abs(shares @ self._patterns - pattern).max())
+            if not missed <= _SPANNED:
+                raise InputError(
+                    f"{self._folder}: the {len(self._patterns)} recorded patterns don't span "
+                    f"pattern {index} of those asked for (off by up to {missed:.2g} of full "
+                    "light). Replay the method that recorded them, or record by brute_force or "
+                    "hadamard, whose patterns span all"
+                )
+            light = (shares.astype(np.float32) @ self._images).reshape(images.shape[1:])
+            images[index] = np.maximum(light, 0)  # noise
+        return images
+
+    def describe(self) -> dict[str, Any]:
+        """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+        return {"kind": "recorded", "merged": self._digests}
+
+
+def _symmetry(folder: AcquisitionFolder) -> NDArray[np.float32] | None:
+    """Return the radiance of the random patterns that it began with, if they are there."""
+    if not folder.store(0, SYMMETRY).exists():
+        return None
+    merger = read_merger(read_sensor(folder), folder, _SATURATION_FRACTION)
+    with folder.frames(0, "capture", SYMMETRY) as frames:
+        if frames.dropped:
+            return None
+        return merger.merge(frames.read(0, frames.shape[0]), 0).radiance
+
+
+def _levels(folder: AcquisitionFolder) -> list[int]:
+    """Return the levels that are merged, from the first on."""
+    found: list[int] = []
+    while folder.manifest(len(found), "merge").exists():
+        found.append(len(found))
+    return found

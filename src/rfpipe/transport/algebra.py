@@ -1,0 +1,243 @@
+"""A transport as the matrix that it is: products, entries, and how large they are."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from math import prod
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rfpipe.errors import InputError
+from rfpipe.weights import as_weights
+
+__all__ = ["AT_A_TIME", "MEMORY_BUDGET", "MatrixAlgebra", "Rays", "chosen_rays", "gibibytes"]
+
+Float = NDArray[np.float32]
+Index = NDArray[np.int64]
+Rays = ArrayLike | slice | None
+"""Rays of a domain: their numbers, row by row from 0; a mask of the domain; a slice; None: all."""
+
+MEMORY_BUDGET = 4 * 2**30
+"""Bytes of a transport, or of a matrix made of it, that are taken into memory by default."""
+
+AT_A_TIME = 8
+"""Rows, or columns, of which `MatrixAlgebra.blocks` gives a multiple in all parts but the last."""
+
+_BLOCK_BYTES = 32 * 2**20
+_FLOAT = 4
+
+
+class MatrixAlgebra(ABC):
+    """What a transport and its dual do as matrices ``(channels, camera rays, projector rays)``.
+
+    ``T @ x`` and ``x @ T`` are what numpy makes of ``T.toarray() @ x`` and ``x @ T.toarray()``,
+    without the matrix being made. The rays of a domain count in C order, as ``pattern.ravel()``
+    has them.
+    """
+
+    camera_shape: tuple[int, ...]
+    projector_shape: tuple[int, ...]
+    channels: int
+
+    __array_ufunc__ = None  # or numpy would loop over the transport of `x @ T` as over an object
+
+    @abstractmethod
+    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
+        """Return ``T p`` for planar patterns ``(P, K, projector rays)``, K = ``len(channels)``."""
+
+    @abstractmethod
+    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
+        """Return ``T^T c`` for planar images ``(P, K, camera rays)``, K = ``len(channels)``."""
+
+    @property
+    def matrix_shape(self) -> tuple[int, int, int]:
+        """Shape of ``toarray()``: channels, camera rays, projector rays."""
+        return self.channels, prod(self.camera_shape), prod(self.projector_shape)
+
+    def __matmul__(self, x: ArrayLike) -> Float:
+        """Multiply from the left: ``(N,)``, ``(N, K)`` or ``(C, N, K)``, N projector rays.
+
+        Returns
+        -------
+        ndarray of float32, shape (C, M) or (C, M, K)
+
+        Raises
+        ------
+        InputError
+            For another shape, as a pattern's, which is for `relight`; for NaN, infinities, and
+            the whole numbers of a picture.
+        """
+        vectors = self._operand(x, -2, "T @ x", "(N,), (N, K) or (C, N, K), N projector rays")
+        # (N,): one vector; else the columns
+        planar = vectors[None, None] if vectors.ndim == 1 else _planar(vectors.swapaxes(-1, -2))
+        found = self.forward(self._in_channels(planar), range(self.channels))
+        return found[0] if vectors.ndim == 1 else np.moveaxis(found, 0, -1)
+
+    def __rmatmul__(self, x: ArrayLike) -> Float:
+        """Multiply from the right: ``(M,)``, ``(K, M)`` or ``(C, K, M)``, M camera rays.
+
+        Returns
+        -------
+        ndarray of float32, shape (C, N) or (C, K, N)
+
+        Raises
+        ------
+        InputError
+            As ``T @ x``.
+        """
+        vectors = self._operand(x, -1, "x @ T", "(M,), (K, M) or (C, K, M), M camera rays")
+        planar = vectors[None, None] if vectors.ndim == 1 else _planar(vectors)
+        found = self.adjoint(self._in_channels(planar), range(self.channels))
+        return found[0] if vectors.ndim == 1 else np.moveaxis(found, 0, -2)
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return `toarray`, for numpy's functions."""
+        if copy is False:
+            raise ValueError("a transport isn't stored as a matrix: it takes a copy to make it one")
+        return np.asarray(self.toarray(), dtype)
+
+    def toarray(
+        self, rows: Rays = None, columns: Rays = None, *, memory_budget: int = MEMORY_BUDGET
+    ) -> Float:
+        """Return the matrix, or some rows and columns of it.
+
+        Parameters
+        ----------
+        rows, columns : array_like of int or bool, slice, or None
+            Camera rays and projector rays, see `Rays`; all by default.
+        memory_budget : int
+            Bytes that the matrix may take.
+
+        Returns
+        -------
+        ndarray of float32, shape (channels, rows, columns)
+            Radiance of a camera ray per weight of a projector ray.
+
+        Raises
+        ------
+        InputError
+            If there is no such ray, or the matrix would take more memory.
+        """
+        chosen_rows = chosen_rays(rows, self.camera_shape, "rows")
+        chosen_columns = chosen_rays(columns, self.projector_shape, "columns")
+        shape = self.channels, len(chosen_rows), len(chosen_columns)
+        if _FLOAT * prod(shape) > memory_budget:
+            raise InputError(
+                f"a matrix of {' x '.join(f'{length:,}' for length in shape)} entries takes "
+                f"{gibibytes(_FLOAT * prod(shape))}, more than the {gibibytes(memory_budget)} of "
+                "memory_budget; choose rows or columns, take rfpipe.coarser(T, 4), whose "
+                "matrix is 256 times smaller, or multiply without a matrix: T @ x"
+            )
+        matrix = np.empty(shape, np.float32)
+        for rows_, columns_, block in self.blocks(chosen_rows, chosen_columns):
+            matrix[:, rows_, columns_] = block
+        return matrix
+
+    def blocks(
+        self,
+        rows: Index,
+        columns: Index,
+        *,
+        by_rows: bool | None = None,
+        channels: Sequence[int] | None = None,
+    ) -> Iterator[tuple[slice, slice, Float]]:
+        """Yield the matrix of some rays in parts of some MB, as relighting gives them.
+
+        Parameters
+        ----------
+        rows, columns : ndarray of int64
+            Rays.
+        by_rows : bool, optional
+            Whether the parts are whole rows, else whole columns; by default what is fewer.
+        channels : sequence of int, optional
+            Which of them; all by default.
+
+        Yields
+        ------
+        slice, slice, ndarray of float32 (channels, rows, columns)
+            Which of the rows and of the columns, and their entries.
+        """
+        if by_rows is None:
+            by_rows = len(rows) <= len(columns)
+        lit, seen = (rows, columns) if by_rows else (columns, rows)
+        chosen = range(self.channels) if channels is None else channels
+        _, cameras, projectors = self.matrix_shape
+        size_lit, size_seen = (cameras, projectors) if by_rows else (projectors, cameras)
+        apply = self.adjoint if by_rows else self.forward
+        bytes_of_one = _FLOAT * (size_lit + 2 * len(chosen) * size_seen)
+        at_a_time = AT_A_TIME * max(1, _BLOCK_BYTES // (AT_A_TIME * bytes_of_one))
+        for first in range(0, len(lit), at_a_time):
+            part = lit[first : first + at_a_time]
+            one_each = np.zeros((len(part), 1, size_lit), np.float32)
+            one_each[np.arange(len(part)), 0, part] = 1
+            light = np.broadcast_to(one_each, (len(part), len(chosen), size_lit))
+            found = apply(light, chosen)[..., seen]
+            of_lit, of_seen = slice(first, first + len(part)), slice(0, len(seen))
+            if by_rows:
+                yield of_lit, of_seen, found.swapaxes(0, 1)
+            else:
+                yield of_seen, of_lit, np.moveaxis(found, 0, -1)
+
+    def _operand(self, x: ArrayLike, axis: int, product: str, expected: str) -> Float:
+        """Return what a transport is multiplied with, checked."""
+        vectors = as_weights(x, f"x of {product}").astype(np.float32, copy=False)
+        shape = self.projector_shape if axis == -2 else self.camera_shape
+        rays = prod(shape)
+        along = -1 if vectors.ndim == 1 else axis
+        in_channels = vectors.ndim < 3 or vectors.shape[0] in (1, self.channels)
+        if not (1 <= vectors.ndim <= 3 and vectors.shape[along] == rays and in_channels):
+            light = "T.relight(x)" if axis == -2 else "T.T.relight(x)"
+            raise InputError(
+                f"x of {product} has the shape {vectors.shape}; expected {expected} = {rays:,}. "
+                f"For light as an image, {shape}, it is {light}"
+            )
+        if not np.isfinite(vectors).all():
+            raise InputError(f"x of {product} holds NaN or infinite values; all must be finite")
+        return vectors
+
+    def _in_channels(self, planar: Float) -> Float:
+        """Return planar light for all channels, white light the same memory for each."""
+        return np.broadcast_to(planar, (planar.shape[0], self.channels, planar.shape[-1]))
+
+
+def chosen_rays(rays: Rays, shape: tuple[int, ...], name: str) -> Index:
+    """Return the numbers of some rays of a domain.
+
+    Raises
+    ------
+    InputError
+        If there is none, no such one, or they are no numbers; `name` tells which.
+    """
+    count = prod(shape)
+    if rays is None or isinstance(rays, slice):
+        found = np.arange(count)[slice(None) if rays is None else rays]
+    else:
+        given = np.asarray(rays)
+        if given.dtype == np.bool_:
+            if given.size != count:
+                raise InputError(f"{name}: a mask of {given.shape}; expected {shape}")
+            found = np.flatnonzero(given)
+        elif given.dtype.kind in "iu" or not given.size:
+            found = given.reshape(-1).astype(np.int64)
+        else:
+            raise InputError(f"{name}: {given.dtype} values; expected numbers of rays, or a mask")
+    if not len(found):
+        raise InputError(f"{name}: no rays are chosen of {count:,}")
+    wrong = found[(found < 0) | (found >= count)]
+    if len(wrong):
+        raise InputError(f"{name}: there is no ray {wrong[0]}; they count from 0 to {count - 1:,}")
+    return found
+
+
+def gibibytes(size: int) -> str:
+    """Return a size in memory, for people."""
+    return f"{size / 2**30:,.1f} GiB" if size >= 2**30 else f"{size / 2**20:,.1f} MiB"
+
+
+def _planar(vectors: Float) -> Float:
+    """Bring ``(K, N)`` or ``(C, K, N)`` into planar form ``(K, C or 1, N)``."""
+    planar = vectors[:, None] if vectors.ndim == 2 else vectors.swapaxes(0, 1)
+    return np.ascontiguousarray(planar)

@@ -1,0 +1,74 @@
+"""Finding the transport in what a user names: a store, a run's folder, a zip file, an address."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rfpipe.errors import StoreError
+from rfpipe.store.chunks import METADATA
+from rfpipe.store.locating import locate
+from rfpipe.store.places import Place
+
+__all__ = ["MANIFEST", "STORE_NAME", "find_transport", "transports_in"]
+
+STORE_NAME = "transport.zarr"
+"""Under which an acquisition's transport is stored."""
+
+MANIFEST = "manifest-sha256.txt"
+"""Of a publication: the SHA-256 and the name of every file, a line each."""
+
+
+def find_transport(path: str | Path) -> Path | Place:
+    """Return where the one transport lies that `path` names or holds.
+
+    Raises
+    ------
+    StoreError
+        If there is none, or more than one.
+    """
+    place = locate(path)
+    if isinstance(place, Path):
+        if (place / METADATA).exists() or not place.is_dir():
+            return place
+    elif place.key.endswith(".zarr") or (not place.key and place.read_many([METADATA])):
+        return place
+    names = transports_in(place)
+    if len(names) == 1:
+        return place / names[0]
+    if not names:
+        raise StoreError(
+            f"{place}: no {STORE_NAME} in here; give the {STORE_NAME} that an acquisition wrote, "
+            "or a folder, zip file or address that has one"
+        )
+    listed = "\n".join(f"  {place}/{name}" for name in names)
+    raise StoreError(f"{place}: has {len(names)} transports; name one of\n{listed}")
+
+
+def _is_store(place: Path | Place) -> bool:
+    """Whether a place is to be opened as it is: a store, or a path that can only be said not to."""
+    if isinstance(place, Path):
+        return (place / METADATA).exists() or not place.is_dir()
+    if place.key:
+        return place.key.endswith(".zarr")
+    return bool(place.read_many([METADATA]))  # a zip file of a store alone
+
+
+def transports_in(place: Path | Place) -> list[str]:
+    """Return the names, relative to a folder, of the transports below it.
+
+    Raises
+    ------
+    StoreError
+        When its files can't be listed.
+    """
+    if isinstance(place, Path):
+        found = place.rglob(f"{STORE_NAME}/{METADATA}")
+        return sorted(file.parent.relative_to(place).as_posix() for file in found)
+    listed = place.read_many([MANIFEST]).get(MANIFEST)
+    if listed is None:
+        files = place.files()
+    else:
+        files = [line[66:] for line in listed.decode(errors="replace").splitlines()]
+    end = f"{STORE_NAME}/{METADATA}"
+    stores = [name for name in files if name == end or name.endswith(f"/{end}")]
+    return sorted(name.removesuffix(f"/{METADATA}") for name in stores)

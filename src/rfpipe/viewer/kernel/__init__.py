@@ -1,0 +1,1 @@
+"""The viewer's WebAssembly kernels: ``kernels.wat``, and ``kernels.wasm`` made from it."""

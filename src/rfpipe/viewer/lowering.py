@@ -1,0 +1,381 @@
+"""From a transport of any kind to a program."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree
+from rfpipe.errors import InputError
+from rfpipe.store.files import digest_of
+from rfpipe.transport.base import Transport
+from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.footprints.transport import FootprintTransport
+from rfpipe.transport.hierarchical.codes import pack_leaves, signed_apart
+from rfpipe.transport.hierarchical.leaves import LeafSet, leaf_offsets, runs
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
+from rfpipe.transport.low_rank import LowRankTransport
+from rfpipe.transport.multilevel.transport import MultilevelTransport
+from rfpipe.transport.multiscale.basis import SCALE, coarsest_scale
+from rfpipe.transport.multiscale.transport import MultiscaleTransport
+from rfpipe.transport.sum import SumTransport
+from rfpipe.transport.wavelet.transport import WaveletTransport
+from rfpipe.viewer.program import CAMERA, PROJECTOR, Kind, Operation, Program
+from rfpipe.viewer.smooth import haar_matrix, pyramid
+
+__all__ = ["lower"]
+
+# Values a channel of an operation that workers may share out among them.
+_SHARE = 2**17
+# As near/far acquisition tells near range from far range.
+_NEAR = 4
+
+
+def lower(transport: Transport, levels: Sequence[int] | None = None) -> Program:
+    """Return the program of a transport, as known after some levels or at its last.
+
+    Parameters
+    ----------
+    transport : Transport
+        Of any kind of rfpipe's.
+    levels : sequence of int, optional
+        In rising order; one that shows the same as the next is left out.
+
+    Raises
+    ------
+    InputError
+        If there is no such level, or the transport is of no kind that is known here.
+    """
+    last = transport.last_level
+    builder = Builder(transport)
+    for level in [last] if levels is None else levels:
+        builder.begin_level(level)
+        counts: Counter[str] = Counter()
+        for part, name in _parts(transport if level >= last else transport.truncate(level)):
+            counts[name] += 1
+            builder.begin_part(name, counts[name])
+            _lower_part(builder, part)
+    return builder.program()
+
+
+class Builder:
+    """A program while it is made, level by level; what two levels share is in it once."""
+
+    def __init__(self, transport: Transport) -> None:
+        shapes = transport.camera_shape, transport.projector_shape
+        self._program = Program(*shapes, transport.channels)
+        self._program.buffers = [math.prod(shapes[1]), math.prod(shapes[0])]
+        self._buffers: dict[tuple[Any, ...], int] = {}
+        self._chains: dict[tuple[Any, ...], int] = {}
+        self._found: dict[str, int] = {}
+        self._step = self._chain = 0
+        self._was_shared = False
+
+    def begin_level(self, level: int) -> None:
+        """Go on with what is seen at another level."""
+        self._level = level
+        self._program.levels.append(level)
+
+    def begin_part(self, name: str, number: int) -> None:
+        """Go on with another part, the `number`th of its name."""
+        self._part = name
+        self._number = number
+
+    def begin_chain(self, name: str, *, is_common: bool = False) -> None:
+        """Go on with operations that feed each other; their buffers have names of their own.
+
+        A chain may be common to parts that agree in all of it but what they name as theirs.
+        """
+        self._key = ("", 0, name) if is_common else (self._part, self._number, name)
+        self._of_chain = "" if is_common else self._part
+        self._chain = self._chains.setdefault(self._key, len(self._chains))
+        self._step, self._was_shared = 0, False
+
+    def buffer(self, name: str, size: int) -> int:
+        """Return the chain's buffer of that name and size."""
+        key = (*self._key, name, size)
+        if key not in self._buffers:
+            self._buffers[key] = len(self._program.buffers)
+            self._program.buffers.append(size)
+        return self._buffers[key]
+
+    def add(
+        self, kind: Kind, source: int, target: int, arrays: Mapping[str, Any], **more: Any
+    ) -> None:
+        """Add an operation to the chain."""
+        is_shared = more.get("shared", False)
+        self._step += not (is_shared and self._was_shared)
+        self._was_shared = is_shared
+        kept = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+        part = self._part if is_shared else self._of_chain
+        made = Operation(
+            kind, source, target, kept, chain=self._chain, step=self._step, part=part, **more
+        )
+        program, identity = self._program, made.identity
+        if identity not in self._found:
+            self._found[identity] = len(program.operations)
+            program.operations.append(made)
+            program.levels_of.append([])
+        levels = program.levels_of[self._found[identity]]
+        if self._level not in levels:
+            levels.append(self._level)
+
+    def csr(self, source: int, target: int, matrix: Any, **more: Any) -> None:
+        """Add a sparse matrix of scipy's; values of several channels ``(C, entries)`` if given."""
+        values = more.pop("values", None)
+        values = matrix.data[None] if values is None else values
+        arrays = {
+            "counts": np.diff(matrix.indptr).astype(np.int32),
+            "columns": matrix.indices.astype(np.int32),
+            "values": values.astype(np.float32),
+        }
+        self.add("csr", source, target, arrays, **more)
+
+    def program(self) -> Program:
+        """Return what was made, in order, without levels that show the same as the next."""
+        made = self._program
+        order = sorted(
+            range(len(made.operations)),
+            key=lambda n: (made.operations[n].chain, made.operations[n].step),
+        )
+        made.operations = [made.operations[n] for n in order]
+        made.levels_of = [made.levels_of[n] for n in order]
+        doubled = [
+            level
+            for level, after in pairwise(made.levels)
+            if all((level in found) == (after in found) for found in made.levels_of)
+        ]
+        return made.seen_at([level for level in made.levels if level not in doubled])
+
+
+def _parts(transport: Transport) -> Iterator[tuple[Transport, str]]:
+    """Yield what a transport is the sum of, each with its name; sums of sums flat."""
+    if not isinstance(transport, SumTransport):
+        if isinstance(transport, FootprintTransport):
+            yield transport, "direct"
+        else:
+            yield transport, "all"
+        return
+    for part in transport.parts:
+        for inner, name in _parts(part):
+            yield inner, _name_of(inner) if name == "all" else name
+
+
+def _name_of(part: Transport) -> str:
+    """Name a part of a sum by what it tells of light."""
+    if isinstance(part, LowRankTransport):
+        return "direct" if part.rank == 0 else "rows filled"
+    if isinstance(part, MultiscaleTransport):
+        arrays = part.pack()[0]
+        if "pairs" not in arrays or not len(arrays["functions"]):
+            return "indirect"
+        scales = part.basis.functions[:, SCALE]
+        coarser = np.maximum(*scales[arrays["pairs"]])
+        is_near = (coarser * _NEAR < coarsest_scale(part.shape)).all()
+        return "near" if is_near else "far"
+    return "residual"
+
+
+def _lower_part(builder: Builder, part: Transport) -> None:
+    for known, lowered in _LOWERED.items():
+        if isinstance(part, known):
+            builder.begin_chain(part.kind)
+            lowered(builder, part)
+            return
+    raise InputError(
+        f"a {type(part).__name__} can't be shown by the viewer; expected one of "
+        f"{', '.join(known.__name__ for known in _LOWERED)}, or a sum of them"
+    )
+
+
+def _lower_hierarchical(builder: Builder, transport: HierarchicalTransport) -> None:
+    """Rays into tree order, in which a block is one run; leaves; and back."""
+    tree, rays = transport.tree, transport.tree.domain.size
+    light, received = builder.buffer("light", rays), builder.buffer("received", rays)
+    order = {"index": tree.order.astype(np.int32)}
+    builder.add("gather", PROJECTOR, light, order)
+    for leaves in transport.held_leaf_sets:
+        lengths = np.diff(leaf_offsets(tree, leaves))
+        chosen = np.arange(len(leaves))
+        for run in runs(lengths, _SHARE):
+            few = leaves.subset(tree, (chosen >= run.start) & (chosen < run.stop))
+            _add_leaves(builder, tree, few, light, received)
+    builder.add("gather", received, CAMERA, order, transposed=True)
+
+
+def _add_leaves(
+    builder: Builder, tree: BlockTree, leaves: LeafSet, light: int, received: int
+) -> None:
+    if leaves.level == tree.n_levels - 1:
+        arrays = {"first": leaves.block_a, "second": leaves.block_b, "values": leaves.values}
+        builder.add("pairs", light, received, arrays, shared=True)
+        return
+    # factors that a store hasn't rounded take 16 bits here: 1e-5 of their values
+    held = leaves.scales is not None
+    alike = [leaves] if held else signed_apart(tree, leaves, "uint16")
+    sizes = np.diff(tree.starts[leaves.level]).astype(np.int32)
+    for one in alike:
+        packed = pack_leaves(tree, one, one.values.dtype.name if held else "uint16")  # type: ignore[arg-type]
+        builder.add("leaves", light, received, {"sizes": sizes, **packed}, shared=True)
+
+
+def _lower_multilevel(builder: Builder, transport: MultilevelTransport) -> None:
+    """Each level: means of the light over nodes, and what pixels see of each."""
+    from scipy.sparse import csr_array
+
+    tree, pixels = transport.tree, math.prod(transport.camera_shape)
+    for pairs, spread in transport.spread_pairs():
+        builder.begin_chain(f"level {pairs.level}")
+        shares = spread.shares[0]
+        nodes = builder.buffer("nodes", shares.shape[0])
+        # shares have one structure in all channels, of which none stores its zeros apart
+        columns = tree.order[shares.indices]
+        matrix = csr_array((shares.data, columns, shares.indptr), shape=shares.shape)
+        values = np.stack([plane.data for plane in spread.shares])
+        builder.csr(PROJECTOR, nodes, matrix, values=values)
+        order = np.argsort(spread.node, kind="stable")
+        counts = np.bincount(spread.node, minlength=shares.shape[0])
+        ends = np.append(0, np.cumsum(counts))
+        for run in runs(counts + 1, _SHARE):
+            entries = order[ends[run.start] : ends[run.stop]]
+            responses = csr_array(
+                (pairs.values[0, entries], pairs.pixel[entries],
+                 ends[run.start : run.stop + 1] - ends[run.start]),
+                shape=(run.stop - run.start, pixels),
+            )  # fmt: skip
+            builder.csr(
+                nodes, CAMERA, responses, values=pairs.values[:, entries], source_at=run.start,
+                transposed=True, shared=True,
+            )  # fmt: skip
+
+
+def _lower_dense(builder: Builder, transport: DenseTransport) -> None:
+    rows, columns = transport.matrix.shape[1:]
+    step = max(1, 2 * _SHARE // columns)
+    for first in range(0, rows, step):
+        arrays = {"values": transport.matrix[:, first : first + step]}
+        builder.add("dense", PROJECTOR, CAMERA, arrays, target_at=first, shared=True)
+
+
+def _lower_low_rank(builder: Builder, transport: LowRankTransport) -> None:
+    """The diagonal; and the terms, those of each level of the acquisition by themselves."""
+    arrays = transport.pack()[0]
+    if "diagonal" in arrays:
+        builder.add("scale", PROJECTOR, CAMERA, {"values": arrays["diagonal"]})
+    right = arrays.get("right", arrays["left"])
+    for level in np.unique(arrays["term_level"]):
+        builder.begin_chain(f"terms of level {level}")
+        own = arrays["term_level"] == level
+        count = int(own.sum())
+        shares, strengths = builder.buffer("shares", count), builder.buffer("terms", count)
+        builder.add("dense", PROJECTOR, shares, {"values": right[:, own]})
+        builder.add("scale", shares, strengths, {"values": arrays["strengths"][:, own]})
+        builder.add("dense", strengths, CAMERA, {"values": arrays["left"][:, own]}, transposed=True)
+
+
+def _lower_multiscale(builder: Builder, transport: MultiscaleTransport) -> None:
+    """``F B S B^T F``, with B by the pyramid of its scales."""
+    arrays, basis = transport.pack()[0], transport.basis
+    if not len(basis):
+        return
+    rays = math.prod(transport.shape)
+    # near and far range go by the same functions, of which each worker needs one pyramid
+    same = digest_of(arrays["functions"], arrays["factor"])
+    builder.begin_chain(f"functions {same}", is_common=True)
+    light, received = builder.buffer("light", rays), builder.buffer("received", rays)
+    given, taken = builder.buffer("given", len(basis)), builder.buffer("taken", len(basis))
+    steps, places = pyramid(basis)
+    builder.add("scale", PROJECTOR, light, {"values": arrays["factor"]})
+    grids = [light]
+    for octave, step in enumerate(steps):
+        grids.append(builder.buffer(f"grid {octave}", step.shape[1]))
+        builder.csr(grids[-2], grids[-1], step, transposed=True)
+    for octave, start, index in places:
+        builder.add("gather", grids[octave], given, {"index": index}, target_at=start)
+    first, second = arrays.get("pairs", basis.pairs)
+    order = np.lexsort((second, first))
+    for start in range(0, len(order), _SHARE):
+        own = order[start : start + _SHARE]
+        coupled = {"first": first[own], "second": second[own], "values": arrays["cores"][:, own]}
+        builder.add("pairs", given, taken, coupled, shared=True)
+    back = [
+        received,
+        *(builder.buffer(f"back {octave}", step.shape[1]) for octave, step in enumerate(steps)),
+    ]
+    for octave, start, index in places:
+        builder.add(
+            "gather", taken, back[octave], {"index": index}, source_at=start, transposed=True
+        )
+    for octave in range(len(steps), 0, -1):
+        builder.csr(back[octave], back[octave - 1], steps[octave - 1])
+    builder.add("scale", received, CAMERA, {"values": arrays["factor"]})
+
+
+def _lower_wavelet(builder: Builder, transport: WaveletTransport) -> None:
+    """``F W^T C W F`` on cells."""
+    from scipy.sparse import csr_array
+
+    arrays, cells = transport.pack()[0], transport.cells
+    rays = math.prod(transport.shape)
+    ones = np.ones(rays, np.float32)
+    spread = csr_array((ones, cells.of_ray, np.arange(rays + 1)), shape=(rays, cells.count))
+    wavelets = haar_matrix(cells.haar)
+    light, received = builder.buffer("light", rays), builder.buffer("received", rays)
+    of_cells, by_cells = (builder.buffer(name, cells.count) for name in ("of cells", "by cells"))
+    given, taken = (builder.buffer(name, cells.haar.size) for name in ("given", "taken"))
+    builder.add("scale", PROJECTOR, light, {"values": arrays["factor"]})
+    builder.csr(light, of_cells, spread, transposed=True)
+    builder.csr(of_cells, given, wavelets)
+    first, second = arrays["pairs"]
+    coupled = {"first": first, "second": second, "values": arrays["cores"]}
+    builder.add("pairs", given, taken, coupled)
+    builder.csr(taken, by_cells, wavelets, transposed=True)
+    builder.csr(by_cells, received, spread)
+    builder.add("scale", received, CAMERA, {"values": arrays["factor"]})
+
+
+def _lower_footprints(builder: Builder, transport: FootprintTransport) -> None:
+    """``D``, and ``diag(f) L S R^T diag(g)`` as a part of its own."""
+    arrays = transport.pack()[0]
+
+    def sparse(name: str) -> dict[str, NDArray[Any]]:
+        values = arrays[name]
+        return {
+            "counts": np.diff(arrays[f"{name}_starts"]).astype(np.int32),
+            "columns": arrays[f"{name}_columns"],
+            "values": values if values.ndim == 2 else values[None],
+        }
+
+    builder.add("csr", PROJECTOR, CAMERA, sparse("footprints"))
+    if not arrays["cores"].any():
+        return
+    builder.begin_part("indirect", 1)
+    builder.begin_chain(transport.kind)
+    functions = int(arrays["cores_columns"].max(initial=-1)) + 1
+    functions = max(functions, int(arrays["right_columns"].max(initial=-1)) + 1)
+    light = builder.buffer("light", math.prod(transport.projector_shape))
+    sent = builder.buffer("sent", functions)
+    got = builder.buffer("got", len(arrays["cores_starts"]) - 1)
+    smooth = builder.buffer("smooth", math.prod(transport.camera_shape))
+    builder.add("scale", PROJECTOR, light, {"values": arrays["projector_factor"]})
+    builder.add("csr", light, sent, sparse("right"), transposed=True)
+    builder.add("csr", sent, got, sparse("cores"))
+    builder.add("csr", got, smooth, sparse("left"))
+    builder.add("scale", smooth, CAMERA, {"values": arrays["camera_factor"]})
+
+
+_LOWERED: dict[type[Transport], Callable[[Builder, Any], None]] = {
+    HierarchicalTransport: _lower_hierarchical,
+    MultilevelTransport: _lower_multilevel,
+    DenseTransport: _lower_dense,
+    LowRankTransport: _lower_low_rank,
+    MultiscaleTransport: _lower_multiscale,
+    WaveletTransport: _lower_wavelet,
+    FootprintTransport: _lower_footprints,
+}

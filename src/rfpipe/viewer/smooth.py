@@ -1,0 +1,122 @@
+"""Smooth functions and wavelets as chains of small sparse matrices."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.transport.multiscale.basis import (
+    COLUMN,
+    ROW,
+    VIEW,
+    MultiscaleBasis,
+    cells,
+    functions_over,
+)
+from rfpipe.transport.wavelet.haar import Haar
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+__all__ = ["haar_matrix", "pyramid"]
+
+# A quadratic B-spline as the sum of those of half its width.
+_REFINEMENT = np.array([1, 3, 3, 1], np.float32) / 4
+
+
+def pyramid(
+    basis: MultiscaleBasis,
+) -> tuple[list[csr_array[np.float32]], list[tuple[int, int, NDArray[np.int32]]]]:
+    """Return the functions of a basis by way of all functions of each scale.
+
+    Those of a scale are sums of 4 x 4 of the next finer one, so that a picture takes some ten
+    products a ray instead of nine a ray and scale.
+
+    Returns
+    -------
+    steps : list of csr_array
+        From the functions of scale 2 to rays, from those of scale 4 to those of scale 2, and on.
+    places : list of (int, int, ndarray of int32)
+        For each scale of the basis its binary logarithm; the number of its first function in the
+        basis; and which of all functions of the scale, or of the rays, its functions are.
+    """
+    height, width = basis.shape[-2:]
+    octaves = int(np.log2(basis.scales.max()))
+    steps: list[csr_array[np.float32]] = []
+    for octave in range(1, octaves + 1):
+        if octave == 1:
+            everything = functions_over(2, np.ones(cells(basis.shape, 2), np.bool_))
+            steps.append(MultiscaleBasis(basis.shape, everything).weights)
+        else:
+            steps.append(_refinement(basis.shape, 2**octave))
+    places = []
+    for scale in np.unique(basis.scales):
+        own = np.flatnonzero(basis.scales == scale)
+        rows, columns = (height, width) if scale == 1 else _grid(basis.shape, int(scale))[1:]
+        at = basis.functions[own].astype(np.int64)
+        index = (at[:, VIEW] * rows + at[:, ROW]) * columns + at[:, COLUMN]
+        places.append((int(np.log2(scale)), int(own[0]), index.astype(np.int32)))
+    return steps, places
+
+
+def _grid(shape: tuple[int, ...], scale: int) -> tuple[int, int, int]:
+    """Views, and functions of a scale down and across."""
+    views, rows, columns = cells(shape, scale)
+    return views, rows + 2, columns + 2
+
+
+def _refinement(shape: tuple[int, ...], scale: int) -> csr_array[np.float32]:
+    """Return the functions of a scale as sums of those of half of it, (fine, coarse)."""
+    from scipy.sparse import eye_array, kron
+
+    views, *coarse = _grid(shape, scale)
+    _, *fine = _grid(shape, scale // 2)
+    rows, columns = (_refined(*sizes) for sizes in zip(fine, coarse, strict=True))
+    found: Any = kron(eye_array(views), kron(rows, columns)).tocsr()
+    matrix: csr_array[np.float32] = found.astype(np.float32)
+    return matrix
+
+
+def _refined(fine: int, coarse: int) -> Any:
+    """Return an axis' functions as sums of finer ones, which end where the image does."""
+    from scipy.sparse import csr_array
+
+    column, step = np.divmod(np.arange(4 * coarse), 4)
+    row = 2 * column - 2 + step
+    inside = (row >= 0) & (row < fine)
+    where = (row[inside], column[inside])
+    return csr_array((_REFINEMENT[step[inside]], where), shape=(fine, coarse))
+
+
+def haar_matrix(haar: Haar) -> csr_array[np.float32]:
+    """Return the transform as one sparse matrix, (size, cells)."""
+    from scipy.sparse import eye_array, vstack
+
+    views, height, width = haar.stack
+    number = np.full(haar.grid, -1, np.int64)
+    number[:, :height, :width] = np.arange(views * height * width).reshape(haar.stack)
+    flat = number.ravel()
+    identity = eye_array(views * height * width, format="csr", dtype=np.float32)
+    rest: Any = _selected(identity, flat)
+    found: list[Any] = []
+    for group in haar.groups[:-1]:
+        _, rows, columns = group.grid
+        index = np.arange(rest.shape[0]).reshape(views, rows, 2, columns, 2)
+        a, b = (rest[index[:, :, 0, :, side].ravel()] for side in (0, 1))
+        c, d = (rest[index[:, :, 1, :, side].ravel()] for side in (0, 1))
+        found += [(a + c - b - d) / 2, (a + b - c - d) / 2, (a + d - b - c) / 2]
+        rest = (a + b + c + d) / 2
+    stacked: Any = vstack([*found, rest]).tocsr()
+    matrix: csr_array[np.float32] = stacked.astype(np.float32)
+    return matrix
+
+
+def _selected(identity: Any, flat: NDArray[np.int64]) -> Any:
+    """Return rows of an identity by number, empty ones for -1."""
+    from scipy.sparse import csr_array
+
+    kept = np.flatnonzero(flat >= 0)
+    ones = np.ones(len(kept), np.float32)
+    return csr_array((ones, (kept, flat[kept])), shape=(len(flat), identity.shape[1]))

@@ -1,0 +1,113 @@
+"""Transports in stores as views: what their pages say of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rfpipe.errors import StoreError
+from rfpipe.store import open_arrays
+from rfpipe.transport import Transport, open_transport
+from rfpipe.viewer.build import Compared, View, Written, write_view
+
+__all__ = ["find_transport", "view_of", "write_acquisition"]
+
+_STORE = "transport.zarr"
+# Bytes stored of two transports on one page.
+_TOGETHER = 15 * 10**6
+
+
+def find_transport(path: Path) -> Path:
+    """Return the store of a transport: the path, or the transport.zarr in this folder.
+
+    Raises
+    ------
+    StoreError
+        If there is nothing, or a folder in which there is none; those below it are named.
+    """
+    if (path / _STORE).is_dir():
+        return path / _STORE
+    if path.is_dir() and not (path / "zarr.json").exists():
+        below = sorted(str(found) for found in path.glob(f"*/**/{_STORE}"))
+        listed = f"; there are {', '.join(below[:5])}" if below else ""
+        raise StoreError(f"{path}: a folder without {_STORE}{listed}; give one of a run's")
+    return path
+
+
+def view_of(
+    path: Path, title: str | None = None, compared: Compared | None = None
+) -> tuple[View, dict[str, Any]]:
+    """Return the view of a stored transport, and what the store says of it.
+
+    Parameters
+    ----------
+    path : Path
+        A ``transport.zarr``.
+    title : str, optional
+        By default scene and method.
+    compared : Compared, optional
+
+    Raises
+    ------
+    StoreError
+        If there is no transport.
+    """
+    transport = open_transport(path)
+    kept = open_arrays(path).attributes
+    scene, method = (str(kept.get(name, "")) for name in ("scene", "method"))
+    named = " by ".join(filter(None, (scene, method))) or path.stem
+    facts = [("Scene", scene), ("Method", method), *_facts(transport)]
+    about = [(name, value) for name, value in facts if value]
+    return View(transport, title or named, about=about, compared=compared), kept
+
+
+def _facts(transport: Transport) -> list[tuple[str, str]]:
+    patterns = sum(int(row.get("patterns", 0)) for row in transport.level_rows)
+    errors = transport.history.get("estimated_error")
+    known = errors is not None and len(errors.dropna())
+    return [
+        ("Camera", _rays(transport.camera_shape)),
+        ("Projector", _rays(transport.projector_shape)),
+        ("Patterns", f"{patterns:,}" if patterns else ""),
+        ("Stored", f"{transport.nbytes / 1e6:.3g} MB"),
+        (
+            "Error",
+            f"{100 * float(errors.dropna().iloc[-1]):.2g} % of relit pictures, by the method's own "
+            "estimate"
+            if errors is not None and known
+            else "",
+        ),
+    ]
+
+
+def _rays(shape: tuple[int, ...]) -> str:
+    return f"{' x '.join(map(str, shape))}, {math.prod(shape):,} rays"
+
+
+def write_acquisition(store: Path, others: Sequence[Path], page: Path) -> Written:
+    """Write the page of a run's transport, with the smallest of others to compare, if it has room.
+
+    Parameters
+    ----------
+    store : Path
+        A ``transport.zarr``.
+    others : sequence of Path
+        Those of the same scene by other methods.
+    page : Path
+        See `rfpipe.viewer.write_view`.
+    """
+    view, _ = view_of(store)
+    beside = [view_of(other)[0] for other in others]
+    alike = [
+        each
+        for each in beside
+        if (each.transport.camera_shape, each.transport.projector_shape)
+        == (view.transport.camera_shape, view.transport.projector_shape)
+    ]
+    smallest = min(alike, key=lambda each: each.transport.nbytes, default=None)
+    if smallest is not None and view.transport.nbytes + smallest.transport.nbytes < _TOGETHER:
+        view = replace(view, compared=Compared(smallest.transport, smallest.title))
+    return write_view(view, page)

@@ -1,0 +1,288 @@
+// The page: what is set, the two screens, and the pictures between them.
+const $ = (id) => document.getElementById(id);
+const ORDER = ["projector", "camera"];
+const sides = { projector: new Side(MANIFEST.projector), camera: new Side(MANIFEST.camera) };
+const channels = MANIFEST.channels;
+let state = stateFromHash(location.hash);
+let engine, other, screens, painting, loadedPicture = null, still = null, floodlit = {}, shown = {}, readyLevels = [];
+let drawing = null, playing = null, recording = null, frames = 0, framesSince = 0;
+
+const lit = () => sides[state.side];
+const seenName = () => ORDER[1 - ORDER.indexOf(state.side)];
+const seen = () => sides[seenName()];
+const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
+
+function say(text, failed = false) {
+  $("status").textContent = text;
+  $("status").classList.toggle("failed", failed);
+}
+
+// ---- data
+
+async function embedded(prefix, index) {
+  for (;;) {
+    const element = $(prefix + index);
+    // its text is whole once something stands after it
+    if (element && (document.readyState !== "loading" || element.nextElementSibling)) {
+      const text = element.textContent;
+      element.remove();
+      return text;
+    }
+    if (document.readyState !== "loading") throw new Error(`the page ends before array ${index}`);
+    await new Promise((resolve) => setTimeout(resolve, 10));
+  }
+}
+
+// Arrays that lie side by side in a file come together, up to so many bytes at a time.
+const TOGETHER = 2 ** 20;
+
+function inGroups(places) {
+  const groups = [];
+  for (const [file, from, bytes] of places) {
+    const last = groups.at(-1);
+    if (last && last.file === file && last.end === from && from + bytes - last.from <= TOGETHER) {
+      last.end = from + bytes;
+    } else groups.push({ file, from, end: from + bytes });
+    groups.at(-1).count = (groups.at(-1).count || 0) + 1;
+  }
+  return groups.flatMap((group) => Array(group.count).fill(group));
+}
+
+const wholeFiles = new Map();
+async function fetched(group) {
+  const { file, from, end } = group;
+  if (wholeFiles.has(file)) return (await wholeFiles.get(file)).subarray(from, end);
+  const answer = await fetch(file, { headers: { Range: `bytes=${from}-${end - 1}` } });
+  if (!answer.ok) throw new Error(`${file}: ${answer.status} ${answer.statusText}`);
+  const found = answer.arrayBuffer().then((data) => new Uint8Array(data));
+  if (answer.status === 206) return found;
+  wholeFiles.set(file, found); // a server without ranges sends all of it, once
+  return (await found).subarray(from, end);
+}
+
+function blobs(prefix, manifest) {
+  if (!manifest.files) return (index) => embedded(prefix, index);
+  const groups = inGroups(manifest.files);
+  return async (index) => {
+    const group = groups[index], [, from, bytes] = manifest.files[index];
+    group.data ||= fetched(group);
+    return (await group.data).slice(from - group.from, from - group.from + bytes);
+  };
+}
+
+function kernel() {
+  const bytes = Uint8Array.from(atob(KERNEL), (c) => c.charCodeAt(0));
+  const wanted = new URLSearchParams(location.search).get("kernel") !== "javascript";
+  return wanted && typeof WebAssembly === "object" && WebAssembly.validate(bytes) ? bytes : null;
+}
+
+// ---- light
+
+function lightNow() {
+  const side = lit(), x = state.x * side.width, y = state.y * side.height;
+  const radius = state.size / 100 * Math.min(side.width, side.height);
+  let image, colour = linearColour(state.colour, channels);
+  if (state.tool === "bar") image = bar(side, x, y, radius, state.soft, state.angle);
+  else if (state.tool === "flood") image = new Float32Array(side.perView).fill(1);
+  else if (state.tool === "pixel") image = pixel(side, x, y);
+  else if (state.tool === "brush" || (state.tool === "picture" && loadedPicture)) {
+    image = state.tool === "brush" ? painting.image : loadedPicture;
+    colour = Array(channels).fill(1);
+    return { light: side.inViews(image, state.litView, channels).slice(), colour };
+  } else image = spot(side, x, y, radius, state.soft);
+  return { light: side.inViews(image, state.litView), colour };
+}
+
+const levelNow = () => {
+  const wanted = state.level < 0 ? Infinity : state.level;
+  return readyLevels.filter((level) => level <= wanted).at(-1) ?? readyLevels[0];
+};
+
+function request(light, colour, dual) {
+  const off = state.off.split(",");
+  const parts = MANIFEST.parts.map((name) => !off.includes(name));
+  return { light, colour, dual, level: levelNow(), parts };
+}
+
+// ---- pictures
+
+function whiteOf(image) {
+  let top = 0;
+  for (const value of image) if (value > top) top = value;
+  return top || 1;
+}
+
+// A single pixel's light is dim but for the pixel itself: all but one in a thousand values, a few at
+// least, are below this white.
+function whiteOfMost(image) {
+  const sorted = Float32Array.from(image).sort(), n = sorted.length;
+  return sorted[n - 1 - Math.min(n - 1, Math.max(4 * channels, n / 1000 | 0))] || whiteOf(image);
+}
+
+function exposedWhite() {
+  if (state.tool !== "pixel") return MANIFEST.white / 2 ** state.exposure;
+  return whiteOfMost(shown.picture) / 2 ** (state.exposure - INITIAL.exposure);
+}
+
+// What the page shows next: the light and its pictures, as things are set now.
+async function pictured() {
+  const { light, colour } = lightNow(), dual = state.side === "camera", hash = stateToHash(state);
+  const wanted = [engine.picture(request(light, colour, dual))];
+  if (other && (state.wipe || state.difference)) {
+    const { levels, parts } = other.about;
+    const all = { light, colour, dual, level: levels.at(-1), parts: parts.map(() => true) };
+    wanted.push(other.picture(all));
+  }
+  const [picture, compared] = await Promise.all(wanted);
+  const beside = compared || (MANIFEST.still && !dual ? still : null);
+  return { light, colour, picture, compared: beside, hash };
+}
+
+function show(found) {
+  if (!found.picture || found.picture.length !== channels * seen().rays) return;
+  shown = found;
+  if (state.auto) state.exposure = Math.log2(MANIFEST.white / whiteOf(found.picture));
+  paint();
+  document.body.dataset.shown = state.auto ? stateToHash(state) : found.hash;
+  count();
+}
+
+function paint() {
+  const white = exposedWhite(), { picture, compared } = shown;
+  const usable = compared && compared.length === picture.length ? compared : null;
+  screens.seen.show(picture, { view: state.seenView, white, tone: state.tone, other: usable,
+    wipe: state.wipe / 100, limit: state.difference ? state.limit / 100 : 0 });
+  $("seen").dataset.drawn = "yes";
+  if (state.tool === "pixel" && state.px >= 0) screens.seen.mark(state.px, state.py);
+  paintLight();
+  if (usable && (state.wipe || state.difference) && !playing && drawing === null) {
+    const { rms, largest } = differenceOf(picture, usable, MANIFEST.white);
+    $("compared").textContent = `Differs by ${(100 * rms).toPrecision(2)} % (relative RMS); at ` +
+      `most ${(100 * largest).toPrecision(2)} % of white.`;
+  }
+  if (state.auto) showControls();
+}
+
+// The light; or, of a pixel that was picked, where its light comes from.
+async function paintLight() {
+  const view = state.litView < 0 ? 0 : state.litView;
+  if (state.tool === "pixel" && state.px >= 0) {
+    const side = seen(), image = pixel(side, state.px * side.width, state.py * side.height);
+    const light = side.inViews(image, state.seenView);
+    const dual = state.side === "projector";
+    const row = await engine.picture(request(light, Array(channels).fill(1), dual), "row");
+    if (row && row.length === channels * lit().rays && state.tool === "pixel") {
+      screens.light.show(row, { view, white: whiteOfMost(row), tone: "soft" });
+    }
+    return;
+  }
+  screens.light.showLight(shown.light, shown.colour,
+    { view, floodlit: floodlit[state.side], white: MANIFEST.white });
+}
+
+async function findFloodlit() {
+  for (const name of ORDER) {
+    const dual = name === "projector"; // what a side sees under light from the other
+    const light = new Float32Array(sides[ORDER[1 - ORDER.indexOf(name)]].rays).fill(1);
+    const all = { ...request(light, Array(channels).fill(1), dual),
+      parts: MANIFEST.parts.map(() => true) };
+    floodlit[name] = await engine.picture(all, "floodlit") || floodlit[name];
+  }
+}
+
+function count() {
+  frames += 1;
+  const now = performance.now();
+  if (now - framesSince > 1000) {
+    document.body.dataset.fps = (1000 * frames / (now - framesSince)).toFixed(1);
+    frames = 0;
+    framesSince = now;
+  }
+}
+
+// At most one picture is on its way while another is shown; moves meanwhile end in one more.
+let asked = false, going = false;
+async function update(keep = true) {
+  if (keep && !playing) rememberSoon();
+  asked = true;
+  if (going || !readyLevels.length) return;
+  going = true;
+  try {
+    asked = false;
+    for (let coming = pictured(); coming;) {
+      const found = await coming;
+      coming = asked ? pictured() : null;
+      asked = false;
+      show(found);
+    }
+  } finally {
+    going = false;
+  }
+  if (asked) update(keep);
+}
+
+// ---- beginning
+
+function makeScreens() {
+  bound();
+  screens = {
+    light: new Screen($("light"), lit(), channels),
+    seen: new Screen($("seen"), seen(), channels),
+  };
+  painting = new Painting(lit(), channels);
+  $("light-name").textContent = state.side === "projector" ? "Projector's side" : "Camera's side";
+  $("seen-name").textContent = state.side === "projector" ? "Camera's view" : "Projector's view";
+}
+
+async function begin() {
+  if (MANIFEST.files && location.protocol === "file:") {
+    throw new Error("its data come from a web server; in this folder, run: python -m http.server");
+  }
+  makeScreens();
+  bindControls();
+  bindScreens();
+  showControls();
+  const simd = kernel(), cores = clamp((navigator.hardwareConcurrency || 2), 1, 6);
+  engine = new Engine(MANIFEST, blobs("b", MANIFEST), cores, simd);
+  $("runs").textContent = `${simd ? "WebAssembly with SIMD" : "plain JavaScript"}, ` +
+    `${engine.workers.length} workers`;
+  document.body.dataset.kernel = simd ? "wasm" : "javascript";
+  engine.onfail = (message) => say(`The page can't go on: ${message}`, true);
+  engine.onlevel = (ready) => arrived(ready);
+  if (MANIFEST.other) {
+    other = new Engine(MANIFEST.other, blobs("c", MANIFEST.other), Math.max(1, cores >> 1), simd);
+    other.onfail = engine.onfail;
+  }
+  $("comparing").hidden = !MANIFEST.other && !MANIFEST.still;
+  await engine.load();
+  if (other) await other.load();
+  if (MANIFEST.still) await loadStill(blobs("s", MANIFEST.still));
+}
+
+async function loadStill(blob) {
+  let data = await blob(0);
+  if (typeof data === "string") data = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
+  const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const planes = new Uint8Array(await new Response(stream).arrayBuffer()), n = planes.length / 4;
+  const bytes = new Uint8Array(planes.length);
+  for (let k = 0; k < planes.length; k++) bytes[4 * (k % n) + Math.floor(k / n)] = planes[k];
+  still = new Float32Array(bytes.buffer);
+  update(false);
+}
+
+let arriving = Promise.resolve();
+function arrived(ready) {
+  if (ready.length === readyLevels.length) return;
+  const first = !readyLevels.length, all = ready.length === MANIFEST.levels.length;
+  readyLevels = ready;
+  say(all ? "Drag the light." : `Level ${ready.at(-1)} of ${MANIFEST.levels.at(-1)} is here; finer ones follow.`);
+  if (first) document.body.dataset.first = performance.now().toFixed(0);
+  if (!first && !all) { update(false); return; }
+  arriving = arriving.then(async () => {
+    await findFloodlit();
+    await update(false);
+    if (all) document.body.dataset.ready = performance.now().toFixed(0);
+  });
+}
+
+begin().catch((error) => say(`The page can't go on: ${error.message || error}`, true));

@@ -1,0 +1,90 @@
+"""A real browser without a window: Chromium, as the system has it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from base64 import b64decode
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome")
+
+
+def need_chromium() -> str:
+    """Return the path of Chromium; skip a test where there is none, or fail where required."""
+    found = next(filter(None, map(shutil.which, _NAMES)), None)
+    if found is None:
+        hint = "apt-get install chromium"
+        if os.environ.get("RFPIPE_REQUIRE_CHROMIUM"):
+            pytest.fail(f"RFPIPE_REQUIRE_CHROMIUM is set, but there is no Chromium: {hint}")
+        pytest.skip(f"a test in a real browser; to run it: {hint}")
+    return found
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Chromium while the context lasts."""
+    path = need_chromium()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        try:
+            yield started
+        finally:
+            started.close()
+
+
+def opened(chromium: Any, address: str | Path, query: str = "", **context: Any) -> Any:
+    """A viewer's page once all of its data are there; what it says on the console is in `said`."""
+    page = chromium.new_context(viewport={"width": 1280, "height": 900}, **context).new_page()
+    page.said = []
+    page.on("console", lambda message: page.said.append(message.text))
+    page.on("pageerror", lambda error: page.said.append(str(error)))
+    page.asked = []
+    page.on("request", lambda request: page.asked.append(request.url))
+    page.goto(f"file://{address}{query}" if isinstance(address, Path) else address + query)
+    wait_until(page, "document.body.dataset.ready !== undefined")
+    return page
+
+
+def wait_until(page: Any, condition: str, seconds: float = 60) -> None:
+    """Wait for a condition; `page.wait_for_function` needs an eval, which the page forbids."""
+    for _ in range(int(20 * seconds)):
+        if page.evaluate(condition):
+            return
+        page.wait_for_timeout(50)
+    status = page.inner_text("#status")
+    pytest.fail(f"{condition}: not in {seconds} s; the page says {status!r}, {page.said}")
+
+
+_PICTURE = """async ([light, dual, level, off]) => {
+  const bytes = Uint8Array.from(atob(light), (c) => c.charCodeAt(0));
+  const parts = MANIFEST.parts.map((name) => !off.includes(name));
+  const picture = await engine.picture({ light: new Float32Array(bytes.buffer),
+    colour: Array(MANIFEST.channels).fill(1), dual, level, parts });
+  const all = new Uint8Array(picture.buffer);
+  let text = "";
+  for (let i = 0; i < all.length; i += 8192) {
+    text += String.fromCharCode(...all.subarray(i, i + 8192));
+  }
+  return btoa(text);
+}"""
+
+
+def picture_of(
+    page: Any, light: NDArray[Any], level: int, *, dual: bool = False, off: tuple[str, ...] = ()
+) -> NDArray[np.float32]:
+    """What a page makes of planar light (C, rays), as one flat array."""
+    from base64 import b64encode
+
+    given = b64encode(np.ascontiguousarray(light, "<f4").tobytes()).decode()
+    found = page.evaluate(_PICTURE, [given, dual, level, list(off)])
+    return np.frombuffer(b64decode(found), "<f4")

@@ -1,0 +1,53 @@
+"""Somebody who shows an offline rig's patterns and photographs them, without rfpipe's own code.
+
+``python photographer.py SHEET MATRIX.npy`` shows each picture that SHEET/patterns.json names, in
+their order, to a scene of which MATRIX, (channels, camera rays, projector rays), is the light
+transport, and writes a TIFF of each exposure into SHEET/pictures. The camera is without noise: 16
+bits, linear, 1,000 counts of black.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+
+BLACK, FULL_SCALE, COUNTS_PER_SECOND = 1_000, 65_535, 15_000
+
+
+def rays_of(path, shape):
+    """Return the light of each ray: what the middle of its square of projector pixels shows."""
+    codes = oiio.ImageBuf(str(path)).get_pixels(oiio.UINT8)[..., 0]
+    height, width = codes.shape
+    side = min(height // shape[0], width // shape[1])
+    top, left = (height - side * shape[0]) // 2, (width - side * shape[1]) // 2
+    rows = top + side * np.arange(shape[0]) + side // 2
+    columns = left + side * np.arange(shape[1]) + side // 2
+    return codes[np.ix_(rows, columns)].ravel() / 255
+
+
+def photograph(sheet, matrix, expose):
+    """Take all that a sheet asks for; `expose(radiance, seconds, key)` returns counts."""
+    asked = json.loads((sheet / "patterns.json").read_text())
+    height, width = asked["picture_size"]
+    (sheet / "pictures").mkdir(exist_ok=True)
+    taken = 0
+    for shown in asked["shown"]:
+        light = rays_of(sheet / shown["file"], (height, width))
+        radiance = np.moveaxis(matrix @ light, 0, -1).reshape(height, width, -1)
+        for seconds in asked["exposures_s"]:
+            picture = oiio.ImageBuf(expose(radiance, seconds, shown["key"]))
+            picture.specmod().attribute("ExposureTime", float(seconds))
+            picture.write(str(sheet / "pictures" / f"IMG_{taken}.tif"))
+            taken += 1
+
+
+def counts(radiance, seconds, _key):
+    """Return what the camera without noise counts."""
+    light = BLACK + COUNTS_PER_SECOND * seconds * radiance
+    return np.clip(np.rint(light), 0, FULL_SCALE).astype(np.uint16)
+
+
+if __name__ == "__main__":
+    photograph(Path(sys.argv[1]), np.load(sys.argv[2]), counts)

@@ -1,0 +1,74 @@
+"""Web servers of a folder: by ranges, or not; what was asked of them."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from urllib.parse import unquote
+
+
+@dataclass
+class Served:
+    """A folder behind an address."""
+
+    address: str = ""
+    requests: list[tuple[str, int]] = field(default_factory=list)
+    """Path and bytes of every answer."""
+
+    @property
+    def nbytes(self) -> int:
+        return sum(size for _, size in self.requests)
+
+
+@contextmanager
+def serving(folder: Path, *, ranges: bool = True) -> Iterator[Served]:
+    """Serve a folder, as static web servers do."""
+    served = Served()
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self) -> None:
+            path = folder / unquote(self.path).lstrip("/")
+            if not path.is_file():
+                self._answer(404, b"")
+                return
+            content = path.read_bytes()
+            asked = re.fullmatch(r"bytes=(\d*)-(\d*)", self.headers.get("Range", ""))
+            if asked is None or not ranges:
+                self._answer(200, content)
+                return
+            size = len(content)
+            first = int(asked[1]) if asked[1] else max(0, size - int(asked[2]))
+            last = min(int(asked[2]), size - 1) if asked[1] and asked[2] else size - 1
+            self._answer(206, content[first : last + 1], f"bytes {first}-{last}/{size}")
+
+        def _answer(self, status: int, content: bytes, of: str = "") -> None:
+            # counted first, since the client goes on as soon as it has the last byte
+            served.requests.append((self.path, len(content)))
+            self.send_response(status)
+            self.send_header("Content-Length", str(len(content)))
+            if of:
+                self.send_header("Content-Range", of)
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+    thread.start()
+    served.address = f"http://127.0.0.1:{server.server_port}"
+    try:
+        yield served
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()

@@ -1,0 +1,371 @@
+"""What leaves rfpipe: pictures of rays, relit pictures and movies, from Python and by command."""
+
+import sys
+from pathlib import Path
+
+import av
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from rfpipe.cli import app
+from rfpipe.errors import InputError, RfpipeError, StoreError
+from rfpipe.export import (
+    PATHS,
+    Scale,
+    light_path,
+    ray_pictures,
+    rays_at,
+    relit_movie,
+    relit_pictures,
+    write_movie,
+)
+from rfpipe.pictures.images import read_image, srgb, write_image
+from rfpipe.scenes.relighting import relighting_patterns
+from rfpipe.transport import coarser, open_transport
+from rfpipe.transport.dense import DenseTransport
+
+CAMERA, PROJECTOR, VIEWS = (6, 8), (5, 7), (2, 4, 6)
+RANDOM = np.random.default_rng(3)
+
+
+def transport_of(camera: tuple[int, ...] = CAMERA, projector: tuple[int, ...] = PROJECTOR):
+    shape = 3, int(np.prod(camera)), int(np.prod(projector))
+    matrix = np.random.default_rng(1).random(shape, dtype=np.float32)
+    return DenseTransport(camera, projector, 3, [], {"matrix": matrix})
+
+
+@pytest.fixture
+def stored(tmp_path: Path) -> Path:
+    transport_of().save(tmp_path / "transport.zarr")
+    return tmp_path / "transport.zarr"
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(app, ["export", *map(str, arguments)], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def refused(*arguments: object) -> str:
+    with pytest.raises(RfpipeError) as caught:
+        CliRunner().invoke(app, ["export", *map(str, arguments)], catch_exceptions=False)
+    return str(caught.value)
+
+
+def frames_of(path: Path) -> NDArray[np.uint8]:
+    with av.open(str(path)) as container:
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+
+
+# --- which rays
+
+
+@pytest.mark.parametrize(
+    ("text", "shape", "expected"),
+    [
+        ("2,3", CAMERA, [19]),
+        ("2, :", CAMERA, range(16, 24)),
+        ("-1,-1", CAMERA, [47]),
+        ("1:3,6:", CAMERA, [14, 15, 22, 23]),
+        ("::4,::4", CAMERA, [0, 4, 32, 36]),
+        ("1,0,5", VIEWS, [29]),
+    ],
+)
+def test_rays_are_written_as_numpy_s_indices(text: str, shape, expected) -> None:
+    assert rays_at(text, shape).tolist() == list(expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "shape", "message"),
+    [
+        ("2", CAMERA, "1 indices for rays of the shape.*expected row,column"),
+        ("2,3", VIEWS, "expected view,row,column"),
+        ("6,0", CAMERA, "outside the rays"),
+        ("2,x", CAMERA, "'x' is neither a number nor a slice"),
+        ("4:4,0", CAMERA, "no ray of"),
+        ("::0,0", CAMERA, "slice step cannot be zero"),
+        ("", CAMERA, "1 indices"),
+    ],
+)
+def test_rays_that_can_t_be_told(text: str, shape, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        rays_at(text, shape)
+
+
+@pytest.mark.parametrize("side", ["row", "column"])
+@pytest.mark.parametrize("camera", [CAMERA, VIEWS])
+def test_pictures_of_rays_are_rows_and_columns_of_the_matrix(side, camera) -> None:
+    transport = transport_of(camera)
+    matrix = transport.toarray() if side == "row" else transport.toarray().swapaxes(1, 2)
+    height, width = {CAMERA: CAMERA, VIEWS: (8, 6)}[camera]
+    shape = PROJECTOR if side == "row" else (height, width)
+    for place, picture in ray_pictures(transport, side, np.array([30, 2])):
+        ray = np.ravel_multi_index(place, camera if side == "row" else PROJECTOR)
+        np.testing.assert_allclose(picture, matrix[:, ray].T.reshape(*shape, 3), rtol=1e-6)
+
+
+# --- sizes
+
+
+def test_scales() -> None:
+    image = RANDOM.random((5, 7, 3), dtype=np.float32)
+    assert np.array_equal(Scale.parse("3").apply(image)[::3, ::3], image)
+    halved = Scale.parse("1/2").apply(image)
+    assert halved.shape == (3, 4, 3)
+    np.testing.assert_allclose(halved[0, 0], image[:2, :2].mean((0, 1)), rtol=1e-5)
+    np.testing.assert_allclose(halved[2, 3], image[4, 6], rtol=1e-6)
+
+
+@pytest.mark.parametrize("text", ["0", "1/0", "0.5", "-2", "2/3", "big"])
+def test_scales_that_aren_t(text: str) -> None:
+    with pytest.raises(InputError, match=f"scale '{text}': expected a whole number"):
+        Scale.parse(text)
+
+
+# --- light paths
+
+
+@pytest.mark.parametrize("path", [name for name in PATHS if name != "views"])
+def test_paths_move_a_light_within_the_weights(path: str) -> None:
+    lights = light_path(path, (20, 30), 9, size=4)
+    patterns = lights.batch(0, 99)
+    assert patterns.shape == (9, 20, 30)
+    assert patterns.min() >= 0
+    assert patterns.max() <= 1
+    middle = patterns[4]
+    axis = {"across": 0, "down": 1, "circle": None}[path]
+    if axis is not None:  # the bar is in the middle half-way, and outside at both ends
+        lit = np.flatnonzero(middle.any(axis=axis))
+        assert abs(lit.mean() - (middle.shape[1 - axis] - 1) / 2) < 0.6
+        assert middle.sum(axis=1 - axis).std() < 1e-6
+        assert patterns[0].max() <= 0.5 >= patterns[-1].max()
+        assert middle.sum() == pytest.approx(4 * middle.shape[axis], rel=0.05)
+    else:
+        assert middle.sum() == pytest.approx(np.pi * 4, rel=0.1)
+        np.testing.assert_allclose(patterns[0], patterns[-1], atol=1e-6)
+
+
+def test_a_disc_goes_from_place_to_place() -> None:
+    patterns = light_path("2,3 2,23 12,23", (20, 30), 4, size=3).batch(0, 4)
+    rows, columns = np.mgrid[0:20, 0:30]
+    for pattern, (row, column) in zip(patterns, [(2, 3), (2, 13), (2, 23), (12, 23)], strict=True):
+        weights = pattern / pattern.sum()
+        assert ((weights * rows).sum(), (weights * columns).sum()) == pytest.approx((row, column))
+
+
+def test_views_are_lit_in_turn_and_other_paths_light_all() -> None:
+    patterns = light_path("views", VIEWS, 2).batch(0, 2)
+    assert np.array_equal(patterns.reshape(2, 2, -1).min(2), np.eye(2))
+    assert light_path("across", VIEWS, 3).batch(1, 2).shape == (1, *VIEWS)
+
+
+def test_coloured_light() -> None:
+    pattern = light_path("circle", (20, 30), 1, colour=(1, 0.5, 0)).batch(0, 1)
+    assert pattern.shape == (1, 20, 30, 3)
+    np.testing.assert_allclose(pattern[..., 1], pattern[..., 0] / 2)
+
+
+@pytest.mark.parametrize(
+    ("path", "settings", "message"),
+    [
+        ("acros", {}, "expected across, down, circle, views, or two or more places"),
+        ("1,2", {}, "two or more places"),
+        ("1,2 3", {}, "two or more places"),
+        ("1,2 3,nan", {}, "two or more places"),
+        ("views", {}, "are one image"),
+        ("across", {"size": 0}, "size 0"),
+        ("across", {"colour": (1, -1, 1)}, "not negative"),
+        ("across", {"count": 0}, "in 0 patterns"),
+    ],
+)
+def test_paths_that_aren_t(path: str, settings, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        light_path(path, PROJECTOR, **{"count": 2, **settings})
+
+
+# --- relit pictures and movies
+
+
+def test_relit_pictures_are_relight_s() -> None:
+    transport = transport_of(VIEWS)
+    patterns = RANDOM.random((3, *PROJECTOR, 3), dtype=np.float32)
+    whole = list(relit_pictures(transport, patterns))
+    second = list(relit_pictures(transport, patterns, Scale(2), view=1))
+    for pattern, of_all, of_one in zip(patterns, whole, second, strict=True):
+        image = transport.relight(pattern)
+        np.testing.assert_array_equal(of_all, image.reshape(8, 6, 3))
+        np.testing.assert_array_equal(of_one[::2, ::2], image[1])
+    with pytest.raises(InputError, match="view 2: the camera's rays have views 0 to 1"):
+        next(relit_pictures(transport, patterns, view=2))
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".webm"])
+def test_a_movie_shows_the_relit_pictures(tmp_path: Path, suffix: str) -> None:
+    transport = transport_of((5, 9))
+    lights = light_path("across", PROJECTOR, 6, size=3)
+    path = tmp_path / f"movie{suffix}"
+    white = relit_movie(transport, path, lights, scale=Scale(9), fps=12.5)
+    frames = frames_of(path)
+    assert frames.shape == (6, 46, 82, 3)  # odd sides are filled up
+    expected = [
+        255 * srgb(picture, white)
+        for picture in relit_pictures(transport, lights.batch(0, 6), Scale(9))
+    ]
+    off = np.abs(frames[:, :45, :81] - np.stack(expected))
+    assert off.mean() < 4  # noise, of which colour is kept for squares of four pixels
+    assert np.abs((frames[:, :45, :81] - np.stack(expected)).mean((0, 1, 2))).max() < 1.5
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert stream.average_rate == 12.5
+        assert stream.codec_context.pix_fmt == "yuv420p"
+
+
+def test_one_white_holds_for_all_pictures(tmp_path: Path) -> None:
+    transport, lights = transport_of(), light_path("down", PROJECTOR, 5)
+    brightest = max(picture.max() for picture in relit_pictures(transport, lights.batch(0, 5)))
+    white = relit_movie(transport, tmp_path / "movie.mp4", lights)
+    assert 0.9 * brightest < white <= brightest
+    assert relit_movie(transport, tmp_path / "movie.mp4", lights, white=3.0) == 3.0
+    with pytest.raises(InputError, match="white is 0"):
+        relit_movie(transport, tmp_path / "movie.mp4", lights, white=0)
+
+
+def test_a_movie_is_whole_or_absent(tmp_path: Path) -> None:
+    def pictures():
+        yield np.zeros((32, 32, 3), np.uint8)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_movie(tmp_path / "movie.mp4", pictures(), 25)
+    assert not list(tmp_path.iterdir())
+
+
+def test_movies_that_can_t_be_written(tmp_path: Path, monkeypatch) -> None:
+    picture = np.zeros((32, 32, 3), np.uint8)
+    with pytest.raises(InputError, match=r"ends in \.mp4 or \.webm"):
+        write_movie(tmp_path / "movie.gif", [picture], 25)
+    with pytest.raises(InputError, match="fps is 0"):
+        write_movie(tmp_path / "movie.mp4", [picture], 0)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="writing failed"):
+        write_movie(tmp_path / "file" / "movie.mp4", [picture], 25)
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(StoreError, match=r"pip install 'rfpipe\[export\]'"):
+        write_movie(tmp_path / "movie.mp4", [picture], 25)
+
+
+# --- commands
+
+
+def test_export_matrix(stored: Path, tmp_path: Path) -> None:
+    path = tmp_path / "part.npz"
+    text = run("matrix", stored, path, "--rows", "2,:", "--rows", "2,3", "--columns", "0,0")
+    assert "part.npz: T" in text
+    found = np.load(path)
+    assert found["rows"].tolist() == list(range(16, 24))  # each once
+    np.testing.assert_allclose(found["T"], transport_of().toarray(range(16, 24), [0]), rtol=1e-6)
+    run("matrix", stored, path, "--scale", "1/2", "--dual")
+    np.testing.assert_allclose(
+        np.load(path)["T"], coarser(transport_of(), 2).T.toarray(), rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--scale", "2"), "no more rays than were acquired"),
+        (("--limit-gib", "1e-6"), "choose rows or columns, lower the scale"),
+        (("--rows", "9,9"), "outside the rays"),
+    ],
+)
+def test_export_matrix_refuses(stored: Path, tmp_path: Path, options, message: str) -> None:
+    assert message in refused("matrix", stored, tmp_path / "x.npz", *options)
+    assert not (tmp_path / "x.npz").exists()
+
+
+def test_export_rays(stored: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "rays"
+    text = run("rays", stored, folder, "--row", "2,3", "--column", "1,:", "--scale", "2")
+    assert "8 pictures" in text
+    matrix = transport_of().toarray()
+    row = read_image(folder / "row_2_3.exr")
+    np.testing.assert_array_equal(row[::2, ::2], matrix[:, 19].T.reshape(*PROJECTOR, 3))
+    column = read_image(folder / "column_1_6.exr")
+    np.testing.assert_array_equal(column[::2, ::2], matrix[:, :, 13].T.reshape(*CAMERA, 3))
+    about = oiio.ImageBuf(str(folder / "row_2_3.exr")).spec()
+    assert about.getattribute("rfpipe:ray") == "2,3"
+    run("rays", stored, folder, "--row", "2,3", "--format", "png", "--white", "1")
+    shown = read_image(folder / "row_2_3.png")
+    np.testing.assert_allclose(shown, srgb(row[::2, ::2], 1.0), atol=1 / 255)
+
+
+def test_export_rays_refuses(stored: Path, tmp_path: Path) -> None:
+    assert "give --row or --column" in refused("rays", stored, tmp_path / "rays")
+    text = refused("rays", stored, tmp_path / "rays", "--row", ":,:", "--limit-gib", "1e-6")
+    assert "48 pictures take" in text
+    assert not (tmp_path / "rays").exists()
+
+
+def test_export_relit_takes_names_pictures_folders_and_stacks(stored: Path, tmp_path: Path) -> None:
+    pictures = tmp_path / "pictures"
+    pictures.mkdir()
+    weights = np.linspace(0, 1, 35, dtype=np.float32).reshape(*PROJECTOR, 1)
+    write_image(pictures / "ramp.exr", weights)
+    np.save(tmp_path / "stack.npy", RANDOM.random((2, *PROJECTOR, 3)))
+    folder = tmp_path / "relit"
+    text = run("relit", stored, folder, "noise", pictures, tmp_path / "stack.npy")
+    names = ["noise", "ramp", "stack_0000", "stack_0001"]
+    assert "4 pictures" in text
+    assert sorted(path.stem for path in folder.iterdir()) == names
+    transport = transport_of()
+    for name, pattern in {
+        "ramp": weights[..., 0],
+        "noise": relighting_patterns(PROJECTOR)["noise"],
+        "stack_0001": np.load(tmp_path / "stack.npy")[1],
+    }.items():
+        found = read_image(folder / f"{name}.exr")
+        np.testing.assert_allclose(found, transport.relight(pattern), rtol=1e-5)
+
+
+def test_export_relit_as_png_has_one_white(stored: Path, tmp_path: Path) -> None:
+    np.save(tmp_path / "stack.npy", np.array([np.ones(PROJECTOR), 0.1 * np.ones(PROJECTOR)]))
+    run("relit", stored, tmp_path / "relit", tmp_path / "stack.npy", "--format", "png")
+    bright, dim = (read_image(tmp_path / "relit" / f"stack_000{n}.png") for n in (0, 1))
+    assert bright.max() > 0.99
+    assert dim.max() < 0.4
+
+
+def test_export_relit_refuses(stored: Path, tmp_path: Path) -> None:
+    np.save(tmp_path / "counts.npy", np.full((1, *PROJECTOR), 255, np.uint8))
+    np.save(tmp_path / "flat.npy", np.ones(3))
+    folder = tmp_path / "relit"
+    text = refused("relit", stored, folder, tmp_path / "counts.npy")
+    assert "uint8 with values from 255 to 255" in text
+    assert "two patterns are named noise" in refused("relit", stored, folder, "noise", "noise")
+    assert "a pattern has the shape" in refused("relit", stored, folder, tmp_path / "flat.npy")
+    (tmp_path / "empty").mkdir()
+    assert "holds no pictures" in refused("relit", stored, folder, tmp_path / "empty")
+    (tmp_path / "text.npy").write_text("no array")
+    assert "can't be read as .npy" in refused("relit", stored, folder, tmp_path / "text.npy")
+
+
+def test_export_movie(stored: Path, tmp_path: Path) -> None:
+    path = tmp_path / "movie.mp4"
+    options = ("--path", "1,1 3,5", "--seconds", "0.2", "--colour", "1,0,0", "--white", "4")
+    assert "5 pictures, white is 4" in run("movie", stored, path, *options)
+    frames = frames_of(path)
+    assert frames.shape == (5, 360, 480, 3)
+    assert frames[..., 0].mean() > 20
+    assert frames[..., 1].mean() < 3
+    assert "expected 3 weights" in refused("movie", stored, path, "--colour", "1,2")
+    assert "in 0 patterns" in refused("movie", stored, path, "--seconds", "0")
+
+
+def test_nothing_that_is_exported_changes_the_transport(stored: Path, tmp_path: Path) -> None:
+    before = {path: path.read_bytes() for path in stored.rglob("*") if path.is_file()}
+    run("matrix", stored, tmp_path / "x.h5")
+    assert before == {path: path.read_bytes() for path in stored.rglob("*") if path.is_file()}
+    np.testing.assert_array_equal(open_transport(stored).toarray(), transport_of().toarray())

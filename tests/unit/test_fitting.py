@@ -1,0 +1,159 @@
+"""Transport from pictures of patterns that somebody else chose."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import yaml
+from scipy.linalg import hadamard
+from typer.testing import CliRunner
+
+from rfpipe import open_transport
+from rfpipe.cli import app
+from rfpipe.config import CameraConfig
+from rfpipe.errors import InputError
+from rfpipe.fitting import Series, fit_transport, read_series
+from rfpipe.fitting.folder import FolderOptions
+from rfpipe.photometry import CameraModel
+from rfpipe.scenes import planes_scene, relighting_patterns
+
+SHAPE = (12, 14)
+RAYS = 168
+SCENE = planes_scene("wedge", ("white", "texture"), shape=SHAPE)
+T = np.stack([SCENE.dense(channel) for channel in range(3)])
+
+
+def series(patterns: np.ndarray, noise: float = 0.0, seed: int = 0) -> Series:
+    """Pictures whose standard deviation is a fraction of the mean light."""
+    light = np.einsum("cmn,kn->kcm", T, patterns)
+    spread = np.full_like(light, (noise * light.mean()) ** 2)
+    seen = light + np.sqrt(spread) * np.random.default_rng(seed).standard_normal(light.shape)
+    return Series(SHAPE, SHAPE, *(a.astype(np.float32) for a in (patterns, seen, spread)))
+
+
+def error_of(transport) -> float:
+    """Mean error of the reference patterns' pictures."""
+    lit = np.stack(list(relighting_patterns(SHAPE).values()))
+    truth = np.einsum("cmn,kn->kmc", T, lit.reshape(len(lit), -1)).reshape(len(lit), *SHAPE, 3)
+    found = transport.relight_batch(lit.astype(np.float32))
+    return float(np.mean([np.linalg.norm(a - b) / np.linalg.norm(b)
+                          for a, b in zip(found, truth, strict=True)]))  # fmt: skip
+
+
+def test_one_light_at_a_time_is_taken_as_it_stands() -> None:
+    found = fit_transport(series(np.eye(RAYS)))
+    assert found.complete
+    assert found.error is None  # nothing to tell it by
+    dense = np.stack([found.transport.channel(c) @ np.eye(RAYS) for c in range(3)])
+    np.testing.assert_allclose(dense, T, rtol=1e-5, atol=1e-6 * T.max())
+
+
+def test_hadamard_patterns_and_the_error_that_noise_makes() -> None:
+    patterns = (hadamard(256)[:, :RAYS] > 0).astype(float)
+    assert error_of(fit_transport(series(patterns)).transport) < 1e-4
+    found = fit_transport(series(patterns, noise=0.01))
+    assert found.model == "linear"
+    assert found.noise == pytest.approx(error_of(found.transport), rel=0.25)
+    assert found.transport.history.estimated_error.iloc[-1] == found.error
+
+
+def test_few_pictures_of_a_coaxial_rig_take_near_far_s_model() -> None:
+    random = np.random.default_rng(1).random((40, RAYS)) < 0.5
+    few = series(np.concatenate([np.ones((1, RAYS)), random]), noise=0.003)
+    found = fit_transport(few, coaxial=True)
+    assert found.model.startswith("near_far")
+    assert found.held_out == 5
+    assert found.errors["linear"] > 20 * found.error
+    error = error_of(found.transport)
+    assert 0.3 * error < found.error < 3 * error < 0.06
+    with pytest.raises(InputError, match="--coaxial"):
+        fit_transport(few, model="near_far")
+    with pytest.raises(InputError, match="white light"):
+        fit_transport(few.some(np.arange(1, 41)), coaxial=True, model="near_far")
+
+
+def test_more_patterns_than_rays_are_left_out_to_tell_the_error() -> None:
+    random = (np.random.default_rng(2).random((250, RAYS)) < 0.5).astype(float)
+    found = fit_transport(series(random, noise=0.002))
+    assert found.complete
+    assert found.held_out == 16
+    assert found.errors["linear"] < 0.01
+    assert error_of(found.transport) < 0.03
+
+
+def write(path: Path, pixels: np.ndarray, seconds: float | None = None) -> None:
+    path.parent.mkdir(exist_ok=True, parents=True)
+    picture = oiio.ImageBuf(np.ascontiguousarray(pixels))
+    if seconds:
+        picture.specmod().attribute("ExposureTime", seconds)
+    assert picture.write(str(path)), picture.geterror()
+
+
+def test_a_foreign_folder_of_single_lights(tmp_path: Path) -> None:
+    """As a light stage leaves it: EXR pictures, twice as large, lights in no grid."""
+    lights, camera = np.random.default_rng(3).random((7, 24, 28, 3), np.float32), (12, 14)
+    for index, light in enumerate(lights):
+        write(tmp_path / "stage" / f"light_{index}.exr", light)
+    output = tmp_path / "out.zarr"
+    arguments = ["fit", str(tmp_path / "stage"), "-o", str(output), "--lights", "1", "7"]
+    done = CliRunner().invoke(app, [*arguments, "--reduce", "2"], catch_exceptions=False)
+    assert "7 pictures of 7 projector rays (complete), by linear" in done.output
+    assert "no error is known" in done.output
+    transport = open_transport(output)
+    assert (transport.camera_shape, transport.projector_shape) == (camera, (1, 7))
+    weights = np.array([[0, 1, 0, 0, 0.5, 0, 0]], np.float32)
+    mean = lights.reshape(7, 12, 2, 14, 2, 3).mean(axis=(2, 4))
+    np.testing.assert_allclose(transport.relight(weights), mean[1] + 0.5 * mean[4], rtol=1e-5)
+    with pytest.raises(InputError, match="2 x 4 lights, one at a time, make 8"):
+        read_series(tmp_path / "stage", FolderOptions(lights=(2, 4)))
+
+
+def test_brackets_of_a_known_camera_bring_their_variance(tmp_path: Path) -> None:
+    numbers = {"exposures": [0.02, 0.2], "bits": 16, "black_level_counts": 500}
+    camera = CameraModel(**CameraConfig(**numbers).model_dump())
+    patterns = np.eye(6, dtype=np.float32).reshape(6, 2, 3)
+    patterns = np.concatenate([np.zeros((2, 2, 3), np.float32), patterns])
+    np.save(tmp_path / "patterns.npy", patterns)
+    matrix = np.random.default_rng(4).random((20, 6)).astype(np.float32)
+    for index, pattern in enumerate(patterns):
+        radiance = (matrix @ pattern.ravel()).reshape(4, 5, 1)
+        for exposure, frame in enumerate(camera.expose(radiance, 1, (0, index))):
+            write(tmp_path / "pictures" / f"{2 * index + exposure}.tif", frame)
+    found = read_series(tmp_path, FolderOptions(camera=camera))
+    assert found.patterns.shape == (6, 6)  # without the dark ones, which are subtracted
+    deviation = (found.radiance[:, 0] - matrix.T) / np.sqrt(found.variance[:, 0])
+    assert 0.7 < deviation.std() < 1.4
+    (tmp_path / "c.yaml").write_text(yaml.safe_dump({"camera": numbers}))
+    arguments = ["fit", str(tmp_path), "-o", str(tmp_path / "t.zarr")]
+    done = CliRunner().invoke(app, [*arguments, "--settings", str(tmp_path / "c.yaml")])
+    assert "for the pictures' noise" in done.output
+
+
+def test_exposure_times_and_transfer_of_plain_pictures(tmp_path: Path) -> None:
+    for index, seconds in enumerate((0.5, 0.25)):
+        write(tmp_path / f"{index}.png", np.full((2, 2, 1), 128, np.uint8), seconds)
+    found = read_series(tmp_path, FolderOptions(lights=(1, 2), transfer="srgb"))
+    linear = ((128 / 255 + 0.055) / 1.055) ** 2.4
+    np.testing.assert_allclose(found.radiance[:, 0, 0], [linear / 0.5, linear / 0.25], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda folder: np.save(folder / "patterns.npy", np.ones((3, 2, 2))), "2 pictures of 3"),
+        (lambda folder: np.save(folder / "patterns.npy", -np.ones((2, 2, 2))), "not negative"),
+        (lambda folder: write(folder / "1.exr", np.ones((3, 2, 1), np.float32)), "All should be"),
+        (lambda folder: None, "has no patterns"),
+    ],
+)
+def test_what_is_wrong_with_a_folder_is_said(tmp_path: Path, change, message: str) -> None:
+    for index in range(2):
+        write(tmp_path / f"{index}.exr", np.ones((2, 2, 1), np.float32))
+    if message == "All should be":
+        np.save(tmp_path / "patterns.npy", np.ones((2, 2, 2)))
+    change(tmp_path)
+    with pytest.raises(InputError, match=message):
+        read_series(tmp_path)

@@ -1,0 +1,240 @@
+"""A transport as a matrix: products, entries, coarser rays, and what is refused."""
+
+import re
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rfpipe
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.errors import InputError
+from rfpipe.transport import Transport
+from rfpipe.transport.algebra import MatrixAlgebra
+from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.hierarchical.leaves import LeafSet
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
+from rfpipe.transport.sum import SumTransport
+
+CAMERA, PROJECTOR = (3, 5), (2, 4, 3)
+M, N = 15, 24
+RANDOM = np.random.default_rng(3)
+
+
+def dense(channels: int = 3) -> tuple[Transport, NDArray[np.float32]]:
+    matrix = np.random.default_rng(1).random((channels, M, N), dtype=np.float32)
+    return DenseTransport(CAMERA, PROJECTOR, channels, [], {"matrix": matrix}), matrix
+
+
+def tensor() -> tuple[Transport, NDArray[np.float32]]:
+    """A hierarchy of one leaf, and a dense part: T = x x^T + D."""
+    tree = BlockTree(RayDomain((4, 6)))
+    factors = np.random.default_rng(5).random((3, 24), dtype=np.float32)
+    root = LeafSet(0, np.zeros(1, np.int32), np.zeros(1, np.int32), factors[:, tree.order])
+    one = HierarchicalTransport.from_leaf_sets(tree, 3, [], [root])
+    matrix = np.random.default_rng(6).random((3, 24, 24), dtype=np.float32)
+    other = DenseTransport((4, 6), (4, 6), 3, [], {"matrix": matrix})
+    return SumTransport([one, other], []), factors[:, :, None] * factors[:, None] + matrix
+
+
+BOTH = pytest.mark.parametrize("make", [dense, tensor])
+
+
+@BOTH
+def test_toarray_is_the_matrix(make) -> None:
+    transport, matrix = make()
+    np.testing.assert_allclose(transport.toarray(), matrix, rtol=1e-6)
+    np.testing.assert_allclose(transport.T.toarray(), matrix.swapaxes(1, 2), rtol=1e-6)
+    np.testing.assert_allclose(np.asarray(transport), matrix, rtol=1e-6)
+    assert transport.toarray().dtype == np.float32
+    assert transport.matrix_shape == matrix.shape
+
+
+@BOTH
+@pytest.mark.parametrize("rows", [None, [3], [5, 1], slice(2, 9, 3)])
+@pytest.mark.parametrize("columns", [None, [23, 0], slice(0, 24)])
+def test_some_rows_and_columns(make, rows, columns) -> None:
+    transport, matrix = make()
+    chosen = matrix[:, slice(None) if rows is None else rows]
+    chosen = chosen[:, :, slice(None) if columns is None else columns]
+    np.testing.assert_allclose(transport.toarray(rows, columns), chosen, rtol=1e-6)
+
+
+def test_rays_by_a_mask_of_their_domain() -> None:
+    transport, matrix = dense()
+    mask = np.zeros(CAMERA, bool)
+    mask[1, 2:4] = True
+    np.testing.assert_allclose(transport.toarray(rows=mask), matrix[:, 7:9], rtol=1e-6)
+
+
+def test_parts_are_of_bounded_size(monkeypatch) -> None:
+    transport, matrix = dense()
+    monkeypatch.setattr("rfpipe.transport.algebra._BLOCK_BYTES", 1)
+    parts = list(transport.blocks(np.arange(M), np.arange(N)))
+    assert len(parts) == 2
+    np.testing.assert_allclose(np.concatenate([part for *_, part in parts], 1), matrix, rtol=1e-6)
+
+
+@BOTH
+@pytest.mark.parametrize("dual", [False, True])
+@pytest.mark.parametrize("shape", [(), (1,), (4,), (1, 4), (3, 4)])
+def test_products_are_numpy_s(make, dual: bool, shape: tuple[int, ...]) -> None:
+    transport, matrix = make()
+    lit = transport.T if dual else transport
+    matrix = matrix.swapaxes(1, 2) if dual else matrix
+    channels, *count = (None, *shape) if len(shape) < 2 else shape
+    leading = () if channels is None else (channels,)
+    x = RANDOM.random((*leading, matrix.shape[2], *count), dtype=np.float32)
+    np.testing.assert_allclose(lit @ x, matrix @ x, rtol=1e-5)
+    y = RANDOM.random((*leading, *count, matrix.shape[1]), dtype=np.float32)
+    np.testing.assert_allclose(y @ lit, y @ matrix, rtol=1e-5)
+    assert (lit @ x).dtype == (y @ lit).dtype == np.float32
+
+
+def test_product_is_the_relit_image() -> None:
+    transport, _ = dense()
+    pattern = RANDOM.random(PROJECTOR, dtype=np.float32)
+    image = (transport @ pattern.ravel()).T.reshape(*CAMERA, 3)
+    np.testing.assert_allclose(image, transport.relight(pattern), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "x", [np.ones(PROJECTOR), np.ones(N + 1), np.ones((2, N, 4)), np.ones((1, 1, 1, N)), 2.0]
+)
+def test_products_with_another_shape_say_what_is_expected(x) -> None:
+    transport, _ = dense()
+    with pytest.raises(InputError, match=r"N projector rays = 24.*T\.relight\(x\)"):
+        transport @ x
+
+
+def test_products_from_the_right_say_what_is_expected() -> None:
+    transport, _ = dense()
+    with pytest.raises(InputError, match=r"M camera rays = 15.*T\.T\.relight\(x\)"):
+        np.ones(N) @ transport
+
+
+def test_products_refuse_what_isn_t_finite_or_no_number() -> None:
+    transport, _ = dense()
+    with pytest.raises(InputError, match="NaN"):
+        transport @ np.full(N, np.nan)
+    with pytest.raises(InputError, match="complex128"):
+        transport @ np.ones(N, complex)
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([15], "rows: there is no ray 15; they count from 0 to 14"),
+        ([-1], "no ray -1"),
+        ([], "no rays are chosen"),
+        (slice(9, 2), "no rays are chosen"),
+        ([0.5], "float64 values; expected numbers of rays"),
+        (np.ones((5, 5), bool), r"a mask of \(5, 5\); expected \(3, 5\)"),
+    ],
+)
+def test_rays_that_aren_t_there(rows, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        dense()[0].toarray(rows=rows)
+
+
+def test_a_huge_matrix_is_refused_before_it_is_made() -> None:
+    shape = (310, 350)
+    transport = SumTransport([_Nothing(shape)], [])
+    with pytest.raises(InputError, match=r"3 x 108,500 x 108,500 entries takes 131\.6 GiB"):
+        transport.toarray()
+    with pytest.raises(InputError, match=r"choose rows or columns.*rfpipe\.coarser\(T, 4\)"):
+        np.asarray(transport)
+    assert transport.toarray(rows=[5]).shape == (3, 1, 108_500)
+
+
+class _Nothing(DenseTransport):
+    """A transport too large to be made, in whose stead nothing is."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        super().__init__(shape, shape, 3, [], {})
+
+    def forward(self, patterns, channels):
+        return np.zeros((len(patterns), len(channels), 108_500), np.float32)
+
+    adjoint = forward
+
+
+@BOTH
+@pytest.mark.parametrize("factor", [1, 2, 3, 100])
+def test_coarser_rays_average_what_is_seen_and_share_what_is_lit(make, factor: int) -> None:
+    transport, matrix = make()
+    coarse = rfpipe.coarser(transport, factor)
+    mean, repeat = (
+        averaging(transport.camera_shape, factor),
+        averaging(transport.projector_shape, factor),
+    )
+    expected = mean @ matrix @ (repeat > 0).T
+    assert coarse.matrix_shape == expected.shape
+    np.testing.assert_allclose(coarse.toarray(), expected, rtol=1e-5)
+    np.testing.assert_allclose(coarse.T.toarray(), expected.swapaxes(1, 2), rtol=1e-5)
+    pattern = RANDOM.random(coarse.projector_shape, dtype=np.float32)
+    image = coarse.relight(pattern)
+    assert image.shape == (*coarse.camera_shape, 3)
+    np.testing.assert_allclose(image.reshape(-1, 3).T, expected @ pattern.ravel(), rtol=1e-5)
+
+
+def test_coarser_rays_take_few_fine_ones_at_a_time(monkeypatch) -> None:
+    transport, _ = dense()
+    whole = rfpipe.coarser(transport, 2).toarray()
+    monkeypatch.setattr("rfpipe.transport.coarse._FINE_BYTES", 1)
+    at_once: list[int] = []
+    forward = transport.forward
+    monkeypatch.setattr(
+        transport, "forward", lambda light, of: at_once.append(len(light)) or forward(light, of)
+    )
+    columns = rfpipe.coarser(transport, 2).toarray(columns=[2, 1])
+    np.testing.assert_allclose(columns, whole[:, :, [2, 1]], rtol=1e-5)
+    assert at_once == [1, 1]
+
+
+def averaging(shape: tuple[int, ...], factor: int) -> NDArray[np.float64]:
+    """The matrix that takes the means of squares of an image, ray by ray."""
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for index, place in enumerate(np.ndindex(shape)):
+        square = (*place[:-2], place[-2] // factor, place[-1] // factor)
+        groups.setdefault(square, []).append(index)
+    matrix = np.zeros((len(groups), int(np.prod(shape))))
+    for row, square in enumerate(sorted(groups)):
+        matrix[row, groups[square]] = 1 / len(groups[square])
+    return matrix
+
+
+@pytest.mark.parametrize("factor", [0, -1, 1.5])
+def test_factors_are_whole_numbers(factor: float) -> None:
+    with pytest.raises(InputError, match=re.escape(f"factor is {factor}")):
+        rfpipe.coarser(dense()[0], factor)
+
+
+def test_a_transport_of_one_ray_s_channel_works_in_scipy() -> None:
+    from scipy.sparse.linalg import lsqr
+
+    transport, matrix = dense(1)
+    x = RANDOM.random(N)
+    found = lsqr(transport.channel(0), transport.channel(0) @ x, iter_lim=500)[0]
+    np.testing.assert_allclose(matrix[0] @ found, matrix[0] @ x, rtol=1e-4)
+
+
+def test_html_shows_the_floodlit_picture_and_what_the_transport_is() -> None:
+    transport = dense()[0]
+    transport.level_rows = [{"level": 0, "patterns": 1}, {"level": 1, "patterns": 4}]
+    html = transport._repr_html_()
+    assert "data:image/png;base64," in html
+    assert "alt='under full light'" in html
+    assert "2 x 4 x 3 = 24 rays" in html
+    assert "5 patterns in 2 levels" in html
+    assert "under full light, view 1 of 2" in transport.T._repr_html_()
+
+
+def test_html_of_a_huge_transport_has_no_picture() -> None:
+    assert "<img" not in _Nothing((1000, 1000))._repr_html_()
+
+
+def test_html_of_darkness_is_black() -> None:
+    dark = DenseTransport((2, 2), (2, 2), 1, [], {"matrix": np.zeros((1, 4, 4), np.float32)})
+    assert isinstance(dark, MatrixAlgebra)
+    assert "<img" in dark._repr_html_()

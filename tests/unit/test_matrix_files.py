@@ -1,0 +1,138 @@
+"""Light transport from other programs' files, and as a scene of settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+import zarr
+from scipy import sparse
+
+from rfpipe import OperatorRig, acquire, read_matrix
+from rfpipe.config import SceneSettings
+from rfpipe.errors import InputError
+from rfpipe.scenes import scene_from_config
+from rfpipe.testing import SceneContract
+from rfpipe.transport import save_transport
+
+CAMERA, PROJECTOR = (4, 5), (3, 6)
+T = np.random.default_rng(0).random((3, 20, 18))
+WITH_ALL_AXES = T.reshape(3, *CAMERA, *PROJECTOR)
+BY_COLUMNS = WITH_ALL_AXES.transpose(0, 2, 1, 4, 3).reshape(3, 20, 18)
+
+
+def read(path: Path, **options):
+    return [
+        part.toarray() if sparse.issparse(part) else part
+        for part in read_matrix(path, CAMERA, PROJECTOR, **options)
+    ]
+
+
+def hdf5_of_matlab(path: Path, array: np.ndarray) -> None:
+    h5py = pytest.importorskip("h5py", reason="pip install rfpipe[pictures]")
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file.create_dataset("T", data=array.transpose()).attrs["MATLAB_class"] = np.bytes_("double")
+        held = sparse.csc_array(BY_COLUMNS[0])
+        group = file.create_group("S")
+        group.attrs["MATLAB_sparse"] = np.uint64(20)
+        for name, part in (("data", held.data), ("ir", held.indices), ("jc", held.indptr)):
+            group[name] = part
+
+
+@pytest.mark.parametrize(
+    "array", [T, np.moveaxis(T, 0, -1), WITH_ALL_AXES, np.moveaxis(WITH_ALL_AXES, 0, 2)]
+)
+def test_axes_may_stand_in_any_usual_order(tmp_path: Path, array: np.ndarray) -> None:
+    np.save(tmp_path / "t.npy", array)
+    np.testing.assert_array_equal(read(tmp_path / "t.npy"), T)
+
+
+def test_numpy_and_scipy_archives(tmp_path: Path) -> None:
+    np.savez(tmp_path / "two.npz", light=T, notes=3)
+    np.testing.assert_array_equal(read(tmp_path / "two.npz", dataset="light"), T)
+    with pytest.raises(InputError, match=r"holds light, notes; name one as dataset"):
+        read(tmp_path / "two.npz")
+    sparse.save_npz(tmp_path / "sparse.npz", sparse.csr_array(T[0]))
+    np.testing.assert_array_equal(read(tmp_path / "sparse.npz"), T[:1])
+
+
+def test_matlab_files_of_either_kind(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "old.mat", {"T": np.moveaxis(BY_COLUMNS, 0, -1)})
+    np.testing.assert_array_equal(read(tmp_path / "old.mat", order="columns"), T)
+    scipy.io.savemat(tmp_path / "sparse.mat", {"T": sparse.csc_array(T[1])})
+    np.testing.assert_array_equal(read(tmp_path / "sparse.mat"), T[1:2])
+    hdf5_of_matlab(tmp_path / "v73.mat", np.moveaxis(BY_COLUMNS, 0, -1))
+    np.testing.assert_array_equal(read(tmp_path / "v73.mat", dataset="T", order="columns"), T)
+    np.testing.assert_array_equal(read(tmp_path / "v73.mat", dataset="S", order="columns"), T[:1])
+
+
+def test_hdf5_and_zarr_with_channels_of_their_own(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py", reason="pip install rfpipe[pictures]")
+    with h5py.File(tmp_path / "t.h5", "w") as file:
+        for index, channel in enumerate(T):
+            held = sparse.csr_array(channel)
+            group = file.create_group(f"c{index}")
+            group.attrs["shape"] = held.shape
+            for name in ("data", "indices", "indptr"):
+                group[name] = getattr(held, name)
+    np.testing.assert_array_equal(read(tmp_path / "t.h5", dataset="c0, c1, c2"), T)
+    zarr.open_group(tmp_path / "t.zarr", mode="w").create_array("T", data=T)
+    np.testing.assert_array_equal(read(tmp_path / "t.zarr"), T)
+
+
+def test_a_transport_of_rfpipe(tmp_path: Path) -> None:
+    found = acquire(OperatorRig(T, CAMERA, PROJECTOR), "brute_force", progress=False).transport
+    save_transport(found, tmp_path / "t.zarr")
+    settings = {"file": str(tmp_path / "t.zarr"), "shape": PROJECTOR, "camera_shape": CAMERA}
+    scene = scene_from_config(SceneSettings.of("matrix", **settings))
+    np.testing.assert_allclose(scene.dense(1), T[1], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("none.npy", "no such file"),
+        ("t.txt", "no light transport is read from .txt"),
+        ("turned.npy", r"shape \(18, 20\).*seem to be exchanged"),
+        ("text.npy", "holds <U1"),
+        ("broken.mat", "can't be read as .mat"),
+    ],
+)
+def test_what_is_wrong_is_said(tmp_path: Path, name: str, message: str) -> None:
+    np.save(tmp_path / "turned.npy", T[0].T)
+    np.save(tmp_path / "text.npy", np.full((20, 18), "a"))
+    (tmp_path / "broken.mat").write_bytes(b"MATLAB 5.0" * 40)
+    (tmp_path / "t.txt").touch()
+    with pytest.raises(InputError, match=message):
+        read(tmp_path / name)
+
+
+class TestMatrixScene(SceneContract):
+    coaxial = False
+
+    @pytest.fixture(autouse=True)
+    def file(self, tmp_path: Path) -> None:
+        self.path = tmp_path / "t.npy"
+        np.save(self.path, T)
+
+    def make_scene(self):
+        settings = {"shape": PROJECTOR, "camera_shape": CAMERA, "brightest": 1.5}
+        return scene_from_config(SceneSettings.of("matrix", file=str(self.path), **settings))
+
+    def test_it_is_scaled(self) -> None:
+        assert self.make_scene().apply(np.ones((1, 18))).max() == pytest.approx(1.5)
+
+    def test_channels_must_be_those_of_the_settings(self) -> None:
+        settings = {"shape": PROJECTOR, "camera_shape": CAMERA, "channels": 1}
+        with pytest.raises(InputError, match=r"holds 3 channels.*Set it to 3"):
+            scene_from_config(SceneSettings.of("matrix", file=str(self.path), **settings))
+
+    def test_negative_entries(self) -> None:
+        np.save(self.path, np.where(T > 0.01, T, -0.01))
+        with pytest.raises(InputError, match="finite and not negative"):
+            self.make_scene()
+        settings = {"shape": PROJECTOR, "camera_shape": CAMERA, "negative": "zero"}
+        scene = scene_from_config(SceneSettings.of("matrix", file=str(self.path), **settings))
+        assert scene.dense().min() == 0

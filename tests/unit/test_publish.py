@@ -1,0 +1,299 @@
+"""A run becomes a crate: whole or not at all, the same bytes twice, licence asked for once."""
+
+import csv
+import hashlib
+import json
+import os
+import pty
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from typer.testing import CliRunner
+
+import rfpipe
+from rfpipe.cli import app
+from rfpipe.config import Config, parse_config
+from rfpipe.errors import InputError, IntegrityError, RfpipeError
+from rfpipe.publish import Creator, find_run
+from rfpipe.publish import publish as publish_run
+from rfpipe.publish.writing import Writer
+from rfpipe.store import write_manifest
+from rfpipe.transport import save_transport
+from rfpipe.transport.dense import DenseTransport
+
+GIVEN = ["--license", "CC-BY-4.0", "--creator", "Doe, Jane; 0000-0002-1825-0097; A Lab"]
+STORE = "results/desk/dual/transport.zarr"
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """The folder of a small run with a report, as its stages leave it."""
+    folder = tmp_path / "run"
+    matrix = np.random.default_rng(2).random((1, 12, 12), np.float32)
+    transport = DenseTransport(
+        (3, 4), (3, 4), 1, [{"level": 0, "patterns": 12}], {"matrix": matrix}
+    )
+    digest = save_transport(transport, folder / STORE)
+    facts = {"digest": digest, "patterns": 12, "camera_shape": [3, 4], "projector_shape": [3, 4]}
+    write_manifest(folder / "results/desk/dual/transport.json", {**facts, "channels": 1})
+    write_manifest(folder / "results/desk/dual/L00/capture.json", {"stage": "capture"})
+    (folder / "results/desk/dual/L00/capture.zarr").mkdir()
+    (folder / "results/desk/dual/L00/capture.zarr/c.0").write_bytes(b"a frame")
+    (folder / "results/desk/dual/acquire.log").write_text(f"in {folder}")
+    report = folder / "results/report"
+    (report / "tables").mkdir(parents=True)
+    (report / "view").mkdir()
+    (report / "index.html").write_text("<h1>Report</h1>")
+    (report / "view/desk.html").write_text("<h1>Paint</h1>")
+    (report / "tables/errors.csv").write_text(
+        "scene,patterns,error,psnr\ndesk,12,0.1,\ndesk,3,1,4.5\n"
+    )
+    settings = {"provenance": {"configuration": Config().shaping()}}
+    (report / "results.json").write_text(json.dumps(settings))
+    return folder
+
+
+def published(run: Path, *options: object) -> str:
+    result = CliRunner().invoke(app, ["publish", str(run), *map(str, options)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    if path.is_dir():
+        files = [file for file in path.rglob("*") if file.is_file()]
+        return {file.relative_to(path).as_posix(): file.read_bytes() for file in files}
+    with zipfile.ZipFile(path) as archive:
+        assert all(info.compress_type == zipfile.ZIP_STORED for info in archive.infolist())
+        return {name: archive.read(name) for name in archive.namelist() if name[-1] != "/"}
+
+
+def test_a_zip_and_a_folder_hold_the_same_files_with_their_digests(run: Path) -> None:
+    output = published(run, *GIVEN)
+    assert str(run / "publication.zip") in output
+    published(run, "-o", run / "crate")
+    files = contents(run / "publication.zip")
+    assert contents(run / "crate") == files
+    listed = dict(
+        reversed(line.split("  "))
+        for line in files.pop("manifest-sha256.txt").decode().splitlines()
+    )
+    assert listed == {name: hashlib.sha256(found).hexdigest() for name, found in files.items()}
+    expected = {
+        *(f"{STORE}/{file}" for file in contents(run / STORE)),
+        *("results/desk/dual/transport.json", "provenance/desk/dual/L00/capture.json"),
+        *("results/report/index.html", "results/report/view/desk.html"),
+        *("results/report/results.json", "results/report/tables/errors.csv", "settings.yaml"),
+        *("README.md", "read.py", "CITATION.cff", "datacite.json", "croissant.json"),
+        *("ro-crate-metadata.json", "ro-crate-preview.html"),
+    }
+    assert {name for name in files if not name.startswith("source/")} == expected
+    assert not any(str(run).encode() in content for content in files.values())
+    settings = parse_config(yaml.safe_load(files["settings.yaml"]), "settings.yaml")
+    assert settings.shaping() == Config().shaping()
+
+
+def test_the_same_run_gives_the_same_bytes(run: Path) -> None:
+    published(run, *GIVEN)
+    first = (run / "publication.zip").read_bytes()
+    published(run, "--overwrite")
+    assert (run / "publication.zip").read_bytes() == first
+
+
+def test_licence_and_creators_are_asked_for_once(run: Path) -> None:
+    with pytest.raises(InputError, match="creators and license aren't known"):
+        published(run)
+    person, terminal = pty.openpty()
+    os.write(person, b"A desk\nDoe, Jane\n\nCC0-1.0\n")
+    command = "from rfpipe.cli import main; main()"
+    with os.fdopen(terminal) as stdin:
+        asked = subprocess.run(
+            [sys.executable, "-c", command, "publish", str(run)],
+            stdin=stdin, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+    os.close(person)
+    assert "Licence" in asked.stdout
+    published(run, "--overwrite", "--doi", "https://doi.org/10.5281/zenodo.1234567")
+    kept = yaml.safe_load((run / "publication.yaml").read_text())
+    assert kept["title"] == "A desk"
+    assert kept["license"] == "CC0-1.0"
+    assert kept["doi"] == "10.5281/zenodo.1234567"
+    files = contents(run / "publication.zip")
+    assert json.loads(files["datacite.json"])["doi"] == "10.5281/zenodo.1234567"
+    assert b"https://doi.org/10.5281/zenodo.1234567" in files["README.md"]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--license", "CC BY 4.0"], "SPDX"),
+        (["--creator", "Doe, Jane; 0000-0002-1825-0098"], "ORCID"),
+        (["--creator", "a; b; c"], "repeat the option"),
+        (["--doi", "zenodo.12"], "should be a DOI"),
+        (["--date", "yesterday"], "published"),
+        (["--version", "new"], "version"),
+    ],
+)
+def test_what_a_citation_cannot_be_is_said(options: list[str], says: str, run: Path) -> None:
+    with pytest.raises(InputError, match=says):
+        published(run, *GIVEN, *options)
+    assert not (run / "publication.yaml").exists()
+    assert not (run / "publication.zip").exists()
+
+
+def test_captured_frames_are_published_on_request(run: Path) -> None:
+    published(run, *GIVEN, "--captured")
+    files = contents(run / "publication.zip")
+    assert files["results/desk/dual/L00/capture.zarr/c.0"] == b"a frame"
+    assert "results/desk/dual/L00/capture.json" in files
+    assert not any(name.endswith(".log") for name in files)
+
+
+def test_the_example_runs_from_the_zip_and_the_folder(run: Path) -> None:
+    published(run, *GIVEN, "-o", run / "crate")
+    published(run, "-o", run / "crate.zip")
+    example = (run / "crate/read.py").read_text()
+    assert len(example.splitlines()) == 10
+    mean = float(rfpipe.open_transport(run / STORE).relight([[0, 0, 1, 1]] * 3).mean())
+    for where in ((), (str(run / "crate.zip"),)):
+        command = [sys.executable, str(run / "crate/read.py"), *where]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=run)
+        assert f"mean {mean:.4f}" in done.stdout
+
+
+def test_nothing_that_stands_there_is_lost(run: Path, tmp_path: Path) -> None:
+    published(run, *GIVEN)
+    before = (run / "publication.zip").read_bytes()
+    with pytest.raises(InputError, match="--overwrite"):
+        published(run)
+    home = tmp_path / "home"
+    home.mkdir()
+    (home / "thesis.txt").touch()
+    with pytest.raises(InputError, match="didn't make"):
+        published(run, "-o", home, "--overwrite")
+    with pytest.raises(InputError, match="lies among the results"):
+        published(run, "-o", run / "results/crate.zip")
+    assert (home / "thesis.txt").exists()
+    assert (run / "publication.zip").read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["crate", "crate.zip"])
+def test_an_interrupted_publication_leaves_the_one_before(
+    name: str, run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published(run, *GIVEN, "-o", run / name)
+    before = contents(run / name)
+    add = Writer.add
+
+    def interrupted(self: Writer, name: str, source: Path | bytes) -> None:
+        if name == "read.py":
+            raise KeyboardInterrupt
+        add(self, name, source)
+
+    monkeypatch.setattr(Writer, "add", interrupted)
+    citation_file = (run / "publication.yaml").read_bytes()
+    from rfpipe.publish import citation_values, parse_citation
+
+    citation = parse_citation(citation_values(run, {"version": "2.0.0"}))
+    with pytest.raises(KeyboardInterrupt):
+        publish_run(find_run(run), citation, run / name, overwrite=True)
+    assert contents(run / name) == before
+    assert (run / "publication.yaml").read_bytes() == citation_file
+    assert [file.name for file in run.iterdir() if file.name.startswith(".crate")] == []
+    monkeypatch.undo()
+    publish_run(find_run(run), citation, run / name, overwrite=True)
+    assert b"Version 2.0.0" in contents(run / name)["README.md"]
+
+
+def test_a_damaged_or_foreign_transport_is_not_published(run: Path) -> None:
+    chunk = next((run / STORE / "matrix").glob("c*"))
+    content = chunk.read_bytes()
+    chunk.write_bytes(content[:-1])
+    with pytest.raises(IntegrityError, match="truncated"):
+        published(run, *GIVEN)
+    chunk.write_bytes(content)
+    manifest = run / "results/desk/dual/transport.json"
+    facts = {**json.loads(manifest.read_text()), "digest": "of another"}
+    facts.pop("checksum")
+    write_manifest(manifest, facts)
+    with pytest.raises(IntegrityError, match="rfpipe verify"):
+        published(run, *GIVEN)
+    assert not (run / "publication.zip").exists()
+
+
+def test_other_settings_than_the_runs_are_refused(run: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text("seed: 7\n")
+    with pytest.raises(InputError, match="isn't what this run was made with"):
+        published(run, *GIVEN, "--config", other)
+    (run / "results/report/results.json").unlink()
+    published(run, "--config", other, *GIVEN)
+    assert b"seed: 7" in contents(run / "publication.zip")["settings.yaml"]
+
+
+def test_an_unfinished_acquisition_is_left_out_and_named(run: Path) -> None:
+    (run / "results/desk/symmetric/L00").mkdir(parents=True)
+    assert "aren't complete: desk by symmetric" in published(run, *GIVEN)
+    assert not any("symmetric" in name for name in contents(run / "publication.zip"))
+
+
+def test_without_the_workflow_rfpipe_itself_is_what_ran(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rfpipe.publish.job._workflow_source", lambda: None)
+    published(run, *GIVEN)
+    files = contents(run / "publication.zip")
+    assert not any(name.startswith("source/") for name in files)
+    graph = json.loads(files["ro-crate-metadata.json"])["@graph"]
+    entities = {entity["@id"]: entity for entity in graph}
+    assert entities["#run"]["instrument"] == {"@id": "#rfpipe"}
+    assert "mainEntity" not in entities["./"]
+    assert entities["./"]["conformsTo"] == {"@id": "https://w3id.org/ro/wfrun/process/0.5"}
+
+
+def test_an_unknown_key_of_a_kept_citation_is_said(run: Path) -> None:
+    (run / "publication.yaml").write_text("titel: A desk\n")
+    with pytest.raises(InputError, match="titel is unknown; known are title"):
+        published(run, *GIVEN)
+
+
+def test_a_calibration_goes_with_a_real_rig(run: Path) -> None:
+    folder = run / "calibration"
+    folder.mkdir()
+    (folder / "calibration.json").write_text("{}")
+    published(run, *GIVEN)
+    assert "calibration/calibration.json" not in contents(run / "publication.zip")
+    published(run, "--overwrite", "--calibration", folder)
+    assert "calibration/calibration.json" in contents(run / "publication.zip")
+    with pytest.raises(InputError, match="is no calibration"):
+        published(run, "--overwrite", "--calibration", run)
+
+
+def test_a_folder_without_a_run_is_said(tmp_path: Path) -> None:
+    with pytest.raises(RfpipeError, match="give the folder of a run"):
+        published(tmp_path, *GIVEN)
+
+
+def test_croissant_tells_the_tables_types(run: Path) -> None:
+    published(run, *GIVEN)
+    files = contents(run / "publication.zip")
+    croissant = json.loads(files["croissant.json"])
+    (records,) = croissant["recordSet"]
+    types = {field["name"]: field["dataType"] for field in records["field"]}
+    header = next(csv.reader(files["results/report/tables/errors.csv"].decode().splitlines()))
+    assert list(types) == header
+    assert [*types.values()] == ["sc:Text", "sc:Integer", "sc:Float", "sc:Float"]
+    (table,) = [found for found in croissant["distribution"] if found["@type"] == "cr:FileObject"]
+    assert table["sha256"] == hashlib.sha256(files[table["contentUrl"]]).hexdigest()
+
+
+def test_a_creator_is_read_in_any_order() -> None:
+    made = Creator.parse("Doe, Jane; A Lab; https://orcid.org/0000-0002-1825-0097")
+    assert made == Creator(name="Doe, Jane", affiliation="A Lab", orcid="0000-0002-1825-0097")

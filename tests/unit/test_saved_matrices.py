@@ -1,0 +1,212 @@
+"""Matrices in files: read back by readers that aren't rfpipe's, streamed, whole or absent."""
+
+import math
+import sys
+from pathlib import Path
+
+import h5py
+import mat73
+import numpy as np
+import pytest
+import scipy.io
+from numpy.typing import NDArray
+
+import rfpipe
+from rfpipe.errors import InputError, StoreError
+from rfpipe.transport import open_transport
+from rfpipe.transport.dense import DenseTransport
+from rfpipe.transport.files import MATRIX_FILES
+
+CAMERA, PROJECTOR = (3, 5), (2, 4, 3)
+
+
+def matrix_of(channels: int) -> NDArray[np.float32]:
+    return np.random.default_rng(1).random((channels, 15, 24), dtype=np.float32)
+
+
+def transport_of(channels: int) -> DenseTransport:
+    return DenseTransport(CAMERA, PROJECTOR, channels, [], {"matrix": matrix_of(channels)})
+
+
+def read(path: Path) -> dict[str, NDArray]:
+    """Read a file as its own users would; T as (C, rows, columns), with its channels."""
+    if path.suffix == ".npz":
+        with np.load(path) as archive:
+            return dict(archive)
+    if path.suffix == ".mat":
+        found = mat73.loadmat(path)
+        matrix = found["T"] if found["T"].ndim == 3 else found["T"][..., None]
+        return {**found, "T": np.moveaxis(matrix, -1, 0)}
+    with h5py.File(path) as file:
+        found = {name: dataset[...] for name, dataset in file.items()}
+        return {**found, "about": file.attrs["about"]}
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize("suffix", MATRIX_FILES)
+def test_other_programs_read_the_matrix(tmp_path: Path, suffix: str, channels: int) -> None:
+    path = tmp_path / f"matrix{suffix}"
+    transport_of(channels).save(path)
+    found = read(path)
+    np.testing.assert_allclose(found["T"], matrix_of(channels), rtol=1e-6)
+    assert found["T"].dtype == np.float32
+    assert found["camera_shape"].tolist() == list(CAMERA)
+    assert found["projector_shape"].tolist() == list(PROJECTOR)
+    assert found["rows"].tolist() == list(range(15))
+    assert "Light transport T by rfpipe" in str(found["about"])
+
+
+@pytest.mark.parametrize("suffix", MATRIX_FILES)
+@pytest.mark.parametrize(("rows", "columns"), [([7, 2], None), (None, [9]), ([3], [1, 0])])
+def test_chosen_rays(tmp_path: Path, suffix: str, rows, columns) -> None:
+    path = tmp_path / f"matrix{suffix}"
+    transport_of(3).save(path, rows=rows, columns=columns)
+    found = read(path)
+    expected = transport_of(3).toarray(rows, columns)
+    np.testing.assert_array_equal(found["T"].reshape(expected.shape), expected)
+    assert np.atleast_1d(found["rows"]).tolist() == (rows or list(range(15)))
+    assert np.atleast_1d(found["columns"]).tolist() == (columns or list(range(24)))
+
+
+@pytest.mark.parametrize("suffix", MATRIX_FILES)
+@pytest.mark.parametrize("dual", [False, True])
+def test_parts_make_the_same_matrix(tmp_path: Path, monkeypatch, suffix: str, dual: bool) -> None:
+    monkeypatch.setattr("rfpipe.transport.algebra._BLOCK_BYTES", 2000)
+    monkeypatch.setattr("rfpipe.transport.files.npz.MEMORY_BUDGET", 0)
+    path = tmp_path / f"matrix{suffix}"
+    (transport_of(3).T if dual else transport_of(3)).save(path)
+    expected = matrix_of(3).swapaxes(1, 2) if dual else matrix_of(3)
+    np.testing.assert_allclose(read(path)["T"], expected, rtol=1e-6)
+
+
+def test_a_mat_file_says_that_it_is_one_of_version_7_3(tmp_path: Path) -> None:
+    path = tmp_path / "matrix.mat"
+    transport_of(1).save(path)
+    header = path.read_bytes()[:512]
+    assert header.startswith(b"MATLAB 7.3 MAT-file")
+    assert header[124:128] == b"\x00\x02IM"
+    assert scipy.io.matlab.matfile_version(path) == (2, 0)
+    with pytest.raises(NotImplementedError, match="HDF"):  # scipy knows it, and doesn't read it
+        scipy.io.loadmat(path)
+
+
+def test_a_mat_file_gives_images_as_the_documents_say(tmp_path: Path) -> None:
+    """What docs/export.md tells MATLAB's users to do, in numpy's words for it."""
+    path = tmp_path / "matrix.mat"
+    transport = DenseTransport((3, 5), (4, 6), 3, [], {"matrix": matrix_of(3)})
+    transport.save(path)
+    with h5py.File(path) as file:  # MATLAB's arrays are the transposed datasets, column by column
+        found = {name: np.asfortranarray(dataset[...].T) for name, dataset in file.items()}
+    assert found["camera_shape"].shape == (1, 2)
+    p = np.random.default_rng(2).random((4, 6), dtype=np.float32)
+    c = found["T"][:, :, 1] @ p.T.reshape(-1, order="F")
+    height, width = found["camera_shape"][0].astype(int)
+    image = c.reshape((width, height), order="F").T
+    np.testing.assert_allclose(image, transport.relight(p)[..., 1], rtol=1e-5)
+    assert found["about"].shape[0] == 1
+
+
+def test_a_rig_takes_what_was_exported(tmp_path: Path) -> None:
+    path = tmp_path / "matrix.npz"
+    transport_of(3).save(path)
+    rig = rfpipe.OperatorRig(np.load(path)["T"], CAMERA, PROJECTOR)
+    found = rfpipe.acquire(rig, "brute_force", progress=False).transport
+    np.testing.assert_allclose(found.toarray(), matrix_of(3), rtol=1e-5)
+
+
+def test_equal_matrices_make_equal_files(tmp_path: Path) -> None:
+    for suffix in MATRIX_FILES:
+        one, other = tmp_path / f"one{suffix}", tmp_path / f"other{suffix}"
+        transport_of(3).save(one)
+        transport_of(3).save(other)
+        assert one.read_bytes() == other.read_bytes()
+
+
+def test_a_store_is_opened_again(tmp_path: Path) -> None:
+    path = tmp_path / "kept.zarr"
+    transport_of(3).save(path)
+    np.testing.assert_array_equal(open_transport(path).toarray(), transport_of(3).toarray())
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("matrix.csv", {}, r"ends in '\.csv'; a matrix is written to \.npz, \.h5, \.hdf5, \.mat"),
+        ("matrix", {}, "ends in ''"),
+        ("matrix.npz", {"number_format": "uint8"}, "kept as float32"),
+        ("kept.zarr", {"rows": [0]}, "a store holds the whole transport"),
+        ("matrix.npz", {"limit_bytes": 1000}, r"3 x 15 x 24 = 1,080 entries.*choose rows or col"),
+        ("matrix.mat", {"columns": [24]}, "columns: there is no ray 24"),
+    ],
+)
+def test_refused(tmp_path: Path, name: str, options, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        transport_of(3).save(tmp_path / name, **options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dual_transport_has_no_store(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a transport as it is to \.zarr"):
+        transport_of(3).T.save(tmp_path / "dual.zarr")
+
+
+@pytest.mark.parametrize("suffix", MATRIX_FILES)
+def test_an_interrupted_export_leaves_what_was_there(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"matrix{suffix}"
+    path.write_text("before")
+
+    class Failing(DenseTransport):
+        def forward(self, patterns, channels):
+            raise KeyboardInterrupt
+
+        adjoint = forward
+
+    with pytest.raises(KeyboardInterrupt):
+        Failing(CAMERA, PROJECTOR, 1, [], {}).save(path)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["before"]
+
+
+def test_a_folder_that_can_t_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for suffix in MATRIX_FILES:
+        with pytest.raises(StoreError, match="writing failed"):
+            transport_of(1).save(tmp_path / "file" / f"matrix{suffix}")
+
+
+def test_a_disk_without_room_is_found_before(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("rfpipe.transport.files.free_bytes", lambda folder: 1000)
+    with pytest.raises(StoreError, match=r"up to 4,320 bytes needed, 1,000 bytes free"):
+        transport_of(3).save(tmp_path / "matrix.h5")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".mat"])
+def test_the_extra_is_named_where_its_package_is_missing(
+    tmp_path: Path, monkeypatch, suffix: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(StoreError, match=r"pip install 'rfpipe\[export\]', or write an \.npz"):
+        transport_of(1).save(tmp_path / f"matrix{suffix}")
+    assert not list(tmp_path.iterdir())
+    transport_of(1).save(tmp_path / "matrix.npz")
+
+
+def test_a_large_matrix_is_written_in_little_memory(tmp_path: Path, monkeypatch) -> None:
+    """The parts of 15 MB of zeros, which are never there at once."""
+    import tracemalloc
+
+    rays = (40, 48)
+    monkeypatch.setattr("rfpipe.transport.algebra._BLOCK_BYTES", 2**19)
+
+    class Zeros(DenseTransport):
+        def forward(self, patterns, channels):
+            return np.zeros((len(patterns), len(channels), math.prod(rays)), np.float32)
+
+        adjoint = forward
+
+    for suffix in (".npz", ".h5", ".mat"):
+        tracemalloc.start()
+        Zeros(rays, rays, 1, [], {}).save(tmp_path / f"large{suffix}")
+        most = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert most < 5e6

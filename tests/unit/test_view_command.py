@@ -1,0 +1,88 @@
+"""`rfpipe view`: pages of stored transports, and what it says of what it is given."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.viewers import transport_of
+from typer.testing import CliRunner
+
+from rfpipe.cli import app
+from rfpipe.errors import RfpipeError
+from rfpipe.pictures.images import write_image
+from rfpipe.transport import save_transport
+from rfpipe.viewer import write_acquisition
+
+SHAPE = (20, 24)
+
+
+@pytest.fixture
+def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A run's folder, in which the command runs."""
+    for method in ("symmetric", "near_far"):
+        store = tmp_path / "results" / "corner" / method / "transport.zarr"
+        save_transport(transport_of(method), store, "uint8", scene="corner", method=method)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "results"
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(app, ["view", *map(str, arguments)], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_a_page_says_what_it_shows_and_needs_nothing_from_elsewhere(results: Path) -> None:
+    said = run(results / "corner" / "symmetric")
+    text = Path("corner_symmetric.html").read_text("utf-8")
+    assert said.startswith("corner_symmetric.html: ")
+    assert "<h1>corner by symmetric</h1>" in text
+    assert "20 x 24, 480 rays" in text
+    assert not re.search(r'(src|href)="(?!data:)', text)
+    assert not re.search(r"https?://", text)
+
+
+def test_another_transport_or_a_picture_is_compared(results: Path, tmp_path: Path) -> None:
+    store, page = results / "corner" / "symmetric" / "transport.zarr", tmp_path / "a.html"
+    run(store, "-o", page, "--compare", results / "corner" / "near_far", "--title", "A & B")
+    text = page.read_text("utf-8")
+    assert "Compare with corner by near_far" in text
+    assert "<h1>A &amp; B</h1>" in text
+    for name in ("truth.exr", "truth.png"):
+        write_image(tmp_path / name, transport_of("symmetric").relight(np.ones(SHAPE)))
+        run(store, "-o", page, "--truth", tmp_path / name)
+        text = page.read_text("utf-8")
+        assert f"Compare with {name}" in text
+        assert "Error, red where this is brighter" in text
+
+
+def test_a_large_one_is_a_folder(results: Path) -> None:
+    said = run(results / "corner" / "symmetric", "--largest", 0.01)
+    assert "python -m http.server --directory corner_symmetric" in said
+    assert Path("corner_symmetric/index.html").is_file()
+    assert "url=corner_symmetric/index.html" in Path("corner_symmetric.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["results"], "a folder without transport.zarr; there are .*symmetric"),
+        (["nothing"], "nothing"),
+        (["results/corner/symmetric", "--truth", "small.png"], "3 x 4 pixels; expected 20 x 24"),
+        (["results/corner/symmetric", "-o", "page.pdf"], r"ends in \.html"),
+        (["results/corner/symmetric", "--truth", "a", "--compare", "b"], "give one of them"),
+    ],
+)
+def test_what_is_wrong_is_said(results: Path, arguments: list[str], message: str) -> None:
+    write_image(Path("small.png"), np.ones((3, 4, 3), np.float32))
+    with pytest.raises(RfpipeError, match=message):
+        CliRunner().invoke(app, ["view", *arguments], catch_exceptions=False)
+
+
+def test_a_run_s_page_compares_with_another_method(results: Path, tmp_path: Path) -> None:
+    stores = [results / "corner" / name / "transport.zarr" for name in ("near_far", "symmetric")]
+    written = write_acquisition(stores[0], stores[1:], tmp_path / "page.html")
+    assert "Compare with corner by symmetric" in written.page.read_text("utf-8")

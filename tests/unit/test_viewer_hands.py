@@ -1,0 +1,402 @@
+"""What one can do on a viewer's page: by mouse, touch, keys and links; and who can use it."""
+
+from __future__ import annotations
+
+import functools
+import http.server
+import re
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+from tests.browsers import browser, opened, wait_until
+from tests.unit.test_viewer_program import planar
+from tests.viewers import transport_of
+
+from rfpipe.errors import InputError
+from rfpipe.pictures.images import read_image, write_image
+from rfpipe.viewer import Compared, View, write_view
+
+SHAPE = (20, 24)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def symmetric(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A page of scene IV, compared with near/far acquisition."""
+    compared = Compared(transport_of("near_far"), "near/far")
+    view = View(transport_of("symmetric"), "Scene IV <small>", compared=compared)
+    return write_view(view, tmp_path_factory.mktemp("page") / "scene.html").page
+
+
+@pytest.fixture
+def page(chromium: Any, symmetric: Path) -> Iterator[Any]:
+    found = opened(chromium, symmetric)
+    yield found
+    assert found.said == []
+    assert all(re.match(r"file:|blob:|data:", address) for address in found.asked), found.asked
+    found.context.close()
+
+
+def settled(page: Any) -> None:
+    """Wait until the picture is that of what is set."""
+    page.wait_for_timeout(50)
+    wait_until(page, "!going && !asked && document.body.dataset.shown === stateToHash(state)")
+
+
+def slide(page: Any, name: str, value: float) -> None:
+    """Move a slider as a hand does."""
+    page.locator(f"#{name}").fill(str(value))
+    settled(page)
+
+
+def shown(page: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The light (C, rays) and the picture (C, rays) of the page."""
+    light, colour, picture = page.evaluate("[[...shown.light], shown.colour, [...shown.picture]]")
+    weights = np.array(light).reshape(-1, len(picture) // 3 if len(light) % 3 else len(light))
+    return np.outer(colour, weights[0]), np.array(picture).reshape(3, -1)
+
+
+def relit(light: np.ndarray, transport: Any) -> np.ndarray:
+    shape = transport.projector_shape
+    return planar(transport.relight(light.T.reshape(*shape, 3)), transport.camera_shape, 3)
+
+
+def alike(page: Any, transport: Any) -> None:
+    light, picture = shown(page)
+    expected = relit(light, transport)
+    assert light.max() > 0
+    np.testing.assert_allclose(picture, expected, atol=1e-3 * expected.max())
+
+
+def drag(page: Any, canvas: str, begin: tuple[float, float], end: tuple[float, float]) -> None:
+    """From one place to another, in parts of the canvas."""
+    box = page.locator(canvas).bounding_box()
+    places = [(box["x"] + x * box["width"], box["y"] + y * box["height"]) for x, y in (begin, end)]
+    page.mouse.move(*places[0])
+    page.mouse.down()
+    page.mouse.move(*places[1], steps=3)
+    page.mouse.up()
+    settled(page)
+
+
+@pytest.mark.parametrize("canvas", ["#light", "#seen"])
+def test_a_dragged_spot_of_any_colour_is_relit(page: Any, canvas: str) -> None:
+    page.locator("#colour").fill("#ff8040")
+    slide(page, "size", 20)
+    drag(page, canvas, (0.2, 0.2), (0.7, 0.6))
+    state = page.evaluate("state")
+    assert (state["x"], state["y"]) == pytest.approx((0.7, 0.6), abs=0.02)
+    alike(page, transport_of("symmetric"))
+
+
+def test_bars_brushes_and_floodlight(page: Any) -> None:
+    transport = transport_of("symmetric")
+    lit = {}
+    for tool in ("bar", "flood", "brush"):
+        page.locator(f"[data-tool={tool}]").click()
+        if tool == "brush":
+            drag(page, "#light", (0.2, 0.8), (0.5, 0.8))
+            light, picture = (
+                np.array(page.evaluate("[...shown.light]")).reshape(3, -1),
+                shown(page)[1],
+            )
+            expected = relit(light, transport)
+            np.testing.assert_allclose(picture, expected, atol=1e-3 * expected.max())
+        else:
+            settled(page)
+            alike(page, transport)
+            light = shown(page)[0]
+        lit[tool] = np.count_nonzero(light[0])
+    assert lit["flood"] == 480 > lit["bar"] > lit["brush"] > 10
+
+
+def test_a_picture_is_light(page: Any, tmp_path: Path) -> None:
+    picture = np.zeros((40, 48, 3), np.float32)
+    picture[:, :24, 0] = 1
+    write_image(tmp_path / "light.png", picture, 1.0)
+    page.locator("[data-tool=picture]").click()
+    page.locator("#file").set_input_files(tmp_path / "light.png")
+    wait_until(page, "loadedPicture !== null")
+    settled(page)
+    light = np.array(page.evaluate("[...shown.light]")).reshape(3, *SHAPE)
+    assert light[0, :, :11].min() > 0.95
+    assert light[0, :, 13:].max() < 0.05
+    assert light[1:].max() < 0.05
+
+
+def test_a_pixel_s_row_shows_where_its_light_comes_from(page: Any) -> None:
+    page.locator("[data-tool=pixel]").click()
+    box = page.locator("#seen").bounding_box()
+    page.mouse.click(box["x"] + box["width"] * 5.5 / 24, box["y"] + box["height"] * 7.5 / 20)
+    settled(page)
+    page.wait_for_timeout(200)
+    pixels = "[...$('light').getContext('2d').getImageData(0, 0, 24, 20).data]"
+    row = np.array(page.evaluate(pixels)).reshape(20, 24, 4)[..., :3].sum(-1)
+    expected = transport_of("symmetric").T.relight(np.eye(480)[7 * 24 + 5].reshape(SHAPE)).sum(-1)
+    assert np.unravel_index(row.argmax(), SHAPE) == np.unravel_index(expected.argmax(), SHAPE)
+    assert spearmanr(row.ravel(), expected.ravel()).statistic > 0.9
+
+
+def test_levels_are_those_of_the_acquisition(page: Any) -> None:
+    transport = transport_of("symmetric")
+    levels = page.evaluate("MANIFEST.levels")
+    slide(page, "level", 1)
+    alike(page, transport.truncate(levels[1]))
+    slide(page, "level", len(levels) - 1)
+    alike(page, transport)
+
+
+def test_the_camera_s_side_can_be_lit(page: Any) -> None:
+    page.locator("#side").select_option("camera")
+    settled(page)
+    assert page.inner_text("#seen-name") == "Projector's view"
+    light, picture = shown(page)
+    expected = planar(transport_of("symmetric").T.relight(light.T.reshape(*SHAPE, 3)), SHAPE, 3)
+    np.testing.assert_allclose(picture, expected, atol=1e-3 * expected.max())
+
+
+def test_wipe_and_difference_are_those_of_the_two_transports(page: Any) -> None:
+    page.locator("[data-tool=flood]").click()
+    slide(page, "wipe", 50)
+    light, picture = shown(page)
+    other = relit(light, transport_of("near_far"))
+    error = np.linalg.norm(picture - other) / np.linalg.norm(other)
+    said = float(re.search(r"Differs by ([\d.e-]+) %", page.inner_text("#compared"))[1])
+    assert said == pytest.approx(100 * error, rel=0.05)
+    before = page.evaluate("$('seen').toDataURL()")
+    page.locator("#difference").check()
+    settled(page)
+    assert page.evaluate("$('seen').toDataURL()") != before
+
+
+def test_keys_move_the_light_and_change_its_size(page: Any) -> None:
+    page.locator("#light").focus()
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Shift+ArrowUp")
+    page.keyboard.press("+")
+    settled(page)
+    state = page.evaluate("state")
+    assert state["x"] == pytest.approx(0.5 + 1 / 24)
+    assert state["y"] == pytest.approx(0)
+    assert state["size"] == 9
+
+
+def test_a_link_restores_everything(page: Any, chromium: Any, symmetric: Path) -> None:
+    page.locator("[data-tool=bar]").click()
+    page.locator("#colour").fill("#20ff80")
+    page.locator("#tone").select_option("log")
+    for name, value in (("angle", 30), ("exposure", 4), ("level", 2), ("wipe", 40)):
+        slide(page, name, value)
+    drag(page, "#light", (0.2, 0.2), (0.3, 0.7))
+    page.locator("#link").click()
+    again = opened(chromium, symmetric, page.evaluate("location.hash"))
+    settled(again)
+    wait_until(again, "shown.compared !== null")
+    settled(again)
+    picture = "$('seen').toDataURL()"
+    assert again.evaluate(picture) == page.evaluate(picture)
+    assert again.input_value("#angle") == "30"
+    again.context.close()
+
+
+def test_a_damaged_link_still_opens(chromium: Any, symmetric: Path) -> None:
+    damaged = "#size=abc&colour=red&tone=none&level=99&path=%%%&seenView=7&nothing=1"
+    page = opened(chromium, symmetric, damaged)
+    settled(page)
+    alike(page, transport_of("symmetric"))
+    assert page.evaluate("[state.seenView, state.tone]") == [0, "soft"]
+    assert page.said == []
+    page.context.close()
+
+
+def test_a_path_is_recorded_and_played(page: Any) -> None:
+    page.locator("#record").click()
+    for x in (0.2, 0.5, 0.8):
+        drag(page, "#light", (x, 0.3), (x, 0.6))
+        page.wait_for_timeout(120)
+    page.locator("#record").click()
+    path = page.evaluate("state.path")
+    assert len(path) % 4 == 0
+    assert len(path) > 12
+    assert "recorded" in page.inner_text("#path")
+    page.locator("#play").click()
+    places = []
+    for _ in range(6):
+        page.wait_for_timeout(100)
+        places.append(page.evaluate("state.x"))
+    page.locator("#play").click()
+    assert len(set(places)) > 1
+
+
+def test_the_picture_is_saved(page: Any, tmp_path: Path) -> None:
+    with page.expect_download() as download:
+        page.locator("#save").click()
+    download.value.save_as(tmp_path / "saved.png")
+    assert read_image(tmp_path / "saved.png").shape == (*SHAPE, 3)
+
+
+@pytest.mark.parametrize("colours", ["light", "dark"])
+@pytest.mark.parametrize("width", [1280, 400])
+def test_axe_finds_nothing(chromium: Any, symmetric: Path, colours: str, width: int) -> None:
+    page = opened(chromium, symmetric, color_scheme=colours)
+    page.set_viewport_size({"width": width, "height": 800})
+    page.locator("summary").click()
+    page.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text("utf-8"))
+    for tool in ("spot", "bar", "brush", "picture", "pixel"):
+        page.locator(f"[data-tool={tool}]").click()
+        found = page.evaluate("axe.run()")["violations"]
+        assert [(each["id"], each["nodes"][0]["html"]) for each in found] == []
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    page.context.close()
+
+
+def test_a_phone_s_finger_moves_the_light(chromium: Any, symmetric: Path) -> None:
+    page = opened(chromium, symmetric, has_touch=True, is_mobile=True)
+    page.set_viewport_size({"width": 400, "height": 800})
+    box = page.locator("#light").bounding_box()
+    page.touchscreen.tap(box["x"] + 0.25 * box["width"], box["y"] + 0.5 * box["height"])
+    settled(page)
+    assert page.evaluate("state.x") == pytest.approx(0.25, abs=0.02)
+    page.context.close()
+
+
+def test_parts_of_the_light_go_on_and_off(chromium: Any, tmp_path: Path) -> None:
+    transport = transport_of("near_far")
+    page = opened(chromium, write_view(View(transport, "Parts"), tmp_path / "near.html").page)
+    page.locator("#parts input[value=direct]").uncheck()
+    settled(page)
+    light, picture = shown(page)
+    indirect = relit(light, transport) - relit(light, transport.parts[0])
+    np.testing.assert_allclose(picture, indirect, atol=1e-3 * indirect.max())
+    page.context.close()
+
+
+def test_views_are_chosen_on_both_sides(chromium: Any, tmp_path: Path) -> None:
+    transport = transport_of("light field")
+    page = opened(chromium, write_view(View(transport, "Views"), tmp_path / "field.html").page)
+    drag(page, "#seen", (0.9, 0.9), (0.9, 0.8))  # of all lit views none is that seen
+    assert page.evaluate("[state.x, state.y]") == [0.5, 0.5]
+    slide(page, "litView", 1)
+    slide(page, "seenView", 1)
+    light = np.array(page.evaluate("[...shown.light]")).reshape(2, 4, 6)
+    assert not light[0].any()
+    assert light[1].any()
+    expected = transport.relight(light)[..., 0]
+    picture = np.array(page.evaluate("[...shown.picture]")).reshape(2, 4, 6)
+    np.testing.assert_allclose(picture, expected, atol=1e-3 * expected.max())
+    assert page.input_value("#seenView") == "1"
+    assert page.evaluate("$('seen').getContext('2d').getImageData(0, 0, 6, 4).data[0]") > 0
+    page.context.close()
+
+
+class Ranged(http.server.SimpleHTTPRequestHandler):
+    """Gives ranges of files, as all web servers but Python's do."""
+
+    def send_head(self) -> Any:
+        asked = re.match(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+        if not asked:
+            return super().send_head()
+        first, last = map(int, asked.groups())
+        content = Path(self.translate_path(self.path)).read_bytes()[first : last + 1]
+        self.send_response(206)
+        self.send_header("Content-Length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+        return None
+
+    def log_message(self, *about: Any) -> None:
+        pass
+
+
+class Whole(http.server.SimpleHTTPRequestHandler):
+    """Python's own server."""
+
+    def log_message(self, *about: Any) -> None:
+        pass
+
+
+@contextmanager
+def served(folder: Path, handler: Any) -> Iterator[str]:
+    server = http.server.ThreadingHTTPServer(
+        ("127.0.0.1", 0), functools.partial(handler, directory=str(folder))
+    )
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}"
+    finally:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+@pytest.mark.parametrize("handler", [Ranged, Whole])
+def test_a_large_transport_is_read_from_a_folder(
+    chromium: Any, tmp_path: Path, handler: Any
+) -> None:
+    transport = transport_of("symmetric")
+    compared = Compared(transport.relight(np.ones(SHAPE)), "the truth", is_truth=True)
+    older = tmp_path / "big" / "levels" / "level_99.bin"
+    older.parent.mkdir(parents=True)
+    older.write_bytes(b"of an older one")
+    written = write_view(View(transport, "Large", compared=compared), tmp_path / "big.html", 1000)
+    assert written.is_folder
+    assert written.page == tmp_path / "big" / "index.html"
+    assert written.levels == list(range(transport.last_level + 1))
+    text = written.page.read_bytes()
+    assert b"data:image/jpeg" in text[:100_000]
+    assert len(list((tmp_path / "big" / "levels").iterdir())) > 3
+    assert not older.exists()
+    with served(tmp_path, handler) as address:
+        page = opened(chromium, f"{address}/big/", "#tool=flood&difference=true")
+        settled(page)
+        alike(page, transport)
+        wait_until(page, "still !== null")
+        settled(page)
+        assert "Differs by" in page.inner_text("#compared")
+        assert page.said == []
+        page.goto(f"{address}/big.html")
+        page.wait_for_url("**/big/index.html")
+        page.context.close()
+
+
+def test_a_folder_opened_from_disk_says_what_to_do(chromium: Any, tmp_path: Path) -> None:
+    written = write_view(View(transport_of("symmetric"), "Large"), tmp_path / "big.html", 1000)
+    page = chromium.new_page()
+    page.goto(written.page.as_uri())
+    wait_until(page, "$('status').className.includes('failed')")
+    assert "python -m http.server" in page.inner_text("#status")
+    page.close()
+
+
+def test_the_kernel_is_that_of_its_source() -> None:
+    wasmtime = pytest.importorskip("wasmtime")
+    kernel = files("rfpipe.viewer").joinpath("kernel")
+    source = kernel.joinpath("kernels.wat").read_text("utf-8")
+    assert bytes(wasmtime.wat2wasm(source)) == kernel.joinpath("kernels.wasm").read_bytes()
+
+
+def test_what_cannot_be_compared_is_refused(tmp_path: Path) -> None:
+    transport = transport_of("symmetric")
+    for light, message in (
+        (transport_of("one channel"), "transports of the same rig"),
+        (np.ones((3, 4)), "resize the picture"),
+    ):
+        with pytest.raises(InputError, match=message):
+            write_view(
+                View(transport, "A scene", compared=Compared(light, "other")), tmp_path / "a.html"
+            )
+    with pytest.raises(InputError, match=r"ends in \.html"):
+        write_view(View(transport, "A scene"), tmp_path / "a.png")

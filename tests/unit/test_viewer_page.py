@@ -1,0 +1,52 @@
+"""A viewer's page in a real browser: pictures as from Python, by hand, by keys, from a link."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.browsers import browser, opened, picture_of
+from tests.unit.test_viewer_program import lights, planar
+from tests.viewers import KINDS, rounded, transport_of
+
+from rfpipe.transport.base import Transport
+from rfpipe.viewer import View, write_view
+
+KERNELS = ("", "?kernel=javascript")
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as started:
+        yield started
+
+
+def written(transport: Transport, folder: Path) -> Path:
+    """A page of a transport."""
+    return write_view(View(transport, "A scene"), folder / "scene.html").page
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_pictures_are_python_s(chromium: Any, kind: str, tmp_path: Path) -> None:
+    transport = transport_of(kind)
+    if kind.endswith("uint8"):
+        transport = rounded(transport, tmp_path)
+    path = written(transport, tmp_path)
+    for kernel in KERNELS:
+        page = opened(chromium, path, kernel)
+        assert page.evaluate("document.body.dataset.kernel") == ("javascript" if kernel else "wasm")
+        levels = page.evaluate("MANIFEST.levels")
+        for level in {levels[-1], levels[len(levels) // 2]}:
+            seen = transport.truncate(level) if level < levels[-1] else transport
+            for dual, view in ((False, seen), (True, seen.T)):
+                for light in lights(view.projector_shape, view.channels):
+                    expected = planar(view.relight(light), view.camera_shape, view.channels)
+                    given = planar(light, view.projector_shape, view.channels)
+                    found = picture_of(page, given, level, dual=dual).reshape(expected.shape)
+                    limit = 2e-4 * np.abs(expected).max() + 1e-12
+                    assert np.abs(found - expected).max() < limit, (level, dual, kernel)
+        assert page.said == []
+        page.context.close()

@@ -1,0 +1,312 @@
+"""Rigs whose patterns go out as files and whose pictures come back as files."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import shutil
+import struct
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenImageIO as oiio
+import pytest
+import yaml
+from tests.workflow.harness import Workflow
+from tests.workflow.stagewise import contents, symmetric_matrix
+from typer.testing import CliRunner
+
+from rfpipe import OperatorRig, open_transport
+from rfpipe.cli import app
+from rfpipe.config import CameraConfig, load_config, parse_config
+from rfpipe.errors import CaptureError, ConfigError, InputError, RfpipeError
+from rfpipe.photometry import CameraModel
+from rfpipe.pictures import read_picture
+from rfpipe.rigs.offline import check_pictures, offline_rig, read_sheet
+from rfpipe.stages import capture, levels
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.jobs.settings import stages_of
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.plan import Plan, plan_of
+
+SCRIPT = Path(__file__).parents[1] / "examples" / "photographer.py"
+SHAPE = (4, 5)
+SETTINGS: dict[str, Any] = {
+    "scenes": {"desk": {"kind": "captured", "shape": list(SHAPE), "channels": 1}},
+    "methods": {"symmetric": {}},
+    "camera": {"exposures": [0.015625, 0.25]},
+    "capture": {"rig": "offline", "black_frames": 2, "floodlit_frames": 2, "symmetry_frames": 3},
+    "offline": {"projector_shape": [26, 33]},
+}
+CAMERA = CameraModel(**CameraConfig(**SETTINGS["camera"]).model_dump())
+
+
+def photographer() -> Any:
+    spec = importlib.util.spec_from_file_location("photographer", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def command(*arguments: object, fails: bool = False) -> str:
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    if fails:
+        assert isinstance(done.exception, RfpipeError), done.output
+        return str(done.exception)
+    assert done.exception is None, done.exception
+    return done.output
+
+
+def settings_file(folder: Path, **changes: Any) -> Path:
+    path = folder / "mine.yaml"
+    path.write_text(yaml.safe_dump({**SETTINGS, **changes}))
+    return path
+
+
+def sheets(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("desk_*") if path.is_dir())
+
+
+@pytest.fixture
+def level_0(tmp_path: Path) -> Path:
+    """The first sheet, and its pictures by a camera without noise; its settings have no noise."""
+    path = settings_file(tmp_path, camera=QUIET)
+    command("patterns", path, "-o", tmp_path / "p", "--results", tmp_path / "r")
+    (sheet,) = sheets(tmp_path / "p")
+    photograph = photographer()
+    photograph.photograph(sheet, symmetric_matrix()[None], photograph.counts)
+    return sheet
+
+
+QUIET = {"exposures": [0.5, 2.0], "bits": 16, "black_level_counts": 1000}
+
+
+def check(sheet: Path) -> Any:
+    settings = load_config(sheet.parents[1] / "mine.yaml")
+    rig = offline_rig(settings.offline, settings.camera, SHAPE, SHAPE, 1)
+    return check_pictures(rig, read_sheet(sheet), sheet / "pictures")
+
+
+def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> None:
+    """Pictures by an independent script, noise as the direct rig has it."""
+    path = settings_file(tmp_path)
+    settings = load_config(path)
+    rig = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, CAMERA, seed=3)
+    direct = tmp_path / "direct"
+    levels.run(
+        Plan(**plan_of(settings, "desk", "symmetric")),
+        AcquisitionFolder(direct),
+        "desk",
+        partial(capture.run, rig),
+        **stages_of(settings, "desk", "symmetric"),
+        resources=Resources(),
+    )
+
+    def expose(radiance: Any, seconds: float, key: Any) -> Any:
+        # markers are seen by nobody but the import
+        bracket = CAMERA.expose(radiance.astype(np.float32), 3, tuple(key or (9,)))
+        return bracket[CAMERA.exposures.index(seconds)]
+
+    output = command("patterns", path, "-o", tmp_path / "p", "--results", tmp_path / "r")
+    passes = 0
+    while "nothing more is asked for" not in output:
+        assert re.search(r"level \d asks for \d+ patterns and 3 markers", output)
+        sheet = sheets(tmp_path / "p")[-1]
+        photographer().photograph(sheet, symmetric_matrix()[None], expose)
+        output = command("import", sheet)
+        passes += 1
+    assert passes == len(sheets(tmp_path / "p")) > 2
+    found = contents(tmp_path / "r" / "desk" / "symmetric" / "transport.zarr")
+    assert found == contents(direct / "transport.zarr")
+    # a sheet twice changes nothing
+    assert "nothing more is asked for" in command("import", sheet)
+
+
+def test_the_workflow_goes_on_from_pictures_that_a_script_took(tmp_path: Path) -> None:
+    workflow = Workflow(tmp_path)
+    settings = {**SETTINGS, "camera": QUIET, "methods": {"brute_force": {}}}
+    workflow.config.write_text(yaml.safe_dump(settings))
+    target = "results/desk/brute_force/relight.json"
+    output = workflow.run(target, succeeds=False)
+    assert "level 0 waits for pictures" in output
+    results = tmp_path / "results"
+    command("patterns", workflow.config, "-o", tmp_path / "p", "--results", results)
+    (sheet,) = sheets(tmp_path / "p")
+    np.save(tmp_path / "matrix.npy", symmetric_matrix()[None])
+    done = subprocess.run([sys.executable, SCRIPT, sheet, tmp_path / "matrix.npy"], check=False)
+    assert done.returncode == 0
+    assert "nothing more is asked for" in command("import", sheet)
+    assert "patterns in" not in workflow.run(target)
+    transport = open_transport(workflow.path("desk/brute_force/transport.zarr"))
+    # radiance in the camera's own unit
+    found = transport.channel(0) @ np.eye(20)
+    scale = found.sum() / symmetric_matrix().sum()
+    np.testing.assert_allclose(found / scale, symmetric_matrix(), atol=2e-3 / 20)
+
+
+def test_patterns_are_as_the_projector_shows_them(level_0: Path) -> None:
+    stated = json.loads((level_0 / "patterns.json").read_text())
+    names = [each["file"] for each in stated["shown"]]
+    assert [name[5:-4] for name in names] == [
+        *("marker",) * 2, *("black",) * 2, *("white",) * 2, *("random",) * 3, "pattern", "marker",
+    ]  # fmt: skip
+    white = oiio.ImageBuf(str(level_0 / names[4])).get_pixels(oiio.UINT8)[..., 0]
+    assert white.shape == (26, 33)
+    lit = np.zeros((26, 33), bool)
+    lit[1:25, 1:31] = True  # 4 x 5 squares of 6 x 6 pixels in the middle
+    np.testing.assert_array_equal(white > 0, lit)
+
+
+def test_pictures_before_and_after_the_markers_are_left_out(level_0: Path) -> None:
+    pictures = level_0 / "pictures"
+    shutil.copy(pictures / "IMG_9.tif", pictures / "A_0.tif")
+    shutil.copy(pictures / "IMG_8.tif", pictures / "IMG_99.tif")
+    checked = check(level_0)
+    assert "2 pictures before or after" in checked.notes[0]
+    assert checked.files[1_000_000, 0][0].name == "IMG_4.tif"
+
+
+def test_exposures_of_a_bracket_may_stand_in_any_order(level_0: Path) -> None:
+    first, second = (level_0 / "pictures" / f"IMG_{index}.tif" for index in (8, 9))
+    first.rename(level_0 / "swapped.tif")
+    second.rename(first)
+    (level_0 / "swapped.tif").rename(second)
+    assert check(level_0).files[1_000_001, 0] == (second, first)
+
+
+def turned(pictures: Path) -> None:
+    files = sorted(pictures.iterdir(), key=lambda path: int(path.stem[4:]))
+    for index, path in enumerate(files):
+        path.rename(pictures / f"new_{len(files) - index}.tif")
+
+
+def swapped(pictures: Path) -> None:
+    """The opposite of the marker after black."""
+    for one, other in ((2, 4), (3, 5)):
+        first, second = (pictures / f"IMG_{index}.tif" for index in (one, other))
+        first.rename(pictures / "aside.tif")
+        second.rename(first)
+        (pictures / "aside.tif").rename(second)
+
+
+def rewritten(name: str, change: Any, seconds: float | None = None) -> Any:
+    def rewrite(pictures: Path) -> None:
+        picture = read_picture(pictures / name)
+        changed = oiio.ImageBuf(np.ascontiguousarray(change(picture.pixels)))
+        changed.specmod().attribute("ExposureTime", seconds or picture.header.exposure_s)
+        assert changed.write(str(pictures / name))
+
+    return rewrite
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda folder: (folder / "IMG_3.tif").unlink(), "holds 21 pictures; 11 patterns of 2"),
+        (turned, "in reverse order"),
+        (rewritten("IMG_5.tif", lambda pixels: pixels, 1.0), r"IMG_5.*exposed for 1 s.*0\.5, 2 s"),
+        (rewritten("IMG_6.tif", lambda pixels: pixels[:3]), r"3 x 5 pixels.*expected 4 x 5"),
+        (rewritten("IMG_7.tif", lambda pixels: pixels.repeat(3, axis=2)), "has 3 channels"),
+        (rewritten("IMG_7.tif", lambda pixels: pixels / np.float32(9)), "holds light"),
+        (rewritten("IMG_8.tif", lambda pixels: np.full_like(pixels, 65535)), "add a shorter one"),
+        (rewritten("IMG_9.tif", lambda pixels: np.full_like(pixels, 1000)), "lens cap"),
+        (swapped, "doesn't begin with the marker"),
+    ],
+)
+def test_pictures_are_refused_before_any_is_kept(level_0: Path, spoil: Any, message: str) -> None:
+    spoil(level_0 / "pictures")
+    assert re.search(message, command("import", level_0, fails=True))
+    assert not list(level_0.parents[1].glob("r/desk/symmetric/L00/reference.zarr/c.*"))
+
+
+def test_counts_beyond_the_camera_s_bits(level_0: Path) -> None:
+    path = level_0.parents[1] / "mine.yaml"
+    settings_file(path.parent, camera={**QUIET, "bits": 12})
+    rewrite = rewritten("IMG_8.tif", lambda pixels: pixels >> 4 << 4)
+    rewrite(level_0 / "pictures")
+    with pytest.raises(CaptureError, match=r"camera\.bits"):
+        check(level_0)
+
+
+def test_a_sheet_with_other_pictures_is_not_replaced(level_0: Path) -> None:
+    root = level_0.parents[1]
+    path = settings_file(root, camera={**QUIET, "exposures": [0.1]})
+    output = command("patterns", path, "-o", root / "p", "--results", root / "r", fails=True)
+    assert "move them away" in output
+    with pytest.raises(InputError, match="rfpipe patterns"):
+        read_sheet(root)
+
+
+def test_rays_in_a_part_of_larger_pictures() -> None:
+    corners = [[[2, 1], [12, 1], [12, 9], [2, 9]]]
+    offline = {"picture_shape": [11, 15], "camera_corners": corners}
+    settings = parse_config({**SETTINGS, "offline": offline}, "it")
+    rig = offline_rig(settings.offline, settings.camera, SHAPE, SHAPE, 1)
+    assert rig.picture_shape == (11, 15)
+    picture = np.random.default_rng(0).random((1, 11, 15, 1), np.float32)
+    mean = picture[0, 1:9, 2:12, 0].reshape(4, 2, 5, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(rig.sensor.resampling.apply(picture)[0, ..., 0], mean, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"capture": {"rig": "offline", "drift_minutes": 3}}, "drift_minutes should be null"),
+        ({"offline": {"picture_shape": [4, 4]}}, "set together"),
+        ({"scenes": {"a": {"kind": "captured"}, "b": {"kind": "captured"}}}, "rig offline"),
+    ],
+)
+def test_settings_that_don_t_fit(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        parse_config({**SETTINGS, **changes}, "it")
+
+
+def test_another_rig_has_no_patterns_to_write(tmp_path: Path) -> None:
+    scenes = {"desk": {"kind": "plane", "surfaces": ["white"], "shape": [4, 4]}}
+    path = settings_file(tmp_path, scenes=scenes, capture={})
+    assert "set it to offline" in command("patterns", path, fails=True)
+
+
+def dng(mosaic: np.ndarray, seconds: float) -> bytes:
+    """A raw file as small as it gets: a TIFF of photosites with what makes it a DNG."""
+    height, width = mosaic.shape
+    rational = struct.pack("<2I", round(seconds * 2**20), 2**20)
+    matrix = b"".join(struct.pack("<2i", value, 1) for value in (1, 0, 0, 0, 1, 0, 0, 0, 1))
+    entries = [
+        (254, 4, 1, 0), (256, 4, 1, width), (257, 4, 1, height), (258, 3, 1, 16), (259, 3, 1, 1),
+        (262, 3, 1, 32803), (271, 2, 4, b"Own\0"), (272, 2, 4, b"One\0"), (273, 4, 1, "pixels"),
+        (274, 3, 1, 1), (277, 3, 1, 1), (278, 4, 1, height), (279, 4, 1, mosaic.nbytes),
+        (33421, 3, 2, struct.pack("<2H", 2, 2)), (33422, 1, 4, bytes([0, 1, 1, 2])),
+        (33434, 5, 1, rational), (50706, 1, 4, bytes([1, 4, 0, 0])), (50708, 2, 4, b"One\0"),
+        (50717, 4, 1, 65535), (50721, 10, 9, matrix),
+    ]  # fmt: skip
+    start = 8 + 2 + 12 * len(entries) + 4
+    beside = b"".join(value for *_, value in entries if isinstance(value, bytes) and len(value) > 4)
+    directory, offset = b"", start
+    for tag, kind, count, stated in entries:
+        value = start + len(beside) if stated == "pixels" else stated
+        if isinstance(stated, bytes) and len(stated) > 4:
+            value, offset = offset, offset + len(stated)
+        data = value if isinstance(value, bytes) else struct.pack("<I", value)
+        directory += struct.pack("<HHI", tag, kind, count) + data.ljust(4, b"\0")
+    head = struct.pack("<2sHIH", b"II", 42, 8, len(entries))
+    return head + directory + bytes(4) + beside + mosaic.astype("<u2").tobytes()
+
+
+def test_a_raw_file_is_a_mosaic_with_its_exposure_time(tmp_path: Path) -> None:
+    pytest.importorskip("rawpy", reason="pip install rfpipe[pictures]")
+    mosaic = np.random.default_rng(1).integers(0, 60000, (32, 48)).astype(np.uint16)
+    (tmp_path / "a.dng").write_bytes(dng(mosaic, 0.25))
+    picture = read_picture(tmp_path / "a.dng")
+    np.testing.assert_array_equal(picture.pixels[..., 0], mosaic)
+    assert picture.header.exposure_s == pytest.approx(0.25)
+    (tmp_path / "b.dng").write_bytes(b"no raw file")
+    with pytest.raises(InputError, match="can't be read as a raw file"):
+        read_picture(tmp_path / "b.dng")

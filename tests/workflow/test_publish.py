@@ -1,0 +1,136 @@
+"""A real run, published: what the validators of each format say of it, without the network."""
+
+import importlib.resources
+import json
+import subprocess
+import zipfile
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.validators import validators_python
+from tests.workflow.harness import ROOT, Workflow
+
+import rfpipe
+from rfpipe.pictures.images import read_image
+from rfpipe.publish import find_run, parse_citation, publish
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.merging.references import read_floodlit
+
+# The context comes with ro-crate-py, of a later version that has moved or added these terms.
+_ADDED = ("creditText", "sha256")
+_MOVED = ("ComputationalWorkflow", "FormalParameter", "input", "output")
+_PLACES = ("", "", "ComputationalWorkflow#", "ComputationalWorkflow#")
+
+_VALIDATE_CRATE = """
+import sys, json, responses
+from rocrate_validator import models, services
+crate, context, cache, profile = sys.argv[1:]
+with responses.RequestsMock(assert_all_requests_are_fired=False) as web:
+    web.add("GET", "https://w3id.org/ro/crate/1.1/context", body=open(context).read(),
+            content_type="application/ld+json")
+    settings = services.ValidationSettings(
+        rocrate_uri=crate, profile_identifier=profile, cache_path=cache,
+        requirement_severity=models.Severity.REQUIRED)
+    found = services.validate(settings)
+issues = [f"{issue.check.identifier}: {issue.message}" for issue in found.get_issues()]
+print(json.dumps([found.passed(), issues]))
+"""
+
+_VALIDATE_CROISSANT = """
+import sys, json, mlcroissant
+data = mlcroissant.Dataset(jsonld=sys.argv[1])
+problems = [*data.metadata.ctx.issues.errors]
+rows = [row for row in data.records("results")] if len(sys.argv) > 2 else []
+print(json.dumps([problems, len(rows)]))
+"""
+
+
+@pytest.fixture(scope="module")
+def crate(undisturbed: Workflow, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A published run, unpacked from its zip file, which lies beside it."""
+    citation = parse_citation(
+        {
+            "title": "Two wedges",
+            "description": "Light transport of two wedges.",
+            "creators": [{"name": "Doe, Jane", "affiliation": "A Lab"}],
+            "license": "CC-BY-4.0",
+            "published": date(2026, 11, 22),
+        }
+    )
+    folder = tmp_path_factory.mktemp("publication") / "crate"
+    packed = folder.with_suffix(".zip")
+    publish(find_run(undisturbed.folder), citation, packed, config=undisturbed.config)
+    with zipfile.ZipFile(packed) as archive:
+        archive.extractall(folder)
+    return folder
+
+
+def printed(script: str, *arguments: object) -> object:
+    """What a script prints last; the validators' own warnings are theirs."""
+    command = [validators_python(), "-W", "ignore", "-c", script, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_it_is_a_workflow_run_crate(crate: Path, tmp_path: Path) -> None:
+    source = importlib.resources.files("rocrate").joinpath("data/ro-crate.jsonld")
+    context = json.loads(source.read_text())
+    for term, place in zip(_MOVED, _PLACES, strict=True):
+        context["@context"][term] = f"https://bioschemas.org/{place}{term}"
+    for term in _ADDED:
+        del context["@context"][term]
+    (tmp_path / "context.json").write_text(json.dumps(context))
+    arguments = (tmp_path / "context.json", tmp_path / "cache", "workflow-run-crate")
+    assert printed(_VALIDATE_CRATE, crate.with_suffix(".zip"), *arguments) == [True, []]
+
+
+def test_croissant_and_datacite_are_valid(crate: Path) -> None:
+    assert printed(_VALIDATE_CROISSANT, crate / "croissant.json") == [[], 0]
+    script = (
+        "import json, sys; from datacite import schema45; "
+        "schema45.validator.validate(json.load(open(sys.argv[1]))); print(1)"
+    )
+    assert printed(script, crate / "datacite.json") == 1
+
+
+def test_the_graph_names_every_file_and_how_it_came_about(crate: Path) -> None:
+    graph = json.loads((crate / "ro-crate-metadata.json").read_text())["@graph"]
+    entities = {entity["@id"]: entity for entity in graph}
+    parts = {part["@id"] for part in entities["./"]["hasPart"]}
+    files = {file.relative_to(crate).as_posix() for file in crate.rglob("*") if file.is_file()}
+    made_last = {"ro-crate-metadata.json", "ro-crate-preview.html", "manifest-sha256.txt"}
+    loose = {name for name in files if ".zarr/" not in name} - made_last
+    assert loose == {name for name in parts if not name.endswith("/")}
+    stores = {name for name in parts if name.endswith(".zarr/")}
+    assert {result["@id"] for result in entities["#run"]["result"]} == stores
+    assert len(stores) == 3
+    assert entities["#run"]["instrument"]["@id"] == "source/Snakefile"
+    assert (crate / "source/Snakefile").read_bytes() == (ROOT / "Snakefile").read_bytes()
+    assert entities["#run"]["startTime"] <= entities["#run"]["endTime"]
+
+
+def test_pictures_and_transports_are_the_runs(crate: Path, undisturbed: Workflow) -> None:
+    floodlit, _ = read_floodlit(AcquisitionFolder(undisturbed.path("tiny/dual")))
+    assert np.array_equal(read_image(crate / "pictures/tiny/dual/floodlit.exr"), floodlit)
+    black = read_image(crate / "pictures/tiny/dual/black_0.exr")
+    assert 55 < black.mean() < 75  # counts
+    name = "results/long/brute_force/transport.zarr"
+    light = np.random.default_rng(0).random((16, 18), np.float32)
+    relit = rfpipe.open_transport(crate / name).relight(light)
+    assert np.array_equal(rfpipe.open_transport(undisturbed.folder / name).relight(light), relit)
+
+
+def test_a_folder_zips_into_what_opens(crate: Path, tmp_path: Path) -> None:
+    """Somebody else's zip of the folder, compressed, serves as well."""
+    with zipfile.ZipFile(tmp_path / "other.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in sorted(crate.rglob("*")):
+            archive.write(file, file.relative_to(crate))
+    name = "results/tiny/symmetric/transport.zarr"
+    opened = rfpipe.open_transport(tmp_path / "other.zip" / name)
+    assert np.array_equal(
+        opened.relight(np.ones((8, 8))),
+        rfpipe.open_transport(crate / name).relight(np.ones((8, 8))),
+    )

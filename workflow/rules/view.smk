@@ -1,0 +1,20 @@
+rule view:
+    """A page for each acquisition: light the scene in a browser, wipe to another method's."""
+    input:
+        transport="results/{scene}/{method}/transport.json",
+        others=other_acquisitions,
+    output:
+        "results/report/view/{scene}_{method}.html",
+    log:
+        "results/{scene}/{method}/view.log",
+    benchmark:
+        "results/{scene}/{method}/view.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    resources:
+        mem_mib=MEMORY_MIB,
+    params:
+        code=stage_code("viewer"),
+        web=VIEWER_WEB,
+    script:
+        "../scripts/view.py"
