@@ -193,7 +193,8 @@ def test_large_rooms_are_compressed_by_themselves():
 
 
 def test_the_settings_know_the_same_rooms_with_as_many_surfaces():
-    assert set(GEOMETRIES) == set(names(SCENES)) - {"room", "captured", "mitsuba"}
+    others = {"room", "captured", "matrix", "mitsuba", "recorded"}
+    assert set(GEOMETRIES) == set(names(SCENES)) - others
     for name, surfaces in GEOMETRIES.items():
         assert SceneSettings.model_of(name).surface_names == tuple(it.name for it in surfaces)
         config = SceneSettings.of(name, surfaces=("white",) * len(surfaces), shape=(6, 7))

@@ -110,7 +110,7 @@ def test_a_captured_scene() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"scenes": DESK}, "capture.rig should be remote for scenes.desk"),
+        ({"scenes": DESK}, "capture.rig should be remote or offline for scenes.desk"),
         ({"capture": REMOTE}, "scenes should be one with capture.rig remote, not planes_i"),
         (
             {"scenes": {"desk": {**DESK["desk"], "camera_shape": [6, 7]}}, "capture": REMOTE},

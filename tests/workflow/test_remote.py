@@ -241,7 +241,7 @@ def test_a_captured_scene_is_relit_and_reported_without_a_truth(tmp_path: Path) 
         assert not (folder / "sweep.json").exists()
     page = workflow.path("report/index.html").read_text()
     assert "The scene relit" in page
-    assert "The pictures were taken by a rig behind an acquisition server" in page
+    assert "acquired by a rig behind an acquisition server" in page
     assert "ground truth by exact transport" not in page
     assert "127.0.0.1" not in page
     errors = workflow.path("report/tables/errors.csv").read_text().splitlines()

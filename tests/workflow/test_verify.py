@@ -144,7 +144,7 @@ def test_damage_is_found_and_mended_to_the_same_bytes(
     assert all(finding.path.is_relative_to(run) for finding in findings)
     for finding in findings:
         remove, _, again = command_for(finding).partition(" && ")
-        assert again.startswith(("snakemake", "make", "/"))
+        assert Path(again.split()[0]).name in ("snakemake", "make")
         assert str(run / "transport.json") in remove
         subprocess.run(remove, shell=True, check=True)
     shown = acquire(run)
