@@ -90,6 +90,7 @@ def test_views_have_signs_of_their_own() -> None:
     assert (signs[:, :, :4, :4] == signs[:, :, :1, :1]).all()
 
 
-def test_one_pattern_makes_no_pair() -> None:
-    with pytest.raises(CaptureError, match="2 or more"):
-        checked(wedge(), count=1)
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_pair_has_no_spread(count: int) -> None:
+    with pytest.raises(CaptureError, match="3 or more"):
+        checked(wedge(), count=count)

@@ -62,7 +62,9 @@ class CalibrationConfig(Settings):
         "upper left corner. null: found, or the middle of the projector.",
     )
     symmetry_patterns: Count = Field(
-        12, description="Random patterns of each size that symmetry is checked with, 2 to 1000."
+        12,
+        ge=3,
+        description="Random patterns of each size that symmetry is checked with, 3 to 1000.",
     )
 
     @model_validator(mode="after")

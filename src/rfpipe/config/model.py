@@ -95,7 +95,7 @@ class CaptureConfig(Settings):
         ge=0,
         le=1024,
         description="Brackets of random patterns that follow them where a method needs a coaxial "
-        "rig, to see whether it is one: 0 (not looked at), or 2 to 1024.",
+        "rig, to see whether it is one: 0 (not looked at), or 3 to 1024.",
     )
     asymmetry: Fraction = Field(
         0.05,
@@ -138,8 +138,8 @@ class CaptureConfig(Settings):
     @field_validator("symmetry_frames")
     @classmethod
     def _make_pairs(cls, frames: int) -> int:
-        if frames == 1:
-            raise ValueError("one random pattern makes no pair; take 2 or more, or 0")
+        if frames in (1, 2):
+            raise ValueError("a spread needs two pairs of random patterns; take 3 or more, or 0")
         return frames
 
     @property

@@ -111,7 +111,7 @@ def measure_symmetry(floodlit: Double, variance: Double, pictures: list[Pictures
     Raises
     ------
     CaptureError
-        When there are fewer than two patterns of a scale.
+        When there are fewer than three patterns of a scale.
 
     Notes
     -----
@@ -122,8 +122,10 @@ def measure_symmetry(floodlit: Double, variance: Double, pictures: list[Pictures
     ``K p / 2``. The noise's own share of the mean squares is subtracted.
     """
     fine = pictures[0]
-    if min(len(one.signs) for one in pictures) < 2:
-        raise CaptureError("one pattern of patches of a size makes no pair; expected 2 or more")
+    if min(len(one.signs) for one in pictures) < 3:
+        raise CaptureError(
+            "fewer than three patterns of patches of a size make no two pairs; expected 3 or more"
+        )
     ahead = np.einsum("in,nc->ic", fine.signs, floodlit)
     noise = fine.noise.sum(axis=1) + variance.sum(axis=0)
     of_ones = _Square.of(ahead - fine.images.sum(axis=1), noise, len(fine.signs))

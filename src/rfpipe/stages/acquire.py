@@ -113,7 +113,7 @@ def acquire(
         takes one.
     symmetry_frames : int
         Brackets of random patterns by which methods see whether the rig is coaxial, if they ask,
-        2 or more; 0 for none.
+        3 or more; 0 for none.
     asymmetry : float
         Error in relit pictures, relative to their norm, that taking the rig for a coaxial one may
         make.
@@ -147,8 +147,8 @@ def acquire(
             f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
             "at least one of each is needed"
         )
-    if symmetry_frames < 0 or symmetry_frames == 1:
-        raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 2 or more, are needed")
+    if symmetry_frames < 0 or symmetry_frames in (1, 2):
+        raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 3 or more, are needed")
     began = perf_counter()
     camera, projector = RayDomain(rig.camera_shape), RayDomain(rig.projector_shape)
     asks_symmetry = chosen.asks_symmetry(camera, projector) and symmetry_frames > 0
