@@ -18,6 +18,7 @@ from rfpipe.calibration.correspondence import (
 from rfpipe.calibration.dark import measure_dark, take_dark
 from rfpipe.calibration.mapping import SmoothMap, fit_map, inner
 from rfpipe.calibration.rays import coverage, fit_rays
+from rfpipe.calibration.steps import rays_verdict
 from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel, MergeOptions
@@ -214,6 +215,13 @@ def test_rays_that_the_camera_cannot_see_stay_dark() -> None:
     assert not seen[9:].any()
     lit = np.unique(half.layout.ray_of_pixel)
     assert set(lit[lit != DARK]) == set(np.flatnonzero(seen))
+    verdict = rays_verdict(half, [smooth], 0.0, 0.05)
+    assert verdict.standing == "poor"
+    unseen = 256 - seen.sum()
+    assert f"{unseen} of 256 rays are not seen" in verdict.text
+    assert "most of them on the lower side" in verdict.text
+    whole = fit_rays([smooth], layout, (48, 54))
+    assert "are not seen (" not in rays_verdict(whole, [smooth], 0.0, 0.05).text
     beside = replace(smooth, homography=np.array([[1.0, 0, 900], [0, 1, 0], [0, 0, 1]]))
     with pytest.raises(CaptureError, match="sees none of the rays"):
         fit_rays([beside], layout, (48, 54))

@@ -48,7 +48,7 @@ from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 
-__all__ = ["STEPS", "Bench", "Step", "camera_numbers", "steps_of"]
+__all__ = ["STEPS", "Bench", "Step", "camera_numbers", "rays_verdict", "steps_of"]
 
 Float = NDArray[np.float32]
 
@@ -57,6 +57,11 @@ MAP_WANTED = 0.1
 
 MOST_NOISE = 4.0
 """Noise of a ray over that of a camera pixel; one that few pixels see alone has up to about 2."""
+
+MOST_UNSEEN = 0.02
+"""Share of the rays that the camera may miss, as at a rim; more is a projector beside its view."""
+
+_ASIDE = 0.1  # of the picture's extent, from its middle
 
 LEAST_PIXELS_A_RAY = 4.0
 """Camera pixels a ray below which few pixels look at one ray alone."""
@@ -210,13 +215,13 @@ def _rays(bench: Bench) -> Findings:
         "blur_pixels": blur,
         "blur_error": blur_error,
         "unseen_rays": int((~fit.resampling.seen).sum()),
-        "pixels_a_ray": float(np.median(fit.pixels)),
+        "pixels_a_ray": float(np.median(fit.pixels[fit.resampling.seen.ravel()])),
         "mean_leak": float(fit.leak.mean()),
         "largest_leak": float(fit.leak.max()),
         "largest_noise": float(fit.noise.max()),
         "maps": [one.facts() for one in maps],
     }
-    return Findings(_rays_verdict(fit, maps, blur, settings.tolerance), facts, arrays)
+    return Findings(rays_verdict(fit, maps, blur, settings.tolerance), facts, arrays)
 
 
 def _symmetry(bench: Bench) -> Findings:
@@ -290,13 +295,44 @@ def _rays_a_view(corners: Iterable[Any]) -> tuple[int, int]:
     return max(1, int(tall)), max(1, int(wide))
 
 
-def _rays_verdict(fit: RayFit, maps: list[SmoothMap], blur: float, tolerance: float) -> Verdict:
-    """Say whether rays are told apart to the tolerance, and whether the map is known."""
-    unseen = int((~fit.resampling.seen).sum())
+def _whereabouts(rays: NDArray[np.bool_]) -> str:
+    """Say on which side of the projector's picture most of some rays (*, H, W) are."""
+    height, width = rays.shape[-2:]
+    row, column = np.nonzero(rays.any(axis=tuple(range(rays.ndim - 2))))
+    down, across = (row.mean() + 0.5) / height - 0.5, (column.mean() + 0.5) / width - 0.5
+    words = [
+        word
+        for offset, less, more in ((down, "upper", "lower"), (across, "left", "right"))
+        if (word := less if offset < -_ASIDE else more if offset > _ASIDE else "")
+    ]
+    return f"most of them on the {' '.join(words)} side" if words else "on no one side"
+
+
+def rays_verdict(fit: RayFit, maps: list[SmoothMap], blur: float, tolerance: float) -> Verdict:
+    """Say whether rays are seen and told apart to the tolerance, and whether the map is known.
+
+    Parameters
+    ----------
+    fit : RayFit
+    maps : list of SmoothMap
+        Of all views.
+    blur : float
+        Camera pixels.
+    tolerance : float
+        Of relit pictures; half of it is for light that leaks from ray to ray.
+    """
+    seen = fit.resampling.seen
+    unseen = int((~seen).sum())
     error = max(one.error for one in maps)
     leak = float(np.percentile(fit.leak, 99))
-    pixels = float(np.median(fit.pixels))
+    pixels = float(np.median(fit.pixels[seen.ravel()]))
     faults = []
+    if unseen > MOST_UNSEEN * seen.size:
+        faults.append(
+            f"{unseen:,} of {seen.size:,} rays are not seen ({unseen / seen.size:.0%}), "
+            f"{_whereabouts(~seen)}; {MOST_UNSEEN:.0%} are allowed. Turn the camera or its "
+            "zoom until all of the projector's picture is in its view, or light less of it."
+        )
     if error > MAP_WANTED:
         faults.append(
             f"The map from camera to projector is known to {error:.2f} projector pixels only, "
