@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from rfpipe.config.base import Extent, Text
+from rfpipe.config.base import Text
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.errors import InputError, StoreError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, SceneKind
-from rfpipe.scenes.kinds.views import Views
+from rfpipe.scenes.kinds.views import AnyRig
 from rfpipe.stages.capturing.sensors import read_sensor
 from rfpipe.stages.capturing.shown import symmetry_patterns
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
@@ -33,33 +33,18 @@ _SATURATION_FRACTION = 0.98
 _ROUNDING = 1e-10
 
 
-class RecordedOptions(Views):
+class RecordedOptions(AnyRig):
     """Which recording."""
 
     folder: Text = Field(
         description="Folder of the recorded acquisition, such as results/desk/brute_force, "
         "relative to where rfpipe runs; its shape and channels are this scene's.",
     )
-    camera_shape: tuple[Extent, Extent] | None = Field(
-        None,
-        description="Height and width of the camera's rays where the rig is not coaxial, 1 to 4096 "
-        "each; null where camera and projector share their rays.",
-    )
     complete: bool = Field(
         False,
         description="Whether the recorded patterns span all light, as those of brute_force and "
         "hadamard do: true or false. Then reports compare with it, too.",
     )
-
-    @property
-    def camera_ray_shape(self) -> tuple[int, ...]:
-        """Shape of the camera's ray domain."""
-        return self.ray_shape if self.camera_shape is None else self.camera_shape
-
-    @property
-    def is_coaxial(self) -> bool:
-        """Whether camera and projector share their rays."""
-        return self.camera_shape is None
 
     @property
     def has_truth(self) -> bool:

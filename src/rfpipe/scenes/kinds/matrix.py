@@ -7,17 +7,17 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from rfpipe.config.base import Extent, Text
+from rfpipe.config.base import Text
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.scenes.base import Scene, SceneKind
-from rfpipe.scenes.kinds.views import Views
+from rfpipe.scenes.kinds.views import AnyRig
 from rfpipe.transport.matrix_files import RayOrder
 
 __all__ = ["Matrix", "MatrixOptions"]
 
 
-class MatrixOptions(Views):
+class MatrixOptions(AnyRig):
     """What is to be known of a matrix in a file."""
 
     file: Text = Field(
@@ -35,11 +35,6 @@ class MatrixOptions(Views):
         description="How rays are numbered: rows (row by row, as NumPy does) or columns (column "
         "by column, as MATLAB's image(:) does).",
     )
-    camera_shape: tuple[Extent, Extent] | None = Field(
-        None,
-        description="Height and width of the camera's rays where the rig is not coaxial, 1 to 4096 "
-        "each; null where camera and projector share their rays.",
-    )
     brightest: PositiveFloat | None = Field(
         None,
         description="Radiance of the brightest camera ray under floodlight, above 0, to which the "
@@ -51,16 +46,6 @@ class MatrixOptions(Views):
         description="What to do with negative entries, as noise leaves them in a matrix that was "
         "measured: refuse, or zero to take them for dark.",
     )
-
-    @property
-    def camera_ray_shape(self) -> tuple[int, ...]:
-        """Shape of the camera's ray domain."""
-        return self.ray_shape if self.camera_shape is None else self.camera_shape
-
-    @property
-    def is_coaxial(self) -> bool:
-        """Whether camera and projector share their rays."""
-        return self.camera_shape is None
 
 
 class Matrix(SceneKind):
