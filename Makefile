@@ -21,8 +21,8 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-.PHONY: validators help install run thesis figures calibrate serve unlock test lint format bench benchmark \
-  config lock clean
+.PHONY: help install run thesis figures calibrate serve unlock test validators lint format bench \
+  benchmark config lock clean
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
@@ -101,7 +101,7 @@ config: $(INSTALLED) ## write config/config.yaml and the JSON schemas from their
 	python -m rfpipe.config config
 	python -m rfpipe.report docs
 
-lock: $(INSTALLED) ## resolve pyproject.toml anew into requirements.lock
+lock: $(INSTALLED) ## resolve pyproject.toml anew into requirements.lock and validators.lock
 	uv pip compile pyproject.toml --extra dev $(LOCK_OPTIONS) --output-file requirements.lock
 	uv pip compile --group validators $(LOCK_OPTIONS) --output-file validators.lock
 

@@ -7,12 +7,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import StoreError
-from rfpipe.pictures.images import srgb
+from rfpipe.pictures.images import write_image
 from rfpipe.publish.contents import Acquisition
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.references import REFERENCES
@@ -39,9 +37,8 @@ def reference_pictures(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
     where = f"pictures/{acquisition.scene}/{acquisition.method}"
     floodlit = arrays["floodlit"]
     stacked = _stacked(floodlit, tuple(acquisition.facts["camera_shape"]))
-    yield f"{where}/floodlit.exr", encoded(stacked, "exr")
-    tones = srgb(stacked, float(stacked.max()) or 1.0)[..., : stacked.shape[-1]]
-    yield f"{where}/floodlit.png", encoded(tones, "png")
+    for suffix in ("exr", "png"):
+        yield f"{where}/floodlit.{suffix}", encoded(stacked, suffix)
     for exposure, counts in enumerate(arrays["black"]):
         # a mosaic's has no channels
         has_channels = counts.ndim > 2 and counts.shape[-1] in (1, 3)
@@ -49,21 +46,17 @@ def reference_pictures(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
         yield f"{where}/black_{exposure}.exr", encoded(_stacked(frame, frame.shape[:-1]), "exr")
 
 
-def encoded(pixels: NDArray[Any], suffix: str) -> bytes:
+def encoded(image: NDArray[Any], suffix: str) -> bytes:
     """Return a picture as the bytes of a file, the same ones each time.
 
     Raises
     ------
-    StoreError
+    InputError
         When it can't be written.
     """
-    import OpenImageIO as oiio
-
-    picture = oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"picture.{suffix}"
-        if not picture.write(str(path), "float" if suffix == "exr" else "uint8"):
-            raise StoreError(f"{path}: can't be written: {picture.geterror()}")
+        write_image(path, image)
         return path.read_bytes()
 
 

@@ -27,10 +27,7 @@ def find_transport(path: str | Path) -> Path | Place:
         If there is none, or more than one.
     """
     place = locate(path)
-    if isinstance(place, Path):
-        if (place / METADATA).exists() or not place.is_dir():
-            return place
-    elif place.key.endswith(".zarr") or (not place.key and place.read_many([METADATA])):
+    if _is_store(place):
         return place
     names = transports_in(place)
     if len(names) == 1:
