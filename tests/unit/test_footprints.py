@@ -20,7 +20,7 @@ from rfpipe.methods.footprints.matching import Templates
 from rfpipe.methods.footprints.method import Footprints
 from rfpipe.methods.footprints.patterns import random_patterns
 from rfpipe.methods.footprints.series import Series
-from rfpipe.methods.footprints.state import MOST, ROUNDS
+from rfpipe.methods.footprints.state import ROUNDS, most_of
 from rfpipe.patterns import Schedule
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
@@ -297,5 +297,5 @@ def test_darkness_and_noise_give_no_light() -> None:
 
 def test_the_forecast_is_that_of_all_rounds() -> None:
     method, domain = Footprints(), RayDomain((64, 64))
-    assert method.expected_patterns(domain, domain, options_of(method)) == MOST
+    assert method.expected_patterns(domain, domain, options_of(method)) == most_of(1)
     assert method.expected_patterns(domain, domain, options_of(method, patterns=50)) == 50

@@ -16,7 +16,7 @@ __all__ = ["Auto"]
 
 
 class Auto(Method[LevelState]):
-    """Near/far acquisition where the rig is coaxial, else footprint acquisition.
+    """Near/far acquisition where the rig is coaxial, else, and of views, footprint acquisition.
 
     Either finds out while it goes whether light is smooth, or sparse and mirrored: that is for
     symmetric photography and for dual photography, to which they then hand over. Where nobody
@@ -33,8 +33,8 @@ class Auto(Method[LevelState]):
     trials = NearFar.trials
 
     def asks_symmetry(self, camera: RayDomain, projector: RayDomain) -> bool:
-        """Ask of a rig whose rays may be shared."""
-        return camera.shape == projector.shape
+        """Ask of a rig whose rays may be shared; of views, footprints tell it themselves."""
+        return camera.shape == projector.shape and projector.views == 1
 
     def on_rig(self, coaxial: bool) -> Method[Any]:
         """Return near/far acquisition, or footprint acquisition."""

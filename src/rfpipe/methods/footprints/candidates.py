@@ -16,7 +16,15 @@ from rfpipe.methods.footprints.typed import Double, Float, Int64
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Footprints", "Precision", "first_footprints", "found_anew", "pruned", "reweighted"]
+__all__ = [
+    "Footprints",
+    "Precision",
+    "first_footprints",
+    "found_anew",
+    "looked",
+    "pruned",
+    "reweighted",
+]
 
 # Deviations of a weight about 0, as fractions of the floodlit image: before anything is known, of
 # what has been found, of its surroundings, after pruning, and at least.
@@ -139,10 +147,22 @@ def first_footprints(series: Series, projector: RayDomain, templates: Templates)
     return _weighed(found, floodlit, *turned)
 
 
-def reweighted(series: Series, found: Footprints, indirect: Float) -> Footprints:
-    """Find the weights anew in what indirect light leaves of the pictures."""
+def reweighted(
+    series: Series, found: Footprints, indirect: Float, expected: Float | None = None
+) -> Footprints:
+    """Find the weights anew in what indirect light leaves of the pictures.
+
+    Parameters
+    ----------
+    series : Series
+    found : Footprints
+    indirect : ndarray of float32, shape (pixels, M)
+    expected : ndarray of float32, shape (candidates,), optional
+        About what weights are as uncertain as `found` has it; 0 by default.
+    """
     seen = (series.seen - indirect).astype(np.float32)
-    again = _weighed(found, series.floodlit, series.lit, series.certainty(_WRONG), seen)
+    certainty = series.certainty(_WRONG)
+    again = _weighed(found, series.floodlit, series.lit, certainty, seen, expected)
     own = series.floodlit[again.pixels(len(series.lit))]
     variance = np.square(again.weights) + np.square(_FOUND * own)
     return replace(again, variance=variance.astype(np.float32))
@@ -176,6 +196,18 @@ def found_anew(
     return Footprints(together, variance, weights)
 
 
+def looked(series: Series, found: Footprints, chosen: Int64 | None) -> tuple[Series, Footprints]:
+    """Return the pictures and footprints of chosen camera pixels, ascending; None for all."""
+    if chosen is None:
+        return series, found
+    rays = len(series.lit)
+    pixels, place = found.pixels(rays), np.full(len(series.seen), -1)
+    place[chosen] = np.arange(len(chosen))
+    kept = place[pixels] >= 0
+    keys = place[pixels[kept]] * rays + found.keys[kept] % rays
+    return series.of(chosen), Footprints(keys, found.variance[kept], found.weights[kept])
+
+
 def pruned(series: Series, found: Footprints) -> Footprints:
     """Drop candidates that turned out to give no light."""
     floodlit = series.floodlit[found.pixels(len(series.lit))]
@@ -186,7 +218,12 @@ def pruned(series: Series, found: Footprints) -> Footprints:
 
 
 def _weighed(
-    found: Footprints, floodlit: Float, lit: Float, certainty: Float, seen: Float
+    found: Footprints,
+    floodlit: Float,
+    lit: Float,
+    certainty: Float,
+    seen: Float,
+    expected: Float | None = None,
 ) -> Footprints:
     """Return footprints with the non-negative weights that explain what is seen best."""
     rays = len(lit)
@@ -195,7 +232,8 @@ def _weighed(
     lit, certainty, seen = (np.ascontiguousarray(each) for each in (lit, certainty, seen))
     own = (found.keys % rays).astype(np.int32)
     starts = found.starts(len(seen), rays)
-    weights = solve_weights(starts, own, ridge, lit, certainty, seen, _EVIDENCE)
+    about = np.zeros_like(ridge) if expected is None else expected
+    weights = solve_weights(starts, own, ridge, about, lit, certainty, seen, _EVIDENCE)
     return replace(found, weights=weights)
 
 

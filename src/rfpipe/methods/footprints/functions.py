@@ -1,8 +1,9 @@
 """The functions of both sides between which indirect light goes, and their pairs.
 
-The camera's functions are B-splines of several scales, `MultiscaleBasis`, on its own side. On the
-projector's side the same functions arrive as the footprints carry them, where the camera sees what
-the projector lights; where it doesn't, there are B-splines of the projector's own.
+The camera's functions are B-splines of several scales, `MultiscaleBasis`, on its own side, or,
+where the projector has several views, on a chart. On the projector's side the same functions arrive
+as the footprints carry them, where the camera sees what the projector lights; where it doesn't,
+there are B-splines of the projector's own.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.methods.footprints.chart import ChartBasis
 from rfpipe.methods.footprints.sides import Carry
 from rfpipe.methods.footprints.typed import Double, Float, Int32, Int64
 from rfpipe.transport.multiscale.basis import REACH, VIEW, MultiscaleBasis
@@ -67,7 +69,11 @@ class Functions:
         from scipy.sparse import diags_array, hstack
 
         seen = self.carry.seen
-        carried = diags_array(seen) @ (self.carry.means @ self.left)
+        if isinstance(self.camera, ChartBasis):
+            arriving = self.camera.at(np.asarray(self.carry.means @ self.camera.places))
+        else:
+            arriving = self.carry.means @ self.left
+        carried = diags_array(seen) @ arriving
         own = diags_array(1 - seen) @ self.own.weights
         together: Any = hstack([carried, own])
         found: csr_array[np.float32] = together.tocsr().astype(np.float32)
@@ -75,8 +81,17 @@ class Functions:
 
     @cached_property
     def density(self) -> float:
-        """Projector rays that a camera ray spans a side, about."""
+        """Projector rays of a view that a camera ray spans a side, about."""
+        if isinstance(self.camera, ChartBasis):
+            return 1.0
         return float(np.sqrt(np.prod(self.own.shape) / np.prod(self.camera.shape)))
+
+    @property
+    def _crowd(self) -> float:
+        """Projector rays of all views that light what a camera ray sees, about."""
+        if isinstance(self.camera, ChartBasis):
+            return float(RayDomain(self.own.shape).views)
+        return self.density**2
 
     @cached_property
     def from_own(self) -> tuple[Int32, Int32, Double]:
@@ -128,7 +143,7 @@ class Functions:
         _, _, coarser, distance, odd = self._places()
         area = np.square(np.maximum(distance, coarser)) * _OCTAVES
         level = indirect / (max(floodlit, float(np.finfo(np.float32).tiny)) ** 2)
-        expected = level / (area * self.density**2)
+        expected = level / (area * self._crowd)
         return np.where(odd, _ODD * expected, expected).astype(np.float32)
 
     @cached_property

@@ -35,6 +35,7 @@ def solve_weights(
     starts: Int64,
     rays: Int32,
     ridge: Float,
+    expected: Float,
     lit: Float,
     certainty: Float,
     seen: Float,
@@ -46,8 +47,8 @@ def solve_weights(
     ----------
     starts, rays
         Candidates.
-    ridge : ndarray of float32, shape (candidates,)
-        Inverse variance of each weight about 0.
+    ridge, expected : ndarray of float32, shape (candidates,)
+        Inverse variance of each weight, and about what.
     lit : ndarray of float32, shape (projector pixels, M)
     certainty, seen : ndarray of float32, shape (pixels, M)
         Inverse variances of the pictures, and the pictures.
@@ -71,7 +72,8 @@ def solve_weights(
             change, largest = 0.0, 0.0
             for a in range(count):
                 stiff = gram[a, a] + ridge[first + a]
-                new = max(0.0, found[a] + (rest[a] - ridge[first + a] * found[a]) / stiff)
+                pulled = ridge[first + a] * (expected[first + a] - found[a])
+                new = max(0.0, found[a] + (rest[a] + pulled) / stiff)
                 step = new - found[a]
                 if step != 0.0:
                     found[a] = new

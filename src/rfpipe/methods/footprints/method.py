@@ -17,7 +17,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, Pack
 from rfpipe.methods.dual import Dual
 from rfpipe.methods.footprints import candidates, handover, rounds
-from rfpipe.methods.footprints.state import MOST, ROUNDS, FootprintState, kind_of
+from rfpipe.methods.footprints.state import ROUNDS, FootprintState, kind_of, most_of
 from rfpipe.methods.held_out.rounds import HeldOutMethod
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.methods.states import Packing, arrays_of, level_row, unprefixed
@@ -39,7 +39,6 @@ class Footprints(HeldOutMethod[FootprintState]):
     colour = "#6a3d9a"
     marker = "p"
     trials = (0.05, 0.01, 0.005)
-    most = MOST
     packing = Packing(("level", "following", "unfit", "new", "new_held", "rows"))
 
     def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
@@ -49,7 +48,13 @@ class Footprints(HeldOutMethod[FootprintState]):
 
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: ErrorOptions) -> int:
         """Return those of a scene for which all blocks are lit one by one, after all rounds."""
-        return MOST + handover.most_patterns(camera, projector)
+        return most_of(projector.views) + handover.most_patterns(camera, projector)
+
+    def expected_patterns(
+        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
+    ) -> int:
+        """Return the patterns of all rounds: more views, more patterns."""
+        return min(projector.size, options.patterns or most_of(projector.views))
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions

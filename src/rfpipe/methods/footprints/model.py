@@ -3,6 +3,9 @@
 The model is ``T = D + f L S R^T g``: footprints D, sparse; indirect light that is smooth up to the
 factors f and g. Neither is known at first. A rough D is enough to tell how the projector's pixels
 lie among the camera's, and so for a first S; what S leaves of the pictures makes a better D.
+
+Each view of a projector that has several is lit by patterns of its own: a camera pixel has
+footprints on each. Where cameras share these rays, both ways are one and the same light.
 """
 
 from __future__ import annotations
@@ -14,20 +17,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.methods.footprints.both_ways import (
+    averaged,
+    is_symmetric,
+    joined,
+    reconciled,
+    split,
+    with_other_way,
+)
 from rfpipe.methods.footprints.candidates import (
     Footprints,
     Precision,
     first_footprints,
     found_anew,
+    looked,
     pruned,
     reweighted,
 )
+from rfpipe.methods.footprints.chart import Chart, chart_of
 from rfpipe.methods.footprints.fit import FULLY, NEARLY, ROUGHLY, Exchange
 from rfpipe.methods.footprints.functions import Functions
 from rfpipe.methods.footprints.matching import Templates
 from rfpipe.methods.footprints.series import Series
-from rfpipe.methods.footprints.sides import Carry, camera_factor, carry_of, projector_factor
-from rfpipe.methods.footprints.typed import Double, Float
+from rfpipe.methods.footprints.sides import (
+    Carry,
+    camera_factor,
+    carry_of,
+    projector_factor,
+    shared_rays,
+)
+from rfpipe.methods.footprints.typed import Double, Float, Int64
+from rfpipe.methods.held_out.patterns import SEED
+from rfpipe.provenance import generator
 from rfpipe.transport.multiscale.basis import (
     MultiscaleBasis,
     cells,
@@ -47,6 +68,11 @@ _SIGNIFICANT, _REFINED_AT = 3.0, 0.004
 _MOST_UNKNOWNS = 1_500_000
 # A projector pixel that is less seen than this has fine functions of the projector's own.
 _HALF_SEEN = 0.5
+# Camera rays that fits of a light field look at, of more.
+_ENOUGH = 4096
+# How often footprints that agree both ways, and what is exchanged beside them, are found in turn;
+# what may still be wrong with them, as parts of the weight and of the floodlit image.
+_AGREEMENTS, _LEFT, _LEFT_OF_ALL = 2, 0.05, 0.003
 
 
 @dataclass(frozen=True)
@@ -81,8 +107,8 @@ class Model:
 def find(
     camera: RayDomain,
     projector: RayDomain,
-    grey: Series,
-    channels: list[Series],
+    grey: tuple[Series, ...],
+    channels: list[tuple[Series, ...]],
     before: Footprints | None,
     passes: int,
 ) -> Model:
@@ -91,49 +117,117 @@ def find(
     Parameters
     ----------
     camera, projector : RayDomain
-    grey : Series
-        The sum of the channels.
-    channels : list of Series
+    grey : tuple of Series
+        The sum of the channels: pictures of patterns on each of the projector's views.
+    channels : list of tuple of Series
     before : Footprints or None
         As an earlier model's `Model.grey`; None at first.
     passes : int
         How often footprints are searched for again; at least 1.
     """
-    density = np.sqrt(projector.size / max(1, int(grey.shining.sum())))
-    templates = Templates.of(projector, grey.lit, float(density))
-    found = before if before is not None else first_footprints(grey, projector, templates)
+    rays, view = projector.rays_per_image, RayDomain(projector.image_shape)
+    templates = [Templates.of(view, each.lit, _density(camera, rays, each)) for each in grey]
     fresh = before is None
+    if before is not None:
+        parts = split(before, projector.views, rays)
+    else:
+        pairs = zip(grey, templates, strict=True)
+        parts = [first_footprints(each, view, own) for each, own in pairs]
     for number in range(passes):
-        exchange = _refined(camera, projector, grey, found)
-        indirect = exchange.indirect()
-        found = found_anew(grey, found, indirect, templates)
-        found = reweighted(grey, found, indirect)
+        exchange = _refined(camera, projector, grey, joined(parts, rays))
+        sides = zip(grey, parts, exchange.indirect(), templates, strict=True)
+        parts = [
+            reweighted(each, found_anew(each, part, light, own), light)
+            for each, part, light, own in sides
+        ]
+        if exchange.shares_rays:
+            together = with_other_way(joined(parts, rays), projector.size)
+            together = _reweighted(grey, together, exchange.indirect())
+            parts = split(together, projector.views, rays)
         if number or not fresh:
-            found = pruned(grey, found)
-    exchange = _settled(grey, found, exchange)
-    found = reweighted(grey, found, exchange.indirect())
+            parts = [pruned(each, part) for each, part in zip(grey, parts, strict=True)]
+    found, exchange = _settled(grey, joined(parts, rays), exchange)
     if len(channels) == 1:
         return Model(found, (Channel(found, exchange),))
     return Model(found, tuple(_of_channel(each, grey, found, exchange) for each in channels))
 
 
-def _settled(series: Series, found: Footprints, exchange: Exchange) -> Exchange:
-    """Fit the exchange once more, with the footprints' last candidates."""
-    own = replace(exchange, precision=Precision.of(series, found))
-    return own.fitted(own.learned(), FULLY).with_gains()
+def _density(camera: RayDomain, rays: int, series: Series) -> float:
+    """Return how many projector pixels of a view a shining camera pixel spans a side, about."""
+    return float(np.sqrt(rays / max(1.0, float(series.shining.sum()) / camera.views)))
 
 
-def _of_channel(series: Series, grey: Series, found: Footprints, exchange: Exchange) -> Channel:
+def _settled(
+    series: tuple[Series, ...], found: Footprints, exchange: Exchange
+) -> tuple[Footprints, Exchange]:
+    """Find weights and exchange once more, with the footprints' last candidates."""
+    if exchange.shares_rays:
+        return _agreed(series, found, exchange)
+    own = replace(exchange, precision=_precisions(series, found, exchange.looked_at))
+    fitted = own.fitted(own.learned(), FULLY).with_gains()
+    return _reweighted(series, found, fitted.indirect()), fitted
+
+
+def _agreed(
+    series: tuple[Series, ...], found: Footprints, exchange: Exchange
+) -> tuple[Footprints, Exchange]:
+    """Find weights that agree both ways, and what is exchanged beside them, in turn.
+
+    Where both ways are known to be alike, weights are known so well that little of them has to be
+    marginalised.
+    """
+    rays, views = len(series[0].lit), len(series)
+    everywhere, looked_at = rays * views, exchange.looked_at
+    found = _reweighted(series, with_other_way(found, everywhere), exchange.indirect())
+    for _ in range(_AGREEMENTS):
+        found = reconciled(series, found, exchange.indirect())
+        mean = averaged(found, everywhere)
+        sides = zip(series, split(mean, views, rays), strict=True)
+        known = [_nearly_known(each, part, looked_at) for each, part in sides]
+        own = replace(
+            exchange,
+            precision=tuple(Precision.of(*each) for each in known),
+            series=tuple(
+                replace(each, seen=each.seen - part.matrix(len(each.seen), rays) @ each.lit)
+                for each, part in known
+            ),
+        )
+        exchange = own.fitted(own.learned(), NEARLY)
+    return reconciled(series, found, exchange.indirect()), exchange
+
+
+def _nearly_known(
+    series: Series, found: Footprints, looked_at: Int64 | None
+) -> tuple[Series, Footprints]:
+    """Return what a fit looks at, with footprints that have small deviations left."""
+    floodlit = series.floodlit[found.pixels(len(series.lit))]
+    apart = np.square(_LEFT * found.weights) + np.square(_LEFT_OF_ALL * floodlit)
+    return looked(series, replace(found, variance=apart.astype(np.float32)), looked_at)
+
+
+def _reweighted(series: tuple[Series, ...], found: Footprints, indirect: list[Float]) -> Footprints:
+    rays = len(series[0].lit)
+    sides = zip(series, split(found, len(series), rays), indirect, strict=True)
+    return joined([reweighted(*each) for each in sides], rays)
+
+
+def _precisions(
+    series: tuple[Series, ...], found: Footprints, looked_at: Int64 | None
+) -> tuple[Precision, ...]:
+    parts = split(found, len(series), len(series[0].lit))
+    sides = zip(series, parts, strict=True)
+    return tuple(Precision.of(*looked(*each, looked_at)) for each in sides)
+
+
+def _of_channel(
+    series: tuple[Series, ...], grey: tuple[Series, ...], found: Footprints, exchange: Exchange
+) -> Channel:
     """Fit a channel, whose light differs little from that of the sum."""
-    rays = len(series.lit)
-    share = np.divide(
-        series.floodlit,
-        grey.floodlit,
-        out=np.zeros_like(series.floodlit),
-        where=grey.floodlit > 0,
-    )
-    if not series.shines():
+    floodlit, all_light = _floodlit(series), _floodlit(grey)
+    share = np.divide(floodlit, all_light, out=np.zeros_like(floodlit), where=all_light > 0)
+    if not any(each.shines() for each in series):
         share[:] = 0
+    rays = len(series[0].lit) * len(series)
     own = found.pixels(rays)
     start = Footprints(
         found.keys, found.variance * np.square(share[own]), found.weights * share[own]
@@ -141,64 +235,97 @@ def _of_channel(series: Series, grey: Series, found: Footprints, exchange: Excha
     carry = exchange.functions.carry
     usual = max(float(np.median(share[share > 0])) if (share > 0).any() else 0.0, 0.0)
     sent = carry.seen * (carry.means @ share) + (1 - carry.seen) * np.float32(usual)
-    begun = Exchange(
-        exchange.functions,
-        Precision.of(series, start),
-        series,
-        (exchange.camera * share, (exchange.projector * sent).astype(np.float32)),
-        (np.ones_like(exchange.gains[0]), np.ones_like(exchange.gains[1])),
-        exchange.unknowns / np.float32(usual or 1.0),
+    begun = replace(
+        exchange,
+        precision=_precisions(series, start, exchange.looked_at),
+        series=_looked_at(series, exchange.looked_at),
+        factors=(exchange.camera * share, (exchange.projector * sent).astype(np.float32)),
+        gains=(np.ones_like(exchange.gains[0]), np.ones_like(exchange.gains[1])),
+        unknowns=exchange.unknowns / np.float32(usual or 1.0),
     )
     if not share.any():
         return Channel(start, begun)
+    if exchange.shares_rays:
+        return Channel(*_agreed(series, start, begun))
     fitted = begun.fitted(begun.learned(), NEARLY).with_gains()
-    return Channel(reweighted(series, start, fitted.indirect()), fitted)
+    return Channel(_reweighted(series, start, fitted.indirect()), fitted)
+
+
+def _floodlit(series: tuple[Series, ...]) -> Float:
+    """Return what pixels show when all views are lit, at least 0, (pixels,)."""
+    found = series[0].floodlit
+    for each in series[1:]:
+        found = found + each.floodlit
+    return found
+
+
+def _looked_at(series: tuple[Series, ...], chosen: Int64 | None) -> tuple[Series, ...]:
+    return series if chosen is None else tuple(each.of(chosen) for each in series)
 
 
 def _refined(
-    camera: RayDomain, projector: RayDomain, series: Series, found: Footprints
+    camera: RayDomain, projector: RayDomain, series: tuple[Series, ...], found: Footprints
 ) -> Exchange:
     """Add functions, scale by scale, where pictures differ from the model beyond noise."""
-    direct = found.matrix(camera.size, projector.size)
-    carry = carry_of(direct, series.floodlit)
-    factor = camera_factor(direct, series.floodlit)
-    precision = Precision.of(series, found)
-    expected = _indirect(series, direct)
-    mean = float(series.floodlit.mean(dtype=np.float64))
-    scale, top = coarsest_scale(camera.shape), coarsest_scale(projector.shape)
-    on_camera = [functions_over(scale, np.ones(cells(camera.shape, scale), np.bool_))]
+    direct, floodlit = found.matrix(camera.size, projector.size), _floodlit(series)
+    chart = _chart(camera, projector, series, found)
+    shares = len(series) > 1 and camera == projector and is_symmetric(found, camera.size)
+    carry = shared_rays(camera.size) if shares else carry_of(direct, floodlit)
+    factor = camera_factor(direct, floodlit)
+    expected = _indirect(series, floodlit, direct)
+    mean = float(floodlit.mean(dtype=np.float64))
+    chosen = _chosen(camera.size) if len(series) > 1 else None
+    scale, top = coarsest_scale(chart.shape), coarsest_scale(projector.shape)
+    on_camera = [functions_over(scale, np.ones(cells(chart.shape, scale), np.bool_))]
     on_projector = [_own(projector, carry, top, 0.0)]
+
+    def functions() -> Functions:
+        own = MultiscaleBasis(projector.shape, np.concatenate(on_projector))
+        return Functions(chart.basis(np.concatenate(on_camera)), own, carry)
+
     exchange = Exchange(
-        Functions(
-            MultiscaleBasis(camera.shape, on_camera[0]),
-            MultiscaleBasis(projector.shape, on_projector[0]),
-            carry,
-        ),
-        precision,
-        series,
-        (factor, projector_factor(carry, factor, series.floodlit)),
+        functions(),
+        _precisions(series, found, chosen),
+        _looked_at(series, chosen),
+        (factor, projector_factor(carry, factor, floodlit)),
         (np.ones(camera.size, np.float32), np.ones(projector.size, np.float32)),
         np.zeros(0, np.float32),
+        chosen,
     )
     exchange = _from_nothing(exchange, expected, mean)
     finer = scale
     while finer > 1:
         finer //= 2
-        wanted = _wanting(camera, finer, exchange)
+        wanted = _wanting(chart, finer, exchange)
         if 2 * finer == scale:
             wanted[:] = True
-            if top > 1:
+            if top > 1 and len(series) == 1:
                 on_projector.append(_own(projector, carry, top // 2, _HALF_SEEN))
         on_camera.append(functions_over(finer, wanted))
-        functions = Functions(
-            MultiscaleBasis(camera.shape, np.concatenate(on_camera)),
-            MultiscaleBasis(projector.shape, np.concatenate(on_projector)),
-            carry,
-        )
-        if functions.count > _MOST_UNKNOWNS:
+        more = functions()
+        if more.count > _MOST_UNKNOWNS:
             break
-        exchange = _from_nothing(replace(exchange, functions=functions), expected, mean)
+        exchange = _from_nothing(replace(exchange, functions=more), expected, mean)
     return exchange.fitted(exchange.learned(), FULLY)
+
+
+def _chart(
+    camera: RayDomain, projector: RayDomain, series: tuple[Series, ...], found: Footprints
+) -> Chart:
+    """Return where functions are: on the camera's rays, or what all views see of the middle one."""
+    if len(series) == 1:
+        return Chart(camera.shape)
+    middle, rays = projector.views // 2, projector.rays_per_image
+    own = split(found, projector.views, rays)[middle].matrix(camera.size, rays)
+    return chart_of(camera, own, projector.image_shape, series[middle].floodlit)
+
+
+def _chosen(rays: int) -> Int64 | None:
+    """Return the camera rays that fits look at, where there are more than they need."""
+    if rays <= _ENOUGH:
+        return None
+    chosen: Int64 = np.sort(generator(SEED, rays).permutation(rays)[:_ENOUGH])
+    return chosen
 
 
 def _from_nothing(exchange: Exchange, expected: float, mean: float) -> Exchange:
@@ -222,33 +349,33 @@ def _any_in_cells(domain: RayDomain, scale: int, chosen: NDArray[np.bool_]) -> N
     return found
 
 
-def _indirect(series: Series, direct: csr_array[np.float32]) -> float:
-    """Return indirect light under full light, from what pixels show that patterns leave dark."""
+def _indirect(series: tuple[Series, ...], floodlit: Float, direct: csr_array[np.float32]) -> float:
+    """Return indirect light under full light."""
+    if len(series) > 1:
+        rest = floodlit - np.asarray(direct.sum(axis=1)).ravel()
+        return max(float(rest.mean(dtype=np.float64)), 0.0)
+    (only,) = series
+    # from what pixels show that patterns leave dark
     lit: Float = np.asarray(direct.sum(axis=1)).ravel()
-    share = (direct @ series.lit[:, 1:]) / np.maximum(lit, np.finfo(np.float32).tiny)[:, None]
-    dark = (1 - np.clip(4 * share, 0, 1)) * series.known[:, None]
+    share = (direct @ only.lit[:, 1:]) / np.maximum(lit, np.finfo(np.float32).tiny)[:, None]
+    dark = (1 - np.clip(4 * share, 0, 1)) * only.known[:, None]
     # patterns light half of the projector
-    seen = 2 * float((np.where(dark > 0, series.seen[:, 1:], 0) * dark).sum(dtype=np.float64))
+    seen = 2 * float((np.where(dark > 0, only.seen[:, 1:], 0) * dark).sum(dtype=np.float64))
     return max(seen, 0.0) / max(float(dark.sum(dtype=np.float64)), 1.0)
 
 
-def _wanting(camera: RayDomain, scale: int, exchange: Exchange) -> NDArray[np.bool_]:
+def _wanting(chart: Chart, scale: int, exchange: Exchange) -> NDArray[np.bool_]:
     """Find the cells of a scale that the model gets wrong, beyond noise."""
-    series, precision = exchange.series, exchange.precision
-    wrong = series.seen - exchange.indirect()
-    excess = np.einsum("im,im->i", wrong, precision.applied(wrong))
-    count = series.lit.shape[1]
-    free = np.where(series.known, count - np.minimum(precision.sizes, count // 2), 0)
-    allowed = precision.trace * np.square(_REFINED_AT * series.floodlit)
-    views, down, across = cells(camera.shape, scale)
-    view, row, column = np.indices(camera.stack_shape).reshape(3, -1)
-    cell = (view * down + row // scale) * across + column // scale
+    shape, cell = cells(chart.shape, scale), chart.cell_of(scale)
+    if exchange.looked_at is not None:
+        cell = cell[exchange.looked_at]
+    excess, free, allowed = exchange.beyond(_REFINED_AT)
 
     def total(values: NDArray[Any]) -> Double:
-        summed = np.bincount(cell, values.astype(np.float64), views * down * across)
+        summed = np.bincount(cell, values.astype(np.float64), int(np.prod(shape)))
         return summed.astype(np.float64)
 
     over, chance = total(excess) - total(free), np.sqrt(2 * total(free))
     wanted = (over > _SIGNIFICANT * chance) & (over > total(allowed))
-    found: NDArray[np.bool_] = wanted.reshape(views, down, across)
+    found: NDArray[np.bool_] = wanted.reshape(shape)
     return found

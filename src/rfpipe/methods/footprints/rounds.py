@@ -16,7 +16,7 @@ from rfpipe.methods.footprints import handover
 from rfpipe.methods.footprints.model import find
 from rfpipe.methods.footprints.patterns import random_patterns
 from rfpipe.methods.footprints.series import Series
-from rfpipe.methods.footprints.state import ROUNDS, FootprintState, kind_of
+from rfpipe.methods.footprints.state import ROUNDS, FootprintState, in_round, kind_of
 from rfpipe.methods.footprints.transport import arrays_of_model, nearness, spread_evenly
 from rfpipe.methods.held_out.estimate import Estimate, error_of
 from rfpipe.methods.held_out.patterns import HELD_OUT
@@ -32,6 +32,8 @@ __all__ = ["begin", "best", "decide", "judge", "patterns", "refine", "refine_hie
 
 # A projector of fewer rays than so many first rounds is lit block by block at once.
 _SMALL = 4
+# Random patterns of each of several views, at least.
+_FEWEST = 4
 # Pairs of a camera and a projector pixel beyond which footprints would be sought for ten minutes or
 # longer: the search compares all of them. At 128 x 128 a first fit takes two minutes.
 _MOST_PAIRS = 2**30
@@ -62,16 +64,21 @@ def begin(state: FootprintState, images: LevelImages) -> FootprintState:
     lit = np.zeros((0, state.projector.size), np.bool_)
     pictures = Pictures(radiance[0], variance[0], lit, nothing, nothing)
     row = level_row(0, 1, scalar=pixels)
-    unfit = not pictures.shine() or not _fits(pixels, state.projector.size)
+    unfit = not pictures.shine() or not _fits(state)
     return state.after(row, pictures=pictures, unfit=unfit)
 
 
-def _fits(pixels: int, rays: int) -> bool:
+def _fits(state: FootprintState) -> bool:
     """Tell whether a rig is neither too small nor too large for random patterns to pay."""
+    pixels, rays, views = state.camera.size, state.projector.size, state.projector.views
     if pixels * rays > _MOST_PAIRS:
         _log.info("%d x %d pixels are too many to look for footprints", pixels, rays)
         return False
-    return rays >= _SMALL * ROUNDS[0]
+    limit = state.options.patterns
+    if views > 1 and limit and limit <= 1 + HELD_OUT + (1 + _FEWEST) * views:
+        _log.info("%d patterns are too few to light %d views one at a time", limit, views)
+        return False
+    return rays >= _SMALL * ROUNDS[0] * views
 
 
 def refine(state: FootprintState, images: LevelImages) -> FootprintState:
@@ -87,8 +94,9 @@ def refine(state: FootprintState, images: LevelImages) -> FootprintState:
     assert state.pictures is not None
     pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
     unit = _unit(pictures)
-    channels = [_series(pictures.channel(index), unit) for index in range(state.channels)]
-    grey = channels[0] if len(channels) == 1 else _series(pictures.grey(), unit)
+    views = state.projector.views
+    channels = [_series(pictures.channel(index), unit, views) for index in range(state.channels)]
+    grey = channels[0] if len(channels) == 1 else _series(pictures.grey(), unit, views)
     passes = _PASSES if state.found else _FIRST_PASSES
     model = find(state.camera, state.projector, grey, channels, state.found, passes)
     arrays = arrays_of_model(model, state.camera, state.projector, unit)
@@ -191,7 +199,8 @@ def _asked(state: FootprintState) -> tuple[list[NDArray[np.bool_]], int]:
     """Return a round's held-out patterns, each as often as it is shown, and how many others."""
     reached = state.estimates and state.estimates[-1].error <= state.options.target_error
     # all that is left may be to see whether spots are as good
-    count = 0 if state.unfit or reached else ROUNDS[state.level - 1]
+    views = state.projector.views
+    count = 0 if state.unfit or reached else in_round(state.level - 1, views)
     return state.asked(count, lambda: nearness(model_of(state), state.camera, state.projector))
 
 
@@ -202,14 +211,28 @@ def _unit(pictures: Pictures) -> float:
     return float(2.0 ** np.round(np.log2(mean))) if mean > 0 else 1.0
 
 
-def _series(pictures: Pictures, unit: float) -> Series:
-    """Return one channel's pictures pixel by pixel, the floodlit one first, in a unit."""
-    lit = np.concatenate([np.ones((1, pictures.lit.shape[1]), np.bool_), pictures.lit])
-    seen = np.concatenate([pictures.floodlit, pictures.radiance[:, 0]])
-    variance = np.concatenate([pictures.floodlit_variance, pictures.variance[:, 0]])
-    known = np.isfinite(variance).all(axis=0)
-    return Series(
-        np.ascontiguousarray(lit.T, np.float32),
-        np.ascontiguousarray(np.where(known, seen / unit, 0).T, np.float32),
-        np.ascontiguousarray(np.where(known, variance / unit / unit, np.inf).T, np.float32),
-    )
+def _series(pictures: Pictures, unit: float, views: int) -> tuple[Series, ...]:
+    """Return one channel's pictures pixel by pixel in a unit, for each view of the projector.
+
+    The first picture of each is floodlit. Patterns of several views light one of them at a time,
+    all of it at first.
+    """
+    known = np.isfinite(pictures.floodlit_variance).all(axis=0)
+    known &= np.isfinite(pictures.variance[:, 0]).all(axis=0)
+    series = []
+    for view, lit in enumerate(np.split(pictures.lit, views, axis=1)):
+        own = lit.any(axis=1)
+        shown, seen, variance = lit[own], pictures.radiance[own, 0], pictures.variance[own, 0]
+        if views == 1:
+            shown = np.concatenate([np.ones((1, lit.shape[1]), np.bool_), shown])
+            seen = np.concatenate([pictures.floodlit, seen])
+            variance = np.concatenate([pictures.floodlit_variance, variance])
+        assert shown[0].all(), f"view {view} was not lit whole at first"
+        series.append(
+            Series(
+                np.ascontiguousarray(shown.T, np.float32),
+                np.ascontiguousarray(np.where(known, seen / unit, 0).T, np.float32),
+                np.ascontiguousarray(np.where(known, variance / unit / unit, np.inf).T, np.float32),
+            )
+        )
+    return tuple(series)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.footprints.typed import Float
+from rfpipe.methods.footprints.typed import Float, Int64
 
 __all__ = ["Series"]
 
@@ -25,7 +25,7 @@ class Series:
     Attributes
     ----------
     lit : ndarray of float32, shape (N, M)
-        The patterns, 0 or 1, of the projector's N pixels.
+        The patterns, 0 or 1, of the N pixels of the projector, or of one of its views.
     seen : ndarray of float32, shape (pixels, M)
         Radiance; 0 where a pixel is unknown.
     variance : ndarray of float32, shape (pixels, M)
@@ -58,6 +58,10 @@ class Series:
         light = float(self.seen[known, 0].sum(dtype=np.float64))
         noise = float(np.sqrt(self.variance[known, 0].sum(dtype=np.float64)))
         return light > _SIGNIFICANT * noise
+
+    def of(self, chosen: Int64) -> Series:
+        """Return what some of the camera's pixels show."""
+        return Series(self.lit, self.seen[chosen], self.variance[chosen])
 
     def certainty(self, wrong: float = 0.0) -> Float:
         """Return inverse variances, (pixels, M); 0 of unknown pixels.

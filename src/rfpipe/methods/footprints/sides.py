@@ -12,7 +12,7 @@ from rfpipe.methods.footprints.typed import Float
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["Carry", "camera_factor", "carry_of", "projector_factor"]
+__all__ = ["Carry", "camera_factor", "carry_of", "projector_factor", "shared_rays"]
 
 # Direct light as a part of the floodlit image from which on a pixel counts as lit, what its
 # indirect light may be of it at least and at most, in the factor.
@@ -34,10 +34,13 @@ class Carry:
         Rows of sum 1, or 0 where nothing is seen.
     seen : ndarray of float32, shape (projector pixels,)
         How well the camera sees what a projector pixel lights, 0 to 1.
+    shared : bool
+        Whether each projector pixel is the camera pixel of the same number.
     """
 
     means: csr_array[np.float32]
     seen: Float
+    shared: bool = False
 
 
 def carry_of(direct: csr_array[np.float32], floodlit: Float) -> Carry:
@@ -58,6 +61,13 @@ def carry_of(direct: csr_array[np.float32], floodlit: Float) -> Carry:
     share = share / usual
     seen = np.where(share > _UNSEEN, share / (share + _HALF_SEEN), 0)
     return Carry(means, seen.astype(np.float32))
+
+
+def shared_rays(size: int) -> Carry:
+    """Return the way between the sides of a coaxial rig of so many rays."""
+    from scipy.sparse import eye_array
+
+    return Carry(eye_array(size, dtype=np.float32).tocsr(), np.ones(size, np.float32), True)
 
 
 def camera_factor(direct: csr_array[np.float32], floodlit: Float) -> Float:

@@ -14,14 +14,27 @@ from rfpipe.methods.held_out.patterns import MOST_HELD_OUT
 from rfpipe.methods.held_out.rounds import HeldOutState
 from rfpipe.methods.near_far.pictures import Pictures
 
-__all__ = ["MOST", "ROUNDS", "FootprintState", "Kind", "kind_of"]
+__all__ = ["ROUNDS", "FootprintState", "Kind", "in_round", "kind_of", "most_of"]
 
 Kind = Literal["floodlit", "round", "hierarchy", "done"]
 
-# Random patterns of each round, a level. The first has to be enough to find footprints.
+# Random patterns of each round, a level. The first has to be enough to find footprints. Of several
+# views, which are lit one at a time, each has as many as the second tuple tells.
 ROUNDS = (24, 26, 36, 48, 64, 80)
-MOST = 1 + MOST_HELD_OUT + sum(ROUNDS)
-"""Patterns of all rounds."""
+_VIEW_ROUNDS = (24, 12, 16, 24, 32, 40)
+
+
+def in_round(number: int, views: int) -> int:
+    """Return the patterns of a round, numbered from 0, of a projector of so many views."""
+    if views == 1:
+        return ROUNDS[number]
+    # each view is lit whole at first
+    return views * (_VIEW_ROUNDS[number] + (number == 0))
+
+
+def most_of(views: int) -> int:
+    """Return the patterns of all rounds, the floodlit and the held-out ones among them."""
+    return 1 + MOST_HELD_OUT + sum(in_round(number, views) for number in range(len(ROUNDS)))
 
 
 def kind_of(level: int) -> Kind:

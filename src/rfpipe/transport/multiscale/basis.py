@@ -10,7 +10,7 @@ views.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,16 +87,18 @@ class MultiscaleBasis:
         height, width = RayDomain(self.shape).image_shape
         rays, owners, values = [], [], []
         for scale in np.unique(self.scales):
-            down, y = _along(height, int(scale))
-            across, x = _along(width, int(scale))
-            numbers = _numbers(self.functions, self.shape, int(scale))
-            number = numbers[:, down[:, None, :, None], across[None, :, None, :]]
+            down, y = along(np.arange(height) + 0.5, int(scale))
+            across, x = along(np.arange(width) + 0.5, int(scale))
+            grid = numbers(self.functions, self.shape, int(scale))
+            number = grid[:, down[:, None, :, None], across[None, :, None, :]]
             there = np.flatnonzero(number >= 0)
             value = (y[:, None, :, None] * x[None, :, None, :]).ravel()
             rays.append(there // (y.shape[1] * x.shape[1]))
             owners.append(number.ravel()[there])
             values.append(value[there % len(value)])
         shape = (int(np.prod(self.shape)), len(self))
+        if not len(self):
+            return csr_array(shape, dtype=np.float32)
         where = (np.concatenate(rays), np.concatenate(owners))
         return csr_array((np.concatenate(values), where), shape=shape).astype(np.float32)
 
@@ -150,26 +152,27 @@ def cells(shape: tuple[int, ...], scale: int) -> tuple[int, int, int]:
     return views, -(-height // scale), -(-width // scale)
 
 
-def _along(length: int, scale: int) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Return the grid positions that aren't zero at each pixel along an axis, and their values."""
-    pixel = np.arange(length)
+def along(
+    places: NDArray[np.floating[Any]], scale: int
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Return the grid positions that aren't zero at places along an axis, and their values."""
     if scale == 1:
-        return pixel[:, None], np.ones((length, 1), np.float32)
-    position = (pixel + 0.5) / scale
+        return places.astype(np.int64)[:, None], np.ones((len(places), 1), np.float32)
+    position = places / scale
     cell = position.astype(np.int64)
     part = position - cell
     values = np.stack([(1 - part) ** 2 / 2, 0.5 + part - part**2, part**2 / 2], axis=1)
     return cell[:, None] + np.arange(3), values.astype(np.float32)
 
 
-def _numbers(functions: Functions, shape: tuple[int, ...], scale: int) -> Functions:
+def numbers(functions: Functions, shape: tuple[int, ...], scale: int) -> Functions:
     """Return each grid position's function of a scale, (V, rows, columns), -1 for none."""
     views, down, across = cells(shape, scale)
     outside = 2 if scale > 1 else 0
-    numbers = np.full((views, down + outside, across + outside), -1, np.int32)
+    grid = np.full((views, down + outside, across + outside), -1, np.int32)
     own = np.flatnonzero(functions[:, SCALE] == scale)
-    numbers[tuple(functions[own, 1:].T)] = own
-    return numbers
+    grid[tuple(functions[own, 1:].T)] = own
+    return grid
 
 
 def _pairs(
@@ -211,10 +214,10 @@ def _within_reach(
     scale: int,
 ) -> Functions:
     """Return the functions of a scale within reach of some, (functions, places), -1 for none."""
-    numbers = _numbers(functions, shape, scale)
     # outside of the grid there is no function
     room = 2 * REACH + 1
-    padded = np.pad(numbers, ((0, 0), (room, room), (room, room)), constant_values=-1)
+    around = ((0, 0), (room, room), (room, room))
+    padded = np.pad(numbers(functions, shape, scale), around, constant_values=-1)
     position = centres[near].T / scale + (0.5 if scale > 1 else -0.5)
     first = np.ceil(position - REACH).astype(np.int64)
     row, column = place = first[:, :, None] + np.arange(2 * REACH + 1)

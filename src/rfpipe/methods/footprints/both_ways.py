@@ -1,0 +1,119 @@
+"""Footprints between the views of a light field: what each way says of the other.
+
+Where cameras and projectors share their rays, the light from ray j to ray i is that from i to j,
+and the two are measured in different pictures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rfpipe.methods.footprints.candidates import Footprints, reweighted
+from rfpipe.methods.footprints.series import Series
+from rfpipe.methods.footprints.typed import Float, Int64
+
+__all__ = ["averaged", "is_symmetric", "joined", "reconciled", "split", "with_other_way"]
+
+# Footprints that differ from those of the other way by less than this part of them are the same:
+# where a rig isn't coaxial they have nothing in common.
+_SAME = 0.5
+# How much two ways may differ, as parts of the weight and of the floodlit image.
+_APART, _APART_OF_ALL = 0.1, 0.003
+
+
+@dataclass(frozen=True)
+class _Ways:
+    """Candidates of either way, in order of their keys, and the weights both ways."""
+
+    keys: Int64
+    there: Float
+    back: Float
+    variance: Float
+
+
+def joined(parts: list[Footprints], rays: int) -> Footprints:
+    """Put together the footprints on a projector's views, of so many rays each."""
+    views = len(parts)
+    if views == 1:
+        return parts[0]
+    keys = [
+        part.keys // rays * (rays * views) + view * rays + part.keys % rays
+        for view, part in enumerate(parts)
+    ]
+    together = np.concatenate(keys)
+    order = np.argsort(together)
+    variance, weights = (
+        np.concatenate([getattr(part, name) for part in parts])[order]
+        for name in ("variance", "weights")
+    )
+    return Footprints(together[order], variance, weights)
+
+
+def split(found: Footprints, views: int, rays: int) -> list[Footprints]:
+    """Return the footprints on each of a projector's views, of so many rays each."""
+    if views == 1:
+        return [found]
+    pixel, ray = np.divmod(found.keys, views * rays)
+    parts = []
+    for view in range(views):
+        own = ray // rays == view
+        keys = pixel[own] * rays + ray[own] % rays
+        parts.append(Footprints(keys, found.variance[own], found.weights[own]))
+    return parts
+
+
+def is_symmetric(found: Footprints, rays: int) -> bool:
+    """Tell whether footprints between the same rays of both sides are alike both ways."""
+    ways = _both_ways(found, rays)
+    apart = np.linalg.norm(ways.there - ways.back)
+    return bool(apart < _SAME * np.linalg.norm(ways.there))
+
+
+def with_other_way(found: Footprints, rays: int) -> Footprints:
+    """Return footprints with those candidates, too, that the other way found."""
+    ways = _both_ways(found, rays)
+    return Footprints(ways.keys, ways.variance, ways.there)
+
+
+def averaged(found: Footprints, rays: int) -> Footprints:
+    """Return the means of both ways."""
+    ways = _both_ways(found, rays)
+    mean: Float = ((ways.there + ways.back) / 2).astype(np.float32)
+    return Footprints(ways.keys, ways.variance, mean)
+
+
+def reconciled(series: tuple[Series, ...], found: Footprints, indirect: list[Float]) -> Footprints:
+    """Find weights anew in what indirect light leaves, near those of the other way."""
+    rays, views = len(series[0].lit), len(series)
+    ways = _both_ways(found, rays * views)
+    expected = split(
+        replace(found, keys=ways.keys, variance=ways.variance, weights=ways.back), views, rays
+    )
+    parts = []
+    for each, other, light in zip(series, expected, indirect, strict=True):
+        floodlit = each.floodlit[other.pixels(rays)]
+        apart = np.square(_APART * other.weights) + np.square(_APART_OF_ALL * floodlit)
+        near = replace(other, variance=apart.astype(np.float32))
+        parts.append(reweighted(each, near, light, near.weights))
+    return joined(parts, rays)
+
+
+def _both_ways(found: Footprints, rays: int) -> _Ways:
+    pixel, ray = np.divmod(found.keys, rays)
+    back = ray * rays + pixel
+    order = np.argsort(back)
+    back = back[order]
+    keys = np.union1d(found.keys, back[found.weights[order] > 0])
+
+    def looked_up(own: Int64, values: Float) -> Float:
+        found = np.zeros(len(keys), np.float32)
+        place = np.searchsorted(keys, own)
+        there = (place < len(keys)) & (keys[np.minimum(place, len(keys) - 1)] == own)
+        found[place[there]] = values[there]
+        return found
+
+    there, other = looked_up(found.keys, found.weights), looked_up(back, found.weights[order])
+    variance = looked_up(found.keys, found.variance), looked_up(back, found.variance[order])
+    return _Ways(keys, there, other, np.maximum(*variance))
