@@ -116,7 +116,7 @@ def test_footprints_of_a_warp_are_found(camera: Any, projector: Any) -> None:
     domain = RayDomain(projector)
     density = np.sqrt(np.prod(projector) / np.prod(camera))
     templates = Templates.of(domain, lit, density)
-    found = candidates.first_footprints(series, domain, templates)
+    found = candidates.first_footprints(series, domain, domain, templates)
     nothing = np.zeros_like(seen)
     for _ in range(3):
         found = candidates.found_anew(series, found, nothing, templates)

@@ -12,7 +12,7 @@ import numpy as np
 
 from rfpipe.methods.footprints.candidates import Footprints, reweighted
 from rfpipe.methods.footprints.series import Series
-from rfpipe.methods.footprints.typed import Float, Int64
+from rfpipe.methods.footprints.typed import Float, Int64, distinct
 
 __all__ = ["averaged", "is_symmetric", "joined", "reconciled", "split", "with_other_way"]
 
@@ -105,7 +105,7 @@ def _both_ways(found: Footprints, rays: int) -> _Ways:
     back = ray * rays + pixel
     order = np.argsort(back)
     back = back[order]
-    keys = np.union1d(found.keys, back[found.weights[order] > 0])
+    keys = distinct(np.concatenate([found.keys, back[found.weights[order] > 0]]))
 
     def looked_up(own: Int64, values: Float) -> Float:
         found = np.zeros(len(keys), np.float32)

@@ -11,7 +11,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.kernels import apply_precision, marginal, solve_weights
 from rfpipe.methods.footprints.matching import Templates, coarse_light
 from rfpipe.methods.footprints.series import Series
-from rfpipe.methods.footprints.typed import Double, Float, Int64
+from rfpipe.methods.footprints.typed import Double, Float, Int64, distinct
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -88,10 +88,7 @@ class Precision:
     """
 
     starts: Int64
-    rays: np.ndarray[tuple[int], np.dtype[np.int32]]
-    inverses: Double
-    places: Int64
-    lit: Float
+    factors: Double
     certainty: Float
     trace: Float
 
@@ -101,12 +98,13 @@ class Precision:
         rays, pixels = len(series.lit), len(series.seen)
         starts = found.starts(pixels, rays)
         own = (found.keys % rays).astype(np.int32)
-        places = np.concatenate([[0], np.cumsum(np.square(np.diff(starts)))])
         least = np.square(1e-3 * series.floodlit[found.pixels(rays)])
+        # of a pixel that is black, too, which only the other way has made a candidate
+        least = np.maximum(least, np.finfo(np.float32).tiny)
         variance = np.maximum(found.variance, least).astype(np.float32)
         certainty = series.certainty()
-        inverses, trace = marginal(starts, own, variance, series.lit, certainty, places)
-        return cls(starts, own, inverses, places, series.lit, certainty, trace)
+        factors, trace = marginal(starts, own, variance, series.lit, certainty)
+        return cls(starts, factors, certainty, trace)
 
     @property
     def sizes(self) -> Int64:
@@ -115,24 +113,21 @@ class Precision:
 
     def applied(self, seen: Float) -> Float:
         """Return the precision times pictures (pixels, M)."""
-        return apply_precision(
-            self.starts,
-            self.rays,
-            self.inverses,
-            self.places,
-            self.lit,
-            self.certainty,
-            np.ascontiguousarray(seen, np.float32),
-        )
+        pictures = np.ascontiguousarray(seen, np.float32)
+        return apply_precision(self.starts, self.factors, self.certainty, pictures)
 
 
-def first_footprints(series: Series, projector: RayDomain, templates: Templates) -> Footprints:
+def first_footprints(
+    series: Series, camera: RayDomain, projector: RayDomain, templates: Templates
+) -> Footprints:
     """Find footprints of which nothing is known, taking indirect light for what is smooth."""
     rays, lit = len(series.lit), series.lit
     floodlit = series.floodlit
-    shining = np.flatnonzero(series.shining)
+    there = series.shining
+    shining = np.flatnonzero(there)
     whitener = templates.whitener(lit, series.relative_noise())
-    best, score = templates.match(series.seen[shining] / floodlit[shining, None], whitener)
+    own = series.seen[shining] / floodlit[shining, None]
+    best, score = templates.match_views(own, whitener, camera, there)
     keys = templates.windows(shining[score > 0], best[score > 0])
     variance = np.square(_UNKNOWN * floodlit[keys // rays])
     found = Footprints(keys, variance.astype(np.float32), np.zeros(len(keys), np.float32))
@@ -179,6 +174,9 @@ def found_anew(
     certainty = series.certainty(_WRONG)
     rest = np.einsum("im,im,im->i", certainty, left, left)
     asked = np.flatnonzero(series.shining & (rest > max(_ANOTHER, left.shape[1] / 2)))
+    most = templates.most_pixels
+    if len(asked) > most:
+        asked = np.sort(asked[np.argsort(-rest[asked], kind="stable")[:most]])
     if len(asked):
         whitener = templates.whitener(series.lit, series.relative_noise())
         best, score = templates.match(left[asked] / floodlit[asked, None], whitener)
@@ -187,7 +185,7 @@ def found_anew(
         gain /= np.maximum(np.einsum("im,im,im->i", weight, box, box), np.finfo(np.float32).tiny)
         there = (score > 0) & (gain > _ANOTHER) & (gain > _EXPLAINS * rest[asked])
         keys.append(templates.windows(asked[there], best[there]))
-    together = np.unique(np.concatenate(keys))
+    together = distinct(np.concatenate(keys))
     weights = np.zeros(len(together), np.float32)
     place = np.searchsorted(together, found.keys[strong])
     weights[place] = found.weights[strong]
@@ -247,4 +245,4 @@ def _surroundings(keys: Int64, projector: RayDomain) -> Int64:
             row_fits = (row + down >= 0) & (row + down < height)
             fits = row_fits & (column + right >= 0) & (column + right < width)
             around.append(keys[fits] + down * width + right)
-    return np.unique(np.concatenate(around))
+    return distinct(np.concatenate(around))

@@ -74,8 +74,9 @@ class Functions:
         else:
             arriving = self.carry.means @ self.left
         carried = diags_array(seen) @ arriving
-        own = diags_array(1 - seen) @ self.own.weights
-        together: Any = hstack([carried, own])
+        together: Any = carried
+        if len(self.own):
+            together = hstack([carried, diags_array(1 - seen) @ self.own.weights])
         found: csr_array[np.float32] = together.tocsr().astype(np.float32)
         return found
 

@@ -92,12 +92,12 @@ def solve_weights(
 
 @njit(cache=True, nogil=True)
 def marginal(
-    starts: Int64, rays: Int32, variance: Float, lit: Float, certainty: Float, places: Int64
+    starts: Int64, rays: Int32, variance: Float, lit: Float, certainty: Float
 ) -> tuple[Double, Float]:
     """Return what takes unknown weights out of each pixel's pictures, and its precision's trace.
 
     The precision of pixel i is ``W - W A H A^T W`` with ``H = (G^-1 + A^T W A)^-1``, G the weights'
-    variances.
+    variances: ``W - U^T U`` with ``U = C^-1 A^T W``, C the Cholesky factor of H's inverse.
 
     Parameters
     ----------
@@ -107,16 +107,14 @@ def marginal(
         Of each weight.
     lit, certainty
         As for `solve_weights`.
-    places : ndarray of int64, shape (pixels + 1,)
-        Where each pixel's H begins.
 
     Returns
     -------
-    ndarray of float64, shape (places[-1],)
-        H of all pixels. In float32 the precision would not be positive where pictures are exact.
+    ndarray of float64, shape (candidates, M)
+        U of all pixels. In float32 the precision would not be positive where pictures are exact.
     ndarray of float32, shape (pixels,)
     """
-    inverses = np.empty(places[-1])
+    factors = np.empty((len(rays), lit.shape[1]))
     trace = np.empty(len(starts) - 1, np.float32)
     for pixel in range(len(starts) - 1):
         first, last = starts[pixel], starts[pixel + 1]
@@ -128,52 +126,82 @@ def marginal(
             gram = _gram(own, lit, certainty[pixel])
             for a in range(count):
                 gram[a, a] += 1 / variance[first + a]
-            inverse = np.linalg.inv(gram)
-            squares = _gram(own, lit, certainty[pixel] * certainty[pixel])
+            lower = np.linalg.cholesky(gram)
             for a in range(count):
-                for b in range(count):
-                    total -= inverse[a, b] * squares[a, b]
-            inverses[places[pixel] : places[pixel + 1]] = inverse.ravel()
+                row = factors[first + a]
+                for m in range(lit.shape[1]):
+                    row[m] = np.float64(lit[own[a], m]) * certainty[pixel, m]
+                for b in range(a):
+                    for m in range(lit.shape[1]):
+                        row[m] -= lower[a, b] * factors[first + b, m]
+                for m in range(lit.shape[1]):
+                    row[m] /= lower[a, a]
+                    total -= row[m] * row[m]
         trace[pixel] = max(total, 0.0)
-    return inverses, trace
+    return factors, trace
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def apply_precision(
-    starts: Int64,
-    rays: Int32,
-    inverses: Double,
-    places: Int64,
-    lit: Float,
-    certainty: Float,
-    seen: Float,
-) -> Float:
-    """Return each pixel's precision times its pictures, (pixels, M)."""
+def match_near(
+    own: Float, boxes: Float, guesses: Double, reach: float, per_width: int, across: int
+) -> tuple[Int64, Float]:
+    """Find the box that each series resembles most among those near some places.
+
+    Parameters
+    ----------
+    own, boxes : ndarray of float32, shape (n, M), (widths x per_width, M)
+        Series of length 1.
+    guesses : ndarray of float64, shape (n, places, 2)
+        Row and column in pixels; NaN for none.
+    reach : float
+        Pixels from a place, along either axis.
+    per_width, across : int
+        Boxes of each width, and in each row of them, at half-pixel positions from 1/2.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+    ndarray of float32, shape (n,)
+        Correlations; 0 where there is no place.
+    """
+    best, score = np.zeros(len(own), np.int64), np.zeros(len(own), np.float32)
+    down = per_width // across
+    for pixel in range(len(own)):
+        for place in range(guesses.shape[1]):
+            row, column = guesses[pixel, place]
+            if np.isnan(row):
+                continue
+            top = max(0, int(np.ceil(2 * (row - reach) - 1)))
+            bottom = min(down - 1, int(np.floor(2 * (row + reach) - 1)))
+            left = max(0, int(np.ceil(2 * (column - reach) - 1)))
+            right = min(across - 1, int(np.floor(2 * (column + reach) - 1)))
+            for first in range(0, len(boxes), per_width):
+                for y in range(top, bottom + 1):
+                    for box in range(first + y * across + left, first + y * across + right + 1):
+                        alike = np.float32(0)
+                        for m in range(own.shape[1]):
+                            alike += own[pixel, m] * boxes[box, m]
+                        if alike > score[pixel]:
+                            best[pixel], score[pixel] = box, alike
+    return best, score
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def apply_precision(starts: Int64, factors: Double, certainty: Float, seen: Float) -> Float:
+    """Return each pixel's precision, as `marginal` has it, times its pictures, (pixels, M)."""
     out = np.empty_like(seen)
-    count_all = seen.shape[1]
+    count = seen.shape[1]
+    back = np.empty(count)
     for pixel in range(len(starts) - 1):
-        first, last = starts[pixel], starts[pixel + 1]
-        count = last - first
-        for m in range(count_all):
-            out[pixel, m] = certainty[pixel, m] * seen[pixel, m]
-        if count == 0:
-            continue
-        told = np.empty(count)
-        for a in range(count):
-            total = 0.0
-            for m in range(count_all):
-                total += np.float64(lit[rays[first + a], m]) * certainty[pixel, m] * seen[pixel, m]
-            told[a] = total
-        back = np.zeros(count_all)
-        for a in range(count):
-            weight = 0.0
-            row = places[pixel] + a * count
-            for b in range(count):
-                weight += inverses[row + b] * told[b]
-            for m in range(count_all):
-                back[m] += weight * lit[rays[first + a], m]
-        for m in range(count_all):
-            out[pixel, m] = certainty[pixel, m] * (seen[pixel, m] - back[m])
+        back[:] = 0
+        for candidate in range(starts[pixel], starts[pixel + 1]):
+            told = 0.0
+            for m in range(count):
+                told += factors[candidate, m] * seen[pixel, m]
+            for m in range(count):
+                back[m] += told * factors[candidate, m]
+        for m in range(count):
+            out[pixel, m] = np.float64(certainty[pixel, m]) * seen[pixel, m] - back[m]
     return out
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.footprints.typed import Double, Float, Int64
+from rfpipe.methods.footprints.kernels import match_near
+from rfpipe.methods.footprints.typed import Double, Float, Int64, distinct
 
 __all__ = ["Templates", "coarse_light"]
 
@@ -27,6 +28,10 @@ _CELLS = 6
 _OWN, _STEADY, _MEAN, _FAR = 0.1, 5.0, 0.14, 0.5
 # Values of a table of scores that is made at a time.
 _BATCH = 2**24
+# Pairs of a pixel and a box up to which all are compared: half a minute of 25 pictures. Of more, a
+# grid of so many pixels is, and others near what these pixels' matches lead one to expect, within
+# some pixels more than half of the grid's spacing.
+_MOST_PAIRS, _SEEDS, _REACH = 2**31, 2048, 1.5
 
 
 def coarse_light(projector: RayDomain, lit: Float) -> Double:
@@ -64,6 +69,16 @@ class Templates:
     view: Int64
     centre: Double
     width: Double
+
+    @property
+    def count(self) -> int:
+        """Number of boxes."""
+        return len(self.seen)
+
+    @property
+    def most_pixels(self) -> int:
+        """How many pixels may be compared with all boxes."""
+        return _MOST_PAIRS // self.count
 
     @classmethod
     def of(cls, projector: RayDomain, lit: Float, density: float) -> Templates:
@@ -138,6 +153,45 @@ class Templates:
             score[first : first + step] = part[np.arange(len(part)), chosen]
         return best, score
 
+    def match_views(
+        self, series: Float, whitener: Float, camera: RayDomain, asked: NDArray[np.bool_]
+    ) -> tuple[Int64, Float]:
+        """Find the box that each asked pixel's series resembles most, as `match` does.
+
+        Of many pixels a grid's are compared with all boxes, and tell where the others may match:
+        neighbours see neighbouring places, or what another neighbour sees.
+
+        Parameters
+        ----------
+        series : ndarray of float32, shape (asked pixels, M)
+        whitener : ndarray of float32, shape (M, M)
+        camera : RayDomain
+            Of one projector view's boxes.
+        asked : ndarray of bool, shape (pixels,)
+        """
+        if len(series) <= self.most_pixels:
+            return self.match(series, whitener)
+        views, height, width = camera.stack_shape
+        step = max(2, int(np.sqrt(asked.size / (_SEEDS * views))))
+        view, row, column = np.unravel_index(np.flatnonzero(asked), camera.stack_shape)
+        on_grid = (row % step == 0) & (column % step == 0)
+        best, _ = self.match(series[on_grid], whitener)
+        grid = np.full((views, height // step + 2, width // step + 2, 2), np.nan)
+        place = view[on_grid], row[on_grid] // step, column[on_grid] // step
+        grid[place] = self.centre[best]
+        scale = np.divide(self.projector.image_shape, camera.image_shape)
+        guesses = []
+        for down in (0, 1):
+            for right in (0, 1):
+                near = row // step + down, column // step + right
+                aside = np.stack([row - near[0] * step, column - near[1] * step], axis=1)
+                guesses.append(grid[view, near[0], near[1]] + aside * scale)
+        boxes, own = _normalised(self.seen @ whitener), _normalised(series @ whitener)
+        reach = step / 2 * float(scale.max()) + _REACH
+        tables = len(self.seen) // len(np.unique(self.width))
+        across = 2 * self.projector.image_shape[1] - 1
+        return match_near(own, boxes, np.stack(guesses, axis=1), reach, tables, across)
+
     def windows(self, pixels: Int64, boxes: Int64) -> Int64:
         """Return the projector pixels about some pixels' boxes, as sorted keys.
 
@@ -155,7 +209,7 @@ class Templates:
         fits = row_fits[:, :, None] & column_fits[:, None, :]
         ray = (self.view[boxes, None, None] * height + row[:, :, None]) * width + column[:, None, :]
         keys: NDArray[np.int64] = (pixels[:, None, None] * self.projector.size + ray)[fits]
-        return np.unique(keys)
+        return distinct(keys)
 
 
 def _boxes(length: int, side: float) -> Double:

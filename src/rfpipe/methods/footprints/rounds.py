@@ -34,9 +34,9 @@ __all__ = ["begin", "best", "decide", "judge", "patterns", "refine", "refine_hie
 _SMALL = 4
 # Random patterns of each of several views, at least.
 _FEWEST = 4
-# Pairs of a camera and a projector pixel beyond which footprints would be sought for ten minutes or
-# longer: the search compares all of them. At 128 x 128 a first fit takes two minutes.
-_MOST_PAIRS = 2**30
+# Pairs of a camera and a projector pixel beyond which footprints would be sought for an hour. At
+# 128 x 128, 2^28, a first fit takes two minutes.
+_MOST_PAIRS = 2**36
 # Searches for footprints: when nothing is known, and in later rounds.
 _FIRST_PASSES, _PASSES = 2, 1
 # Errors should fall with this power of the patterns shown, noise alone with the root.

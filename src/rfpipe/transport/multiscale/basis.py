@@ -97,8 +97,6 @@ class MultiscaleBasis:
             owners.append(number.ravel()[there])
             values.append(value[there % len(value)])
         shape = (int(np.prod(self.shape)), len(self))
-        if not len(self):
-            return csr_array(shape, dtype=np.float32)
         where = (np.concatenate(rays), np.concatenate(owners))
         return csr_array((np.concatenate(values), where), shape=shape).astype(np.float32)
 

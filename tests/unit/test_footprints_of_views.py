@@ -1,0 +1,191 @@
+"""Footprint acquisition of light fields: each view's footprints on each, one chart for all."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.helpers import dense
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods import options_of
+from rfpipe.methods.footprints import matching
+from rfpipe.methods.footprints.both_ways import (
+    averaged,
+    is_symmetric,
+    joined,
+    split,
+    with_other_way,
+)
+from rfpipe.methods.footprints.candidates import Footprints as Found
+from rfpipe.methods.footprints.chart import Chart, chart_of
+from rfpipe.methods.footprints.matching import Templates
+from rfpipe.methods.footprints.method import Footprints
+from rfpipe.methods.footprints.patterns import random_patterns
+from rfpipe.methods.footprints.state import in_round, most_of
+from rfpipe.scenes import room_scene
+from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.testing.methods import MatrixImages, run_method
+from rfpipe.transport.multiscale.basis import MultiscaleBasis, cells, functions_over
+
+VIEWS, IMAGE = 3, (10, 12)
+SHAPE = (VIEWS, *IMAGE)
+
+
+@cache
+def room(channels: int = 1) -> np.ndarray:
+    """The transport of a room seen by three views side by side, (C, N, N)."""
+    scene = room_scene(("texture", "white", "white"), IMAGE, views=(1, VIEWS), channels=channels)
+    matrix = np.stack([scene._matrix(channel) for channel in range(channels)])
+    return matrix / matrix.sum(axis=2).max()
+
+
+def errors(transport: Any, matrix: np.ndarray) -> float:
+    """Mean error of relit pictures: half of all views, noise, a spot in one, one view."""
+    shown = np.zeros((4, *SHAPE))
+    shown[0, :, :, :6] = 1
+    shown[1] = np.random.default_rng(3).random(SHAPE) < 0.5
+    shown[2, 0, 3:7, 4:8] = 1
+    shown[3, 1] = 1
+    relit = transport.relight_batch(shown)
+    truth = np.einsum("cmn,pn->pmc", matrix, shown.reshape(4, -1)).reshape(relit.shape)
+    return float(np.mean([relative_rms(*pair) for pair in zip(relit, truth, strict=True)]))
+
+
+def rounds_of(views: int, *numbers: int) -> int:
+    return sum(in_round(number, views) for number in numbers)
+
+
+def test_views_are_lit_one_at_a_time_first_all_of_each() -> None:
+    shown = random_patterns(SHAPE, 1, 9).reshape(9, VIEWS, -1)
+    lit = shown.any(axis=2)
+    assert (lit.sum(axis=1) == 1).all()
+    assert [int(each.argmax()) for each in lit] == [0, 1, 2] * 3
+    assert (shown.sum(axis=(1, 2)) == [120] * 3 + [60] * 6).all()
+    later = random_patterns(SHAPE, 2, 3)
+    assert (later.reshape(3, -1).sum(axis=1) == 60).all()
+
+
+def test_parts_and_both_ways_of_footprints() -> None:
+    matrix = np.zeros((6, 6), np.float32)
+    matrix[0, 0], matrix[1, 4], matrix[4, 1], matrix[2, 5] = 4, 2, 3, 1
+    keys = np.flatnonzero(matrix)
+    found = Found(keys, np.ones(4, np.float32), matrix.ravel()[keys])
+    parts = split(found, 2, 3)
+    assert [each.matrix(6, 3).toarray().tolist() for each in parts] == [
+        matrix[:, :3].tolist(),
+        matrix[:, 3:].tolist(),
+    ]
+    again = joined(parts, 3)
+    np.testing.assert_array_equal(again.keys, found.keys)
+    np.testing.assert_array_equal(again.weights, found.weights)
+    np.testing.assert_array_equal(
+        averaged(found, 6).matrix(6, 6).toarray(), (matrix + matrix.T) / 2
+    )
+    wider = with_other_way(found, 6)
+    np.testing.assert_array_equal(wider.matrix(6, 6).toarray(), matrix)
+    assert 5 * 6 + 2 in wider.keys
+    assert is_symmetric(found, 6)
+    assert not is_symmetric(Found(keys[3:], found.variance[3:], found.weights[3:]), 6)
+
+
+def test_functions_on_a_chart_are_those_of_an_image_where_rays_are_its_pixels() -> None:
+    shape = (12, 20)
+    functions = np.concatenate(
+        [functions_over(scale, np.ones(cells(shape, scale), bool)) for scale in (4, 2, 1)]
+    )
+    row, column = np.indices(shape).reshape(2, -1) + 0.5
+    chart = Chart(shape, np.stack([row, column], axis=1)).basis(functions)
+    own = MultiscaleBasis(shape, functions)
+    assert abs(chart.weights - own.weights).max() < 1e-6
+    for scale in (1, 2, 4):
+        np.testing.assert_array_equal(
+            Chart(shape, np.stack([row, column], axis=1)).cell_of(scale),
+            Chart(shape).cell_of(scale),
+        )
+
+
+def test_rays_that_see_nothing_of_the_middle_lie_beside_their_neighbours() -> None:
+    from scipy.sparse import csr_array
+
+    camera = RayDomain((2, 4, 6))
+    seen = np.zeros((48, 24), np.float32)
+    ray = np.arange(24)
+    seen[ray, ray] = 1  # the first view is the middle one
+    moved = np.flatnonzero(ray % 6 < 4)
+    seen[24 + moved, moved + 2] = 1  # the second looks two pixels to the right, its edge beyond
+    chart = chart_of(camera, csr_array(seen), (4, 6), np.ones(48, np.float32))
+    margin = (chart.shape[1] - 6) // 2
+    row, column = ray // 6 + 0.5, ray % 6 + 0.5
+    assert chart.places is not None
+    np.testing.assert_allclose(chart.places[:24] - margin, np.stack([row, column], axis=1))
+    np.testing.assert_allclose(chart.places[24:] - margin, np.stack([row, column + 2], axis=1))
+    assert chart.shape == (8, 10)
+
+
+def test_many_pixels_match_where_a_grid_of_them_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    image, camera = (24, 30), RayDomain((2, 24, 30))
+    lit = np.concatenate([np.ones((1, *image), bool), random_patterns(image, 1, 24)])
+    lit = np.ascontiguousarray(lit.reshape(25, -1).T, np.float32)
+    ray = np.arange(720)
+    places = np.concatenate([ray, np.clip(ray % 30 + 3, 0, 29) + ray // 30 * 30])
+    asked = np.random.default_rng(0).random(1440) > 0.1
+    series = lit[places][asked]
+    templates = Templates.of(RayDomain(image), lit, 1.0)
+    whitener = templates.whitener(lit, 1e-4)
+    best, score = templates.match_views(series, whitener, camera, asked)
+    monkeypatch.setattr(matching, "_MOST_PAIRS", 1)
+    monkeypatch.setattr(matching, "_SEEDS", 30)
+    near, near_score = templates.match_views(series, whitener, camera, asked)
+    assert (best == near).mean() > 0.97
+    np.testing.assert_allclose(near_score[best == near], score[best == near], atol=1e-5)
+
+
+def test_a_light_field_is_good_after_few_patterns_and_resumes_to_the_last_bit() -> None:
+    method, matrix, target = Footprints(), room(), 0.015
+    done = run_method(method, matrix, SHAPE, SHAPE, sigma=2e-4, target_error=target)
+    assert sum(done.patterns) <= 1 + 6 + rounds_of(VIEWS, 0, 1)
+    error, told = errors(done.transport, matrix), done.states[-1].estimates[-1].error
+    assert error < 1.3 * target
+    assert 1 / 2 < told / error < 2
+    packs = [type(p)(p.arrays, json.loads(json.dumps(p.attributes))) for p in done.packs]
+    level = max(number for number, count in enumerate(done.patterns) if count)
+    restored = method.restore(done.states[0], packs[:level])
+    schedule = method.schedule(restored)
+    assert schedule.digest() == done.schedules[level].digest()
+    restored = method.refine(restored, MatrixImages(matrix, SHAPE, schedule, 2e-4))
+    found, wanted = (
+        method.transport(state).pack()[0] for state in (restored, done.states[level + 1])
+    )
+    for name, array in wanted.items():
+        np.testing.assert_array_equal(found[name], array)
+
+
+def test_colours_are_fitted_each_by_itself() -> None:
+    matrix = room(3)
+    done = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=3e-4, target_error=0.1)
+    assert sum(done.patterns) == 1 + 6 + rounds_of(VIEWS, 0)
+    assert errors(done.transport, matrix) < 0.04
+
+
+def test_cameras_that_stand_beside_the_projectors() -> None:
+    # two cameras' views of what three projectors light, one turned upside down
+    matrix = room().reshape(VIEWS, *IMAGE, -1)[[0, 2], ::-1].reshape(1, 240, 360)
+    camera = (2, *IMAGE)
+    done = run_method(Footprints(), matrix, camera, SHAPE, sigma=2e-4, target_error=0.02)
+    found, truth = dense(done.transport)[0], matrix[0]
+    shown = np.random.default_rng(0).random((360, 5)) < 0.4
+    assert relative_rms(found @ shown, truth @ shown) < 0.03
+
+
+def test_the_forecast_grows_with_the_views_and_few_patterns_are_not_tried() -> None:
+    method, domain = Footprints(), RayDomain(SHAPE)
+    assert method.expected_patterns(domain, domain, options_of(method)) == 360
+    large = RayDomain((9, 130, 200))
+    assert method.expected_patterns(large, large, options_of(method)) == most_of(9)
+    done = run_method(method, room(), SHAPE, SHAPE, patterns=12)
+    assert sum(done.patterns) <= 12
+    assert np.isfinite(dense(done.transport)).all()
