@@ -1,0 +1,98 @@
+"""Light fields by footprints, symmetric and dual photography: patterns against errors.
+
+Usage: ``python benchmarks/bench_light_field.py [HEIGHTxWIDTH ...] [--methods M ...]
+[--targets T ...] [--seed S]``. A room seen by three by three views of each size, default camera,
+grey; 12 x 16 and 24 x 32 take ten minutes. Writes results/bench/light_field.csv: patterns, the
+estimated error, the mean and the largest error of the scene's relighting patterns, of a spot of 12
+pixels in one view and of spots in all of them, and seconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+import rfpipe
+from rfpipe.methods.held_out.patterns import octave_noise
+from rfpipe.photometry import CameraModel
+from rfpipe.provenance import generator
+from rfpipe.rigs import SimulatedRig
+from rfpipe.scenes import relighting_patterns, room_scene
+from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.relight import images_of
+
+OUTPUT = Path("results/bench/light_field.csv")
+_VIEWS = (3, 3)
+
+
+def main() -> None:
+    """Acquire every field by every method to every target."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("sizes", nargs="*", default=["12x16", "24x32"], metavar="HEIGHTxWIDTH")
+    parser.add_argument("--methods", nargs="+", default=["footprints", "symmetric", "dual"])
+    parser.add_argument("--targets", nargs="+", type=float, default=[0.02, 0.01])
+    parser.add_argument("--seed", type=int, default=1, help="of the camera's noise")
+    asked = parser.parse_args()
+    rows: list[dict[str, Any]] = []
+    for size in asked.sizes:
+        height, width = (int(part) for part in size.split("x"))
+        scene = room_scene(("texture", "white", "white"), (height, width), views=_VIEWS, channels=1)
+        for method in asked.methods:
+            for target in asked.targets:
+                rows.append({"size": size, **acquired(scene, method, target, asked.seed)})
+                print(
+                    pd.DataFrame(rows[-1:]).round(3).to_string(index=False, header=len(rows) == 1)
+                )
+    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
+    pd.DataFrame(rows).to_csv(OUTPUT, index=False)
+
+
+def acquired(scene: Any, method: str, target: float, seed: int) -> dict[str, Any]:
+    """Acquire a scene, and relight it."""
+    begun = time.perf_counter()
+    rig = SimulatedRig(scene, CameraModel(), seed=seed)
+    result = rfpipe.acquire(rig, method=method, target_error=target, progress=False)
+    seconds = time.perf_counter() - begun
+    shown = {**relighting_patterns(scene.shape), **spots_of(scene.shape)}
+    light = np.stack(list(shown.values()))
+    pairs = zip(result.transport.relight_batch(light), images_of(scene, light), strict=True)
+    errors = {
+        name: 100 * float(relative_rms(*pair)) for name, pair in zip(shown, pairs, strict=True)
+    }
+    usual = [errors[name] for name in relighting_patterns(scene.shape)]
+    return {
+        "method": method,
+        "target": target,
+        "patterns": result.patterns,
+        "estimate": 100 * float(result.history["estimated_error"].iloc[-1]),
+        "mean": float(np.mean(usual)),
+        "largest": max(usual),
+        "spot": errors["spot of 12"],
+        "spots": errors["spots"],
+        "noise in one view": errors["noise in one view"],
+        "seconds": seconds,
+    }
+
+
+def spots_of(shape: tuple[int, ...]) -> dict[str, NDArray[np.float32]]:
+    """Return a spot of 12 pixels in the middle view, spots in all views, and noise in one."""
+    views, height, width = shape
+    one, many, noise = (np.zeros(shape, np.float32) for _ in range(3))
+    one[views // 2, height // 3 :, width // 3 :][:3, :4] = 1
+    random = generator(0, views, height, width)
+    for view in range(views):
+        for _ in range(4):
+            top, left = random.integers(0, height - 3), random.integers(0, width - 3)
+            many[view, top : top + 3, left : left + 3] = 1
+    noise[min(2, views - 1)] = octave_noise((height, width), random, 0.0) > 0
+    return {"spot of 12": one, "spots": many, "noise in one view": noise}
+
+
+if __name__ == "__main__":
+    main()
