@@ -14,6 +14,8 @@ from typing import Any
 
 import yaml
 
+from rfpipe.stages.evaluating.studies import STUDIES as ALL_STUDIES
+
 ROOT = Path(__file__).parents[2]
 
 CONFIG: dict[str, Any] = {
@@ -24,12 +26,14 @@ CONFIG: dict[str, Any] = {
     "methods": {"symmetric": {}, "dual": {}, "brute_force": {}},
     # one pattern at a time, for captures that can be stopped anywhere
     "capture": {"batch_patterns": 1, "black_frames": 4, "floodlit_frames": 4},
+    "report": {"resolutions": [4, 8]},
 }
 """`tiny` has 5 stages on each of its levels; `long` by brute force captures 288 patterns."""
 
 TINY = "results/tiny/symmetric/transport.json"
 DUAL = "results/tiny/dual/transport.json"
 LONG = "results/long/brute_force/transport.json"
+STUDIES = tuple(f"results/studies/{name}.json" for name in ALL_STUDIES)
 
 STAGES = ("schedule", "capture", "merge", "normalize", "refine")
 
@@ -92,6 +96,10 @@ class Workflow:
             for path in sorted(folder.rglob("*"))
             if path.is_file() and path.suffix != ".log" and not path.name.endswith("benchmark.tsv")
         }
+
+    def take_studies(self, other: Workflow) -> None:
+        """Take from another run what doesn't depend on the scenes of either."""
+        shutil.copytree(other.path("studies"), self.path("studies"))
 
     def copy_to(self, folder: Path) -> Workflow:
         """Copy the whole run, Snakemake's records and times included."""

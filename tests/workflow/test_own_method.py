@@ -30,13 +30,13 @@ class TestColumnScan(MethodContract):
         return get_method(f"{EXAMPLE}:ColumnScan")
 
 
-def test_it_runs_in_the_workflow_beside_rfpipe_s_own(tmp_path: Path) -> None:
+def test_it_runs_in_the_workflow_beside_rfpipe_s_own(tmp_path: Path, undisturbed: Workflow) -> None:
     shutil.copy(EXAMPLE, tmp_path)
     workflow = Workflow(tmp_path)
+    workflow.take_studies(undisturbed)
     workflow.configure(
         scenes={"tiny": CONFIG["scenes"]["tiny"]},
         methods={**SECTIONS, "brute_force": {}},
-        report={"resolutions": [4]},
     )
     workflow.run()
     page = workflow.path("report/index.html").read_text(encoding="utf-8")

@@ -30,15 +30,15 @@ class TestFrostedGlass(SceneContract):
         return made(channels=3)
 
 
-def test_it_runs_in_the_workflow_beside_rfpipe_s_own(tmp_path: Path) -> None:
+def test_it_runs_in_the_workflow_beside_rfpipe_s_own(tmp_path: Path, undisturbed: Workflow) -> None:
     shutil.copy(EXAMPLE, tmp_path)
     workflow = Workflow(tmp_path)
+    workflow.take_studies(undisturbed)
     workflow.configure(
         scenes={"glass": {"kind": "frosted_glass.py:FrostedGlass", **OPTIONS},
                 "wall": {"kind": "plane", "surfaces": ["white"], "shape": [6, 8]}},
         methods={"brute_force": {}},
         camera=None,
-        report={"resolutions": [4]},
     )  # fmt: skip
     workflow.run()
     page = workflow.path("report/index.html").read_text(encoding="utf-8")
