@@ -79,6 +79,11 @@ class Workflow:
         """Run Snakemake to its end and return what it said."""
         return self.end(self.start(*arguments), succeeds=succeeds)
 
+    def unlock(self) -> None:
+        """Do what ``snakemake --unlock`` does, without starting it; one test does that."""
+        for lock in (self.folder / ".snakemake" / "locks").iterdir():
+            lock.unlink()
+
     def end(self, process: subprocess.Popen[str], *, succeeds: bool = True) -> str:
         """Wait for Snakemake and check its exit status."""
         output, _ = process.communicate(timeout=4 * _PATIENCE_SECONDS)

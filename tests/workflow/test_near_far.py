@@ -36,7 +36,7 @@ def test_a_run_killed_between_probes_ends_as_an_acquisition_in_process(
     process.communicate()
     before = journal(store)
     assert 3 <= len(before) < 14
-    workflow.run("--unlock")
+    workflow.unlock()
 
     output = workflow.run()
 
