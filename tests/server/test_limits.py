@@ -135,15 +135,16 @@ def more_files() -> Iterator[None]:
 def test_700_connections_without_a_token_do_not_keep_the_owner_out(asked: bytes) -> None:
     """Of whoever says nothing, asks for what needs no token, or begins to ask."""
     rig = SlowRig()
-    with more_files(), ExitStack() as stack, running(rig) as server:
+    # as long as they need not be waited for, however busy this machine is
+    with more_files(), ExitStack() as stack, running(rig, head_seconds=120) as server:
         for _ in range(700):
             idle = stack.enter_context(socket.create_connection(("127.0.0.1", server.port)))
             idle.sendall(asked)
         began = time.monotonic()
-        with server.client(patience_seconds=5) as client:
+        with server.client(patience_seconds=60) as client:
             for index in range(5):
                 client.capture(np.ones((1, 3, 7), np.float32), [(1, index)])
-        assert time.monotonic() - began < 5
+        assert time.monotonic() - began < 60
     assert len(rig.shown) == 5
 
 

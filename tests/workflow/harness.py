@@ -35,6 +35,12 @@ DUAL = "results/tiny/dual/transport.json"
 LONG = "results/long/brute_force/transport.json"
 STUDIES = tuple(f"results/studies/{name}.json" for name in ALL_STUDIES)
 
+GLASS = {"kind": "frosted_glass.py:FrostedGlass", "shape": [6, 8], "channels": 1, "blur": 0.7}
+OWN_METHODS = {
+    "wide": {"method": "column_scan.py:ColumnScan", "width": 2},
+    "module": {"method": "column_scan:ColumnScan"},
+}
+
 STAGES = ("schedule", "capture", "merge", "normalize", "refine")
 
 _PATIENCE_SECONDS = 60.0
@@ -49,6 +55,14 @@ class Workflow:
         self.source: Path | None = None  # of another rfpipe than the installed one
         folder.mkdir(parents=True, exist_ok=True)
         self.configure(**({} if config is None else config))
+
+    @classmethod
+    def of(cls, folder: Path) -> Workflow:
+        """Return the run of a folder, with the settings that it has."""
+        settings = (folder / "config.yaml").read_text()
+        workflow = cls(folder)
+        workflow.config.write_text(settings)
+        return workflow
 
     def configure(self, **changes: Any) -> None:
         """Write the settings: CONFIG, its groups updated, its scenes and methods replaced."""
