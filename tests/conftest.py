@@ -18,20 +18,31 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 settings.register_profile("rfpipe", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("rfpipe")
 
-_WORKFLOW = Path(__file__).parent / "workflow"
+_HERE = Path(__file__).parent
+
+# These need none of the large kernels: one worker does them while the other compiles.
+_WITHOUT_KERNELS = (_HERE / "server", _HERE / "device")
+_WORKFLOW = _HERE / "workflow"
 
 _LOGGERS = (logging.getLogger(), logging.getLogger("rfpipe"), logging.getLogger("rfpipe.server"))
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Whole runs come first: they are the longest, and what comes last can be shared out finely.
+    """Whole runs come early: they are the longest, and what comes last can be shared out finely.
 
-    Tests in process come after the kernels; of the whole runs, the shared one does.
+    All but what needs no kernels comes after these are compiled: each of a run's jobs would
+    compile its own.
     """
-    items.sort(key=lambda item: _WORKFLOW not in item.path.parents)
+    items.sort(key=_place)
     for item in items:
-        if _WORKFLOW not in item.path.parents and isinstance(item, pytest.Function):
+        if _place(item) and isinstance(item, pytest.Function):
             item.fixturenames.insert(0, "kernels")
+
+
+def _place(item: pytest.Item) -> int:
+    """Tell when a test is due: 0 for those without kernels, 1 for whole runs, 2 for others."""
+    folder = item.path.parent
+    return 0 if folder in _WITHOUT_KERNELS else 1 if folder == _WORKFLOW else 2
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ else that escapes the library is a bug.
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -24,11 +25,24 @@ __all__ = [
     "StaleStoreError",
     "StoreError",
     "TransferError",
+    "without_password",
 ]
+
+# what a URL has between its slashes and its host: a user's name, and a password behind it; a Path
+# that was made of a URL has one slash
+_USER = re.compile(r"(:/+)[^/\s'\"]*@")
+
+
+def without_password(text: str) -> str:
+    """Return a text in which no URL shows the name and the password of a user."""
+    return _USER.sub(r"\1", text)
 
 
 class RfpipeError(Exception):
-    """Base of every error that rfpipe raises on purpose."""
+    """Base of every error that rfpipe raises on purpose; its message shows no password of a URL."""
+
+    def __init__(self, *args: object) -> None:
+        super().__init__(*(without_password(a) if isinstance(a, str) else a for a in args))
 
 
 class ConfigError(RfpipeError):

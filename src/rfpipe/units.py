@@ -1,10 +1,17 @@
-"""Dtypes and names of units, shared by stores, manifests and reports."""
+"""Dtypes, names of units and limits of counts, shared by stores, manifests and reports."""
 
 from typing import Literal
 
 import numpy as np
 
-__all__ = ["COUNTS", "COUNT_UNIT", "RADIANCE", "RADIANCE_UNIT", "NumberFormat"]
+__all__ = [
+    "COUNTS",
+    "COUNT_UNIT",
+    "RADIANCE",
+    "RADIANCE_UNIT",
+    "SATURATION_FRACTION",
+    "NumberFormat",
+]
 
 NumberFormat = Literal["float32", "uint16", "uint8"]
 """How a stored transport keeps its numbers: as they are, or rounded to 16 or 8 bits."""
@@ -20,3 +27,6 @@ RADIANCE_UNIT = "radiance"
 
 COUNT_UNIT = "count"
 """One step of the camera's analogue-to-digital converter."""
+
+SATURATION_FRACTION = 0.98
+"""Fraction of full scale from which on a count is saturated, where nothing else is set."""

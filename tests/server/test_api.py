@@ -17,10 +17,11 @@ from PIL import Image
 from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, free_port, running
 
 import rfpipe
-from rfpipe.errors import CaptureError, ConfigError, InputError
+from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig, RemoteRig
-from rfpipe.rigs.wire import MEDIA_TYPE, encode_patterns, unpack
+from rfpipe.rigs.messages import MEDIA_TYPE, unpack
+from rfpipe.rigs.wire import encode_patterns
 from rfpipe.server import ServerSettings
 from rfpipe.server.log import start_log
 from rfpipe.server.run import bound_socket
@@ -286,12 +287,6 @@ def test_a_wrong_token_is_named_at_once(server: Running) -> None:
         RemoteRig(server.url, "another-token-entirely", patience_seconds=60)
 
 
-@pytest.mark.parametrize("url", ["ftp://rig", "rig:8750", "http://", "http://rig/v1", ""])
-def test_an_url_that_is_none(url: str) -> None:
-    with pytest.raises(InputError, match="expected that of an acquisition server"):
-        RemoteRig(url, TOKEN)
-
-
 def test_a_damaged_answer_is_asked_for_again(
     server: Running, rig: SlowRig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -302,7 +297,10 @@ def test_a_damaged_answer_is_asked_for_again(
         answer = send(self, method, url, **rest)
         if url == "/v1/captures" and not harmed:
             harmed.append(url)
-            answer._content = answer.content[:-1] + bytes([answer.content[-1] ^ 1])
+            middle = len(answer.content) // 2
+            damaged = bytearray(answer.content)
+            damaged[middle] ^= 1
+            answer._content = bytes(damaged)
         return answer
 
     monkeypatch.setattr(httpx.Client, "request", through_a_bad_cable)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
+import io
 import json
 import socket
 import struct
 import threading
 import time
-import zlib
+import zipfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -20,7 +20,8 @@ from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, running
 
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
-from rfpipe.rigs.wire import MEDIA_TYPE, encode_patterns, pack
+from rfpipe.rigs.messages import MEDIA_TYPE, pack
+from rfpipe.rigs.wire import encode_patterns
 from rfpipe.server import ServerSettings
 from rfpipe.server.run import bound_socket
 
@@ -166,65 +167,107 @@ def post(server: Running, body: Any, **changes: str) -> httpx.Response:
             http.delete("/v1/lease", headers={"Rig-Lease": lease})
 
 
-def message(patterns: np.ndarray, /, **facts: Any) -> bytes:
-    given = {"patterns": "weights", "shape": list(patterns.shape), "keys": [[1, 0]]}
-    return pack({**given, **facts}, {"patterns": patterns})
+def message(patterns: np.ndarray, /, *, deflate: bool = False, **facts: Any) -> bytes:
+    given = {"patterns": "weights", "keys": [[1, 0]]}
+    return pack({**given, **facts}, {"patterns": patterns}, deflate=deflate)
 
 
-def raw(header: dict[str, Any] | bytes, content: bytes = b"", length: int | None = None) -> bytes:
-    text = header if isinstance(header, bytes) else json.dumps(header).encode()
-    return struct.pack("<4sI", b"RFP1", len(text) if length is None else length) + text + content
+LABELS: dict[str, Any] = {"patterns": "labels", "keys": [[1, 0]]}
 
 
-def entry(**changes: Any) -> dict[str, Any]:
-    digest = hashlib.sha256(bytes(21)).hexdigest()
-    array = {"name": "patterns", "dtype": "|u1", "shape": [3, 7], "sha256": digest, "bytes": 21}
-    return {
-        "patterns": "labels",
-        "shape": [1, 3, 7],
-        "keys": [[1, 0]],
-        "arrays": [{**array, **changes}],
-    }
+def npy(header: str | None = None, content: bytes = bytes(21), **changes: Any) -> bytes:
+    """Return a .npy file of 3 x 7 labels, but for something in its header."""
+    about = {"descr": "|u1", "fortran_order": False, "shape": (3, 7), **changes}
+    text = (header if header is not None else repr(about)).encode() + b"\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + content
 
 
-BOMB = zlib.compress(bytes(50_000_000), 9)
+def raw(
+    facts: Any = None, array: bytes = npy(), how: int = zipfile.ZIP_STORED, **members: bytes
+) -> bytes:
+    """Return a message whose members may be anything."""
+    text = facts if isinstance(facts, bytes) else json.dumps({**LABELS, **(facts or {})}).encode()
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", how) as archive:
+        archive.writestr("facts.json", text)
+        archive.writestr("patterns.npy", array)
+        for name, content in members.items():
+            archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+def twice() -> bytes:
+    buffer = io.BytesIO(raw())
+    with zipfile.ZipFile(buffer, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("patterns.npy", npy())
+    return buffer.getvalue()
+
+
+def crowd(entries: int) -> bytes:
+    """Return a zip file that lists its one member many times, 46 bytes each."""
+    one = b"PK\x01\x02" + bytes(42)
+    end = struct.pack("<4s4H2LH", b"PK\x05\x06", 0, 0, 65535, 65535, len(one) * entries, 0, 0)
+    return one * entries + end
+
+
+def harmed(content: bytes, old: bytes, new: bytes) -> bytes:
+    assert old in content
+    return content.replace(old, new)
+
 
 MALFORMED = {
     "empty": b"",
-    "short": b"RFP",
-    "other magic": b"PK\x03\x04" + bytes(100),
-    "header cut off": raw({}, length=1000),
-    "header of 4 GB": raw({}, length=2**32 - 1),
+    "short": b"PK",
+    "other magic": b"RFP1" + bytes(100),
     "no json": raw(b"{nope"),
     "no object": raw(b"[1]"),
     "deep json": raw(b"[" * 50_000),
     "long integer": raw(b'{"a": ' + b"9" * 10_000 + b"}"),
     "no text": raw(b"\xff\xfe\xfd"),
-    "no arrays": raw({"patterns": "labels", "shape": [1, 3, 7], "keys": [[1, 0]]}),
-    "NaN in the header": raw(b'{"arrays": [], "shape": NaN}'),
-    "many arrays": raw({"arrays": [{}] * 5000}),
-    "array is no object": raw({"arrays": [1]}),
-    "object dtype": raw(entry(dtype="|O"), bytes(21)),
-    "negative extent": raw(entry(shape=[-3, -7]), bytes(21)),
-    "true as extent": raw(entry(shape=[True, 21]), bytes(21)),
-    "huge shape": raw(entry(shape=[2**39, 2**39]), bytes(21)),
-    "cut off": raw(entry(), bytes(20)),
-    "too long": raw(entry(), bytes(22)),
-    "altered": raw(entry(), bytes(20) + b"\x01"),
-    "bomb": raw(entry(deflate=True, bytes=len(BOMB)), BOMB),
-    "deflate of nothing": raw(entry(deflate=True), bytes(21)),
-    "two arrays": raw({**entry(), "arrays": entry()["arrays"] * 2}, bytes(42)),
-    "other encoding": raw({**entry(), "patterns": "pickle"}, bytes(21)),
-    "unhashable encoding": raw({**entry(), "patterns": {}}, bytes(21)),
-    "other dtype": raw(entry(dtype="|b1"), bytes(21)),
-    "no keys": raw({**entry(), "keys": []}, bytes(21)),
-    "keys of text": raw({**entry(), "keys": [["a"]]}, bytes(21)),
-    "negative key": raw({**entry(), "keys": [[-1, 0]]}, bytes(21)),
-    "huge key": raw({**entry(), "keys": [[2**32]]}, bytes(21)),
-    "long key": raw({**entry(), "keys": [[1] * 9]}, bytes(21)),
-    "label out of range": message(np.full((3, 7), 9, np.uint8), patterns="labels", shape=[1, 3, 7]),
-    "no patterns": raw({**entry(), "shape": [0, 3, 7], "keys": []}, bytes(21)),
-    "too many": raw({**entry(), "shape": [1000, 3, 7], "keys": [[1, 0]] * 1000}, bytes(21)),
+    "long facts": raw(b" " * 2**20 + b"{}", how=zipfile.ZIP_DEFLATED),
+    "NaN in the facts": raw(b'{"patterns": "labels", "keys": [[NaN]]}'),
+    "no arrays": pack(LABELS, {}),
+    "many members": crowd(2000),
+    "no array": raw(array=b"nothing"),
+    "other version": raw(array=b"\x93NUMPY\x02\x00" + npy()[8:]),
+    "object dtype": raw(array=npy(descr="|O")),
+    "huge item": raw(array=npy(descr="|V2147483647")),
+    "records": raw(array=npy(descr=[("a", "|u1")])),
+    "python 2": raw(array=npy("{'descr': '|u1', 'fortran_order': False, 'shape': (3L, 7L)}")),
+    "deep header": raw(array=npy("(" * 900)),
+    "no header": raw(array=npy("")),
+    "code in the header": raw(array=npy("__import__('os').abort()")),
+    "long header": raw(array=npy(" " * 5000)),
+    "by columns": raw(array=npy(fortran_order=True)),
+    "negative extent": raw(array=npy(shape=(-3, -7))),
+    "true as extent": raw(array=npy(shape=(True, 21))),
+    "huge shape": raw(array=npy(shape=(2**39, 2**39))),
+    "huge shape of nothing": raw(array=npy(shape=(0, 2**62), content=b"")),
+    "shape beyond any integer": raw(array=npy(shape=(0, 10**30), content=b"")),
+    "many axes": raw(array=npy(shape=(1,) * 70, content=bytes(1))),
+    "cut off": raw()[:-30],
+    "fewer bytes": raw(array=npy(content=bytes(20))),
+    "more bytes": raw(array=npy(content=bytes(22))),
+    "altered": harmed(message(np.full(ON.shape, 0.25, "<f4")), b"\0\0\x80>", b"\0\0\x81>"),
+    "bomb": message(np.zeros((20, 1_000_000), np.uint8), deflate=True),
+    "levels of too much": message(np.zeros((64, 30_000), np.uint8), deflate=True),
+    "deflate of nothing": harmed(
+        pack(LABELS, {"patterns": np.zeros((3, 7), np.uint8)}), b"\0\0\0\0!\0", b"\x08\0\0\0!\0"
+    ),
+    "by lzma": raw(how=zipfile.ZIP_LZMA),
+    "by bzip2": raw(how=zipfile.ZIP_BZIP2),
+    "two arrays": raw(**{"more.npy": npy()}),
+    "one name twice": twice(),
+    "other encoding": raw({"patterns": "pickle"}),
+    "unhashable encoding": raw({"patterns": {}}),
+    "other dtype": raw(array=npy(descr="|b1")),
+    "no keys": raw({"keys": []}),
+    "keys of text": raw({"keys": [["a"]]}),
+    "negative key": raw({"keys": [[-1, 0]]}),
+    "huge key": raw({"keys": [[2**32]]}),
+    "long key": raw({"keys": [[1] * 9]}),
+    "too many": raw({"keys": [[1, 0]] * 1000}),
+    "label out of range": message(np.full((3, 7), 9, np.uint8), patterns="labels"),
     "wrong shape": message(np.ones((1, 7, 3), np.float32)),
     "other axes": message(np.ones((1, 21), np.float32)),
     "NaN": message(np.nan * ON),
@@ -338,7 +381,7 @@ class LargeRig:
 
 
 def test_a_client_that_does_not_take_its_answer_is_dropped() -> None:
-    with running(LargeRig(), **LIMITS, lease_seconds=20) as server:
+    with running(LargeRig(), **{**LIMITS, "most_request_bytes": 10**7}, lease_seconds=20) as server:
         body = encode_patterns(np.ones((1, 2000, 2000), np.float32), [(1, 0)])
         with server.http() as http:
             lease = http.post("/v1/lease", json={"client": "slow"}).json()["lease"]

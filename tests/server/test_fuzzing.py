@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import copy
+import ast
+import io
 import json
+import os
 import struct
+import zipfile
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
@@ -25,7 +28,8 @@ from schemathesis.specs.openapi.checks import (
 )
 from tests.server.harness import RIGHT, Running, SlowRig, running
 
-from rfpipe.rigs.wire import MEDIA_TYPE, encode_patterns
+from rfpipe.rigs.messages import MEDIA_TYPE
+from rfpipe.rigs.wire import encode_patterns
 
 CHECKS = [
     not_a_server_error,
@@ -33,7 +37,10 @@ CHECKS = [
     content_type_conformance,
     response_schema_conformance,
 ]
-CASES = 2000
+TIMES = int(os.environ.get("RFPIPE_FUZZING_TIMES", "1"))
+"""So many times as many cases as in the suite."""
+
+CASES = 1000 * TIMES
 """At least so many in all, of the operations and ways of generation."""
 
 FEW = {"GET /v1/health", "GET /v1/status", "GET /v1/rig", "GET /v1/rig/arrays",
@@ -74,7 +81,7 @@ def test_no_request_makes_the_server_fail(server: Running) -> None:
 
 
 def fuzz(operation: Any, mode: GenerationMode, session: Any, seen: Counter[int]) -> None:
-    examples = 20 if operation.label in FEW else 320
+    examples = TIMES * (20 if operation.label in FEW else 160)
 
     @quiet(examples)
     @given(operation.as_strategy(generation_mode=mode))
@@ -97,6 +104,7 @@ LEAVES = st.one_of(
 VALUES = st.recursive(
     LEAVES, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner)
 )
+TUPLES = st.lists(st.integers(-1, 9) | st.sampled_from([2**31, 2**62, 10**30])).map(tuple)
 
 
 def test_no_message_makes_the_server_fail(server: Running) -> None:
@@ -111,7 +119,7 @@ def test_no_message_makes_the_server_fail(server: Running) -> None:
     with server.http() as http:
         lease = http.post("/v1/lease", json={"client": "fuzz"}).json()["lease"]
 
-        @quiet(600)
+        @quiet(500 * TIMES)
         @given(st.sampled_from(bodies), st.data())
         def send(body: bytes, data: st.DataObject) -> None:
             headers = {
@@ -124,27 +132,35 @@ def test_no_message_makes_the_server_fail(server: Running) -> None:
             assert answer.status_code in (200, 422), answer.text
 
         send()
-    assert seen[422] > 300
+    assert seen[422] > 250 * TIMES
     assert httpx.get(f"{server.url}/v1/health", trust_env=False).is_success
 
 
 def harmed(body: bytes, data: st.DataObject) -> bytes:
     """Change one thing in a message."""
-    magic, length = struct.unpack_from("<4sI", body)
-    header, content = json.loads(body[8 : 8 + length]), body[8 + length :]
-    way = data.draw(st.sampled_from(["fact", "array", "content", "length", "cut"]))
+    way = data.draw(st.sampled_from(["fact", "header", "content", "byte", "bytes", "cut"]))
     if way == "cut":
         return body[: data.draw(st.integers(0, len(body) - 1))]
-    if way == "length":
-        return struct.pack("<4sI", magic, data.draw(st.integers(0, 2**32 - 1))) + body[8:]
-    if way == "content":
+    if way in ("byte", "bytes"):  # of the zip file's own headers, too
+        changed = bytearray(body)
+        count = 1 if way == "byte" else 8
+        for place in data.draw(st.lists(st.integers(0, len(body) - 1), min_size=1, max_size=count)):
+            changed[place] = data.draw(st.integers(0, 255))
+        return bytes(changed)
+    with zipfile.ZipFile(io.BytesIO(body)) as archive:
+        facts, array = json.loads(archive.read("facts.json")), archive.read("patterns.npy")
+    magic, header, content = array[:8], ast.literal_eval(array[10:128].decode()), array[128:]
+    if way == "fact":
+        facts[data.draw(st.sampled_from(sorted(facts)))] = data.draw(VALUES)
+    elif way == "header":
+        header[data.draw(st.sampled_from(sorted(header)))] = data.draw(VALUES | TUPLES)
+    else:
         changed = bytearray(content)
         changed[data.draw(st.integers(0, len(content) - 1))] ^= data.draw(st.integers(1, 255))
         content = bytes(changed)
-    else:
-        header = copy.deepcopy(header)
-        group = header if way == "fact" else header["arrays"][0]
-        name = data.draw(st.sampled_from(sorted(group)))
-        group[name] = data.draw(VALUES)
-    text = json.dumps(header).encode()
-    return struct.pack("<4sI", magic, len(text)) + text + content
+    text = repr(header).encode()
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("facts.json", json.dumps(facts))
+        archive.writestr("patterns.npy", magic + struct.pack("<H", len(text)) + text + content)
+    return buffer.getvalue()

@@ -131,23 +131,6 @@ def test_without_benchmarks_there_is_no_word_of_them(results, page):
     assert not scale_of(results).blocks
 
 
-def test_what_the_benchmarks_left_is_shown(results, tmp_path):
-    folder = tmp_path / "results"
-    shutil.copytree(results, folder)
-    measured(folder)
-    build_report(BOTH, folder, folder / "report" / "index.html", *tables_of(folder))
-    page = Page(folder / "report" / "index.html")
-    assert "scale" in page.anchors
-    for shown in ("Time against rays", "Patterns against rays", "9,360", "1,234,567", "0.000125",
-                  "capture simulated", "2 threads"):  # fmt: skip
-        assert shown in page.words
-    figures = {path.stem for path in (folder / "report" / "figures").glob("*.png")}
-    assert {"time_by_rays", "patterns_by_rays"} <= figures
-    for name in ("scaling", "relight", "storage", "merge", "workflow"):
-        written = pd.read_csv(folder / "report" / "tables" / f"bench_{name}.csv")
-        assert len(written) == BENCHES[name].count("\n") - 1
-
-
 def test_time_is_drawn_against_rays_with_its_floor(results, tmp_path):
     folder = tmp_path / "results"
     shutil.copytree(results, folder)

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from jsonschema import Draft202012Validator
 from matplotlib.figure import Figure
-from tests.reports import BOTH, Page, acquired, benchmarked, measured, studied, tables_of
+from tests.reports import BENCHES, BOTH, Page, acquired, benchmarked, measured, studied, tables_of
 
 from rfpipe.errors import InputError, StoreError
 from rfpipe.pictures.images import srgb
@@ -62,6 +62,19 @@ def test_a_report_fits_the_schema_and_is_whole(built):
     assert len(results.figures) == len(list((built / "report" / "figures").glob("*.png")))
     data["sections"][0]["content"][0]["width"] = "wide"
     assert not Draft202012Validator(results_schema()).is_valid(data)
+
+
+def test_what_the_benchmarks_left_is_shown(built):
+    page = Page(built / "report" / "index.html")
+    assert "scale" in page.anchors
+    for shown in ("Time against rays", "Patterns against rays", "9,360", "1,234,567", "0.000125",
+                  "capture simulated", "2 threads"):  # fmt: skip
+        assert shown in page.words
+    figures = {path.stem for path in (built / "report" / "figures").glob("*.png")}
+    assert {"time_by_rays", "patterns_by_rays"} <= figures
+    for name in ("scaling", "relight", "storage", "merge", "workflow"):
+        written = pd.read_csv(built / "report" / "tables" / f"bench_{name}.csv")
+        assert len(written) == BENCHES[name].count("\n") - 1
 
 
 def texts_of(data) -> list[str]:

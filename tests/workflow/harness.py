@@ -14,6 +14,8 @@ from typing import Any
 
 import yaml
 
+from rfpipe.stages.evaluating.studies import STUDIES as ALL_STUDIES
+
 ROOT = Path(__file__).parents[2]
 
 CONFIG: dict[str, Any] = {
@@ -24,12 +26,20 @@ CONFIG: dict[str, Any] = {
     "methods": {"symmetric": {}, "dual": {}, "brute_force": {}},
     # one pattern at a time, for captures that can be stopped anywhere
     "capture": {"batch_patterns": 1, "black_frames": 4, "floodlit_frames": 4},
+    "report": {"resolutions": [4, 8]},
 }
 """`tiny` has 5 stages on each of its levels; `long` by brute force captures 288 patterns."""
 
 TINY = "results/tiny/symmetric/transport.json"
 DUAL = "results/tiny/dual/transport.json"
 LONG = "results/long/brute_force/transport.json"
+STUDIES = tuple(f"results/studies/{name}.json" for name in ALL_STUDIES)
+
+GLASS = {"kind": "frosted_glass.py:FrostedGlass", "shape": [6, 8], "channels": 1, "blur": 0.7}
+OWN_METHODS = {
+    "wide": {"method": "column_scan.py:ColumnScan", "width": 2},
+    "module": {"method": "column_scan:ColumnScan"},
+}
 
 STAGES = ("schedule", "capture", "merge", "normalize", "refine")
 
@@ -45,6 +55,14 @@ class Workflow:
         self.source: Path | None = None  # of another rfpipe than the installed one
         folder.mkdir(parents=True, exist_ok=True)
         self.configure(**({} if config is None else config))
+
+    @classmethod
+    def of(cls, folder: Path) -> Workflow:
+        """Return the run of a folder, with the settings that it has."""
+        settings = (folder / "config.yaml").read_text()
+        workflow = cls(folder)
+        workflow.config.write_text(settings)
+        return workflow
 
     def configure(self, **changes: Any) -> None:
         """Write the settings: CONFIG, its groups updated, its scenes and methods replaced."""
@@ -75,6 +93,11 @@ class Workflow:
         """Run Snakemake to its end and return what it said."""
         return self.end(self.start(*arguments), succeeds=succeeds)
 
+    def unlock(self) -> None:
+        """Do what ``snakemake --unlock`` does, without starting it; one test does that."""
+        for lock in (self.folder / ".snakemake" / "locks").iterdir():
+            lock.unlink()
+
     def end(self, process: subprocess.Popen[str], *, succeeds: bool = True) -> str:
         """Wait for Snakemake and check its exit status."""
         output, _ = process.communicate(timeout=4 * _PATIENCE_SECONDS)
@@ -92,6 +115,10 @@ class Workflow:
             for path in sorted(folder.rglob("*"))
             if path.is_file() and path.suffix != ".log" and not path.name.endswith("benchmark.tsv")
         }
+
+    def take_studies(self, other: Workflow) -> None:
+        """Take from another run what doesn't depend on the scenes of either."""
+        shutil.copytree(other.path("studies"), self.path("studies"))
 
     def copy_to(self, folder: Path) -> Workflow:
         """Copy the whole run, Snakemake's records and times included."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import dask
 import pytest
+from distributed import LocalCluster, Security
 from tests.workflow.harness import TINY, Workflow, undo
 from tests.workflow.stagewise import CAMERA, SHAPE, Acquisition, contents, damage, matrix_rig
 
@@ -24,8 +25,6 @@ from rfpipe.stages.plan import Plan
 
 
 def local_cluster(workers: int) -> Any:
-    from distributed import LocalCluster
-
     # a worker that dies shall not be tried again
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
         return LocalCluster(
@@ -63,6 +62,48 @@ def test_a_cluster_leaves_the_bytes_that_threads_leave(captured: Acquisition, ad
         merged.rename(level / f"of {len(left)}")  # or it would be kept
     assert left[0] == left[1] == left[2]
     assert len(left[0]["merge.zarr"]) == 20 + 3
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """One certificate for all, as dask's settings name it."""
+    file = tmp_path_factory.mktemp("tls") / "dask.pem"
+    security = Security.temporary()
+    file.write_text(f"{security.tls_client_key}\n{security.tls_client_cert}")
+    names = ("ca-file", *(f"{role}.{part}" for role in ROLES for part in ("key", "cert")))
+    return {f"distributed.comm.tls.{name}": str(file) for name in names}
+
+
+ROLES = ("client", "scheduler", "worker")
+
+
+def test_a_cluster_over_tls_with_the_certificates_of_dasks_settings(
+    certificates: dict[str, str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with dask.config.set(certificates):
+        security = Security(require_encryption=True)
+        with (
+            LocalCluster(1, threads_per_worker=1, processes=False, protocol="tls://",
+                         security=security, dashboard_address=None) as cluster,
+            connected(cluster.scheduler_address) as there,
+        ):  # fmt: skip
+            assert cluster.scheduler_address.startswith("tls://")
+            assert there.hand_out(lambda first, last: first + last)(2, 3).result() == 5
+            address = cluster.scheduler_address
+    assert "not encrypted" not in caplog.text
+    with pytest.raises(ClusterError, match=r"no ca-file and no client.cert.*docs/performance"):
+        connected(address).__enter__()
+
+
+def test_plain_tcp_to_another_machine_is_warned_of(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(cluster_module, "_PATIENCE_SECONDS", 0.1)
+    for host, is_warned in (("192.0.2.1", True), ("127.0.0.1", False), ("localhost", False)):
+        caplog.clear()
+        with pytest.raises(ClusterError, match="no scheduler answers"):
+            connected(f"tcp://{host}:9").__enter__()
+        assert ("dask unpickles what it gets" in caplog.text) == is_warned, host
 
 
 def test_workers_can_pass_the_work_on(captured: Acquisition, monkeypatch: Any) -> None:

@@ -57,7 +57,7 @@ def test_an_orphaned_capture_keeps_a_second_writer_out(
     try:
         assert "locked" in workflow.run(LONG, succeeds=False)  # two runs in one folder
         os.kill(process.pid, signal.SIGKILL)
-        workflow.run("--unlock")
+        workflow.unlock()
         output = workflow.run(LONG, succeeds=False)
         assert f"process {orphan} is writing this store" in output
         assert len(journal(store)) < 288
@@ -100,6 +100,6 @@ def test_a_stage_killed_in_the_middle_is_done_again(
     process.communicate()
     assert not log.with_suffix(".json").exists()
 
-    copy.run("--unlock")
+    copy.unlock()
     copy.run(TINY)
     assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")

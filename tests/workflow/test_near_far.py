@@ -23,10 +23,12 @@ WEDGE = {
 }
 
 
-def test_a_run_killed_between_probes_ends_as_an_acquisition_in_process(tmp_path: Path) -> None:
+def test_a_run_killed_between_probes_ends_as_an_acquisition_in_process(
+    tmp_path: Path, undisturbed: Workflow
+) -> None:
     workflow = Workflow(tmp_path)
-    report = {"resolutions": [4, 8]}
-    workflow.configure(scenes={"wedge": WEDGE}, methods={"near_far": {}}, report=report)
+    workflow.take_studies(undisturbed)
+    workflow.configure(scenes={"wedge": WEDGE}, methods={"near_far": {}})
     store = workflow.path("wedge/near_far/L02/capture.zarr")
     process = workflow.start("results/wedge/near_far/transport.json")
     freeze_writer(store, 3)
@@ -34,7 +36,7 @@ def test_a_run_killed_between_probes_ends_as_an_acquisition_in_process(tmp_path:
     process.communicate()
     before = journal(store)
     assert 3 <= len(before) < 14
-    workflow.run("--unlock")
+    workflow.unlock()
 
     output = workflow.run()
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.workflow.harness import CONFIG, Workflow
+from tests.workflow.harness import Workflow
 
 from rfpipe import OperatorRig, acquire, open_transport
 from rfpipe.errors import InputError
@@ -16,10 +15,6 @@ from rfpipe.store import read_manifest
 from rfpipe.testing import MethodContract
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "column_scan.py"
-SECTIONS = {
-    "wide": {"method": "column_scan.py:ColumnScan", "width": 2},
-    "module": {"method": "column_scan:ColumnScan"},
-}
 
 
 class TestColumnScan(MethodContract):
@@ -30,15 +25,8 @@ class TestColumnScan(MethodContract):
         return get_method(f"{EXAMPLE}:ColumnScan")
 
 
-def test_it_runs_in_the_workflow_beside_rfpipe_s_own(tmp_path: Path) -> None:
-    shutil.copy(EXAMPLE, tmp_path)
-    workflow = Workflow(tmp_path)
-    workflow.configure(
-        scenes={"tiny": CONFIG["scenes"]["tiny"]},
-        methods={**SECTIONS, "brute_force": {}},
-        report={"resolutions": [4]},
-    )
-    workflow.run()
+def test_it_runs_in_the_workflow_beside_rfpipe_s_own(of_ones_own: Workflow) -> None:
+    workflow = of_ones_own
     page = workflow.path("report/index.html").read_text(encoding="utf-8")
     assert "Scan of columns" in page
     for name, patterns in (("wide", 4), ("module", 8)):

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.workflow.harness import Workflow
+from tests.workflow.harness import GLASS, Workflow
 
 from rfpipe import acquire, open_transport
 from rfpipe.config import SceneSettings, parse_config
@@ -17,7 +16,7 @@ from rfpipe.scenes import scene_from_config
 from rfpipe.testing import SceneContract
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "frosted_glass.py"
-OPTIONS = {"shape": [6, 8], "channels": 1, "blur": 0.7}
+OPTIONS = {name: value for name, value in GLASS.items() if name != "kind"}
 
 
 def made(**options):
@@ -30,17 +29,8 @@ class TestFrostedGlass(SceneContract):
         return made(channels=3)
 
 
-def test_it_runs_in_the_workflow_beside_rfpipe_s_own(tmp_path: Path) -> None:
-    shutil.copy(EXAMPLE, tmp_path)
-    workflow = Workflow(tmp_path)
-    workflow.configure(
-        scenes={"glass": {"kind": "frosted_glass.py:FrostedGlass", **OPTIONS},
-                "wall": {"kind": "plane", "surfaces": ["white"], "shape": [6, 8]}},
-        methods={"brute_force": {}},
-        camera=None,
-        report={"resolutions": [4]},
-    )  # fmt: skip
-    workflow.run()
+def test_it_runs_in_the_workflow_beside_rfpipe_s_own(of_ones_own: Workflow) -> None:
+    workflow = of_ones_own
     page = workflow.path("report/index.html").read_text(encoding="utf-8")
     assert "frosted_glass.py:FrostedGlass" in page.replace("frosted glass.py", "frosted_glass.py")
     relit = open_transport(workflow.path("glass/brute_force/transport.zarr"))

@@ -20,15 +20,15 @@ CASES = {
 }
 
 
-def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path) -> None:
+def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path, undisturbed: Workflow) -> None:
     require_llvm()
     workflow = Workflow(tmp_path)
+    workflow.take_studies(undisturbed)
     light = {"kind": "mitsuba", "samples": 64, "bounces": 3}
     workflow.configure(
         scenes={name: light | case for name, case in CASES.items()},
         methods={"brute_force": {}},
         camera=None,
-        report={"resolutions": [4]},
     )
     workflow.run()
     for name, scene in load_config(workflow.config).scenes.items():

@@ -135,7 +135,7 @@ def test_a_client_killed_in_the_middle_of_a_level_goes_on(
     process.communicate()
     captured = len(journal(store))
     assert server.status()["holder"] is not None  # until its lease lapses
-    workflow.run("--unlock")
+    workflow.unlock()
     output = workflow.run(LONG)
     assert f"{captured} of 288 patterns are captured" in output
     assert server.status()["holder"] is None
@@ -155,7 +155,7 @@ def test_both_killed_in_the_middle_of_a_level_go_on(
     process.communicate()
     assert 20 <= len(journal(store)) < 288
     server.start()
-    workflow.run("--unlock")
+    workflow.unlock()
     workflow.run(LONG)
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
@@ -213,7 +213,7 @@ def test_another_rig_in_the_middle_of_an_acquisition_is_refused(
     captured = journal(store)
     server.settings["seed"] = 2
     server.start()
-    workflow.run("--unlock")
+    workflow.unlock()
     output = workflow.run(LONG, succeeds=False)
     assert "the rig is not that of the patterns captured before (seed 1 -> 2)" in output
     assert journal(store) == captured

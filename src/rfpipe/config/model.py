@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self, TypeVar
-from urllib.parse import urlsplit
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
+from rfpipe.config.addresses import check_port, check_server
 from rfpipe.config.base import (
     Extent,
     Fraction,
@@ -26,6 +26,7 @@ from rfpipe.config.figures import FiguresConfig
 from rfpipe.config.offline import OfflineConfig
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
+from rfpipe.units import SATURATION_FRACTION
 
 __all__ = [
     "CaptureConfig",
@@ -43,8 +44,6 @@ NumberFormat = Literal["float32", "uint16", "uint8"]
 
 Batch = Annotated[int, Field(ge=1, le=1024)]
 SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
-
-_Address = TypeVar("_Address", str, str | None)
 
 # Those of the default run, in the order of its report.
 _DEFAULT_METHODS = ("near_far", "symmetric", "dual")
@@ -132,8 +131,9 @@ class CaptureConfig(Settings):
 
     @field_validator("url")
     @classmethod
-    def _server_has_a_port(cls, url: str) -> str:
-        return _checked_port(url)
+    def _is_of_a_server(cls, url: str) -> str:
+        check_server(url)
+        return url
 
     @field_validator("symmetry_frames")
     @classmethod
@@ -162,7 +162,7 @@ class MergeConfig(Settings):
     """How a bracket becomes a radiance image."""
 
     saturation_fraction: float = Field(
-        0.98,
+        SATURATION_FRACTION,
         gt=0,
         le=1,
         description="Counts at or above this fraction of full scale are saturated and not used, "
@@ -194,14 +194,17 @@ class ResourcesConfig(Settings):
         None,
         pattern=r"^(tcp|tls|ucx)://\S+:\d+$",
         description="Address of a dask scheduler whose workers merge brackets, such as "
-        "tcp://host:8786, or null to work here. They must see the results' folder under the same "
-        "path.",
+        "tls://host:8786, or null to work here. They must see the results' folder under the same "
+        "path. Over plain tcp:// whoever reaches the scheduler can run programs on all of these "
+        "machines: docs/performance.md tells how to set up TLS.",
     )
 
     @field_validator("cluster")
     @classmethod
     def _cluster_has_a_port(cls, address: str | None) -> str | None:
-        return _checked_port(address)
+        if address is not None:
+            check_port(address)
+        return address
 
 
 class StorageConfig(Settings):
@@ -236,18 +239,6 @@ class ReportConfig(Settings):
         description="The thesis' figures on physically based scenes, or null for none: side, "
         "samples, positions and cache; they need the extra rfpipe[mitsuba].",
     )
-
-
-def _checked_port(address: _Address) -> _Address:
-    """Return an address as it is; raise ValueError where its port is none."""
-    if address is not None:
-        try:
-            port = urlsplit(address).port
-        except ValueError:
-            port = 0
-        if port == 0:
-            raise ValueError("should have a port from 1 to 65535")
-    return address
 
 
 def _default_scenes() -> dict[str, SceneSettings]:

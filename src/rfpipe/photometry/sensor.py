@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.response import Response
-from rfpipe.units import RADIANCE
+from rfpipe.units import RADIANCE, SATURATION_FRACTION
 
 __all__ = [
     "BracketMerge",
@@ -71,7 +71,7 @@ class MergeOptions:
     """
 
     black_count: int = 1
-    saturation_fraction: float = 0.98
+    saturation_fraction: float = SATURATION_FRACTION
     response: Response | None = None
     brackets: int = 0
 

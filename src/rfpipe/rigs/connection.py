@@ -6,8 +6,8 @@ import logging
 import threading
 import time
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
+from rfpipe.config.addresses import check_server
 from rfpipe.errors import CaptureError, InputError
 
 if TYPE_CHECKING:
@@ -63,12 +63,10 @@ class Connection:
     def __init__(self, url: str, token: str, patience_seconds: float) -> None:
         import httpx
 
-        parts = urlsplit(url)
-        if parts.scheme not in ("http", "https") or not parts.hostname or parts.path.strip("/"):
-            raise InputError(
-                f"url is {url!r}; expected that of an acquisition server without a path, such as "
-                "http://127.0.0.1:8750"
-            )
+        try:
+            check_server(url)
+        except ValueError as error:
+            raise InputError(f"url is {url!r}; it {error}") from None
         if not 0 <= patience_seconds < float("inf"):
             raise InputError(f"patience_seconds is {patience_seconds}; expected at least 0")
         self._settings = (url, token, patience_seconds)
@@ -78,7 +76,7 @@ class Connection:
             base_url=self._url,
             headers={"Authorization": f"Bearer {token}"},
             limits=httpx.Limits(max_connections=1, keepalive_expiry=_KEEP_ALIVE_SECONDS),
-            verify=parts.scheme == "https",  # without it, certificates needn't be loaded
+            verify=url.startswith("https"),  # without it, certificates needn't be loaded
             trust_env=False,  # a proxy for the web doesn't lead to a rig
         )
         self._closing = threading.Event()

@@ -18,7 +18,8 @@ from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.connection import Connection, RefusedError
 from rfpipe.rigs.devices import Closing
 from rfpipe.rigs.heartbeat import HeartBeat
-from rfpipe.rigs.wire import MEDIA_TYPE, encode_patterns, unpack
+from rfpipe.rigs.messages import MEDIA_TYPE, unpack
+from rfpipe.rigs.wire import encode_patterns
 
 if TYPE_CHECKING:
     import httpx
@@ -114,6 +115,10 @@ class RemoteRig(Closing):
     def _request(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Have patterns shown by one request, sent again until its answer arrives whole."""
         body = encode_patterns(patterns, keys)
+        half = len(patterns) // 2
+        if half and len(body) > self._described["limits"]["request_bytes"]:
+            parts = (slice(0, half), slice(half, None))
+            return np.concatenate([self._request(patterns[part], keys[part]) for part in parts])
         headers = {
             "Content-Type": MEDIA_TYPE,
             # the server knows the request by it, and exposes nothing twice

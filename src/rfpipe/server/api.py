@@ -7,6 +7,7 @@ import hashlib
 import logging
 import time
 from collections.abc import AsyncIterator, Callable
+from concurrent.futures import Future
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from math import prod
@@ -14,14 +15,13 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, FastAPI, Header, HTTPException, Request, Response
 from fastapi.security import HTTPBearer
-from numpy.typing import NDArray
 
 import rfpipe
 from rfpipe.errors import CaptureError, InputError, TransferError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
-from rfpipe.rigs.base import check_patterns
-from rfpipe.rigs.wire import MEDIA_TYPE, decode_patterns, pack
+from rfpipe.rigs.messages import MEDIA_TYPE, pack
+from rfpipe.rigs.wire import decode_patterns
 from rfpipe.server.guard import CAPTURE_PATH, Guard
 from rfpipe.server.lease import Lease, LeaseHeldError, LeaseLapsedError, Leases
 from rfpipe.server.models import (
@@ -82,6 +82,10 @@ class _Served:
     began: float = field(default_factory=time.monotonic)
     drawn: tuple[int, bytes] = (0, b"")
     drawing: asyncio.Lock = field(default_factory=asyncio.Lock)
+    arrays: bytes | None = None
+    packing: asyncio.Lock = field(default_factory=asyncio.Lock)
+    reading: asyncio.Lock = field(default_factory=asyncio.Lock)
+    """Held while a capture's body is in memory: one at a time."""
 
 
 def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> FastAPI:
@@ -98,7 +102,7 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
     Returns
     -------
     FastAPI
-        Its shutdown closes the rig. `rfpipe.server.run` adds deadlines for slow clients.
+        Its shutdown closes the rig. `rfpipe.server.run` adds a deadline for heads.
 
     Raises
     ------
@@ -182,9 +186,11 @@ async def rig(served: Served) -> RigAnswer:
 )
 async def rig_arrays(served: Served) -> Response:
     """Return the arrays of a resampled sensor; none of another one."""
-    arrays = getattr(served.worker.rig.sensor, "arrays", dict)
-    message = await asyncio.to_thread(lambda: pack({}, arrays(), deflate=True))
-    return Response(message, media_type=MEDIA_TYPE)
+    async with served.packing:
+        if served.arrays is None:
+            arrays = getattr(served.worker.rig.sensor, "arrays", dict)
+            served.arrays = await asyncio.to_thread(lambda: pack({}, arrays(), deflate=True))
+    return Response(served.arrays, media_type=MEDIA_TYPE)
 
 
 @_closed.post("/lease", responses=_problems(409, 422))
@@ -205,6 +211,7 @@ async def renew(lease: LeaseHeader, served: Served) -> LeaseAnswer:
 async def release(lease: LeaseHeader, served: Served) -> None:
     """Give the rig back."""
     _log.info("%s gives the rig back", served.leases.release(lease).client)
+    served.worker.forget()
 
 
 @_closed.post(
@@ -226,19 +233,29 @@ async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: 
     served.leases.renew(lease)
     if request.headers.get("content-type") != MEDIA_TYPE:
         raise HTTPException(415, f"the body must be of the type {MEDIA_TYPE}")
-    body = await request.body()
-    projector = tuple(served.rig.projector_shape)
-
-    def submitted() -> Any:
-        patterns, keys = decode_patterns(body, projector, served.rig.limits.patterns)
-        check_patterns(patterns, keys, projector)  # all, before the first is shown
-        asked = Capture(hashlib.sha256(body).hexdigest(), lease, patterns, keys)
-        return served.worker.submit(key, asked), keys
-
-    future, keys = await asyncio.to_thread(submitted)
+    served.worker.check_free(key)  # before anything of the body is read
+    future = await _submitted(request, lease, key, served)
     # shielded: a client that goes away doesn't take the exposure back
-    brackets = await asyncio.shield(asyncio.wrap_future(future))
-    return Response(await asyncio.to_thread(_message, keys, brackets), media_type=MEDIA_TYPE)
+    message = await asyncio.shield(asyncio.wrap_future(future))
+    return Response(message, media_type=MEDIA_TYPE)
+
+
+async def _submitted(request: Request, lease: str, key: str, served: _Served) -> Future[bytes]:
+    """Read the body of a capture and have its patterns exposed; the body isn't kept."""
+    projector, limits = tuple(served.rig.projector_shape), served.rig.limits
+
+    def submit() -> Future[bytes]:
+        digest = hashlib.sha256(body).hexdigest()
+        future = served.worker.again(key, digest, lease)
+        if future is not None:
+            return future
+        # all are checked before the first is shown
+        patterns = decode_patterns(body, projector, limits.patterns, limits.request_bytes)
+        return served.worker.submit(key, Capture(digest, lease, patterns))
+
+    async with served.reading:
+        body = b"".join([piece async for piece in request.stream()])
+        return await asyncio.to_thread(submit)
 
 
 @_closed.get(
@@ -263,7 +280,9 @@ def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
     """Describe a rig, and how much of it a request may ask for."""
     described = rig.describe()
     bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
-    fitting = settings.most_response_bytes // (bracket * rig.sensor.frame_dtype.itemsize)
+    brackets = settings.most_response_bytes // (bracket * rig.sensor.frame_dtype.itemsize)
+    # of ones and zeros: eight a byte
+    patterns = 8 * settings.most_request_bytes // prod(rig.projector_shape)
     return RigAnswer(
         camera_shape=list(rig.camera_shape),
         projector_shape=list(rig.projector_shape),
@@ -274,7 +293,7 @@ def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
         description=described,
         digest=fingerprint(described),
         limits=Limits(
-            patterns=max(1, min(settings.most_patterns, fitting)),
+            patterns=max(1, min(settings.most_patterns, brackets, patterns)),
             request_bytes=settings.most_request_bytes,
             lease_seconds=settings.lease_seconds,
         ),
@@ -283,7 +302,3 @@ def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
 
 def _answer(lease: Lease, served: _Served) -> LeaseAnswer:
     return LeaseAnswer(lease=lease.id, seconds=served.leases.seconds)
-
-
-def _message(keys: list[tuple[int, ...]], brackets: list[NDArray[Any]]) -> bytes:
-    return pack({"keys": keys}, {str(index): bracket for index, bracket in enumerate(brackets)})

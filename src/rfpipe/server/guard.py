@@ -1,7 +1,8 @@
-"""What stands before the application: the token, limits on bodies, and the log of requests."""
+"""What stands before the application: the token, limits on bodies and answers, and the log."""
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import hmac
 import logging
@@ -25,15 +26,23 @@ _OPEN_PATHS = frozenset({"/v1/health", "/v1/openapi.json"})
 CAPTURE_PATH = "/v1/captures"
 
 _SMALL_BODY_BYTES = 4096
+_PIECE_BYTES = 2**18
 _HEADERS = ((b"cache-control", b"no-store"), (b"x-content-type-options", b"nosniff"))
+_CLOSE = (b"connection", b"close")
 
 _log = logging.getLogger("rfpipe.server.requests")
+
+
+class _NotTakenError(Exception):
+    """The client doesn't take its answer."""
 
 
 class Guard:
     """ASGI middleware that lets no request through without the token, nor with too long a body.
 
-    Nothing of a body is read before the token was found right.
+    Nothing of a body is read before the token was found right, and connections of those who haven't
+    shown it end with their answer: they can't keep others out. A body has to arrive, and each piece
+    of an answer to be taken, in time.
 
     Parameters
     ----------
@@ -52,10 +61,13 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        send, path, headers = _logged(send, scope), scope["path"], dict(scope["headers"])
+        path, headers = scope["path"], dict(scope["headers"])
+        is_known = self._is_right(headers.get(b"authorization"))
+        seconds = self._settings.body_seconds
+        send = _logged(_in_pieces(send, seconds), scope, closes=not is_known)
         most = self._settings.most_request_bytes if path == CAPTURE_PATH else _SMALL_BODY_BYTES
         declared = _declared_length(headers)
-        if path not in _OPEN_PATHS and not self._is_right(headers.get(b"authorization")):
+        if not is_known and path not in _OPEN_PATHS:
             refusal = problem_response(
                 401,
                 "the bearer token is missing or wrong; it is the one that the server was started "
@@ -63,14 +75,18 @@ class Guard:
                 {"WWW-Authenticate": "Bearer"},
             )
         elif declared > most:
+            # closed, rather than to read a long body to its end
             refusal = problem_response(
-                413, f"a body of {declared} bytes; up to {most} are allowed here"
+                413,
+                f"a body of {declared} bytes; up to {most} are allowed here",
+                {"Connection": "close"},
             )
         else:
-            await self._app(scope, _limited(receive, most), send)
+            try:
+                await self._app(scope, _limited(receive, most, seconds), send)
+            except _NotTakenError:
+                _log.warning("%s: the answer was not taken in time", path)
             return
-        if declared > _SMALL_BODY_BYTES or b"transfer-encoding" in headers:
-            refusal.headers["Connection"] = "close"  # rather than to read a long body to its end
         await refusal(scope, receive, send)
 
     def _is_right(self, authorization: bytes | None) -> bool:
@@ -85,13 +101,23 @@ def _declared_length(headers: dict[bytes, bytes]) -> int:
     return int(length) if length.isdigit() else 0
 
 
-def _limited(receive: Receive, most: int) -> Receive:
-    """Count the bytes of a body as they arrive, and refuse more than are allowed."""
-    left = most
+def _limited(receive: Receive, most: int, seconds: float) -> Receive:
+    """Refuse a body of more bytes than are allowed, or that takes longer since it is asked for."""
+    left, deadline, is_whole = most, 0.0, False
 
-    async def receive_counted() -> Message:
-        nonlocal left
-        message = await receive()
+    async def receive_limited() -> Message:
+        nonlocal left, deadline, is_whole
+        if is_whole:
+            return await receive()
+        deadline = deadline or asyncio.get_running_loop().time() + seconds
+        try:
+            async with asyncio.timeout_at(deadline):
+                message = await receive()
+        except TimeoutError:
+            raise HTTPException(
+                408, "the request did not arrive in time", {"Connection": "close"}
+            ) from None
+        is_whole = not message.get("more_body", False)
         left -= len(message.get("body", b""))
         if left < 0:
             raise HTTPException(
@@ -99,11 +125,35 @@ def _limited(receive: Receive, most: int) -> Receive:
             )
         return message
 
-    return receive_counted
+    return receive_limited
 
 
-def _logged(send: Send, scope: Scope) -> Send:
-    """Log a response once it is sent."""
+def _in_pieces(send: Send, seconds: float) -> Send:
+    """Send a body piece by piece, each when the one before it was taken.
+
+    Raises _NotTakenError, and leaves the answer incomplete, where that takes too long.
+    """
+
+    async def send_pieces(message: Message) -> None:
+        body = message.get("body", b"")
+        starts = range(0, max(1, len(body)), _PIECE_BYTES)
+        for start in starts:
+            piece = message
+            if len(starts) > 1:
+                is_last = start == starts[-1] and not message.get("more_body", False)
+                some = body[start : start + _PIECE_BYTES]
+                piece = {**message, "body": some, "more_body": not is_last}
+            try:
+                async with asyncio.timeout(seconds):
+                    await send(piece)
+            except TimeoutError:
+                raise _NotTakenError from None
+
+    return send_pieces
+
+
+def _logged(send: Send, scope: Scope, *, closes: bool) -> Send:
+    """Log a response once it is sent; it `closes` its connection, or leaves it open."""
     status = sent = 0
     began = time.perf_counter()
 
@@ -111,7 +161,8 @@ def _logged(send: Send, scope: Scope) -> Send:
         nonlocal status, sent
         if message["type"] == "http.response.start":
             status = message["status"]
-            message["headers"] = [*message.get("headers", ()), *_HEADERS]
+            added = (*_HEADERS, _CLOSE) if closes else _HEADERS
+            message["headers"] = [*message.get("headers", ()), *added]
         sent += len(message.get("body", b""))
         await send(message)
         if message["type"] == "http.response.body" and not message.get("more_body", False):

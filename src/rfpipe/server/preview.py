@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.pictures.images import srgb
 from rfpipe.server.worker import Shown
+from rfpipe.units import SATURATION_FRACTION
 
 __all__ = ["preview_png"]
 
@@ -28,7 +29,8 @@ def preview_png(shown: Shown, sensor: Mapping[str, Any], exposures: Sequence[flo
     shown : Shown
         Its bracket is (E, *shape[, C]); of a stack of views the views stand one above the other.
     sensor : mapping
-        The sensor's description; where it tells the camera's bits, saturated pixels are red.
+        The sensor's description; where it tells the camera's bits, pixels are red that
+        the merge takes for saturated where nothing else is set.
     exposures : sequence of E float
         In seconds.
 
@@ -47,7 +49,7 @@ def preview_png(shown: Shown, sensor: Mapping[str, Any], exposures: Sequence[flo
     axes = figure.subplots(2, len(images), squeeze=False)
     for image, exposure, (above, below) in zip(images, exposures, axes.T, strict=True):
         top = full_scale or float(image.max()) or 1.0
-        is_full = image >= top if full_scale else np.zeros(image.shape, bool)
+        is_full = image >= SATURATION_FRACTION * top if full_scale else np.zeros(image.shape, bool)
         above.imshow(_shown(image, is_full, top), interpolation="nearest")
         above.set(xticks=[], yticks=[], xlabel=f"{exposure:g} s; {is_full.mean():.2%} saturated")
         for channel, colour in enumerate(_CHANNEL_COLOURS[image.shape[-1]]):

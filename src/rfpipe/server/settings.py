@@ -32,12 +32,12 @@ class ServerSettings(Settings):
     most_patterns : int
         Patterns in a request, 1 to 1024.
     most_request_bytes : int
-        Bytes of the body of a request, at least 4096.
+        Bytes of the body of a request, and of its patterns after decompression, at least 4096.
     most_response_bytes : int
         Bytes of the brackets that answer a request; fewer patterns fit where brackets are large,
         but always one.
     most_connections : int
-        Connections at a time, at least 8.
+        Connections at a time, at least 8; who has shown no token makes room for further ones.
     head_seconds : float
         Time in which a connection has to send the head of its request, above 0.
     body_seconds : float
@@ -60,7 +60,7 @@ class ServerSettings(Settings):
     lease_seconds: float = Field(15.0, ge=0.5, le=3600)
     most_patterns: int = Field(64, ge=1, le=1024)
     most_request_bytes: int = Field(64 * 2**20, ge=4096)
-    most_response_bytes: int = Field(256 * 2**20, gt=0)
+    most_response_bytes: int = Field(128 * 2**20, gt=0)
     most_connections: int = Field(512, ge=8)
     head_seconds: float = Field(10.0, gt=0)
     body_seconds: float = Field(60.0, gt=0)

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
+from rfpipe.rigs.messages import Message
+from rfpipe.rigs.wire import SentPatterns
 from rfpipe.server.lease import Leases
 from rfpipe.server.models import Metrics
 
@@ -27,8 +29,10 @@ __all__ = [
     "Shown",
 ]
 
-Frames = list[NDArray[Any]]
 Patterns = NDArray[np.float32]
+
+# of which one ends before its next pattern, since its lease has lapsed
+_MOST_UNDER_WAY = 2
 
 _log = logging.getLogger("rfpipe.server")
 
@@ -56,26 +60,29 @@ class Shown:
 
 @dataclass
 class Capture:
-    """The patterns of one request, and the brackets of those exposed so far.
+    """The patterns of one request, and the message of the brackets of those exposed so far.
 
     Attributes
     ----------
     digest : str
         Of the request's content.
     lease : str
-    patterns : ndarray of float32, shape (B, *projector_shape)
-    keys : list of B tuples of int
-    brackets : list of ndarray
+    patterns : SentPatterns or None
+        None once they were exposed, or their exposure ended.
+    brackets : Message or None
+        None once it is the result.
+    exposed : int
+        Patterns whose brackets are there.
     result : Future or None
-        None until it was begun.
+        Of the message; None until it was begun.
     """
 
     digest: str
     lease: str
-    patterns: Patterns
-    keys: list[tuple[int, ...]]
-    brackets: Frames = field(default_factory=list)
-    result: Future[Frames] | None = None
+    patterns: SentPatterns | None
+    brackets: Message | None = None
+    exposed: int = 0
+    result: Future[bytes] | None = None
 
     @property
     def is_under_way(self) -> bool:
@@ -117,49 +124,74 @@ class RigWorker:
             self._thread.shutdown()
             raise
 
-    def submit(self, identity: str, asked: Capture) -> Future[Frames]:
-        """Have patterns exposed that weren't yet under this identity.
+    def check_free(self, identity: str) -> None:
+        """Raise RigBusyError where `submit` would, whatever the patterns are.
+
+        Asked before anything of a request is read, or held in memory.
+        """
+        with self._lock:
+            capture = self._captures.get(identity)
+            if capture is None or capture.result is None:
+                self._check_free()
+
+    def again(self, identity: str, digest: str, lease: str) -> Future[bytes] | None:
+        """Return the result of a request that came before and goes on, or is done; None if not.
+
+        Raises
+        ------
+        CaptureConflictError
+            When the identity was used with another content.
+        """
+        with self._lock:
+            capture = self._captures.get(identity)
+            if capture is None:
+                return None
+            if capture.digest != digest:
+                raise CaptureConflictError(
+                    "this Idempotency-Key was used with other patterns; take a new one"
+                )
+            capture.lease = lease
+            if not capture.is_under_way and capture.brackets is not None:
+                return None
+            self.metrics.answered_again += 1
+            return capture.result
+
+    def submit(self, identity: str, asked: Capture) -> Future[bytes]:
+        """Have patterns exposed that weren't yet under this identity, which isn't under way.
 
         Parameters
         ----------
         identity : str
             Of the request; the same when it comes again.
         asked : Capture
+            With its patterns.
 
         Returns
         -------
         Future
-            Of B brackets. Raises CaptureError, InputError or CaptureStoppedError; what was exposed
-            until then is kept, and the same request goes on from there.
+            Of the message with the brackets. Raises CaptureError, InputError or
+            CaptureStoppedError; what was exposed until then is kept, and the same request goes on
+            from there.
 
         Raises
         ------
-        CaptureConflictError
-            When the identity was used with another content.
         RigBusyError
             When another request's capture is under way.
         """
         with self._lock:
+            self._check_free()
             capture = self._captures.get(identity)
-            if capture is not None:
-                if capture.digest != asked.digest:
-                    raise CaptureConflictError(
-                        "this Idempotency-Key was used with other patterns; take a new one"
-                    )
-                capture.lease = asked.lease
-                if capture.is_under_way or len(capture.brackets) == len(capture.keys):
-                    self.metrics.answered_again += 1
-                    assert capture.result is not None
-                    return capture.result
-            busy = [other for other in self._captures.values() if other.is_under_way]
-            # one that has lost its lease ends before its next pattern
-            if any(self._leases.is_held_by(other.lease) for other in busy):
-                raise RigBusyError("another capture of this lease is under way; send one at a time")
             if capture is None:
-                self._forget()
+                self._forget(self._kept - 1)
                 capture = self._captures[identity] = asked
+            capture.patterns, capture.lease = asked.patterns, asked.lease
             capture.result = self._thread.submit(self._expose, capture)
             return capture.result
+
+    def forget(self) -> None:
+        """Free what is kept for requests that may come again: their client is done."""
+        with self._lock:
+            self._forget(0)
 
     def stop(self) -> None:
         """Let the pattern that is being exposed be the last one; a signal handler may call it."""
@@ -184,30 +216,45 @@ class RigWorker:
         finally:
             self._thread.shutdown()
 
-    def _forget(self) -> None:
-        """Make room for another capture: forget the oldest ones, none of them under way."""
+    def _check_free(self) -> None:
+        busy = [capture for capture in self._captures.values() if capture.is_under_way]
+        # one that has lost its lease ends before its next pattern
+        if len(busy) >= _MOST_UNDER_WAY or any(
+            self._leases.is_held_by(capture.lease) for capture in busy
+        ):
+            raise RigBusyError("another capture is under way; send one at a time")
+
+    def _forget(self, kept: int) -> None:
+        """Forget all but the latest captures, and none that is under way."""
         done = [name for name, capture in self._captures.items() if not capture.is_under_way]
-        for name in done[: max(0, len(done) + 1 - self._kept)]:
+        for name in done[: max(0, len(done) - kept)]:
             del self._captures[name]
 
-    def _expose(self, capture: Capture) -> Frames:
+    def _expose(self, capture: Capture) -> bytes:
         """Expose the patterns that are missing, one by one."""
-        for index in range(len(capture.brackets), len(capture.keys)):
+        patterns, capture.patterns = capture.patterns, None  # freed with the end of this
+        assert patterns is not None
+        if capture.brackets is None:
+            capture.brackets = Message({"keys": patterns.keys})
+        for index in range(capture.exposed, len(patterns)):
             if self.is_stopping:
                 raise CaptureStoppedError("the server is being stopped; send it again")
             if not self._leases.is_held_by(capture.lease):
                 raise CaptureStoppedError("the lease lapsed; send it again")
+            key = patterns.keys[index]
             began = time.perf_counter()
-            bracket = self._bracket(capture.patterns[index], capture.keys[index])
+            bracket = self._bracket(patterns.expanded(index, index + 1), key)
             self.metrics.exposing_seconds += time.perf_counter() - began
             self.metrics.brackets += 1
-            self.last = Shown(self.metrics.brackets, capture.keys[index], bracket)
-            capture.brackets.append(bracket)
-        return capture.brackets
+            self.last = Shown(self.metrics.brackets, key, bracket)
+            capture.brackets.add(str(index), bracket)
+            capture.exposed += 1
+        message, capture.brackets = capture.brackets.content(), None
+        return message
 
-    def _bracket(self, pattern: Patterns, key: tuple[int, ...]) -> NDArray[Any]:
+    def _bracket(self, patterns: Patterns, key: tuple[int, ...]) -> NDArray[Any]:
         try:
-            return self._checked(self.rig.capture(pattern[None], [key]))
+            return self._checked(self.rig.capture(patterns, [key]))
         except InputError:
             raise
         except Exception as error:

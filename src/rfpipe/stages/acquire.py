@@ -30,6 +30,7 @@ from rfpipe.stages.merging.merger import LevelSum, Merger, runs
 from rfpipe.stages.symmetry import Asymmetry, measure
 from rfpipe.transport import Transport
 from rfpipe.transport.filling import fill_from_transpose
+from rfpipe.units import SATURATION_FRACTION
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -90,7 +91,7 @@ def acquire(
     symmetry_frames: int = 6,
     asymmetry: float = 0.05,
     mask_defects: bool = True,
-    saturation_fraction: float = 0.98,
+    saturation_fraction: float = SATURATION_FRACTION,
     **options: Any,
 ) -> AcquisitionResult:
     """Acquire the transport between a rig's projector and camera.

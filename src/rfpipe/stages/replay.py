@@ -22,13 +22,12 @@ from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.merge import MergedFrames
 from rfpipe.stages.merging.references import read_floodlit, read_merger
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.units import SATURATION_FRACTION
 
 __all__ = ["Recorded", "RecordedOptions", "RecordedScene"]
 
 # A pattern is spanned where the recorded ones make it up to within so much of full light.
 _SPANNED = 1e-3
-# As the merge has it where nothing else is set.
-_SATURATION_FRACTION = 0.98
 # Eigenvalues below this part of the largest one are rounding.
 _ROUNDING = 1e-10
 
@@ -176,7 +175,7 @@ def _symmetry(folder: AcquisitionFolder) -> NDArray[np.float32] | None:
     """Return the radiance of the random patterns that it began with, if they are there."""
     if not folder.store(0, SYMMETRY).exists():
         return None
-    merger = read_merger(read_sensor(folder), folder, _SATURATION_FRACTION)
+    merger = read_merger(read_sensor(folder), folder, SATURATION_FRACTION)
     with folder.frames(0, "capture", SYMMETRY) as frames:
         if frames.dropped:
             return None

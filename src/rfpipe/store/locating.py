@@ -46,8 +46,9 @@ def locate(path: str | Path) -> Path | Place:
         found = _ZIP.match(address)
         if found is None:
             return ObjectPlace(*connect(address))
-        store, key, _ = connect(found[1])
-        return _in_zip(open_ranged(store, key, found[1]), found[1], address[found.end() :])
+        store, key, root = connect(found[1])
+        name = f"{root}/{key}"
+        return _in_zip(open_ranged(store, key, name), name, address[found.end() :])
     for outer in (Path(path), *Path(path).parents):
         if outer.suffix.lower() == ".zip" and outer.is_file():
             return _in_zip(outer, str(outer), Path(path).relative_to(outer).as_posix())

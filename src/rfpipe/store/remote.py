@@ -11,7 +11,7 @@ from datetime import timedelta
 from typing import IO, Any, cast
 from urllib.parse import urlsplit
 
-from rfpipe.errors import InputError, StoreError
+from rfpipe.errors import InputError, StoreError, without_password
 from rfpipe.store.places import Place
 
 __all__ = ["ObjectPlace", "connect", "open_ranged"]
@@ -205,7 +205,7 @@ def connect(address: str) -> tuple[Any, str, str]:
             f"{address}: to read behind an address needs the extra publish; run "
             "'pip install rfpipe[publish]', or download it"
         ) from error
-    root = f"{scheme}://{parts.netloc}"
+    root = f"{scheme}://{parts.netloc}"  # with a password, if the address has one
     options: Any = {"allow_http": True}
     store: Any
     if scheme == "s3":
@@ -219,7 +219,7 @@ def connect(address: str) -> tuple[Any, str, str]:
         )
     else:
         store = HTTPStore.from_url(f"{root}/", client_options=options, retry_config=_RETRIES)
-    return store, parts.path.strip("/"), root
+    return store, parts.path.strip("/"), without_password(root)
 
 
 @contextmanager
@@ -234,4 +234,4 @@ def remote_errors(address: str) -> Iterator[None]:
         raise StoreError(
             f"{address}: can't be read: {' '.join(reason)}; check the address, the rights to read "
             "it and that its server answers range requests, or download it and open the file"
-        ) from error
+        ) from None  # obstore's own message shows the address as it was given

@@ -18,6 +18,7 @@ from rfpipe.rigs.base import BLACK_LEVEL_KEY, FLOODLIT_KEY, Key
 from rfpipe.rigs.offline.markers import first_bracket
 from rfpipe.rigs.offline.rig import OfflineRig
 from rfpipe.rigs.offline.sheet import Sheet
+from rfpipe.units import SATURATION_FRACTION
 
 __all__ = ["Checked", "check_pictures"]
 
@@ -26,7 +27,6 @@ _EXPOSURE_ERROR = 0.1
 # Of the floodlit picture, what may be saturated in the shortest exposure, and the least that its
 # longest one has to be above the black one, of full scale.
 _MOST_SATURATED, _LEAST_LIGHT = 0.01, 0.002
-_SATURATED_AT = 0.98
 _KEPT_PICTURES = 8
 
 
@@ -224,7 +224,7 @@ def _brightness(checked: Checked, sheet: Sheet) -> list[str]:
     if not isinstance(sensor, CameraModel):
         return []
     wrong = []
-    top = _SATURATED_AT * sensor.white_level
+    top = SATURATION_FRACTION * sensor.white_level
     saturated = [
         sheet_file
         for sheet_file, key in ((each.file, each.key) for each in sheet.shown)

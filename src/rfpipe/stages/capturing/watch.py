@@ -19,11 +19,9 @@ from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.merger import Merger
 from rfpipe.stages.merging.references import read_merger
 from rfpipe.store import FrameStore, restore_header
+from rfpipe.units import SATURATION_FRACTION
 
 __all__ = ["DriftWatch", "watch_of"]
-
-# For messages while the capture goes on; the merge measures with its own settings.
-_SATURATION_FRACTION = 0.98
 
 _log = logging.getLogger(__name__)
 
@@ -119,6 +117,7 @@ def watch_of(
     brackets.settle("recapture")
     merger = None
     if folder.manifest(0, "merge").exists():
-        merger = read_merger(rig.sensor, folder, _SATURATION_FRACTION)
+        # for messages while the capture goes on; the merge measures with its own settings
+        merger = read_merger(rig.sensor, folder, SATURATION_FRACTION)
     with brackets.opened() as frames:
         yield DriftWatch(brackets, frames, patterns, every, merger)

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import ipaddress
+import logging
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
+from urllib.parse import urlsplit
 
+from rfpipe.config.addresses import check_port
 from rfpipe.errors import ClusterError
 from rfpipe.provenance import code_fingerprint
 
 __all__ = ["Cluster", "connected"]
 
 _PATIENCE_SECONDS = 10
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -74,15 +80,30 @@ def connected(address: str) -> Iterator[Cluster]:
     Parameters
     ----------
     address : str
-        Such as ``tcp://host:8786``.
+        Such as ``tls://host:8786``, with the certificates that dask's own settings name. Over
+        ``tcp://`` to another machine it warns: dask unpickles what it gets.
 
     Raises
     ------
     ClusterError
-        When none answers, when it has no workers, or when a worker has another version of rfpipe.
+        When none answers, when it has no workers, when a worker has another version of rfpipe, or
+        when there are no certificates for TLS.
     """
     import distributed
 
+    try:
+        check_port(address)
+    except ValueError as error:
+        raise ClusterError(f"resources.cluster is {address}; it {error}") from None
+    if address.startswith("tls:"):
+        _check_certificates(address)
+    elif not _is_here(address):
+        _log.warning(
+            "resources.cluster %s: not encrypted, and dask unpickles what it gets: whoever reaches "
+            "the scheduler can run programs there and here. docs/performance.md tells how to use "
+            "tls://",
+            address,
+        )
     connect: Any = distributed.Client  # without types
     try:
         client = connect(address, timeout=_PATIENCE_SECONDS, set_as_default=False)
@@ -111,3 +132,26 @@ def connected(address: str) -> Iterator[Cluster]:
                 "rfpipe, which may give other results. Install this one there and restart them"
             )
         yield Cluster(client, address, threads)
+
+
+def _is_here(address: str) -> bool:
+    """Whether an address is this machine's own, which others can't listen to."""
+    host = urlsplit(address).hostname or ""
+    with suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return host == "localhost"
+
+
+def _check_certificates(address: str) -> None:
+    """Raise ClusterError where dask's settings name no certificates for TLS."""
+    import dask
+
+    settings = ("ca-file", "client.cert")
+    missing = [name for name in settings if not dask.config.get(f"distributed.comm.tls.{name}")]
+    if missing:
+        raise ClusterError(
+            f"resources.cluster is {address}: dask's settings name no {' and no '.join(missing)} "
+            "under distributed.comm.tls. Set them in ~/.config/dask/distributed.yaml or as "
+            "environment variables, such as DASK_DISTRIBUTED__COMM__TLS__CA_FILE "
+            "(docs/performance.md)"
+        )

@@ -18,7 +18,7 @@ from rfpipe.photometry.checks import check_floodlit, warn_if_dim
 from rfpipe.photometry.defects import DarkFrames, DefectMap, find_defects
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
-from rfpipe.units import RADIANCE
+from rfpipe.units import RADIANCE, SATURATION_FRACTION
 
 Frames = NDArray[Any]
 Double = NDArray[np.float64]
@@ -117,7 +117,7 @@ class Merger:
         sensor: Sensor,
         black_frames: Iterable[Frames],
         floodlit_frames: Iterable[Frames],
-        saturation_fraction: float = 0.98,
+        saturation_fraction: float = SATURATION_FRACTION,
         mask_defects: bool = True,
     ) -> Merger:
         """Learn black level and defects from the first brackets of an acquisition.

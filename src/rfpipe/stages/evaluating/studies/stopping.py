@@ -26,6 +26,7 @@ from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.store import StoreLock
 from rfpipe.transport import open_transport
+from rfpipe.units import SATURATION_FRACTION
 
 __all__ = ["acquire_stopping", "cases"]
 
@@ -68,7 +69,7 @@ def _acquire(path: Path, stop: str = "") -> int:
         partial(capture.run, rig),
         code=acquisition_code("rfpipe.methods.symmetric"),
         capture_options={"references": (2, 2), "batch_patterns": 1},
-        merge_options={"saturation_fraction": 0.98, "mask_defects": True},
+        merge_options={"saturation_fraction": SATURATION_FRACTION, "mask_defects": True},
         normalization="per_channel",
         number_format="float32",
         asymmetry=0.05,

@@ -1,0 +1,178 @@
+"""What the server holds in memory, and who can keep others out, whatever is sent."""
+
+from __future__ import annotations
+
+import resource
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from tests.server.harness import RIGHT, SlowRig, running
+from tests.server.test_attacks import crowd
+
+from rfpipe.rigs.messages import MEDIA_TYPE, Message, pack
+from rfpipe.rigs.wire import encode_patterns
+
+SHAPE = (1080, 1920)
+
+LARGE_RIG = """
+import sys, time
+import numpy as np
+from rfpipe.photometry import CameraModel
+from rfpipe.server import ServerSettings, serve
+
+class LargeRig:
+    camera_shape = projector_shape = (1080, 1920)
+    channels, seconds_per_pattern = 1, 0.0
+    sensor = CameraModel(exposures=(0.1, 1.0))
+
+    def capture(self, patterns, keys):
+        time.sleep(0.05)
+        return np.ones((len(keys), 2, 1080, 1920, 1), np.uint16)
+
+    def describe(self):
+        return {"sensor": self.sensor.describe()}
+
+serve(LargeRig(), sys.argv[1], ServerSettings(port=int(sys.argv[2]), lease_seconds=60))
+"""
+
+
+@pytest.fixture
+def process(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """A server in a process of its own, whose memory is nobody else's."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    (tmp_path / "rig.py").write_text(LARGE_RIG)
+    token = RIGHT["Authorization"].split()[1]
+    command = [sys.executable, str(tmp_path / "rig.py"), token, str(port)]
+    with (tmp_path / "log").open("wb") as log:
+        server = subprocess.Popen(command, stderr=log)
+    try:
+        url = f"http://127.0.0.1:{port}"
+        for _ in range(1200):
+            try:
+                httpx.get(f"{url}/v1/health", trust_env=False)
+                break
+            except httpx.TransportError:
+                time.sleep(0.05)
+        yield server, url
+    finally:
+        server.kill()
+        server.wait()
+
+
+def peak_bytes(server: subprocess.Popen[bytes]) -> int:
+    status = Path(f"/proc/{server.pid}/status").read_text()
+    return 1024 * int(status.partition("VmHWM:")[2].split()[0])
+
+
+def bodies(patterns: int) -> dict[str, bytes]:
+    """Return what takes the most memory for the fewest bytes, or for all those allowed."""
+    lines = (np.arange(SHAPE[0])[:, None] // 4 % patterns == np.arange(patterns)[:, None, None]) * 1
+    stripes = np.broadcast_to(lines, (patterns, *SHAPE)).astype(np.float32)
+    keys = [(1, index) for index in range(patterns)]
+    facts = {"patterns": "weights", "keys": keys}
+    heavy = Message(facts)
+    heavy.add("patterns", np.zeros((8, 2**20 - 100), np.float64))
+    return {
+        "labels": encode_patterns(stripes, keys),
+        "bits": encode_patterns(1 - stripes, keys),
+        "bomb": pack(facts, {"patterns": np.zeros((patterns, *SHAPE), np.float32)}, deflate=True),
+        "large": heavy.content(),
+        "crowd": crowd(1_400_000),
+    }
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc to see memory")
+def test_no_requests_take_a_gigabyte(process: tuple[subprocess.Popen[bytes], str]) -> None:
+    server, url = process
+    with httpx.Client(base_url=url, headers=RIGHT, trust_env=False, timeout=60) as http:
+        limits = http.get("/v1/rig").json()["limits"]
+        sent = bodies(limits["patterns"])
+        assert len(sent["labels"]) < len(sent["bits"]) < 20_000
+        assert 10 * len(sent["labels"]) < limits["request_bytes"]
+        lease = http.post("/v1/lease", json={"client": "attacker"}).json()["lease"]
+
+        def post(number: int, body: bytes) -> int:
+            headers = {"Rig-Lease": lease, "Idempotency-Key": f"attack-{number:016}"}
+            answer = http.post(
+                "/v1/captures", content=body, headers={**headers, "Content-Type": MEDIA_TYPE}
+            )
+            return answer.status_code
+
+        with ThreadPoolExecutor(6) as pool:
+            kinds = [*sent, "labels"]
+            statuses = set(pool.map(post, range(6), (sent[kind] for kind in kinds)))
+            assert statuses <= {200, 422, 429}
+            # the same one six times, which are answered by one exposure
+            assert set(pool.map(post, [99] * 6, [sent["bits"]] * 6)) == {200}
+    print(f"{peak_bytes(server):,} bytes at most")
+    assert peak_bytes(server) < 10**9
+
+
+@contextmanager
+def more_files() -> Iterator[None]:
+    """Allow as many open files as this process may have."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(4096, hard), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.parametrize("asked", [b"", b"GET /v1/health HTTP/1.1\r\nHost: rig\r\n\r\n", b"GET /v"])
+def test_700_connections_without_a_token_do_not_keep_the_owner_out(asked: bytes) -> None:
+    """Of whoever says nothing, asks for what needs no token, or begins to ask."""
+    rig = SlowRig()
+    # as long as they need not be waited for, however busy this machine is
+    with more_files(), ExitStack() as stack, running(rig, head_seconds=120) as server:
+        for _ in range(700):
+            idle = stack.enter_context(socket.create_connection(("127.0.0.1", server.port)))
+            idle.sendall(asked)
+        began = time.monotonic()
+        with server.client(patience_seconds=60) as client:
+            for index in range(5):
+                client.capture(np.ones((1, 3, 7), np.float32), [(1, index)])
+        assert time.monotonic() - began < 60
+    assert len(rig.shown) == 5
+
+
+def test_who_has_not_shown_the_token_is_not_kept_waiting_for_more() -> None:
+    with running(SlowRig()) as server:
+        for path, headers in (("/v1/health", {}), ("/v1/rig", {"Authorization": "Bearer wrong"})):
+            answer = httpx.get(f"{server.url}{path}", headers=headers, trust_env=False)
+            assert answer.headers["connection"] == "close"
+            known: Any = httpx.get(f"{server.url}{path}", headers=RIGHT, trust_env=False)
+            assert "connection" not in known.headers
+
+
+def test_a_busy_rig_is_said_before_a_body_is_read() -> None:
+    with running(SlowRig(0.5)) as server, server.http() as http:
+        lease = http.post("/v1/lease", json={"client": "test"}).json()["lease"]
+        headers = {"Rig-Lease": lease, "Content-Type": MEDIA_TYPE}
+        body = encode_patterns(np.ones((1, 3, 7), np.float32), [(1, 0)])
+        with ThreadPoolExecutor(1) as pool:
+            first = pool.submit(
+                http.post, "/v1/captures", content=body,
+                headers={**headers, "Idempotency-Key": "the-first-capture"},
+            )  # fmt: skip
+            while not server.worker.metrics.brackets and not server.worker._captures:
+                time.sleep(0.01)
+            with socket.create_connection(("127.0.0.1", server.port), timeout=20) as connection:
+                lines = {**headers, **RIGHT, "Idempotency-Key": "the-second-capture", "Host": "rig"}
+                lines["Content-Length"] = "60000"  # of which nothing is sent
+                head = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
+                connection.sendall(f"POST /v1/captures HTTP/1.1\r\n{head}\r\n".encode())
+                assert connection.recv(12) == b"HTTP/1.1 429"
+            assert first.result().status_code == 200
