@@ -44,6 +44,7 @@ class PylonCamera(BracketCamera):
     """
 
     Options = PylonOptions
+    bench = "rfpipe.rigs.bench:BenchCamera"
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
         self._options = options_of(PylonOptions, options, "a Basler camera")
