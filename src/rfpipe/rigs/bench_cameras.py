@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import ctypes
+import shutil
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.photometry.camera import CameraModel
+from rfpipe.pictures.dng import dng_bytes
 from rfpipe.rigs.bench import Scenery, View
 from rfpipe.rigs.cameras.aravis import AravisCamera
 from rfpipe.rigs.cameras.aravis_library import call
+from rfpipe.rigs.cameras.gphoto import PhotoCamera
 
-__all__ = ["AravisBenchCamera"]
+__all__ = ["AravisBenchCamera", "PhotoBenchCamera"]
 
 FAKE_SERIAL = "1"
 """Of Aravis' fake camera."""
+
+PICTURES_A_SESSION = 20
+"""libgphoto2's virtual camera is full after 26, and only a new session empties it."""
 
 FAKE_HERTZ = 1000.0
 """How often it looks for a trigger."""
@@ -75,3 +84,68 @@ class AravisBenchCamera(AravisCamera):
     def _copy(self, buffer: int, *_: Any) -> None:
         """Fill the library's buffer with the picture; is called by a thread of its own."""
         ctypes.memmove(call("arv_buffer_get_data", buffer, None), self._next, len(self._next))
+
+
+class PhotoBenchCamera(PhotoCamera):
+    """libgphoto2's virtual camera, each of its raw files made when it is released.
+
+    Parameters
+    ----------
+    scenery : Scenery
+    sensor : CameraModel
+        What the rig believes of the camera; its exposures are set, its noise is not used.
+    settings
+        As `PhotoCamera` has them; the folder is the bench's.
+
+    Raises
+    ------
+    CaptureError
+        When gphoto2 or rawpy is missing.
+    InputError
+        When the bench's camera has no colour mosaic.
+    """
+
+    def __init__(self, scenery: Scenery, sensor: CameraModel, **settings: Any) -> None:
+        if scenery.camera.bayer is None:
+            raise InputError(
+                "sensor.bayer is null; the bench with camera.driver gphoto2 makes raw files of a "
+                "colour mosaic: set it to RGGB, and bench.scene.channels to 3"
+            )
+        self._view = View(scenery)
+        self._folder = Path(tempfile.mkdtemp(prefix="rfpipe-bench-"))
+        self._put(np.zeros(scenery.path.camera_shape, np.uint16), 1.0)
+        self._released = 0
+        try:
+            super().__init__(sensor, **{**settings, "virtual": str(self._folder)})
+        except BaseException:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return super().describe() | {"kind": "bench of gphoto2"} | self._view.scenery.describe()
+
+    def close(self) -> None:
+        """Give the camera back; closing twice is no error."""
+        super().close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _before_trigger(self, exposure: float) -> None:
+        if self._released == PICTURES_A_SESSION:
+            self._restart()
+        self._put(self._view.frame(exposure), exposure)
+        self._released += 1
+
+    def _connect(self) -> None:
+        super()._connect()
+        self._released = 0
+
+    def _put(self, counts: NDArray[np.uint16], seconds: float) -> None:
+        """Lay a raw file before the virtual camera, which knows only the length that it had."""
+        true = self._view.scenery.camera
+        assert true.bayer is not None
+        made = self._folder / "next"
+        made.write_bytes(
+            dng_bytes(counts, seconds, true.bayer, true.black_level_counts, true.white_level)
+        )
+        made.replace(self._folder / "raw.jpg")
