@@ -42,8 +42,8 @@ class AravisOptions(GenicamOptions):
 
     fake: bool = Field(
         False,
-        description="Whether Aravis' own fake camera, serial 1, is among those that answer, to "
-        "rehearse without one: true or false.",
+        description="Whether to take Aravis' own fake camera, to rehearse without one: true or "
+        "false.",
     )
 
 

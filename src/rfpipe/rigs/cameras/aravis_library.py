@@ -48,6 +48,9 @@ STATUSES = {
 _ERROR = ctypes.POINTER(c_void_p)
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_enable_interface": (None, (c_char_p,)),
+    "arv_disable_interface": (None, (c_char_p,)),
+    "arv_get_n_interfaces": (c_uint, ()),
+    "arv_get_interface_id": (c_char_p, (c_uint,)),
     "arv_update_device_list": (None, ()),
     "arv_get_n_devices": (c_uint, ()),
     "arv_get_device_id": (c_char_p, (c_uint,)),
@@ -167,9 +170,11 @@ class Found:
 
 
 def connected(*, fake: bool = False) -> list[Found]:
-    """Return the cameras that answer now; the library's fake one only where it is asked for."""
-    if fake:
-        call("arv_enable_interface", b"Fake")
+    """Return the cameras that answer now, or the library's fake one where it is asked for."""
+    for index in range(call("arv_get_n_interfaces")):
+        interface = call("arv_get_interface_id", index)
+        wanted = (interface == b"Fake") is fake
+        call("arv_enable_interface" if wanted else "arv_disable_interface", interface)
     call("arv_update_device_list")
     return [
         Found(
