@@ -105,7 +105,7 @@ def test_a_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(aravis_library, "_LIBRARY", "libaravis-of-nobody.so.0")
     aravis_library.load_aravis.cache_clear()
     try:
-        with pytest.raises(CaptureError, match="apt-get install libaravis-0.8-0"):
+        with pytest.raises(CaptureError, match=r"apt-get install libaravis-0\.8-0"):
             AravisCamera(SENSOR)
     finally:
         aravis_library.load_aravis.cache_clear()

@@ -203,7 +203,7 @@ class PhotoCamera(BracketCamera):
             return self._failed(f"{error}")
         said = raw.exposure_s
         if said is not None and abs(said / exposure - 1) > EXPOSURE_TOLERANCE:
-            return self._failed(f"the picture says that it was exposed for {said:g} s")
+            return self._failed(f"the picture says that it was exposed for {said:.3g} s")
         counts = self._part(raw)
         if counts.shape != self.shape:
             return self._failed(f"the picture has {counts.shape} pixels, expected {self.shape}")
@@ -335,7 +335,7 @@ class PhotoCamera(BracketCamera):
             )
         chosen = nearest_times(self.sensor.exposures, times)
         for exposure, time_ in zip(self.sensor.exposures, chosen, strict=True):
-            level = logging.INFO if abs(time_.seconds / exposure - 1) < 1e-3 else logging.WARNING
+            level = logging.INFO if abs(time_.seconds / exposure - 1) < 0.05 else logging.WARNING
             _log.log(
                 level, "%s: takes %s (%g s) for an exposure of %g s",
                 self._name, time_.name, time_.seconds, exposure,
