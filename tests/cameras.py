@@ -1,6 +1,5 @@
 """Virtual cameras of the drivers' libraries, for their tests."""
 
-import ctypes
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,13 +10,9 @@ import pytest
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs.cameras.aravis import AravisCamera
+from rfpipe.rigs.bench_cameras import PreparedCamera
 from rfpipe.rigs.cameras.aravis_library import call, load_aravis, release
 from rfpipe.rigs.cameras.gphoto_library import load_gphoto2
-
-FILL = ctypes.CFUNCTYPE(
-    None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
-)
 
 
 def need_aravis() -> None:
@@ -39,22 +34,12 @@ def _need(load: Any, variable: str, advice: str) -> None:
         pytest.skip(f"needs a camera's library; to run it: {advice}")
 
 
-class FilledCamera(AravisCamera):
+class FilledCamera(PreparedCamera):
     """Aravis' fake camera before a picture of one's own, (H, W) counts as the format has them."""
 
     def __init__(self, picture: np.ndarray, sensor: CameraModel, **options: Any) -> None:
-        self.bytes = picture.astype("<u2" if sensor.bits > 8 else np.uint8).tobytes()
-        self._fill = FILL(self._copy)
-        super().__init__(sensor, shape=picture.shape, fake=True, **options)
-
-    def _start(self) -> None:
-        fake = call("arv_fake_device_get_fake_camera", self._device)
-        call("arv_fake_camera_set_fill_pattern", fake, self._fill, None, None)
-        call("arv_fake_camera_set_trigger_frequency", fake, 1000.0)
-        super()._start()
-
-    def _copy(self, buffer: int, *_: Any) -> None:
-        ctypes.memmove(call("arv_buffer_get_data", buffer, None), self.bytes, len(self.bytes))
+        self.put(picture, sensor.bits)
+        super().__init__(sensor, shape=picture.shape, **options)
 
 
 @contextmanager

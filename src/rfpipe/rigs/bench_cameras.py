@@ -20,7 +20,13 @@ from rfpipe.rigs.cameras.aravis_library import call
 from rfpipe.rigs.cameras.gphoto import PhotoCamera
 from rfpipe.rigs.cameras.webcam import V4L2_TICKS, Webcam, load_opencv
 
-__all__ = ["AravisBenchCamera", "PhotoBenchCamera", "WebcamBenchCamera"]
+__all__ = [
+    "AravisBenchCamera",
+    "PhotoBenchCamera",
+    "PreparedCamera",
+    "VirtualUvc",
+    "WebcamBenchCamera",
+]
 
 FAKE_SERIAL = "1"
 """Of Aravis' fake camera."""
@@ -36,7 +42,43 @@ _FILL = ctypes.CFUNCTYPE(
 )
 
 
-class AravisBenchCamera(AravisCamera):
+class PreparedCamera(AravisCamera):
+    """Aravis' fake camera, which takes what lies before it.
+
+    Parameters
+    ----------
+    sensor : CameraModel
+    settings
+        As `AravisCamera` has them.
+
+    Attributes
+    ----------
+    frame : bytes
+        The next frame, as the pixel format has it.
+    """
+
+    frame: bytes = b""
+
+    def __init__(self, sensor: CameraModel, **settings: Any) -> None:
+        self._fill = _FILL(self._copy)  # kept, as the library calls it
+        super().__init__(sensor, **{**settings, "serial": FAKE_SERIAL, "fake": True})
+
+    def put(self, counts: NDArray[np.uint16], bits: int) -> None:
+        """Lay counts (H, W) before the camera."""
+        self.frame = counts.astype(np.uint8 if bits == 8 else "<u2").tobytes()
+
+    def _start(self) -> None:
+        fake = call("arv_fake_device_get_fake_camera", self._device)
+        call("arv_fake_camera_set_fill_pattern", fake, self._fill, None, None)
+        call("arv_fake_camera_set_trigger_frequency", fake, FAKE_HERTZ)
+        super()._start()
+
+    def _copy(self, buffer: int, *_: Any) -> None:
+        """Fill the library's buffer with the picture; is called by a thread of its own."""
+        ctypes.memmove(call("arv_buffer_get_data", buffer, None), self.frame, len(self.frame))
+
+
+class AravisBenchCamera(PreparedCamera):
     """Aravis' fake camera, each of its pictures made when it is triggered.
 
     Parameters
@@ -62,29 +104,14 @@ class AravisBenchCamera(AravisCamera):
                 "is Aravis' fake camera, has Mono16, or a colour mosaic of 8 bits"
             )
         self._view = View(scenery)
-        self._next = b""
-        self._fill = _FILL(self._copy)  # kept, as the library calls it
-        own = {"serial": FAKE_SERIAL, "fake": True, "shape": scenery.path.camera_shape}
-        super().__init__(sensor, **{**settings, **own})
+        super().__init__(sensor, **{**settings, "shape": scenery.path.camera_shape})
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
         return super().describe() | {"kind": "bench of aravis"} | self._view.scenery.describe()
 
-    def _start(self) -> None:
-        fake = call("arv_fake_device_get_fake_camera", self._device)
-        call("arv_fake_camera_set_fill_pattern", fake, self._fill, None, None)
-        call("arv_fake_camera_set_trigger_frequency", fake, FAKE_HERTZ)
-        super()._start()
-
     def _before_trigger(self, exposure: float) -> None:
-        counts = self._view.frame(exposure)
-        dtype = np.uint8 if self._view.scenery.camera.bits == 8 else "<u2"
-        self._next = counts.astype(dtype).tobytes()
-
-    def _copy(self, buffer: int, *_: Any) -> None:
-        """Fill the library's buffer with the picture; is called by a thread of its own."""
-        ctypes.memmove(call("arv_buffer_get_data", buffer, None), self._next, len(self._next))
+        self.put(self._view.frame(exposure), self._view.scenery.camera.bits)
 
 
 class PhotoBenchCamera(PhotoCamera):
