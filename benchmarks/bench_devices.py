@@ -1,7 +1,8 @@
 """Milliseconds of the devices that need no hardware: results/bench/devices.csv.
 
 Usage: ``python benchmarks/bench_devices.py``. Needs Xvfb. Medians over repeats: a picture on the
-projector's window, an exposure of the driver's emulated camera, a bracket of the bench.
+projector's window, an exposure of pylon's emulated camera, a bracket of the bench; and an exposure
+of each other driver on its library's virtual camera, before the bench's scene, of those installed.
 """
 
 from __future__ import annotations
@@ -10,11 +11,13 @@ import os
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from rfpipe.config import load_rig_config
+from rfpipe.config import load_rig_config, parse_rig_config
+from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.build import rig_from_config
 from rfpipe.rigs.pylon import PylonCamera
@@ -25,6 +28,12 @@ OUTPUT = Path("results/bench/devices.csv")
 REPEATS = 50
 DISPLAYS = (288, 320), (768, 1024), (1080, 1920)
 CAMERAS = (310, 350), (1024, 1280)
+DRIVERS: dict[str, tuple[dict[str, Any], dict[str, Any], int]] = {
+    "pylon": ({}, {}, 1),
+    "aravis": ({"pixel_format": "Mono16"}, {"bits": 16}, 1),
+    "gphoto2": ({}, {"bits": 14, "bayer": "RGGB"}, 3),
+    "webcam": ({}, {"bits": 8, "black_level_counts": 8}, 3),
+}
 
 
 def median_ms(step: Callable[[], object]) -> float:
@@ -59,11 +68,41 @@ def bench() -> float:
         rig.close()  # type: ignore[attr-defined]
 
 
+def virtual_camera(driver: str, shape: tuple[int, int]) -> float:
+    """Time an exposure of a driver before a scene that doesn't change, the making of noise too."""
+    options, sensor, channels = DRIVERS[driver]
+    scene = {"kind": "wedge", "surfaces": ["white", "white"], "shape": [8, 8], "channels": channels}
+    settings = {
+        "rays": [8, 8],
+        "projector": {"options": {"settle_seconds": 0}},
+        "camera": {"driver": driver, "options": options},
+        "sensor": {"exposures": [0.01], **sensor},
+        "bench": {"scene": scene, "display_shape": [72, 80], "camera_shape": list(shape)},
+    }
+    rig = rig_from_config(parse_rig_config(settings, driver))
+    try:
+        return median_ms(rig.camera.expose)  # type: ignore[attr-defined]
+    finally:
+        rig.close()  # type: ignore[attr-defined]
+
+
 def main() -> None:
     """Measure each, and write the table."""
     os.environ["PYLON_CAMEMU"] = "1"
     rows = [("window", f"{h} x {w}", window((h, w))) for h, w in DISPLAYS]
     rows += [("emulated camera", f"{h} x {w}", emulated_camera((h, w))) for h, w in CAMERAS]
+    for driver in DRIVERS:
+        try:
+            rows += [
+                (
+                    f"{driver}, before the bench's scene",
+                    f"{h} x {w}",
+                    virtual_camera(driver, (h, w)),
+                )
+                for h, w in CAMERAS
+            ]
+        except CaptureError as error:
+            print(f"{driver} left out: {error}")
     rows.append(("bench, 32 x 32 rays, four exposures", "72 x 80", bench()))
     table = pd.DataFrame(rows, columns=["step", "pixels", "ms"])
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)

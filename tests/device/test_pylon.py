@@ -195,5 +195,5 @@ def test_an_exposure_out_of_range_is_explained() -> None:
 
 
 def test_bits_that_no_pixel_format_has() -> None:
-    with pytest.raises(InputError, match="bits is 14; a Basler camera has 8, 10, 12 or 16"):
+    with pytest.raises(InputError, match="bits is 14; a GenICam camera has 8, 10, 12 or 16"):
         PylonCamera(replace(SENSOR, bits=14))

@@ -203,11 +203,23 @@ def test_description_holds_every_setting() -> None:
         ("flare", 1.0),
         ("bayer", "RGB"),
         ("response_gamma", 0.0),
+        ("white_level_counts", 0),
     ],
 )
 def test_settings_out_of_range(name: str, value: object) -> None:
     with pytest.raises(InputError, match=rf"camera: {name}(\[0\])? is"):
         CameraModel(**{name: value})
+
+
+def test_a_white_level_below_full_scale() -> None:
+    camera = CameraModel(bits=14, black_level_counts=600, white_level_counts=15_300)
+    assert camera.white_level == 15_300
+    assert camera.electrons_per_count == 20_000 / 14_700
+    assert camera.expose(np.full((4, 5, 1), 1e9), 0, (0,)).max() == 15_300
+    assert "white_level_counts" not in CameraModel().describe()  # as before there was one
+    for wrong in (600, 2**14):
+        with pytest.raises(InputError, match="white_level_counts is"):
+            replace(camera, white_level_counts=wrong)
 
 
 def test_exact_sensor_has_one_exposure() -> None:

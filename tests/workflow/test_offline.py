@@ -6,7 +6,6 @@ import importlib.util
 import json
 import re
 import shutil
-import struct
 import subprocess
 import sys
 from functools import partial
@@ -27,6 +26,7 @@ from rfpipe.config import CameraConfig, load_config, parse_config
 from rfpipe.errors import CaptureError, ConfigError, InputError, RfpipeError
 from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
+from rfpipe.pictures.dng import dng_bytes
 from rfpipe.rigs.offline import check_pictures, offline_rig, read_sheet
 from rfpipe.stages import capture, levels
 from rfpipe.stages.folder import AcquisitionFolder
@@ -274,36 +274,10 @@ def test_another_rig_has_no_patterns_to_write(tmp_path: Path) -> None:
     assert "set it to offline" in command("patterns", path, fails=True)
 
 
-def dng(mosaic: np.ndarray, seconds: float) -> bytes:
-    """A raw file as small as it gets: a TIFF of photosites with what makes it a DNG."""
-    height, width = mosaic.shape
-    rational = struct.pack("<2I", round(seconds * 2**20), 2**20)
-    matrix = b"".join(struct.pack("<2i", value, 1) for value in (1, 0, 0, 0, 1, 0, 0, 0, 1))
-    entries = [
-        (254, 4, 1, 0), (256, 4, 1, width), (257, 4, 1, height), (258, 3, 1, 16), (259, 3, 1, 1),
-        (262, 3, 1, 32803), (271, 2, 4, b"Own\0"), (272, 2, 4, b"One\0"), (273, 4, 1, "pixels"),
-        (274, 3, 1, 1), (277, 3, 1, 1), (278, 4, 1, height), (279, 4, 1, mosaic.nbytes),
-        (33421, 3, 2, struct.pack("<2H", 2, 2)), (33422, 1, 4, bytes([0, 1, 1, 2])),
-        (33434, 5, 1, rational), (50706, 1, 4, bytes([1, 4, 0, 0])), (50708, 2, 4, b"One\0"),
-        (50717, 4, 1, 65535), (50721, 10, 9, matrix),
-    ]  # fmt: skip
-    start = 8 + 2 + 12 * len(entries) + 4
-    beside = b"".join(value for *_, value in entries if isinstance(value, bytes) and len(value) > 4)
-    directory, offset = b"", start
-    for tag, kind, count, stated in entries:
-        value = start + len(beside) if stated == "pixels" else stated
-        if isinstance(stated, bytes) and len(stated) > 4:
-            value, offset = offset, offset + len(stated)
-        data = value if isinstance(value, bytes) else struct.pack("<I", value)
-        directory += struct.pack("<HHI", tag, kind, count) + data.ljust(4, b"\0")
-    head = struct.pack("<2sHIH", b"II", 42, 8, len(entries))
-    return head + directory + bytes(4) + beside + mosaic.astype("<u2").tobytes()
-
-
 def test_a_raw_file_is_a_mosaic_with_its_exposure_time(tmp_path: Path) -> None:
     pytest.importorskip("rawpy", reason="pip install rfpipe[pictures]")
     mosaic = np.random.default_rng(1).integers(0, 60000, (32, 48)).astype(np.uint16)
-    (tmp_path / "a.dng").write_bytes(dng(mosaic, 0.25))
+    (tmp_path / "a.dng").write_bytes(dng_bytes(mosaic, 0.25))
     picture = read_picture(tmp_path / "a.dng")
     np.testing.assert_array_equal(picture.pixels[..., 0], mosaic)
     assert picture.header.exposure_s == pytest.approx(0.25)

@@ -66,11 +66,23 @@ class CameraConfig(Settings):
         description="Exponent g of the response, counts ~ electrons^(1/g): above 0 and at most "
         "5; 1 is a linear camera.",
     )
+    white_level_counts: int | None = Field(
+        None,
+        ge=1,
+        description="Counts at which the sensor saturates, above the black level, where that is "
+        "below full scale, as a raw file's metadata say it; null for full scale.",
+    )
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
         if any(a >= b for a, b in zip(self.exposures, self.exposures[1:], strict=False)):
             raise ValueError(f"exposures is {self.exposures}; it should ascend without repeats")
+        white = self.white_level_counts
+        if white is not None and not self.black_level_counts < white < 2**self.bits:
+            raise ValueError(
+                f"white_level_counts is {white}; it should be above black_level_counts, "
+                f"{self.black_level_counts}, and at most {2**self.bits - 1} at {self.bits} bits"
+            )
         if self.black_level_counts >= 2**self.bits - 1:
             raise ValueError(
                 f"black_level_counts is {self.black_level_counts}; it should be below full scale, "

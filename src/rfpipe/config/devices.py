@@ -167,9 +167,8 @@ class RigConfig(Settings):
                 known, expected = getattr(model, setting), getattr(camera, setting, ...)
                 if expected not in (..., known):
                     raise ValueError(
-                        f"{name}.{setting} should be {expected or 'null'} with "
-                        f"camera.options.pixel_format {getattr(camera, 'pixel_format', '')}, not "
-                        f"{known or 'null'}"
+                        f"{name}.{setting} should be {expected or 'null'} with {self._delivers}, "
+                        f"not {known or 'null'}"
                     )
         return self
 
@@ -178,26 +177,35 @@ class RigConfig(Settings):
         if self.bench is None:
             return self
         drivers = self.projector.driver, self.camera.driver
-        if drivers != ("window", "pylon"):
+        if drivers[0] != "window" or self.camera.bench is None:
             raise ValueError(
-                f"projector.driver and camera.driver should be window and pylon with a bench, "
-                f"which drives them in software, not {drivers[0]} and {drivers[1]}"
+                f"projector.driver and camera.driver should be window and pylon, or another "
+                f"camera of rfpipe's own, with a bench, which drives them in software, not "
+                f"{drivers[0]} and {drivers[1]}"
             )
         window, camera = self.projector.options.model_dump(), self.camera.options.model_dump()
-        channels = 3 if "Bayer" in camera["pixel_format"] else 1
+        channels = getattr(self.camera.options, "channels", self.bench.scene.channels)
         if self.bench.scene.channels != channels:
             raise ValueError(
-                f"bench.scene.channels should be {channels} with camera.options.pixel_format "
-                f"{camera['pixel_format']}, not {self.bench.scene.channels}"
+                f"bench.scene.channels should be {channels} with {self._delivers}, not "
+                f"{self.bench.scene.channels}"
             )
         if window["display"] is not None:
             raise ValueError(
                 "projector.options.display should be null with a bench, which has its own display, "
                 f"not {window['display']}"
             )
-        if camera["shape"] is not None or tuple(camera["offset"]) != (0, 0):
+        if camera.get("shape") is not None or tuple(camera.get("offset", (0, 0))) != (0, 0):
             raise ValueError(
                 "camera.options.shape should be null and camera.options.offset [0, 0] with a "
                 "bench, whose camera_shape says what the camera takes"
             )
         return self
+
+    @property
+    def _delivers(self) -> str:
+        """Say what decides which counts the camera delivers."""
+        chosen = getattr(self.camera.options, "pixel_format", None)
+        if chosen is None:
+            return f"camera.driver {self.camera.driver}"
+        return f"camera.options.pixel_format {chosen}"

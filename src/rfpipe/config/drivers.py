@@ -126,9 +126,16 @@ class CameraDriver(DeviceDriver):
 
     driver: Text = Field(
         "pylon",
-        description="pylon: a Basler camera; or a driver of your own, as module:Class or "
-        "file.py:Class.",
+        description="pylon: a Basler camera; aravis: a GenICam camera of any maker; gphoto2: a "
+        "Canon, Nikon or Sony photo camera; webcam: a V4L2 or OpenCV camera; or a driver of your "
+        "own, as module:Class or file.py:Class.",
     )
+
+    @property
+    def bench(self) -> str | None:
+        """Where the driver's camera of the bench in software is, module:Class, if it has one."""
+        found: str | None = getattr(plugins.find(self.group, self.driver), "bench", None)
+        return found
 
 
 class RigDriver(DeviceDriver):

@@ -55,7 +55,7 @@ class CameraModel(CameraNumbers, Sensor):
     black_level_counts : int
         Counts without electrons, at least 0 and below full scale.
     bits : int
-        Bits of the converter, 1 to 16; full scale is ``2**bits - 1``.
+        Bits of the converter, 1 to 16.
     psf_sigma : float
         Standard deviation of the lens blur in pixels, at least 0.
     vignetting : float
@@ -66,6 +66,9 @@ class CameraModel(CameraNumbers, Sensor):
         Colour mosaic, one of `BAYER_PATTERNS`, or None for full channels.
     response_gamma : float
         Exponent g of the response, counts above black ~ electrons^(1/g), above 0.
+    white_level_counts : int or None
+        Full scale of a sensor that saturates below what its bits hold, as raw files say it; above
+        the black level. None: ``2**bits - 1``.
 
     Raises
     ------
@@ -88,6 +91,8 @@ class CameraModel(CameraNumbers, Sensor):
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""
         settings = {field.name: getattr(self, field.name) for field in fields(self)}
+        if self.white_level_counts is None:  # as it was before there was such a setting
+            del settings["white_level_counts"]
         return {"kind": "camera", **settings, "exposures": list(self.exposures)}
 
     def expose(self, radiance: NDArray[Any], seed: int, key: tuple[int, ...]) -> Counts:

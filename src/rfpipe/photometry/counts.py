@@ -50,6 +50,7 @@ class CameraNumbers:
     flare: float = 0.0
     bayer: str | None = None
     response_gamma: float = 1.0
+    white_level_counts: int | None = None
 
     def __post_init__(self) -> None:
         from pydantic import ValidationError
@@ -65,8 +66,8 @@ class CameraNumbers:
 
     @property
     def white_level(self) -> int:
-        """Full scale in counts."""
-        return int(2**self.bits) - 1
+        """Full scale in counts: where the sensor saturates, if that is below what its bits hold."""
+        return int(2**self.bits) - 1 if self.white_level_counts is None else self.white_level_counts
 
     @property
     def electrons_per_count(self) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.pictures.raw import read_raw
 
 __all__ = ["RAW", "Header", "Picture", "picture_files", "read_header", "read_picture"]
 
@@ -165,24 +166,10 @@ def _only(names: list[str]) -> int | None:
 
 def _raw(path: Path) -> Picture:
     """Read a raw file's visible photosites, nothing subtracted."""
-    try:
-        import rawpy
-    except ImportError as error:
-        raise InputError(
-            f"{path}: is a raw file, and {error.name} is missing to read it; install it with pip "
-            "install rfpipe[pictures]"
-        ) from error
-    try:
-        with rawpy.imread(str(path)) as raw:
-            counts = np.array(raw.raw_image_visible)
-            seconds = float(raw.other.shutter_speed)
-    except rawpy.LibRawError as error:
-        raise InputError(f"{path}: can't be read as a raw file: {error}") from error
-    if counts.ndim != 2:
-        raise InputError(f"{path}: holds {counts.ndim} axes; expected one count a photosite")
-    height, width = counts.shape
-    header = Header((height, width), 1, "counts", seconds if seconds > 0 else None)
-    return Picture(header, counts.astype(np.uint16)[..., None], 16)
+    raw = read_raw(path)
+    height, width = raw.counts.shape
+    header = Header((height, width), 1, "counts", raw.exposure_s)
+    return Picture(header, raw.counts[..., None], 16)
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:

@@ -21,10 +21,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe import plugins
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.provenance import fingerprint
+from rfpipe.rigs.devices import Camera
 from rfpipe.rigs.display import VirtualDisplay, memory_display
 from rfpipe.rigs.geometry import centred_corners, tilted_corners
 from rfpipe.rigs.optics import OpticalPath
@@ -37,7 +39,7 @@ from rfpipe.scenes import scene_from_config
 if TYPE_CHECKING:
     from rfpipe.config import BenchConfig, RigConfig, SceneSettings
 
-__all__ = ["BenchCamera", "BenchProjector", "Scenery", "optical_path", "software_bench"]
+__all__ = ["BenchCamera", "BenchProjector", "Scenery", "View", "optical_path", "software_bench"]
 
 Float = NDArray[np.float32]
 
@@ -86,9 +88,43 @@ class Scenery:
         return self.path.radiance(self.light_of_code[codes])
 
     def frame(self, radiance: Float, exposure: float, number: int) -> NDArray[np.uint16]:
-        """Return what the camera makes of it in `exposure` seconds: counts (Hc, Wc)."""
+        """Return what the camera makes of it in `exposure` seconds: counts (Hc, Wc[, 3])."""
         camera = replace(self.camera, exposures=(exposure,))
-        return camera.expose(radiance, self.seed, (number,)).reshape(self.path.camera_shape)
+        counts: NDArray[np.uint16] = camera.expose(radiance, self.seed, (number,))[0]
+        return counts[..., 0] if counts.shape[2:] == (1,) else counts
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests."""
+        numbers = self.camera.describe()
+        del numbers["exposures"]  # the sensor's are taken
+        return {
+            "scene": self.path.describe(),
+            "camera": numbers,
+            "light_of_code": fingerprint(self.light_of_code),
+            "seed": self.seed,
+        }
+
+
+class View:
+    """What a camera of the bench sees at each trigger, noise of its own in each frame.
+
+    Parameters
+    ----------
+    scenery : Scenery
+    """
+
+    def __init__(self, scenery: Scenery) -> None:
+        self.scenery = scenery
+        self._number = 0
+        self._seen: tuple[NDArray[np.uint8], Float] | None = None
+
+    def frame(self, exposure: float) -> NDArray[np.uint16]:
+        """Return the next frame, as `Scenery.frame`, of what the window shows now."""
+        codes = self.scenery.codes()
+        if self._seen is None or not np.array_equal(codes, self._seen[0]):
+            self._seen = codes, self.scenery.radiance(codes)
+        self._number += 1
+        return self.scenery.frame(self._seen[1], exposure, self._number)
 
 
 class BenchProjector(WindowProjector):
@@ -125,9 +161,7 @@ class BenchCamera(PylonCamera):
 
     def __init__(self, scenery: Scenery, sensor: CameraModel, **settings: Any) -> None:
         os.environ.setdefault("PYLON_CAMEMU", "1")  # is read when the driver is loaded
-        self._scenery = scenery
-        self._number = 0
-        self._seen: tuple[NDArray[np.uint8], Float] | None = None
+        self._view = View(scenery)
         self._folder = Path(tempfile.mkdtemp(prefix="rfpipe-bench-"))
         (self._folder / "pictures").mkdir()
         self._put(np.zeros(scenery.path.camera_shape, np.uint16))
@@ -151,18 +185,8 @@ class BenchCamera(PylonCamera):
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
-        true, path = self._scenery, self._scenery.path
-        numbers = true.camera.describe()
-        del numbers["exposures"]  # the sensor's are taken
-        return {
-            **super().describe(),
-            "kind": "bench",
-            "nodes": {},
-            "scene": path.describe(),
-            "camera": numbers,
-            "light_of_code": fingerprint(true.light_of_code),
-            "seed": true.seed,
-        }
+        described = {**super().describe(), "kind": "bench", "nodes": {}}
+        return described | self._view.scenery.describe()
 
     def close(self) -> None:
         """Give the camera back; closing twice is no error."""
@@ -171,17 +195,13 @@ class BenchCamera(PylonCamera):
 
     def _before_trigger(self, exposure: float) -> None:
         """Make the picture that the driver is about to read."""
-        codes = self._scenery.codes()
-        if self._seen is None or not np.array_equal(codes, self._seen[0]):
-            self._seen = codes, self._scenery.radiance(codes)
-        self._number += 1
-        self._put(self._scenery.frame(self._seen[1], exposure, self._number))
+        self._put(self._view.frame(exposure))
 
     def _put(self, counts: NDArray[np.uint16]) -> None:
         """Put counts before the emulated camera."""
         import cv2
 
-        full_range = counts << np.uint16(16 - self._scenery.camera.bits)
+        full_range = counts << np.uint16(16 - self._view.scenery.camera.bits)
         made = self._folder / "next.png"
         if not cv2.imwrite(str(made), full_range, [cv2.IMWRITE_PNG_COMPRESSION, 0]):
             raise CaptureError(f"{made}: can't be written; is the disk of {made.parent} full?")
@@ -195,7 +215,7 @@ class BenchCamera(PylonCamera):
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
-def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
+def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
     """Return the projector and the camera of a rig's bench.
 
     Parameters
@@ -206,7 +226,7 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
     Raises
     ------
     CaptureError
-        When pypylon is missing.
+        When the camera's library is missing.
     InputError
         When the scene doesn't fit the display.
     """
@@ -229,7 +249,8 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
             true,
             config.seed,
         )
-        return projector, BenchCamera(scenery, sensor_of(config), **config.camera.arguments())
+        camera_of = plugins.find(plugins.CAMERAS, config.camera.bench or "")
+        return projector, camera_of(scenery, sensor_of(config), **config.camera.arguments())
     except BaseException:
         projector.close()
         raise

@@ -1,0 +1,73 @@
+"""Raw files made here, for rehearsals: a TIFF of photosites with what makes it a DNG."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["dng_bytes"]
+
+_BYTE, _ASCII, _SHORT, _LONG, _RATIONAL, _SRATIONAL = 1, 2, 3, 4, 5, 10
+_BLACK_AND_WHITE_CFA = 32803
+_COLORS = {"R": 0, "G": 1, "B": 2}
+
+
+def dng_bytes(
+    mosaic: NDArray[np.uint16],
+    seconds: float,
+    bayer: str = "RGGB",
+    black: int = 0,
+    white: int = 65_535,
+) -> bytes:
+    """Return a DNG file, not compressed: files of one shape have one length.
+
+    Parameters
+    ----------
+    mosaic : ndarray of uint16, shape (H, W)
+        Counts.
+    seconds : float
+        Exposure time.
+    bayer : str
+        Colour mosaic from the upper left corner.
+    black, white : int
+        Levels in counts that the file names.
+    """
+    height, width = mosaic.shape
+    identity = b"".join(struct.pack("<2i", value, 1) for value in np.eye(3, dtype=int).ravel())
+    # tag, kind, count, and the value or, longer than four bytes, what stands beside
+    entries: list[tuple[int, int, int, int | bytes | None]] = [
+        (254, _LONG, 1, 0),  # the picture itself
+        (256, _LONG, 1, width),
+        (257, _LONG, 1, height),
+        (258, _SHORT, 1, 16),
+        (259, _SHORT, 1, 1),  # not compressed
+        (262, _SHORT, 1, _BLACK_AND_WHITE_CFA),
+        (271, _ASCII, 4, b"Own\0"),
+        (272, _ASCII, 4, b"One\0"),
+        (273, _LONG, 1, None),  # where the counts begin
+        (274, _SHORT, 1, 1),
+        (277, _SHORT, 1, 1),
+        (278, _LONG, 1, height),
+        (279, _LONG, 1, mosaic.nbytes),
+        (33421, _SHORT, 2, struct.pack("<2H", 2, 2)),
+        (33422, _BYTE, 4, bytes(_COLORS[color] for color in bayer)),
+        (33434, _RATIONAL, 1, struct.pack("<2I", round(seconds * 2**20), 2**20)),
+        (50706, _BYTE, 4, bytes([1, 4, 0, 0])),
+        (50708, _ASCII, 4, b"One\0"),
+        (50714, _LONG, 1, black),
+        (50717, _LONG, 1, white),
+        (50721, _SRATIONAL, 9, identity),
+    ]
+    start = 8 + 2 + 12 * len(entries) + 4
+    beside = b"".join(value for *_, value in entries if isinstance(value, bytes) and len(value) > 4)
+    directory, offset = b"", start
+    for tag, kind, count, stated in entries:
+        value = start + len(beside) if stated is None else stated
+        if isinstance(stated, bytes) and len(stated) > 4:
+            value, offset = offset, offset + len(stated)
+        data = value if isinstance(value, bytes) else struct.pack("<I", value)
+        directory += struct.pack("<HHI", tag, kind, count) + data.ljust(4, b"\0")
+    head = struct.pack("<2sHIH", b"II", 42, 8, len(entries))
+    return head + directory + bytes(4) + beside + mosaic.astype("<u2").tobytes()

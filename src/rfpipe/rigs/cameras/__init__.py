@@ -1,0 +1,1 @@
+"""What drivers of cameras share, and those of GenICam, photo and web cameras."""

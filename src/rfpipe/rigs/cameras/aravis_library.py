@@ -1,0 +1,328 @@
+"""Aravis, the library of GenICam cameras, as far as a driver needs it.
+
+Its Python binding comes with the system's own Python alone: PyGObject has no wheels, and to build
+it takes a compiler and headers of the right age. So the C library is called as it stands, by the
+names and types of its headers (0.8).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ctypes.util
+from ctypes import byref, c_char_p, c_double, c_int, c_int64, c_size_t, c_uint, c_uint64, c_void_p
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError
+from rfpipe.rigs.cameras.genicam import RefusedError, Value
+
+__all__ = [
+    "STATUSES",
+    "AravisError",
+    "AravisNodes",
+    "Found",
+    "call",
+    "connected",
+    "counts_of",
+    "load_aravis",
+    "release",
+    "tried",
+]
+
+_LIBRARY, _GOBJECT = "libaravis-0.8.so.0", "libgobject-2.0.so.0"
+
+_READ_WRITE = (1, 2)
+"""Access modes of nodes that can be written: WO and RW."""
+
+STATUSES = {
+    0: "success", 1: "cleared", 2: "no frame in time", 3: "packets are missing",
+    4: "a packet is not of this frame", 5: "the frame is larger than announced",
+    6: "being filled", 7: "aborted", 8: "payload not supported",
+}  # fmt: skip
+"""What a buffer's status means."""
+
+_ERROR = ctypes.POINTER(c_void_p)
+_SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    "arv_enable_interface": (None, (c_char_p,)),
+    "arv_disable_interface": (None, (c_char_p,)),
+    "arv_get_n_interfaces": (c_uint, ()),
+    "arv_get_interface_id": (c_char_p, (c_uint,)),
+    "arv_update_device_list": (None, ()),
+    "arv_get_n_devices": (c_uint, ()),
+    "arv_get_device_id": (c_char_p, (c_uint,)),
+    "arv_get_device_serial_nbr": (c_char_p, (c_uint,)),
+    "arv_get_device_model": (c_char_p, (c_uint,)),
+    "arv_get_device_vendor": (c_char_p, (c_uint,)),
+    "arv_open_device": (c_void_p, (c_char_p, _ERROR)),
+    "arv_device_get_feature": (c_void_p, (c_void_p, c_char_p)),
+    "arv_device_is_feature_available": (c_int, (c_void_p, c_char_p, _ERROR)),
+    "arv_device_execute_command": (None, (c_void_p, c_char_p, _ERROR)),
+    "arv_device_set_boolean_feature_value": (None, (c_void_p, c_char_p, c_int, _ERROR)),
+    "arv_device_get_boolean_feature_value": (c_int, (c_void_p, c_char_p, _ERROR)),
+    "arv_device_set_string_feature_value": (None, (c_void_p, c_char_p, c_char_p, _ERROR)),
+    "arv_device_get_string_feature_value": (c_char_p, (c_void_p, c_char_p, _ERROR)),
+    "arv_device_set_integer_feature_value": (None, (c_void_p, c_char_p, c_int64, _ERROR)),
+    "arv_device_get_integer_feature_value": (c_int64, (c_void_p, c_char_p, _ERROR)),
+    "arv_device_get_integer_feature_bounds": (
+        None,
+        (c_void_p, c_char_p, ctypes.POINTER(c_int64), ctypes.POINTER(c_int64), _ERROR),
+    ),
+    "arv_device_set_float_feature_value": (None, (c_void_p, c_char_p, c_double, _ERROR)),
+    "arv_device_get_float_feature_value": (c_double, (c_void_p, c_char_p, _ERROR)),
+    "arv_device_get_float_feature_bounds": (
+        None,
+        (c_void_p, c_char_p, ctypes.POINTER(c_double), ctypes.POINTER(c_double), _ERROR),
+    ),
+    "arv_device_dup_available_enumeration_feature_values_as_strings": (
+        c_void_p,
+        (c_void_p, c_char_p, ctypes.POINTER(c_uint), _ERROR),
+    ),
+    "arv_device_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p, _ERROR)),
+    "arv_gc_feature_node_is_locked": (c_int, (c_void_p, _ERROR)),
+    "arv_gc_feature_node_get_actual_access_mode": (c_int, (c_void_p,)),
+    "arv_gc_float_get_type": (c_size_t, ()),
+    "arv_gc_boolean_get_type": (c_size_t, ()),
+    "arv_gc_string_get_type": (c_size_t, ()),
+    "arv_gc_enumeration_get_type": (c_size_t, ()),
+    "arv_stream_push_buffer": (None, (c_void_p, c_void_p)),
+    "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64)),
+    "arv_buffer_new_allocate": (c_void_p, (c_size_t,)),
+    "arv_buffer_get_status": (c_int, (c_void_p,)),
+    "arv_buffer_get_data": (c_void_p, (c_void_p, ctypes.POINTER(c_size_t))),
+    "arv_buffer_get_image_width": (c_int, (c_void_p,)),
+    "arv_buffer_get_image_height": (c_int, (c_void_p,)),
+    # the fake camera's
+    "arv_fake_device_get_fake_camera": (c_void_p, (c_void_p,)),
+    "arv_fake_camera_set_trigger_frequency": (None, (c_void_p, c_double)),
+    "arv_fake_camera_set_fill_pattern": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),
+    "arv_gv_fake_camera_new": (c_void_p, (c_char_p, c_char_p)),
+    "arv_gv_fake_camera_get_fake_camera": (c_void_p, (c_void_p,)),
+}
+
+
+class AravisError(Exception):
+    """What Aravis says of a failure."""
+
+
+class _GError(ctypes.Structure):
+    _fields_ = (("domain", ctypes.c_uint32), ("code", c_int), ("message", c_char_p))
+
+
+@cache
+def load_aravis() -> tuple[ctypes.CDLL, ctypes.CDLL]:
+    """Return the libraries Aravis and GObject, or raise CaptureError."""
+    try:
+        aravis = ctypes.CDLL(_LIBRARY)
+        gobject = ctypes.CDLL(_GOBJECT)
+        for name, (result, arguments) in _SIGNATURES.items():
+            function = getattr(aravis, name)
+            function.restype, function.argtypes = result, arguments
+    except (OSError, AttributeError) as error:
+        raise CaptureError(
+            f"Aravis can't be loaded: {error}. Install its library, version 0.8.20 or newer; on "
+            "Debian: apt-get install libaravis-0.8-0"
+        ) from error
+    gobject.g_object_unref.argtypes = (c_void_p,)
+    gobject.g_object_unref.restype = None
+    gobject.g_error_free.argtypes = (c_void_p,)
+    gobject.g_error_free.restype = None
+    gobject.g_free.argtypes = (c_void_p,)
+    gobject.g_free.restype = None
+    gobject.g_type_check_instance_is_a.argtypes = (c_void_p, c_size_t)
+    gobject.g_type_check_instance_is_a.restype = c_int
+    return aravis, gobject
+
+
+def call(name: str, *arguments: Any) -> Any:
+    """Call a function that doesn't fail."""
+    return getattr(load_aravis()[0], name)(*arguments)
+
+
+def tried(name: str, *arguments: Any) -> Any:
+    """Call a function whose last argument is a GError; raise it as AravisError."""
+    aravis, gobject = load_aravis()
+    error = c_void_p()
+    result = getattr(aravis, name)(*arguments, byref(error))
+    if error.value:
+        message = ctypes.cast(error, ctypes.POINTER(_GError)).contents.message or b"unknown error"
+        gobject.g_error_free(error)
+        raise AravisError(message.decode(errors="replace").strip().rstrip("."))
+    return result
+
+
+def release(held: int | None) -> None:
+    """Give an object back."""
+    if held:
+        load_aravis()[1].g_object_unref(held)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A camera that answers."""
+
+    id: bytes
+    serial: str
+    model: str
+
+
+def connected(*, fake: bool = False) -> list[Found]:
+    """Return the cameras that answer now, or the library's fake one where it is asked for."""
+    for index in range(call("arv_get_n_interfaces")):
+        interface = call("arv_get_interface_id", index)
+        wanted = (interface == b"Fake") is fake
+        call("arv_enable_interface" if wanted else "arv_disable_interface", interface)
+    call("arv_update_device_list")
+    return [
+        Found(
+            call("arv_get_device_id", index),
+            _text(call("arv_get_device_serial_nbr", index)),
+            " ".join(_text(call(f"arv_get_device_{what}", index)) for what in ("vendor", "model")),
+        )
+        for index in range(call("arv_get_n_devices"))
+    ]
+
+
+def counts_of(buffer: int, bits: int, payload: int) -> NDArray[np.uint16]:
+    """Return a copy of a buffer's frame, (H, W).
+
+    Parameters
+    ----------
+    buffer : int
+        Address of an ArvBuffer whose status is success.
+    bits : int
+        Of a count: 8, or more, which stand in 16.
+    payload : int
+        Bytes that the buffer was made for.
+
+    Raises
+    ------
+    AravisError
+        When the frame is larger than that.
+    """
+    height, width = (call(f"arv_buffer_get_image_{name}", buffer) for name in ("height", "width"))
+    dtype = np.dtype(np.uint8 if bits == 8 else "<u2")
+    size = height * width * dtype.itemsize
+    if size > payload:
+        raise AravisError(f"a frame of {height} x {width} pixels came, more than was asked for")
+    data = call("arv_buffer_get_data", buffer, None)
+    flat = np.frombuffer(ctypes.string_at(data, size), dtype)
+    return flat.reshape(height, width).astype(np.uint16)
+
+
+@dataclass(frozen=True)
+class AravisNodes:
+    """An `rfpipe.rigs.cameras.genicam.Nodes`.
+
+    Parameters
+    ----------
+    device : int
+        Address of an open ArvDevice.
+    """
+
+    device: int
+
+    def has(self, name: str) -> bool:
+        """Tell whether the camera has a setting or a number of this name."""
+        return self._kind(name) is not None
+
+    def integer(self, name: str) -> int:
+        """Return a whole number."""
+        return int(tried("arv_device_get_integer_feature_value", self.device, name.encode()))
+
+    def is_writable(self, name: str) -> bool:
+        """Tell whether the camera has the setting, and takes values for it now."""
+        node = call("arv_device_get_feature", self.device, name.encode())
+        if not node or not tried("arv_device_is_feature_available", self.device, name.encode()):
+            return False
+        mode = call("arv_gc_feature_node_get_actual_access_mode", node)
+        return mode in _READ_WRITE and not tried("arv_gc_feature_node_is_locked", node)
+
+    def write(self, name: str, value: Value) -> Value:
+        """Make one setting, or say what the camera has against it."""
+        kind = self._kind(name)
+        try:
+            if kind is None:
+                raise AravisError("the camera has no such setting")
+            if kind in ("float", "integer"):  # Aravis hands on whatever it is given
+                least, largest = self.bounds(name)
+                if not least <= float(value) <= largest:
+                    raise AravisError("out of range")
+            tried(f"arv_device_set_{kind}_feature_value", self.device, name.encode(), _plain(value))
+            taken = tried(f"arv_device_get_{kind}_feature_value", self.device, name.encode())
+        except (AravisError, ctypes.ArgumentError) as error:
+            raise RefusedError(
+                f"camera: refuses {name} = {value}: {error}{self._would_take(name, kind)}"
+            ) from error
+        if kind == "string":
+            return _text(taken)
+        return bool(taken) if kind == "boolean" else taken
+
+    def execute(self, name: str) -> None:
+        """Have the camera do what a command says."""
+        tried("arv_device_execute_command", self.device, name.encode())
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """Return the least and the largest value of a number."""
+        kind = self._kind(name)
+        if kind not in ("float", "integer"):
+            raise RefusedError(f"camera: has no number {name}")
+        number = c_double if kind == "float" else c_int64
+        least, largest = number(), number()
+        tried(
+            f"arv_device_get_{kind}_feature_bounds",
+            self.device, name.encode(), byref(least), byref(largest),
+        )  # fmt: skip
+        return least.value, largest.value
+
+    def choices(self, name: str) -> tuple[str, ...]:
+        """Return the values of an enumeration."""
+        count = c_uint()
+        names = tried(
+            "arv_device_dup_available_enumeration_feature_values_as_strings",
+            self.device, name.encode(), byref(count),
+        )  # fmt: skip
+        if not names:
+            return ()
+        array = ctypes.cast(names, ctypes.POINTER(c_char_p))
+        found = tuple(_text(array[index]) for index in range(count.value))
+        load_aravis()[1].g_free(names)
+        return found
+
+    def _kind(self, name: str) -> str | None:
+        """Return of what kind a setting is, as functions are named after it; None: it has none."""
+        node = call("arv_device_get_feature", self.device, name.encode())
+        if not node:
+            return None
+        is_a = load_aravis()[1].g_type_check_instance_is_a
+        # an enumeration answers to integers, too
+        for kind, of in (
+            ("string", "enumeration"), ("boolean", "boolean"), ("float", "float"),
+            ("string", "string"),
+        ):  # fmt: skip
+            if is_a(node, call(f"arv_gc_{of}_get_type")):
+                return kind
+        return "integer"
+
+    def _would_take(self, name: str, kind: str | None) -> str:
+        """Return what a setting would take, for an error message."""
+        try:
+            if kind == "string":
+                return f". It takes {', '.join(self.choices(name))}"
+            if kind in ("float", "integer"):
+                least, largest = self.bounds(name)
+                return f". It takes {least:g} to {largest:g}"
+        except AravisError:
+            pass
+        return ""
+
+
+def _plain(value: Value) -> Any:
+    return value.encode() if isinstance(value, str) else value
+
+
+def _text(value: bytes | None) -> str:
+    return (value or b"").decode(errors="replace")

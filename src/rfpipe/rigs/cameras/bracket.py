@@ -1,0 +1,218 @@
+"""What every camera that takes its brackets frame by frame does alike: retries, a lost device."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError
+from rfpipe.photometry.camera import CameraModel
+from rfpipe.rigs.devices import Closing
+
+__all__ = ["BracketCamera", "Patience", "chosen", "options_of"]
+
+Counts = NDArray[np.uint16]
+
+_log = logging.getLogger(__name__)
+
+
+class Patience(Protocol):
+    """How long a driver tries; the options of each have these."""
+
+    @property
+    def timeout_seconds(self) -> float:
+        """Seconds until a frame counts as lost, beyond its exposure time."""
+
+    @property
+    def retries(self) -> int:
+        """How often a failed frame is taken again."""
+
+    @property
+    def reconnects(self) -> int:
+        """How often a lost camera is looked for."""
+
+    @property
+    def reconnect_seconds(self) -> float:
+        """Wait before each of these attempts."""
+
+
+class BracketCamera(Closing, ABC):
+    """A camera that exposes a bracket frame by frame; a driver adds how one frame is taken.
+
+    A frame that fails or doesn't come in time is taken again; a camera that is lost is looked for,
+    set up and asked again. What arrives late is dropped, never taken for the next exposure.
+
+    Parameters
+    ----------
+    sensor : CameraModel
+    channels : int
+        Of a frame: 1 of a grey camera and under a mosaic, or 3.
+    patience : Patience
+
+    Attributes
+    ----------
+    statistics : dict of str to int
+        ``frames`` taken; ``failed``: frames that came damaged; ``timed_out``: that didn't come;
+        ``reconnected``: times that the camera was lost and found.
+    advice : str
+        What to look at when frames keep failing.
+    """
+
+    advice: ClassVar[str] = "Check its cable and the load of its port (packet size, USB hub)"
+    faults: tuple[type[Exception], ...] = ()
+
+    def __init__(self, sensor: CameraModel, channels: int, patience: Patience) -> None:
+        self.sensor = sensor
+        self.channels = channels
+        self.statistics = {"frames": 0, "failed": 0, "timed_out": 0, "reconnected": 0}
+        self.shape = (0, 0)
+        self._patience = patience
+        self._name = "camera"
+        self._lock = threading.Lock()
+        self._closed = False
+
+    def expose(self) -> Counts:
+        """Take one bracket; see `rfpipe.rigs.devices.Camera.expose`."""
+        frames = np.empty(self.sensor.frame_shape(self.shape, self.channels), np.uint16)
+        with self._lock:
+            for index, exposure in enumerate(self.sensor.exposures):
+                frames[index] = self._exposure(exposure).reshape(frames.shape[1:])
+        return frames
+
+    def close(self) -> None:
+        """Give the camera back; closing twice is no error."""
+        with self._lock:
+            self._closed = True
+            self._drop()
+
+    @abstractmethod
+    def _open(self) -> tuple[int, int]:
+        """Find the camera, set it up and start it; return the frames' shape, or CaptureError."""
+
+    @abstractmethod
+    def _is_lost(self) -> bool:
+        """Tell whether there is no camera at hand."""
+
+    @abstractmethod
+    def _frame(self, exposure: float) -> tuple[Counts | None, str]:
+        """Take one frame; return it, or None and what is wrong. `faults` mean a lost camera."""
+
+    @abstractmethod
+    def _restart(self) -> None:
+        """Start afresh, so that a frame that comes late is not taken for the next one."""
+
+    @abstractmethod
+    def _drop(self) -> None:
+        """Let go of the device, whatever state it is in."""
+
+    def _said(self, error: Exception) -> str:
+        """Return what the library says of an error."""
+        return str(error)
+
+    def _before_trigger(self, exposure: float) -> None:
+        """Is called before each trigger; a real camera needs nothing more."""
+
+    def _failed(self, problem: str) -> tuple[None, str]:
+        """Count a frame that came damaged."""
+        self.statistics["failed"] += 1
+        return None, problem
+
+    def _timed_out(self, problem: str) -> tuple[None, str]:
+        """Count a frame that didn't come."""
+        self.statistics["timed_out"] += 1
+        return None, problem
+
+    def _exposure(self, exposure: float) -> Counts:
+        """Take one frame, again where it fails."""
+        if self._closed:
+            raise CaptureError("the camera is closed; open it anew")
+        problem, attempts = "", self._patience.retries + 1
+        for attempt in range(attempts):
+            try:
+                if self._is_lost():
+                    self._reconnect("it was disconnected")
+                frame, problem = self._frame(exposure)
+                if frame is not None:
+                    self.statistics["frames"] += 1
+                    return frame
+                self._restart()
+            except self.faults as error:
+                problem = self._said(error)
+                self._reconnect(problem)
+            _log.warning(
+                "%s, exposure %g s, attempt %d of %d: %s",
+                self._name, exposure, attempt + 1, attempts, problem,
+            )  # fmt: skip
+        raise CaptureError(
+            f"{self._name}: no good frame of {exposure:g} s in {attempts} attempts; "
+            f"the last: {problem}. {self.advice}, or raise camera.timeout_seconds or "
+            "camera.retries"
+        )
+
+    def _reconnect(self, reason: str) -> None:
+        """Find the camera again."""
+        _log.warning("%s was lost: %s", self._name, reason)
+        problem, attempts = reason, self._patience.reconnects
+        for attempt in range(attempts):
+            self._drop()
+            time.sleep(self._patience.reconnect_seconds)
+            try:
+                shape = self._open()
+            except CaptureError as error:
+                problem = str(error)
+                _log.warning("attempt %d of %d: %s", attempt + 1, attempts, error)
+                continue
+            if shape != self.shape:
+                raise CaptureError(
+                    f"{self._name}: has {shape} pixels since it came back, {self.shape} before"
+                )
+            self.statistics["reconnected"] += 1
+            _log.warning("%s is back", self._name)
+            return
+        raise CaptureError(
+            f"{self._name} was lost ({reason}) and not found again in {attempts} attempts; the "
+            f"last: {problem}. Check its power, cable and network, and that no other program took "
+            "it"
+        )
+
+
+def options_of(model: type[Any], given: Mapping[str, Any], what: str) -> Any:
+    """Return a driver's options of what its constructor was given by name.
+
+    Their ranges aren't checked: the settings' file was, and the camera knows its own.
+
+    Raises
+    ------
+    TypeError
+        When there is an option that the driver doesn't have.
+    """
+    if unknown := given.keys() - model.model_fields:
+        raise TypeError(f"{what} has no options {', '.join(sorted(unknown))}")
+    return model.model_construct(**given)
+
+
+def chosen(connected: Iterable[str], serial: str | None) -> int:
+    """Return which of the cameras that answer is meant, by their serial numbers.
+
+    Raises
+    ------
+    CaptureError
+        When it is none, or any of several.
+    """
+    serials = list(connected)
+    if serial is not None and serial in serials:
+        return serials.index(serial)
+    if serial is None and len(serials) == 1:
+        return 0
+    wanted = "any camera" if serial is None else f"camera {serial}"
+    raise CaptureError(
+        f"{wanted}: {len(serials)} cameras answer{': ' if serials else ''}{', '.join(serials)}. "
+        "Check power, cable and network, and name the camera by camera.serial"
+    )

@@ -1,0 +1,381 @@
+"""Photo cameras of Canon, Nikon, Sony and others, through libgphoto2: raw files, in manual mode.
+
+Tested on libgphoto2's virtual camera with raw files made for the test. Never tried on a camera of
+metal: what Canon, Nikon and Sony call their settings stands here as libgphoto2's source has it.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from rfpipe.config.base import Settings, Text
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry.camera import CameraModel
+from rfpipe.pictures.raw import Raw, read_raw
+from rfpipe.rigs.cameras.bracket import BracketCamera, options_of
+from rfpipe.rigs.cameras.gphoto_library import Photo, connected, load_gphoto2, use_virtual
+from rfpipe.rigs.cameras.options import (
+    Offset,
+    PictureExtent,
+    Reconnects,
+    ReconnectSeconds,
+    Retries,
+    TimeoutSeconds,
+)
+from rfpipe.rigs.cameras.shutter import ShutterTime, nearest_times, shutter_times
+
+__all__ = ["PhotoCamera", "PhotoOptions"]
+
+Counts = NDArray[np.uint16]
+
+RAW_FORMATS = ("RAW", "NEF (Raw)", "Raw", "NEF", "RAW (14bit)", "cRAW")
+"""What makers call raw files alone, the best first."""
+
+FIXED = {
+    "isoauto": "Off", "autoiso": "Off", "longexpnr": "Off", "autofocus": "Off",
+}  # fmt: skip
+"""What must not adapt, or take a dark picture off on its own, made where a camera has it."""
+
+MANUAL = ("expprogram", "autoexposuremode", "autoexposuremodedial")
+"""Settings that say the mode; of a dial, so they can only be read."""
+
+MIRROR: dict[str, int | str] = {"mirrorlock": 1, "exposuredelaymode": "On"}
+"""Canon's and Nikon's ways to keep the mirror still; Sony's cameras have none."""
+
+EXPOSURE_TOLERANCE = 0.25
+"""Fraction by which a file's exposure time may differ from the one set: it may be the name's."""
+
+FRAMES_A_CHECK = 100
+"""Frames between two looks at the battery."""
+
+_log = logging.getLogger(__name__)
+
+
+class PhotoOptions(Settings):
+    """A photo camera, by gphoto2."""
+
+    channels: ClassVar[int] = 3
+
+    model: Text | None = Field(
+        None,
+        description="Part of the model's name, such as D750 or EOS R5, or null for the only camera "
+        "connected.",
+    )
+    shape: tuple[PictureExtent, PictureExtent] | None = Field(
+        None, description="Height and width of the frames in pixels, or null for the whole sensor."
+    )
+    offset: tuple[Offset, Offset] = Field(
+        (0, 0),
+        description="Place of the frames on the sensor: rows from its upper edge, columns from "
+        "its left edge, even numbers both.",
+    )
+    iso: Annotated[int, Field(ge=25, le=409_600)] = Field(
+        100, description="Sensitivity, fixed, 25 to 409600; the lowest has the least noise."
+    )
+    image_format: Text | None = Field(
+        None,
+        description="What the camera calls raw files alone, or null to find it among the usual "
+        "names.",
+    )
+    nominal_times: bool = Field(
+        False,
+        description="Whether exposures last as long as they are named, 1/60 s, and not the power "
+        "of two that shutters are timed for, 1/64 s: true or false.",
+    )
+    mirror_lock: bool = Field(
+        False,
+        description="Whether the mirror is raised before each exposure, where the camera can: true "
+        "or false.",
+    )
+    mirror_seconds: float = Field(
+        1.0, ge=0, le=30, description="Wait after it is raised, in seconds, 0 to 30."
+    )
+    keep_pictures: bool = Field(
+        False, description="Whether the pictures stay on the camera's card, too: true or false."
+    )
+    least_battery: int = Field(
+        20, ge=0, le=100, description="Charge in per cent below which a line warns, 0 to 100."
+    )
+    settings: dict[str, bool | int | float | str] = Field(
+        default_factory=dict,
+        description="Further settings, as 'gphoto2 --list-config' names them, such as "
+        "{whitebalance: Daylight}.",
+    )
+    timeout_seconds: TimeoutSeconds = 30.0
+    retries: Retries = 3
+    reconnects: Reconnects = 5
+    reconnect_seconds: ReconnectSeconds = 2.0
+    virtual: Text | None = Field(
+        None,
+        description="Folder of a raw file, named as if it were a .jpg, that libgphoto2's virtual "
+        "camera takes, to rehearse without a camera; or null.",
+    )
+
+    @model_validator(mode="after")
+    def _keeps_the_mosaic(self) -> Self:
+        if any(value % 2 for value in (*self.offset, *(self.shape or ()))):
+            raise ValueError("offset and shape should be even numbers, as the mosaic is 2 x 2")
+        return self
+
+
+class PhotoCamera(BracketCamera):
+    """A Canon, Nikon or Sony camera that takes raw brackets.
+
+    The first picture says size, colour mosaic, black level and white level, which take the place of
+    the settings'; exposure times are the nearest that the camera has. Failed frames and a lost
+    camera are treated as every `BracketCamera` does. Never tried on a camera of metal.
+
+    Parameters
+    ----------
+    sensor : CameraModel
+        Exposures, and what is known of the noise.
+    options
+        As `PhotoOptions` has them, by name, the same where they aren't given.
+
+    Raises
+    ------
+    CaptureError
+        When gphoto2 or rawpy is missing, no camera answers, or it refuses a setting: says which.
+    InputError
+        When two exposures have one nearest time.
+    """
+
+    Options = PhotoOptions
+    bench = "rfpipe.rigs.bench_cameras:PhotoBenchCamera"
+    advice = "Check its cable, battery and card, and that its mode dial is at M"
+
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
+        self._options: PhotoOptions = options_of(PhotoOptions, options, "a photo camera")
+        super().__init__(sensor, 3, self._options)
+        self.faults = (load_gphoto2().GPhoto2Error,)
+        self._photo: Photo | None = None
+        self._model = ""
+        self._times: dict[float, ShutterTime] = {}
+        self._shown = ""
+        self._battery = 101
+        if self._options.virtual is not None:
+            use_virtual(Path(self._options.virtual))
+        self.shape = self._open()
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return {
+            "kind": "gphoto2",
+            "model": self._model,
+            "shape": list(self.shape),
+            "offset": list(self._options.offset),
+            "iso": self._options.iso,
+            "shutter": [self._times[exposure].name for exposure in self.sensor.exposures],
+            "bayer": self.sensor.bayer,
+            "black_level_counts": self.sensor.black_level_counts,
+            "white_level_counts": self.sensor.white_level,
+            "mirror_lock": self._options.mirror_lock,
+            "settings": dict(sorted(self._options.settings.items())),
+        }
+
+    def _is_lost(self) -> bool:
+        return self._photo is None
+
+    def _said(self, error: Exception) -> str:
+        return f"{error}".strip().rstrip(".")
+
+    def _frame(self, exposure: float) -> tuple[Counts | None, str]:
+        """Take one frame; return it, or None and what is wrong."""
+        if self.statistics["frames"] % FRAMES_A_CHECK == FRAMES_A_CHECK - 1:
+            self._look_at_battery()
+        self._before_trigger(exposure)
+        data = self._taken(self._times[exposure])
+        if data is None:
+            patience = exposure + self._options.timeout_seconds
+            return self._timed_out(f"no picture within {patience:g} s")
+        try:
+            raw = read_raw(data, "the picture")
+        except InputError as error:
+            return self._failed(f"{error}")
+        said = raw.exposure_s
+        if said is not None and abs(said / exposure - 1) > EXPOSURE_TOLERANCE:
+            return self._failed(f"the picture says that it was exposed for {said:.3g} s")
+        counts = self._part(raw)
+        if counts.shape != self.shape:
+            return self._failed(f"the picture has {counts.shape} pixels, expected {self.shape}")
+        return np.minimum(counts, np.uint16(self.sensor.white_level)), ""
+
+    def _taken(self, shutter: ShutterTime) -> bytes | None:
+        """Release the shutter and return the file."""
+        photo = self._photo
+        assert photo is not None
+        if self._shown != shutter.name:
+            photo.set("shutterspeed", shutter.name)
+            self._shown = shutter.name
+        if self._options.mirror_lock and photo.get("mirrorlock") is not None:
+            photo.release()  # the first release raises the mirror
+            time.sleep(self._options.mirror_seconds)
+        photo.release()
+        patience = shutter.seconds + self._options.timeout_seconds
+        return photo.picture(patience, keep=self._options.keep_pictures)
+
+    def _part(self, raw: Raw) -> Counts:
+        """Return the part of the sensor that was asked for; of the whole, an even one."""
+        (top, left), (height, width) = self._options.offset, raw.counts.shape
+        height, width = self._options.shape or ((height - top) // 2 * 2, (width - left) // 2 * 2)
+        return raw.counts[top : top + height, left : left + width]
+
+    def _open(self) -> tuple[int, int]:
+        """Find the camera, set it up, and learn from a first picture what it delivers."""
+        self._connect()
+        assert self._photo is not None
+        try:
+            times = shutter_times(
+                self._photo.choices("shutterspeed"), nominal=self._options.nominal_times
+            )
+            raw = self._first(nearest_times(self.sensor.exposures, times)[0])
+            if not self._times:
+                self._learn(raw, times)
+        except BaseException:
+            self._drop()
+            raise
+        height, width = self._part(raw).shape
+        return height, width
+
+    def _connect(self) -> None:
+        """Open the camera and make its settings."""
+        model, port = self._found()
+        self._name, self._model, self._shown = f"camera {model}", model, ""
+        try:
+            self._photo = Photo(model, port)
+            self._set_up()
+        except load_gphoto2().GPhoto2Error as error:
+            self._drop()
+            raise CaptureError(
+                f"{self._name}: can't be opened: {self._said(error)}. Close other programs that "
+                "hold it (a desktop's file manager does: gio mount -s gphoto2), and check that it "
+                "is awake"
+            ) from error
+        except CaptureError:
+            self._drop()
+            raise
+
+    def _found(self) -> tuple[str, str]:
+        """Return model and port of the camera."""
+        answering, part = connected(), (self._options.model or "").lower()
+        meant = [each for each in answering if part in each[0].lower()]
+        if len(meant) == 1:
+            return meant[0]
+        names = ", ".join(f"{model} at {port}" for model, port in answering)
+        raise CaptureError(
+            f"{self._options.model or 'any camera'}: {len(answering)} photo cameras answer"
+            f"{': ' if names else ''}{names}. Check power, cable and that the camera is awake, and "
+            "name the camera by camera.model"
+        )
+
+    def _set_up(self) -> None:
+        """Make what must not adapt stand still."""
+        photo, options = self._photo, self._options
+        assert photo is not None
+        for name in MANUAL:
+            mode = photo.get(name)
+            if mode is not None and not str(mode).upper().startswith("M"):
+                raise CaptureError(
+                    f"{self._name}: its mode is {mode}; turn the dial to M (manual), or exposure "
+                    "times would not hold"
+                )
+        for name, off in FIXED.items():
+            if off in photo.choices(name):
+                photo.set(name, off)
+        photo.set("capturetarget", "Memory card" if options.keep_pictures else "Internal RAM")
+        photo.set("iso", str(options.iso))
+        for name in ("imageformat", "imagequality"):
+            known = photo.choices(name)
+            raw = options.image_format or next(
+                (each for each in RAW_FORMATS if each in known), None
+            )
+            if raw is not None and (raw in known or options.image_format):
+                photo.set(name, raw)
+        if options.mirror_lock:
+            ways = [name for name, value in MIRROR.items() if photo.set(name, value)]
+            if not ways:
+                _log.warning("%s: has no mirror lock that gphoto2 can set", self._name)
+        for name, setting in options.settings.items():
+            if not photo.set(name, setting):
+                raise CaptureError(f"{self._name}: has no setting {name} that can be made")
+        self._look_at_battery()
+
+    def _first(self, shutter: ShutterTime) -> Raw:
+        """Take a picture and return it."""
+        self._before_trigger(shutter.seconds)
+        try:
+            data = self._taken(shutter)
+        except load_gphoto2().GPhoto2Error as error:
+            raise CaptureError(f"{self._name}: takes no picture: {self._said(error)}") from error
+        if data is None:
+            raise CaptureError(f"{self._name}: took no picture. {self.advice}")
+        try:
+            return read_raw(data, "the first picture")
+        except InputError as error:
+            raise CaptureError(
+                f"{self._name}: {error}. Set the camera to raw files alone, in its menu or by "
+                "camera.image_format"
+            ) from error
+
+    def _learn(self, raw: Raw, times: list[ShutterTime]) -> None:
+        """Take over what the first picture says of the sensor, and the camera's own times."""
+        if raw.bayer is None:
+            raise CaptureError(
+                f"{self._name}: its raw files have no colour mosaic of 2 x 2 (RGGB and its like); "
+                "only such are taken apart here"
+            )
+        chosen = nearest_times(self.sensor.exposures, times)
+        for exposure, time_ in zip(self.sensor.exposures, chosen, strict=True):
+            level = logging.INFO if abs(time_.seconds / exposure - 1) < 0.05 else logging.WARNING
+            _log.log(
+                level, "%s: takes %s (%g s) for an exposure of %g s",
+                self._name, time_.name, time_.seconds, exposure,
+            )  # fmt: skip
+        bits = raw.white.bit_length()
+        self.sensor = replace(
+            self.sensor,
+            exposures=tuple(time_.seconds for time_ in chosen),
+            bits=bits,
+            bayer=raw.bayer,
+            black_level_counts=round(raw.black),
+            white_level_counts=None if raw.white == 2**bits - 1 else raw.white,
+        )
+        self._times = {time_.seconds: time_ for time_ in chosen}
+        _log.info(
+            "%s: %s, black level %.0f, white level %d", self._name, raw.bayer, raw.black, raw.white
+        )
+
+    def _look_at_battery(self) -> None:
+        """Warn of a battery that may not last; again when it has lost five per cent."""
+        assert self._photo is not None
+        level = self._photo.get("batterylevel")
+        if level is None:
+            return
+        found = re.match(r"(\d+)", str(level))
+        charge = int(found[1]) if found else 100 * (str(level).lower() != "low")
+        if charge < self._options.least_battery and charge <= self._battery - 5:
+            self._battery = charge
+            _log.warning(
+                "%s: its battery is at %s; a night takes mains power (a dummy battery)",
+                self._name, level,
+            )  # fmt: skip
+
+    def _restart(self) -> None:
+        """Open the camera anew, so that a picture that comes late is not taken for the next."""
+        self._drop()
+        self._connect()
+
+    def _drop(self) -> None:
+        """Let go of the device, whatever state it is in."""
+        photo, self._photo = self._photo, None
+        if photo is not None:
+            photo.close()

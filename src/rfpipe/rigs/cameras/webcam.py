@@ -1,0 +1,313 @@
+"""Webcams and whatever else OpenCV's VideoCapture opens: V4L2, GStreamer, files, streams.
+
+The worst of cameras for measuring: 8 bits, through a processing of their own. What a camera lets
+one switch off is switched off, and what is left is said; a calibration's linearity step proves
+whether it can be undone. Tested on image sequences that OpenCV opens as a device, and on a UVC
+camera's controls in software. Never tried on a camera of metal, nor on a device of V4L2.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rfpipe.config.base import Settings, Text
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry.camera import CameraModel
+from rfpipe.rigs.cameras.bracket import BracketCamera, options_of
+from rfpipe.rigs.cameras.options import PictureExtent, Reconnects, ReconnectSeconds, Retries
+
+__all__ = ["Webcam", "WebcamOptions", "load_opencv"]
+
+Counts = NDArray[np.uint16]
+
+COMPRESSED = ("MJPG", "JPEG", "H264", "HEVC")
+"""Streams that have lost what they can't be given back."""
+
+V4L2_TICKS = 1e4
+"""Of an exposure time, a second: V4L2 counts 100 microseconds."""
+
+EXPOSURE_TOLERANCE = 0.01
+"""Fraction by which an exposure time may differ from the one asked for without a warning."""
+
+_log = logging.getLogger(__name__)
+
+
+class WebcamOptions(Settings):
+    """A webcam, by OpenCV."""
+
+    bits: ClassVar[int] = 8
+    bayer: ClassVar[str | None] = None
+
+    device: int | Text = Field(
+        0,
+        description="Number of the device, such as 0 for /dev/video0; or a path, an address or a "
+        "GStreamer pipeline, whatever OpenCV's VideoCapture opens.",
+    )
+    backend: Literal["any", "v4l2", "gstreamer", "ffmpeg", "images"] = Field(
+        "any", description="What OpenCV opens it with: any, v4l2, gstreamer, ffmpeg or images."
+    )
+    channels: Literal[1, 3] = Field(
+        3, description="3: colour, as the camera made it; 1: its green alone."
+    )
+    shape: tuple[PictureExtent, PictureExtent] | None = Field(
+        None, description="Height and width of the frames in pixels, or null for the camera's own."
+    )
+    fourcc: Text | None = Field(
+        "YUYV",
+        min_length=4,
+        max_length=4,
+        description="Format of the stream that is asked for, not compressed, four letters; null "
+        "for the camera's own.",
+    )
+    skip_frames: int = Field(
+        4,
+        ge=0,
+        le=100,
+        description="Frames dropped before each one that counts, as they were on their way while "
+        "picture or exposure time changed, 0 to 100.",
+    )
+    controls: dict[str, float] = Field(
+        default_factory=dict,
+        description="Further settings, as OpenCV names its CAP_PROP_..., such as {GAIN: 0}.",
+    )
+    retries: Retries = 3
+    reconnects: Reconnects = 5
+    reconnect_seconds: ReconnectSeconds = 2.0
+    timeout_seconds: ClassVar[float] = 0.0  # OpenCV's own
+
+
+class Webcam(BracketCamera):
+    """A webcam that takes brackets where it lets one set its exposure time.
+
+    Without that, it takes one exposure, whose time is the camera's own affair. Failed frames and a
+    lost camera are treated as every `BracketCamera` does. Never tried on a camera of metal.
+
+    Parameters
+    ----------
+    sensor : CameraModel
+        Exposures, 8 bits, and what is known of the noise.
+    options
+        As `WebcamOptions` has them, by name, the same where they aren't given.
+
+    Raises
+    ------
+    CaptureError
+        When OpenCV is missing, or the device doesn't open or give a frame.
+    InputError
+        When the sensor has other than 8 bits or a mosaic, or several exposures that the camera
+        can't be told.
+
+    Attributes
+    ----------
+    adapts : tuple of str
+        What bends or adapts counts and could not be switched off.
+    """
+
+    Options = WebcamOptions
+    bench = "rfpipe.rigs.bench_cameras:WebcamBenchCamera"
+    advice = "Check its cable and hub, and that no other program uses it"
+
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
+        self._options: WebcamOptions = options_of(WebcamOptions, options, "a webcam")
+        if (sensor.bits, sensor.bayer) != (8, None):
+            raise InputError(
+                f"sensor.bits is {sensor.bits} and sensor.bayer {sensor.bayer}; a webcam's frames "
+                "have 8 bits and no mosaic: set 8 and null"
+            )
+        super().__init__(sensor, self._options.channels, self._options)
+        self._cv2 = load_opencv()
+        self.faults = (self._cv2.error,)
+        self.adapts: tuple[str, ...] = ()
+        self._capture: Any = None
+        self._set_to: float | None = None
+        self._has_times = False
+        self._name = f"webcam {self._options.device}"
+        self.shape = self._open()
+        self._take_over_times()
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return {
+            "kind": "webcam",
+            "device": str(self._options.device),
+            "backend": self._options.backend,
+            "shape": list(self.shape),
+            "channels": self.channels,
+            "fourcc": self._options.fourcc,
+            "skip_frames": self._options.skip_frames,
+            "controls": dict(sorted(self._options.controls.items())),
+            "adapts": list(self.adapts),
+        }
+
+    def _is_lost(self) -> bool:
+        return self._capture is None
+
+    def _frame(self, exposure: float) -> tuple[Counts | None, str]:
+        """Take one frame; return it, or None and what is wrong."""
+        if self._has_times and self._set_to != exposure:
+            self._set_exposure(exposure)
+        self._before_trigger(exposure)
+        for _ in range(self._options.skip_frames):
+            self._capture.grab()
+        arrived, frame = self._capture.read()
+        if not arrived or frame is None:
+            return self._failed("no frame came")
+        counts = self._counts(frame)
+        if counts.shape[:2] != self.shape:
+            return self._failed(f"the frame has {counts.shape[:2]} pixels, expected {self.shape}")
+        return counts, ""
+
+    def _counts(self, frame: NDArray[Any]) -> Counts:
+        """Return OpenCV's blue, green and red as counts (H, W[, 3]), red first."""
+        if frame.dtype != np.uint8:
+            raise CaptureError(f"{self._name}: gives {frame.dtype}; expected frames of 8 bits")
+        grey = frame.ndim == 2
+        if self.channels == 1:
+            return (frame if grey else frame[..., 1]).astype(np.uint16)
+        if grey:
+            raise CaptureError(f"{self._name}: is a grey camera; set camera.channels to 1")
+        return frame[..., 2::-1].astype(np.uint16)
+
+    def _opened(self) -> Any:
+        """Return OpenCV's capture of the device."""
+        backend = getattr(self._cv2, f"CAP_{self._options.backend.upper()}")
+        return self._cv2.VideoCapture(self._options.device, backend)
+
+    def _open(self) -> tuple[int, int]:
+        """Open the device, switch off what it lets one, and take a first frame."""
+        self._capture, self._set_to = self._opened(), None
+        if not self._capture.isOpened():
+            self._drop()
+            raise CaptureError(
+                f"{self._name}: can't be opened. Check that it is there (v4l2-ctl --list-devices), "
+                "that no other program uses it, that you may read it (group video), and "
+                "camera.device and camera.backend"
+            )
+        try:
+            self._set_up()
+            arrived, frame = self._capture.read()
+            if not arrived or frame is None:
+                raise CaptureError(f"{self._name}: opens, but gives no frame. {self.advice}")
+            height, width = self._counts(frame).shape[:2]
+        except BaseException:
+            self._drop()
+            raise
+        wanted = self._options.shape
+        if wanted is not None and (height, width) != tuple(wanted):
+            self._drop()
+            raise CaptureError(
+                f"{self._name}: gives frames of {height} x {width} pixels where camera.shape asks "
+                f"for {wanted[0]} x {wanted[1]}; set it to a size that the camera has"
+            )
+        return height, width
+
+    def _set_up(self) -> None:
+        """Make all settings but the exposure time, and say what could not be made."""
+        options, adapts = self._options, []
+        if options.fourcc is not None:
+            self._set("FOURCC", self._cv2.VideoWriter_fourcc(*options.fourcc))
+        if options.shape is not None:
+            self._set("FRAME_HEIGHT", options.shape[0])
+            self._set("FRAME_WIDTH", options.shape[1])
+        is_v4l2 = self._capture.getBackendName() == "V4L2"
+        for name, what, off in (
+            ("AUTO_EXPOSURE", "automatic exposure", 1 if is_v4l2 else 0.25),
+            ("AUTO_WB", "automatic white balance", 0),
+            ("AUTOFOCUS", "autofocus", 0),
+            ("BACKLIGHT", "backlight compensation", 0),
+            ("SHARPNESS", "sharpening", 0),
+            ("GAMMA", "gamma", 100),
+        ):
+            if not self._set(name, off):
+                adapts.append(what)
+        for name, value in options.controls.items():
+            if not hasattr(self._cv2, f"CAP_PROP_{name}") or not self._set(name, value):
+                raise CaptureError(f"{self._name}: refuses camera.controls.{name} = {value:g}")
+        stream = _letters(int(self._capture.get(self._cv2.CAP_PROP_FOURCC)))
+        if stream in COMPRESSED:
+            adapts.append(f"compression ({stream})")
+        self.adapts = tuple(adapts)
+        left = ", ".join(self.adapts)
+        _log.warning(
+            "%s: is no measuring camera: 8 bits, made by a processing of its own%s. Calibrate it: "
+            "the linearity step proves whether what is left can be undone",
+            self._name, f"; it may still have {left}, which could not be switched off" * bool(left),
+        )  # fmt: skip
+
+    def _set(self, name: str, value: float) -> bool:
+        """Make a setting; tell whether the camera took it."""
+        prop = getattr(self._cv2, f"CAP_PROP_{name}")
+        return bool(self._capture.set(prop, value)) and self._capture.get(prop) == value
+
+    def _set_exposure(self, exposure: float) -> float | None:
+        """Set the exposure time in seconds; return what the camera took, None if it can't."""
+        prop, backend = self._cv2.CAP_PROP_EXPOSURE, self._capture.getBackendName()
+        self._set_to = exposure
+        if backend == "V4L2":
+            made = self._capture.set(prop, max(1, round(exposure * V4L2_TICKS)))
+            return float(self._capture.get(prop)) / V4L2_TICKS if made else None
+        if backend in ("DSHOW", "MSMF"):
+            made = self._capture.set(prop, round(math.log2(exposure)))
+            return float(2.0 ** self._capture.get(prop)) if made else None
+        return None
+
+    def _take_over_times(self) -> None:
+        """Learn which exposure times the camera takes, and take them for those of the sensor."""
+        wanted = self.sensor.exposures
+        taken = [self._set_exposure(exposure) for exposure in wanted]
+        times = [time for time in taken if time]
+        if len(times) < len(wanted):
+            if len(wanted) > 1:
+                self.close()
+                raise InputError(
+                    f"{self._name}: doesn't let one set its exposure time; give sensor.exposures "
+                    f"one time, not {len(wanted)}"
+                )
+            _log.warning("%s: its exposure time is its own affair", self._name)
+            return
+        for exposure, time in zip(wanted, times, strict=True):
+            if abs(time / exposure - 1) > EXPOSURE_TOLERANCE:
+                _log.warning("%s: takes %g s for an exposure of %g s", self._name, time, exposure)
+        if any(longer <= shorter for shorter, longer in pairwise(times)):
+            self.close()
+            raise InputError(
+                f"{self._name}: takes {', '.join(f'{time:g}' for time in times)} s for the times "
+                "of sensor.exposures; change them to such as it can tell apart"
+            )
+        self._has_times, self._set_to = True, None
+        self.sensor = replace(self.sensor, exposures=tuple(times))
+
+    def _restart(self) -> None:
+        """Open the device anew, so that a frame that comes late is not taken for the next one."""
+        self._drop()
+        self._open()
+
+    def _drop(self) -> None:
+        """Let go of the device, whatever state it is in."""
+        capture, self._capture = self._capture, None
+        if capture is not None:
+            capture.release()
+
+
+def load_opencv() -> Any:
+    """Return the module ``cv2``, or raise CaptureError."""
+    try:
+        import cv2
+    except ImportError as error:
+        raise CaptureError(
+            f"OpenCV can't be loaded: {error}. Install it: pip install 'rfpipe[webcam]'"
+        ) from error
+    return cv2
+
+
+def _letters(fourcc: int) -> str:
+    """Return the four letters of a stream's format."""
+    return "".join(chr((fourcc >> shift) & 0x7F) for shift in (0, 8, 16, 24)).upper()

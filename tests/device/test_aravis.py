@@ -1,0 +1,175 @@
+"""The driver of GenICam cameras, on Aravis' fake cameras: in the process, and by GigE Vision."""
+
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.cameras import FilledCamera, gige_camera, need_aravis
+
+from rfpipe.errors import CaptureError
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs.cameras import aravis_library
+from rfpipe.rigs.cameras.aravis import AravisCamera
+from rfpipe.rigs.cameras.aravis_library import AravisNodes
+from rfpipe.testing import CameraContract
+
+SENSOR = CameraModel(exposures=(0.001, 0.01, 0.1), bits=16)
+SHAPE = (40, 48)
+PICTURE = np.random.default_rng(0).integers(0, 2**16, SHAPE)
+QUICK = {"timeout_seconds": 0.5, "reconnect_seconds": 0.0}
+
+
+@pytest.fixture(autouse=True)
+def _aravis() -> None:
+    need_aravis()
+
+
+class TestGreyCamera(CameraContract):
+    def make_camera(self) -> AravisCamera:
+        return FilledCamera(PICTURE, SENSOR)
+
+
+class TestCameraWithMosaic(CameraContract):
+    def make_camera(self) -> AravisCamera:
+        return FilledCamera(PICTURE >> 8, replace(SENSOR, bits=8, bayer="GRBG"))
+
+
+@pytest.mark.parametrize(
+    ("bits", "bayer", "name"),
+    [(8, None, "Mono8"), (16, None, "Mono16"), (8, "RGGB", "BayerRG8"), (8, "GBRG", "BayerGB8"),
+     (8, "GRBG", "BayerGR8"), (8, "BGGR", "BayerBG8")],
+)  # fmt: skip
+def test_counts_arrive_bit_for_bit(bits: int, bayer: str | None, name: str) -> None:
+    picture = PICTURE >> (16 - bits)
+    with FilledCamera(picture, replace(SENSOR, bits=bits, bayer=bayer)) as camera:
+        assert camera.describe()["pixel_format"] == name
+        assert (camera.expose().reshape(3, *SHAPE) == picture).all()
+
+
+def test_nothing_adapts_and_frames_are_triggered() -> None:
+    with FilledCamera(PICTURE, SENSOR, offset=(8, 16)) as camera:
+        nodes = camera.nodes
+        assert nodes.write("GainAuto", "Off") == "Off"
+        for name, value in (("GainRaw", 0), ("OffsetY", 8), ("OffsetX", 16)):
+            assert nodes.integer(name) == value
+        for name, value in (("TriggerMode", "On"), ("TriggerSource", "Software")):
+            read = aravis_library.tried(
+                "arv_device_get_string_feature_value", nodes.device, name.encode()
+            )
+            assert read.decode() == value
+
+
+def test_each_exposure_has_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = []
+
+    def look(camera: AravisCamera, _: float) -> None:
+        name = b"ExposureTimeAbs"
+        device = camera.nodes.device
+        times.append(aravis_library.tried("arv_device_get_float_feature_value", device, name))
+
+    monkeypatch.setattr(AravisCamera, "_before_trigger", look)
+    with FilledCamera(PICTURE, SENSOR) as camera:
+        camera.expose()
+    assert times == [1000, 10_000, 100_000]
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"shape": (40, 99_999)}, r"refuses Width = 99999.*It takes 1 to 2048"),
+        ({"serial": "40001234"}, r"camera 40001234: 1 cameras answer: 1\..*camera\.serial"),
+        ({"nodes": {"Sharpnes": 1}}, "refuses Sharpnes = 1: the camera has no such setting"),
+        ({"nodes": {"TriggerActivation": "Maybe"}}, "It takes RisingEdge"),
+        ({"gain_db": 3.0}, "has no gain in decibels"),
+    ],
+)
+def test_what_the_camera_refuses_is_explained(changes: dict[str, Any], expected: str) -> None:
+    with pytest.raises(CaptureError, match=expected):
+        AravisCamera(SENSOR, **{"shape": SHAPE, "fake": True, **QUICK, **changes})
+
+
+def test_a_format_or_a_time_that_the_camera_has_not_is_explained() -> None:
+    with pytest.raises(CaptureError, match=r"refuses PixelFormat = Mono12.*Mono8.*Mono16"):
+        AravisCamera(replace(SENSOR, bits=12), fake=True)
+    with (
+        FilledCamera(PICTURE, replace(SENSOR, exposures=(20.0,))) as camera,
+        pytest.raises(CaptureError, match=r"20 s is not in its range, 1e-05 to 10 s"),
+    ):
+        camera.expose()
+
+
+def test_a_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(aravis_library, "_LIBRARY", "libaravis-of-nobody.so.0")
+    aravis_library.load_aravis.cache_clear()
+    try:
+        with pytest.raises(CaptureError, match=r"apt-get install libaravis-0\.8-0"):
+            AravisCamera(SENSOR)
+    finally:
+        aravis_library.load_aravis.cache_clear()
+
+
+class TestByGigeVision:
+    """Frames that come as packets, each asked for by a trigger of its own."""
+
+    @pytest.fixture
+    def camera(self) -> Iterator[AravisCamera]:
+        with (
+            gige_camera("RFPIPE1"),
+            AravisCamera(SENSOR, serial="RFPIPE1", shape=SHAPE, **QUICK) as camera,
+        ):
+            yield camera
+
+    def test_takes_brackets(self, camera: AravisCamera) -> None:
+        frames = camera.expose()
+        assert frames.shape == (3, *SHAPE, 1)
+        assert frames.max() > 2**12  # the ramp that it makes has all 16 bits
+        assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 0, "reconnected": 0}
+
+    def test_a_frame_that_does_not_come_is_taken_again(
+        self, camera: AravisCamera, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        forgotten, execute = iter([True]), AravisNodes.execute
+
+        def forgetful(nodes: AravisNodes, name: str) -> None:
+            if name != "TriggerSoftware" or not next(forgotten, False):
+                execute(nodes, name)
+
+        monkeypatch.setattr(AravisNodes, "execute", forgetful)
+        assert camera.expose().shape == (3, *SHAPE, 1)
+        assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 1, "reconnected": 0}
+
+
+def lose(monkeypatch: pytest.MonkeyPatch, calls: int) -> None:
+    """Have the camera's next commands find no camera."""
+    left, execute = iter(range(calls)), AravisNodes.execute
+
+    def gone(nodes: AravisNodes, name: str) -> None:
+        if name == "TriggerSoftware" and next(left, None) is not None:
+            raise aravis_library.AravisError("Timeout waiting for device response")
+        execute(nodes, name)
+
+    monkeypatch.setattr(AravisNodes, "execute", gone)
+
+
+def test_a_lost_camera_is_found_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    with FilledCamera(PICTURE, SENSOR, **QUICK) as camera:
+        lose(monkeypatch, 1)
+        assert (camera.expose().reshape(3, *SHAPE) == PICTURE).all()
+        assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 0, "reconnected": 1}
+    assert "camera 1 is back" in caplog.text
+
+
+def test_a_camera_that_stays_away_is_an_error_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
+    with FilledCamera(PICTURE, SENSOR, **QUICK, reconnects=2) as camera:
+        lose(monkeypatch, 1)
+        monkeypatch.setattr("rfpipe.rigs.cameras.aravis.connected", lambda fake: [])
+        with pytest.raises(
+            CaptureError, match=r"was lost \(Timeout .* not found again in 2 attempts.*power, cable"
+        ):
+            camera.expose()

@@ -1,0 +1,144 @@
+"""Each driver on its virtual device, before the bench's scene: calibrate, acquire, relight."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.cameras import need_aravis, need_gphoto2
+
+from rfpipe import acquire
+from rfpipe.calibration import load
+from rfpipe.calibration.job import calibrate_rig
+from rfpipe.config import parse_rig_config
+from rfpipe.errors import ConfigError, InputError
+from rfpipe.rigs.bench import software_bench
+from rfpipe.rigs.build import rig_from_config
+from rfpipe.scenes import scene_from_config
+from rfpipe.scenes.relighting import relighting_patterns
+from rfpipe.testing import RigContract
+
+RAYS = (8, 8)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A driver, and the sensor that its bench has."""
+
+    driver: str
+    options: dict[str, Any]
+    sensor: dict[str, Any]
+    channels: int
+    camera_shape: tuple[int, int]
+    true: dict[str, Any] | None = None
+
+
+KINDS = {
+    "aravis": Kind(
+        "aravis", {"pixel_format": "Mono16"}, {"bits": 16, "black_level_counts": 1000}, 1, (24, 26)
+    ),
+    "gphoto2": Kind(
+        "gphoto2",
+        {},
+        {"bits": 14, "black_level_counts": 512, "white_level_counts": 15_000, "bayer": "RGGB"},
+        3,
+        (48, 52),
+    ),
+    "webcam": Kind(
+        "webcam",
+        {"channels": 1, "skip_frames": 1},
+        {"bits": 8, "black_level_counts": 20},
+        1,
+        (48, 52),  # of few counts it takes many pixels to tell the response
+        {"bits": 8, "black_level_counts": 20, "response_gamma": 1.8},
+    ),
+}
+NEEDED = {"aravis": need_aravis, "gphoto2": need_gphoto2, "webcam": lambda: None}
+
+
+def settings(kind: Kind, **more: Any) -> dict[str, Any]:
+    return {
+        "rays": list(RAYS),
+        "projector": {"options": {"settle_seconds": 0.0}},
+        "camera": {"driver": kind.driver, "options": kind.options},
+        # such as the virtual photo camera has
+        "sensor": {**kind.sensor, "exposures": [0.01, 0.05, 0.1, 1.0]},
+        "bench": {
+            "scene": {
+                "kind": "wedge", "surfaces": ["white", "texture"], "shape": list(RAYS),
+                "channels": kind.channels,
+            },
+            "display_shape": [72, 80],
+            "camera_shape": list(kind.camera_shape),
+            "camera": kind.true,
+        },
+        "calibrate": {
+            "dark_frames": 4, "levels": 6, "codes": 9, "symmetry_patterns": 3,
+            "period_pixels": 16,
+        },
+        **more,
+    }  # fmt: skip
+
+
+@pytest.fixture(params=KINDS)
+def kind(request: pytest.FixtureRequest) -> Kind:
+    NEEDED[request.param]()
+    return KINDS[request.param]
+
+
+class TestAravisBench(RigContract):
+    repeatable = False
+
+    def make_rig(self):  # type: ignore[no-untyped-def]
+        need_aravis()
+        return rig_from_config(parse_rig_config(settings(KINDS["aravis"]), "rig.yaml"))
+
+
+class TestPhotoBench(RigContract):
+    repeatable = False
+
+    def make_rig(self):  # type: ignore[no-untyped-def]
+        need_gphoto2()
+        return rig_from_config(parse_rig_config(settings(KINDS["gphoto2"]), "rig.yaml"))
+
+
+class TestWebcamBench(RigContract):
+    repeatable = False
+
+    def make_rig(self):  # type: ignore[no-untyped-def]
+        linear = replace(KINDS["webcam"], true=None)  # the sensor doesn't know of any gamma yet
+        return rig_from_config(parse_rig_config(settings(linear), "rig.yaml"))
+
+
+def test_calibrated_it_acquires_and_relights_the_scene(kind: Kind, tmp_path: Path) -> None:
+    folder = tmp_path / "calibration"
+    calibrate_rig(parse_rig_config(settings(kind), "rig.yaml"), folder)
+    found = load(folder)
+    true = {**kind.sensor, **(kind.true or {})}
+    assert found.camera["black_level_counts"] == pytest.approx(true["black_level_counts"], abs=0.5)
+    assert found.camera["full_well_electrons"] == pytest.approx(20_000, rel=0.05)
+    gamma = found.camera.get("response_gamma", 1.0)
+    assert gamma == pytest.approx(true.get("response_gamma", 1.0), rel=0.02)
+    config = parse_rig_config(settings(kind, calibration=str(folder)), "rig.yaml")
+    assert config.bench is not None
+    scene = scene_from_config(config.bench.scene)
+    with rig_from_config(config) as rig:  # type: ignore[attr-defined]
+        transport = acquire(rig, method="near_far", progress=False).transport
+    for name, pattern in relighting_patterns(RAYS).items():
+        relit = transport.relight(pattern)
+        light = scene.apply(pattern.reshape(1, -1)).reshape(relit.shape)
+        assert np.linalg.norm(relit - light) < 0.05 * np.linalg.norm(light), name
+
+
+def test_a_bench_that_its_virtual_camera_cannot_be_is_explained() -> None:
+    need_aravis()
+    twelve = settings(KINDS["aravis"])
+    twelve["camera"]["options"] = {"pixel_format": "Mono12"}
+    twelve["sensor"]["bits"] = 12
+    with pytest.raises(InputError, match="fake camera, has Mono16, or a colour mosaic of 8 bits"):
+        software_bench(parse_rig_config(twelve, "rig.yaml"))
+    grey = settings(KINDS["gphoto2"])
+    grey["bench"]["scene"]["channels"] = 1
+    with pytest.raises(ConfigError, match=r"channels should be 3 with camera\.driver gphoto2"):
+        parse_rig_config(grey, "rig.yaml")

@@ -1,0 +1,263 @@
+"""The driver of photo cameras, on libgphoto2's virtual camera and raw files made here."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.cameras import need_gphoto2
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.pictures.dng import dng_bytes
+from rfpipe.rigs.cameras import gphoto_library
+from rfpipe.rigs.cameras.gphoto import PhotoCamera, PhotoOptions
+from rfpipe.rigs.cameras.gphoto_library import Photo
+from rfpipe.testing import CameraContract
+
+SENSOR = CameraModel(exposures=(0.01, 0.05))
+SHAPE = (48, 60)
+BLACK, WHITE = 600, 15_300
+COUNTS = np.random.default_rng(0).integers(BLACK, WHITE, SHAPE).astype(np.uint16)
+QUICK: dict[str, Any] = {
+    "timeout_seconds": 0.3, "reconnect_seconds": 0.0, "reconnects": 1, "keep_pictures": True,
+}  # fmt: skip
+
+
+def put(folder: Path, counts: np.ndarray = COUNTS, seconds: float = 0.0, **levels: Any) -> None:
+    """Lay a raw file before the virtual camera."""
+    known = {"bayer": "GRBG", "black": BLACK, "white": WHITE, **levels}
+    (folder / "raw.jpg").write_bytes(dng_bytes(counts, seconds, **known))
+
+
+@pytest.fixture(autouse=True)
+def _raw_file(tmp_path: Path) -> None:
+    need_gphoto2()
+    put(tmp_path)
+
+
+def camera_of(folder: Path, sensor: CameraModel = SENSOR, **options: Any) -> PhotoCamera:
+    return PhotoCamera(sensor, virtual=str(folder), **{**QUICK, **options})
+
+
+class TestPhotoCamera(CameraContract):
+    @pytest.fixture(autouse=True)
+    def _folder(self, tmp_path: Path) -> None:
+        self.folder = tmp_path
+
+    def make_camera(self) -> PhotoCamera:
+        return camera_of(self.folder)
+
+
+def test_counts_are_those_of_the_raw_file(tmp_path: Path) -> None:
+    with camera_of(tmp_path) as camera:
+        assert (camera.expose() == COUNTS).all()
+        assert camera.channels == 3
+
+
+def test_levels_and_mosaic_come_from_the_metadata(tmp_path: Path) -> None:
+    with camera_of(tmp_path) as camera:
+        assert camera.sensor.bayer == "GRBG"
+        assert (camera.sensor.bits, camera.sensor.black_level_counts) == (14, BLACK)
+        assert camera.sensor.white_level == WHITE
+
+
+def test_what_the_sensor_cannot_count_is_saturated(tmp_path: Path) -> None:
+    bright = COUNTS.copy()
+    bright[4:10, 4:10] = WHITE + 200  # noise above the white level, within 14 bits
+    put(tmp_path, bright)
+    with camera_of(tmp_path) as camera:
+        frames = camera.expose()
+        assert frames.max() == WHITE
+        merged = camera.sensor.merge(frames[None], np.full(frames.shape, BLACK, np.float32))
+    # with full scale at 2^14 - 1 they would pass for light
+    assert merged.saturated == np.count_nonzero(bright >= np.ceil(0.98 * WHITE))
+
+
+def test_a_part_of_the_sensor(tmp_path: Path) -> None:
+    with camera_of(tmp_path, shape=(20, 30), offset=(4, 8)) as camera:
+        assert camera.shape == (20, 30)
+        assert (camera.expose() == COUNTS[4:24, 8:38]).all()
+    with pytest.raises(ValueError, match="even numbers"):
+        PhotoOptions(offset=(1, 0))
+
+
+def test_exposure_times_are_those_that_the_camera_has(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    sensor = replace(SENSOR, exposures=(1 / 64, 0.1, 1.0))
+    with camera_of(tmp_path, sensor) as camera:
+        assert camera.describe()["shutter"] == ["0.0200s", "0.1000s", "1.0000s"]
+        assert camera.sensor.exposures == pytest.approx((2 ** (-17 / 3), 2 ** (-10 / 3), 1))
+    assert "takes 0.0200s (0.0196863 s) for an exposure of 0.015625 s" in caplog.text
+    with camera_of(tmp_path, sensor, nominal_times=True) as camera:
+        assert camera.sensor.exposures == (0.02, 0.1, 1.0)
+    with pytest.raises(InputError, match=r"two times for which the camera's nearest is 1\.0000s"):
+        camera_of(tmp_path, replace(SENSOR, exposures=(1.0, 1.1)))
+
+
+def test_each_exposure_sets_the_shutter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    released, release = [], Photo.release
+
+    def look(photo: Photo) -> None:
+        released.append(photo.get("shutterspeed"))
+        release(photo)
+
+    with camera_of(tmp_path) as camera:
+        monkeypatch.setattr(Photo, "release", look)
+        camera.expose()
+    assert released == ["0.0100s", "0.0500s"]
+
+
+def test_pictures_do_not_fill_the_card(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with camera_of(tmp_path, keep_pictures=False) as camera:
+        camera.expose()
+        device = camera._photo._camera
+        [folder] = [name for name, _ in _listed(device, "/") if name.endswith("DCIM")]
+        kept = [name for below, _ in _listed(device, folder) for name in _files(device, below)]
+        assert not [name for name in kept if name.startswith("GPH_")]
+
+
+def _listed(device: Any, folder: str) -> list[tuple[str, None]]:
+    """Return all folders below one."""
+    names = device.folder_list_folders(folder)
+    found = [f"{folder.rstrip('/')}/{names.get_name(i)}" for i in range(names.count())]
+    return [each for one in found for each in ((one, None), *_listed(device, one))]
+
+
+def _files(device: Any, folder: str) -> list[str]:
+    names = device.folder_list_files(folder)
+    return [names.get_name(index) for index in range(names.count())]
+
+
+def test_a_picture_that_is_not_raw_says_what_to_set(tmp_path: Path) -> None:
+    (tmp_path / "raw.jpg").write_bytes(b"\xff\xd8" + bytes(5_000))
+    with pytest.raises(CaptureError, match=r"can't be read as a raw file.*camera\.image_format"):
+        camera_of(tmp_path)
+
+
+def test_a_picture_of_another_exposure_is_taken_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    put(tmp_path, seconds=0.01)
+    wrong = iter([0.05, 0.01])
+    with camera_of(tmp_path, replace(SENSOR, exposures=(0.01,))) as camera:
+        monkeypatch.setattr(
+            camera, "_before_trigger", lambda _: put(tmp_path, seconds=next(wrong, 0.01))
+        )
+        assert (camera.expose() == COUNTS).all()
+        assert camera.statistics["failed"] == 1
+    assert "says that it was exposed for 0.05 s" in caplog.text
+
+
+def test_a_picture_that_does_not_come_is_taken_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    release, forgotten = Photo.release, iter([True])
+
+    def forgetful(photo: Photo) -> None:
+        if not next(forgotten, False):
+            release(photo)
+
+    with camera_of(tmp_path) as camera:
+        monkeypatch.setattr(Photo, "release", forgetful)
+        assert (camera.expose() == COUNTS).all()
+        assert camera.statistics == {"frames": 2, "failed": 0, "timed_out": 1, "reconnected": 0}
+
+
+def test_a_lost_camera_is_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    release, left = Photo.release, iter([True])
+
+    def gone(photo: Photo) -> None:
+        if next(left, False):
+            raise gphoto_library.load_gphoto2().GPhoto2Error(-7)
+        release(photo)
+
+    with camera_of(tmp_path) as camera:
+        monkeypatch.setattr(Photo, "release", gone)
+        assert (camera.expose() == COUNTS).all()
+        assert camera.statistics == {"frames": 2, "failed": 0, "timed_out": 0, "reconnected": 1}
+
+
+def test_a_camera_of_another_name_is_missed_with_advice(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"EOS R5: 1 photo cameras answer: Nikon DSC D750"):
+        camera_of(tmp_path, model="EOS R5")
+
+
+def test_a_low_battery_warns(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with camera_of(tmp_path):  # the virtual one is at 50 %
+        assert "battery" not in caplog.text
+    with camera_of(tmp_path, least_battery=60):
+        assert "its battery is at 50%" in caplog.text
+
+
+def test_settings_are_made_or_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with camera_of(tmp_path, settings={"f-number": "f/8"}, mirror_lock=True) as camera:
+        assert camera._photo.get("f-number") == "f/8"
+        assert camera._photo.get("autofocus") == "Off"
+    assert "has no mirror lock that gphoto2 can set" in caplog.text
+    with pytest.raises(CaptureError, match=r"f-number can't be f/7; it is one of f/2\.8"):
+        camera_of(tmp_path, settings={"f-number": "f/7"})
+    with pytest.raises(CaptureError, match="has no setting whitebalance"):
+        camera_of(tmp_path, settings={"whitebalance": "Daylight"})
+
+
+class WithMore:
+    """Settings of cameras that the virtual one hasn't."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **more: Any) -> None:
+        get, choose = Photo.get, Photo.set
+        self.made: dict[str, Any] = {}
+
+        def made(photo: Photo, name: str, value: Any) -> bool:
+            if name not in more:
+                return choose(photo, name, value)
+            self.made[name] = value
+            return True
+
+        monkeypatch.setattr(Photo, "get", lambda photo, name: more.get(name) or get(photo, name))
+        monkeypatch.setattr(Photo, "set", made)
+
+
+def test_a_mode_other_than_manual_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    WithMore(monkeypatch, expprogram="A")
+    with pytest.raises(CaptureError, match="its mode is A; turn the dial to M"):
+        camera_of(tmp_path)
+
+
+def test_the_mirror_is_raised_by_a_release_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    canon = WithMore(monkeypatch, mirrorlock=1)
+    released = []
+    release = Photo.release
+    with camera_of(tmp_path) as camera:
+        camera._options = camera._options.model_copy(
+            update={"mirror_lock": True, "mirror_seconds": 0.0}
+        )
+        camera._restart()
+        assert canon.made["mirrorlock"] == 1
+
+        def second_only(photo: Photo) -> None:
+            released.append(photo)
+            if len(released) % 2 == 0:
+                release(photo)
+
+        monkeypatch.setattr(Photo, "release", second_only)
+        assert (camera.expose() == COUNTS).all()
+    assert len(released) == 4
+
+
+def test_a_missing_package_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "gphoto2", None)
+    with pytest.raises(CaptureError, match=r"pip install 'rfpipe\[gphoto2\]'"):
+        camera_of(tmp_path)

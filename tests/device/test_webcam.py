@@ -1,0 +1,177 @@
+"""The driver of webcams, on image sequences that OpenCV opens as a device, and on UVC controls."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from rfpipe.config import parse_rig_config
+from rfpipe.errors import CaptureError, ConfigError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs.bench_cameras import VirtualUvc
+from rfpipe.rigs.cameras.webcam import Webcam
+from rfpipe.testing import CameraContract
+
+SENSOR = CameraModel(exposures=(0.03,), bits=8, black_level_counts=2)
+SHAPE = (24, 30)
+PICTURE = np.random.default_rng(0).integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
+QUICK: dict[str, Any] = {"reconnect_seconds": 0.0, "skip_frames": 1}
+
+
+def sequence(folder: Path, frames: int = 40, picture: np.ndarray = PICTURE) -> str:
+    """Write a device that gives so many frames, red first."""
+    for number in range(frames):
+        assert cv2.imwrite(str(folder / f"{number:04d}.png"), picture[..., ::-1])
+    return str(folder / "%04d.png")
+
+
+def webcam(folder: Path, sensor: CameraModel = SENSOR, **options: Any) -> Webcam:
+    return Webcam(sensor, device=sequence(folder), backend="images", **{**QUICK, **options})
+
+
+class UvcCamera(Webcam):
+    """A webcam whose exposure times are set: the light in its frames is in proportion."""
+
+    def __init__(self, folder: Path, sensor: CameraModel, **options: Any) -> None:
+        self.folder, self.opened = folder, 0
+        super().__init__(sensor, **{**QUICK, **options})
+
+    def _opened(self) -> VirtualUvc:
+        self.opened += 1
+        folder = self.folder / str(self.opened)
+        folder.mkdir()
+        device = self.device(folder, self._options.skip_frames)
+        device.put(np.zeros((*SHAPE, 3), np.uint8))
+        for _ in range(self._options.skip_frames):
+            device.grab()
+        return device
+
+    device = VirtualUvc
+
+    def _before_trigger(self, exposure: float) -> None:
+        ticks = self._capture.get(cv2.CAP_PROP_EXPOSURE)
+        self._capture.put(np.full((*SHAPE, 3), round(ticks / 20), np.uint8))
+
+
+class TestSequenceAsDevice(CameraContract):
+    @pytest.fixture(autouse=True)
+    def _folder(self, tmp_path: Path) -> None:
+        self.folder = tmp_path
+
+    def make_camera(self) -> Webcam:
+        return webcam(self.folder)
+
+
+class TestUvcCamera(CameraContract):
+    @pytest.fixture(autouse=True)
+    def _folders(self, tmp_path: Path) -> None:
+        self.folders = (tmp_path / str(number) for number in range(9))
+
+    def make_camera(self) -> Webcam:
+        folder = next(self.folders)
+        folder.mkdir()
+        return UvcCamera(folder, replace(SENSOR, exposures=(0.02, 0.1, 0.5)))
+
+
+def test_counts_are_the_frames_red_first(tmp_path: Path) -> None:
+    with webcam(tmp_path) as camera:
+        assert (camera.expose()[0] == PICTURE).all()
+    with webcam(tmp_path, channels=1) as camera:
+        assert (camera.expose()[0, ..., 0] == PICTURE[..., 1]).all()
+
+
+def test_a_warning_says_what_stays_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with webcam(tmp_path) as camera:
+        assert camera.adapts[:3] == (
+            "automatic exposure", "automatic white balance", "autofocus",
+        )  # fmt: skip
+    assert "is no measuring camera: 8 bits" in caplog.text
+    assert "it may still have automatic exposure, automatic white balance" in caplog.text
+    assert "the linearity step proves" in caplog.text
+    assert "its exposure time is its own affair" in caplog.text
+
+
+def test_what_can_be_switched_off_is(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with UvcCamera(tmp_path, SENSOR, controls={"GAIN": 3}) as camera:
+        assert camera.adapts == ()
+        assert camera._capture.get(cv2.CAP_PROP_AUTO_EXPOSURE) == 1  # manual, of V4L2
+        assert camera._capture.get(cv2.CAP_PROP_GAMMA) == 100
+        assert camera._capture.get(cv2.CAP_PROP_GAIN) == 3
+    assert "may still have" not in caplog.text
+
+
+def test_exposures_are_in_ticks_of_v4l2(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with UvcCamera(tmp_path, replace(SENSOR, exposures=(1 / 64, 0.1, 0.5))) as camera:
+        assert camera.sensor.exposures == (0.0156, 0.1, 0.5)
+        means = camera.expose().reshape(3, -1).mean(axis=1)
+    assert means.tolist() == [8, 50, 250]  # frames on their way were dropped
+
+
+def test_exposures_that_the_camera_rounds_are_said(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Coarse(VirtualUvc):
+        def set(self, prop: int, value: float) -> bool:
+            coarse = prop == cv2.CAP_PROP_EXPOSURE
+            return super().set(prop, 100 * max(1, round(value / 100)) if coarse else value)
+
+    class CoarseCamera(UvcCamera):
+        device = Coarse
+
+    with CoarseCamera(tmp_path, replace(SENSOR, exposures=(0.012, 0.05))) as camera:
+        assert camera.sensor.exposures == (0.01, 0.05)
+    assert "takes 0.01 s for an exposure of 0.012 s" in caplog.text
+    (tmp_path / "more").mkdir()
+    with pytest.raises(InputError, match=r"takes 0\.01, 0\.01 s for the times"):
+        CoarseCamera(tmp_path / "more", replace(SENSOR, exposures=(0.01, 0.012)))
+
+
+def test_old_frames_show_where_none_is_skipped(tmp_path: Path) -> None:
+    with UvcCamera(tmp_path, replace(SENSOR, exposures=(0.1, 0.5)), skip_frames=2) as camera:
+        camera.expose()
+        camera._options = camera._options.model_copy(update={"skip_frames": 0})
+        assert camera.expose().reshape(2, -1).mean(axis=1).tolist() != [50, 250]
+
+
+def test_a_device_that_ends_is_opened_again(tmp_path: Path) -> None:
+    device = sequence(tmp_path, frames=3)
+    with Webcam(SENSOR, device=device, backend="images", **QUICK) as camera:
+        for _ in range(3):
+            assert (camera.expose()[0] == PICTURE).all()
+        assert camera.statistics == {"frames": 3, "failed": 2, "timed_out": 0, "reconnected": 0}
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "expected"),
+    [
+        ({"device": "/nowhere/%04d.png"}, CaptureError, r"can't be opened.*group video"),
+        ({"device": 97, "backend": "v4l2"}, CaptureError, r"webcam 97: can't be opened"),
+        ({"shape": (48, 64)}, CaptureError, r"frames of 24 x 30 pixels where camera\.shape asks"),
+        ({"controls": {"GAIN": 3.0}}, CaptureError, r"refuses camera\.controls\.GAIN = 3"),
+        ({"controls": {"CONTRST": 3.0}}, CaptureError, r"refuses camera\.controls\.CONTRST"),
+        ({"sensor": replace(SENSOR, exposures=(0.01, 0.1))}, InputError, "one time, not 2"),
+        ({"sensor": CameraModel()}, InputError, "8 bits and no mosaic"),
+    ],
+)
+def test_what_does_not_work_is_explained(
+    tmp_path: Path, changes: dict[str, Any], kind: type[Exception], expected: str
+) -> None:
+    settings = {"device": sequence(tmp_path), "backend": "images", **QUICK, **changes}
+    with pytest.raises(kind, match=expected):
+        Webcam(settings.pop("sensor", SENSOR), **settings)
+
+
+def test_settings_ask_for_eight_bits() -> None:
+    with pytest.raises(ConfigError, match=r"sensor\.bits should be 8 with camera\.driver webcam"):
+        parse_rig_config({"camera": {"driver": "webcam"}}, "rig.yaml")
+    config = parse_rig_config({"camera": {"driver": "webcam"}, "sensor": {"bits": 8}}, "rig.yaml")
+    assert config.camera.options.device == 0
+
+
+def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "cv2", None)
+    with pytest.raises(CaptureError, match=r"pip install 'rfpipe\[webcam\]'"):
+        Webcam(SENSOR)
