@@ -20,6 +20,7 @@ from rfpipe.report import (
     sections,
     single_responses,
     speed_error,
+    verdicts,
 )
 from rfpipe.report.blocks import Section
 from rfpipe.report.entries import RESULTS_NAME, Results, SectionEntry, write_results
@@ -61,7 +62,7 @@ def build_report(
             f"{', '.join(config.scenes)}; run the relight stage first"
         )
     title, lead = config.report.title, _lead(inputs)
-    swatches = methods.swatches(inputs.methods)
+    swatches = methods.swatches(inputs.methods) | verdicts.STANDING_COLOURS
     shown = write_page(
         page, title, lead, make_sections(inputs), results, swatches, _SOURCE, _views(inputs, page)
     )
@@ -129,7 +130,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
             sections.levels_section(inputs),
         ]
     else:
-        pictures = [sections.captured_section(inputs)]
+        pictures = [sections.captured_section(inputs), verdicts.verdicts_section(inputs)]
     of_thesis = figures.figures_sections(inputs)  # with Tables 3.1 and 5.1 of their own
     costs = [] if of_thesis else [sections.cost_section(inputs)]
     candidates = [
