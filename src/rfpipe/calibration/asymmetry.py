@@ -22,7 +22,7 @@ LEAST = 0.003
 """Flare or vignetting, fractions, below which they are not worth a word."""
 
 
-MOST = 0.95
+MOST = 0.6
 """Flare or vignetting that a fit is believed; more is another thing that grows outwards."""
 
 

@@ -264,17 +264,26 @@ def _measured(
         projector = WatchedProjector(bench.projector, counts)
         camera = WatchedCamera(bench.camera)
         try:
-            return step.measure(replace(bench, projector=projector, camera=camera))
+            found = step.measure(replace(bench, projector=projector, camera=camera))
         except RfpipeError as error:
             if projector.failed or camera.failed:
                 raise
             return Findings(Verdict("failed", f"Could not be measured: {error}.{_why(folder)}"))
+    if step.name != "scene" and found.verdict.standing != "good" and _is_poor(folder, "scene"):
+        first = f"{STEPS['scene'].title} is not good, and this may follow from it: mend that first."
+        found = replace(
+            found, verdict=Verdict(found.verdict.standing, f"{found.verdict.text} {first}")
+        )
+    return found
+
+
+def _is_poor(folder: CalibrationFolder, step: str) -> bool:
+    return folder.is_done(step) and folder.read(step).verdict.standing == "poor"
 
 
 def _why(folder: CalibrationFolder) -> str:
     """Say what earlier steps found that keeps later ones from being measured."""
     for name in ("scene", "dark"):
-        verdict = folder.read(name).verdict if folder.is_done(name) else None
-        if verdict is not None and verdict.standing == "poor":
-            return f" {STEPS[name].title} tells why: {verdict.text}"
+        if _is_poor(folder, name):
+            return f" {STEPS[name].title} tells why: {folder.read(name).verdict.text}"
     return ""

@@ -29,6 +29,10 @@ TOP = 0.9
 """Fraction of full scale up to which they are."""
 
 
+SPREAD = 2.0
+"""Variance of a shorter exposure, scaled to the longer one, over that of the longer one and over
+how many times longer it is: 1 of photon noise, and more of read noise."""
+
 SURE = 4.0
 """Standard errors beyond which exposures differ in one of many bins."""
 
@@ -38,7 +42,7 @@ STEEPEST = (0.2, 5.0)
 STRAIGHT = 0.03
 """By how much the exponent of a response differs from 1 that no more than noise bends."""
 
-LEAST_PIXELS = 8
+LEAST_PIXELS = 30
 """Photosites in a bin that is compared."""
 
 
@@ -115,10 +119,13 @@ def measure_linearity(
     for frames in brackets:
         signal = frames[:, good] - dark.black[:, good].astype(np.float64)
         for k in range(pairs):
-            at = np.searchsorted(edges, signal[k + 1] / span) - 1
+            ratio = exposures[k + 1] / exposures[k]
+            # of both, so that noise which lifts one into a bin doesn't make them differ there
+            light = signal[k + 1] + (signal[k] * ratio - signal[k + 1]) / (1 + SPREAD * ratio)
+            at = np.searchsorted(edges, light / span) - 1
             # glow under the all-off picture takes up room below full scale, too
             inside = (at >= 0) & (at < BINS) & (frames[k + 1][good] < TOP * white_level)
-            index, ratio = at[inside], exposures[k + 1] / exposures[k]
+            index = at[inside]
             short[k] += np.bincount(index, signal[k][inside] * ratio, BINS)
             long[k] += np.bincount(index, signal[k + 1][inside], BINS)
             # noise as it is, of both exposures: the same light, so that their difference is all
@@ -127,7 +134,11 @@ def measure_linearity(
             count[k] += np.bincount(index, minlength=BINS)
     there = count >= LEAST_PIXELS
     deviation = short[there] / long[there] - 1
-    scatter = np.maximum(squares[there] - np.square(short - long)[there] / count[there], 0)
+    scatter = squares[there] - np.square(short - long)[there] / count[there]
+    # of few photosites the scatter may be small by chance: darkness' own noise is in it at least
+    ratios = np.asarray(exposures[1:], float) / np.asarray(exposures[:-1], float)
+    least = (dark.variance[:-1] * (1 + 1 / dark.frames) + 1 / 12) * ratios**2
+    scatter = np.maximum(scatter, (count * least[:, None])[there])
     error = np.sqrt(scatter) / long[there]
     # as sure as bins are many; rounding is no chance
     error += _rounding(edges, span, exposures, dark)[there] * count[there] / long[there] / SURE

@@ -42,7 +42,7 @@ MOST_GLOW = 0.25
 """Fraction of full scale that the light of the all-off picture may fill at the longest one."""
 
 SIGNIFICANCE = 5.0
-DIM_CODES = (32, 64, 128)
+DIM_CODES = (16, 32, 64, 128)
 """Codes of dimmer flat pictures: how much too bright is what white saturates."""
 
 USUAL_GAMMA = 2.2

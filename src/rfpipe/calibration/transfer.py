@@ -164,8 +164,11 @@ def measure_transfer(
             pair = _linear(raw, dark, good, response, span)
             light, finer = _pooled(pair, raw < SAFE * white_level, times)
             for k in range(len(times)):
-                # a photosite's own, fixed differences between them averaging to zero
+                # a photosite's own, fixed differences between them averaging to zero; what a
+                # response was undone of has it in it
                 glow = dark.black[k][good] - dark.black_level_counts
+                if response is not None:
+                    glow = np.zeros_like(glow)
                 # by all light: what the all-off picture all but saturates has no noise to show
                 signal = pair[:, k].mean(axis=0) + glow
                 total = total.plus(

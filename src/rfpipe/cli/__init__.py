@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rfpipe.cli import fit, offline
+from rfpipe.cli.aim import aim
 from rfpipe.cli.calibrate import calibrate
 from rfpipe.cli.export import app as export
 from rfpipe.cli.info import info, open_checked, times
@@ -212,6 +213,7 @@ def check_report(
     typer.echo(f"{folder}: whole. {len(results.figures)} figures, none blank")
 
 
+app.command()(aim)
 app.command()(calibrate)
 
 

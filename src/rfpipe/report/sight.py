@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rfpipe.calibration.base import Findings
-from rfpipe.pictures.images import srgb
+from rfpipe.calibration.sight_picture import YELLOW, sight_picture
 from rfpipe.report.drawing import new_figure, panel_ratio, show_image
 from rfpipe.rigs.layout import ProjectorLayout
 
@@ -27,7 +26,7 @@ SCENE_CAPTION = (
     "them; grey: not lit."
 )
 
-_RED, _BLUE, _YELLOW, _CYAN = (0.9, 0.1, 0.1), (0.15, 0.3, 0.95), "#ffd21f", "#59e0e0"
+_CYAN = "#59e0e0"
 _LINES = 8
 """Borders of rays that are drawn along an axis, about."""
 
@@ -44,11 +43,11 @@ def scene_figure(found: Mapping[str, Findings]) -> Figure:
     white = arrays["white"]
     figure, (axes,) = new_figure(1, 3, (8.4, 8.4 / 3 * panel_ratio([white.shape]) + 0.4))
     left, middle, right = axes
-    show_image(left, _picture(arrays))
+    show_image(left, sight_picture(white, arrays["saturated"], arrays["dark"]))
     if arrays["lit"].any() and not arrays["lit"].all():
         outline = np.pad(arrays["lit"], 1).astype(float)
         at = [np.arange(extent) - 1.0 for extent in outline.shape]
-        left.contour(at[1], at[0], outline, levels=[0.5], colors=_YELLOW, linewidths=1.2)
+        left.contour(at[1], at[0], outline, levels=[0.5], colors=[YELLOW], linewidths=1.2)
     _draw_rays(left, found)
     height, width = white.shape
     left.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
@@ -61,16 +60,6 @@ def scene_figure(found: Mapping[str, Findings]) -> Figure:
     for axis, shown in ((middle, black), (right, focus)):
         figure.colorbar(shown, ax=axis, shrink=0.8).ax.tick_params(labelsize=7)
     return figure
-
-
-def _picture(arrays: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
-    """Return the scene as RGB, what is saturated in red, what is too dark in blue."""
-    white = np.maximum(arrays["white"], 0)
-    top = float(np.percentile(white, 99.5)) or 1.0
-    picture = np.array(srgb(white[..., None], top))
-    for mask, colour in ((arrays["saturated"], _RED), (arrays["dark"], _BLUE)):
-        picture[mask] = colour
-    return picture
 
 
 def _draw_rays(axis: Axes, found: Mapping[str, Findings]) -> None:
