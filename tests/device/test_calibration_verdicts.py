@@ -123,7 +123,7 @@ def test_exposures_far_too_short_are_too_dark(tmp_path: Path, shortest: float) -
         ),
         (
             {"camera": {"dark_current_electrons": 5000.0}},
-            ["Dark current", "covered lens"],
+            ["Dark current", "put the cap on"],
             ["of the room", "Projector black"],
         ),
     ],
@@ -150,7 +150,10 @@ def test_what_fills_the_dark_is_told_apart(
 
 def test_blur_flare_and_vignetting_are_told_apart(tmp_path: Path) -> None:
     optics = {"psf_sigma": 1.0, "flare": 0.05, "vignetting": 0.4}
-    bench = {**SETTINGS["bench"], "camera": optics}
+    corners = [[[10, 8], [44, 9], [43, 42], [9, 41]]]
+    bench = {
+        **SETTINGS["bench"], "camera": optics, "camera_shape": [50, 54], "camera_corners": corners
+    }  # fmt: skip
     verdicts, facts, page = calibrated(tmp_path, bench=bench)
     assert verdicts["rays"]["standing"] == "poor"
     assert verdicts["rays"]["verdict"].startswith("Blur: the picture is blurred by ")

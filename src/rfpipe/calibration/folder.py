@@ -269,12 +269,19 @@ def _measured(
             if projector.failed or camera.failed:
                 raise
             return Findings(Verdict("failed", f"Could not be measured: {error}.{_why(folder)}"))
-    if step.name != "scene" and found.verdict.standing != "good" and _is_poor(folder, "scene"):
-        first = f"{STEPS['scene'].title} is not good, and this may follow from it: mend that first."
-        found = replace(
-            found, verdict=Verdict(found.verdict.standing, f"{found.verdict.text} {first}")
+    first = next((n for n in ("scene", "rays") if n in _below(step) and _is_poor(folder, n)), None)
+    if first is not None and found.verdict.standing != "good":
+        text = (
+            f"{found.verdict.text} This may follow from another step that is not good: "
+            f"{STEPS[first].title.lower()}; mend that first."
         )
+        found = replace(found, verdict=Verdict(found.verdict.standing, text))
     return found
+
+
+def _below(step: Step) -> set[str]:
+    """Return the steps that one builds on, those that they build on among them."""
+    return {*step.needs, *(name for need in step.needs for name in _below(STEPS[need]))}
 
 
 def _is_poor(folder: CalibrationFolder, step: str) -> bool:

@@ -48,8 +48,8 @@ DIM_CODES = (16, 32, 64, 128)
 USUAL_GAMMA = 2.2
 REPEATS = 2
 COARSER = 4
-FOCUSED = 0.25
-"""Contrast of the fine stripes of a lit pixel that sees the projector itself, not its glow."""
+OWN = 0.4
+"""Contrast of the wide stripes of a pixel that sees the projector itself, not what it scatters."""
 
 TOLD = 0.01
 """Veil that is worth a word."""
@@ -118,7 +118,9 @@ def sight_pictures(shape: tuple[int, int], period: int) -> Iterator[Float]:
     for code in (*[0] * REPEATS, *[255] * REPEATS, *DIM_CODES):
         yield np.full(shape, code / 255, np.float32)
     y, x = np.mgrid[: shape[0], : shape[1]]
-    for along, pixels in ((x, period), (y, period), (x, COARSER * period)):
+    # a few at least, so that flare, which goes with a picture's mean, is the same in all
+    wide = max(2 * period, min(COARSER * period, shape[1] // COARSER))
+    for along, pixels in ((x, period), (y, period), (x, wide)):
         for quarter in (0, 1):
             phase = (along + 0.5 - quarter * pixels / 4) % pixels
             yield (phase < pixels / 2).astype(np.float32)
@@ -162,7 +164,7 @@ def measure_sight(
     wide = modulations[2]
     floor = SIGNIFICANCE * noise[best] * 2
     reach = max(float(_at(signal, best).max()), 0.0)
-    own: Mask = np.asarray((wide > floor) & (wide > FOCUSED * _at(signal, best)) & (reach > 0))
+    own: Mask = np.asarray((wide > floor) & (wide > OWN * _at(signal, best)) & (reach > 0))
     lit = _filled(own)
     saturated = lit & full[0]
     focus = np.divide(fine, wide, out=np.full(wide.shape, np.nan), where=lit & (wide > floor))

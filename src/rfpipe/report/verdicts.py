@@ -40,12 +40,12 @@ def verdicts_section(inputs: Inputs) -> Section:
         who = ", ".join(f"{run.title} by {run.method_title.lower()}" for run in runs)
         if not verdicts:
             text.append(
-                f"{who}: the rig had no calibration that its server told of; whether its pictures "
-                "are radiance is not known."
+                f"{who}: the rig told of no calibration; whether its pictures are radiance is not "
+                "known."
             )
-            continue
         text += [f"{who}: {fault}" for fault in faults_of(verdicts)]
         rows = [[one["title"], STANDINGS[one["standing"]]] for one in verdicts.values()]
+        rows = rows or [["no calibration", STANDINGS["unknown"]]]
         table = Table([], ["step", "verdict"], rows, text_columns=2)
         sources = [f"{run.scene}/{run.method}/L00/capture.json" for run in runs]
         blocks.append(Tabulation("Verdicts", who, table, is_folded=False, sources=sources))
