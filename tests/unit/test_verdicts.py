@@ -23,15 +23,11 @@ def inputs_of(folder: Path, rig: dict[str, Any]) -> Any:
     place = folder / "desk" / "auto" / "L00"
     place.mkdir(parents=True)
     (place / "capture.json").write_text(json.dumps({"rig": rig}))
-
-    class Run(SimpleNamespace):
-        __hash__ = object.__hash__
-
-    return SimpleNamespace(results=folder, runs=[Run(**vars(run))], run_sources=[])
+    return SimpleNamespace(results=folder, runs=[run], run_sources=[])
 
 
 def test_a_report_shows_the_verdicts_on_its_rig(tmp_path: Path) -> None:
-    inputs = inputs_of(tmp_path, {VERDICTS_KEY: VERDICTS})
+    inputs = inputs_of(tmp_path, {"kind": "devices", VERDICTS_KEY: VERDICTS})
     assert verdicts_of_run(inputs, inputs.runs[0]) == VERDICTS
     section = verdicts_section(inputs)
     assert section.text == ["desk by auto: Rays: NOT GOOD. Half of them are not seen."]
@@ -42,9 +38,13 @@ def test_a_report_shows_the_verdicts_on_its_rig(tmp_path: Path) -> None:
 
 
 def test_a_report_says_where_nothing_is_known_of_the_rig(tmp_path: Path) -> None:
-    section = verdicts_section(inputs_of(tmp_path, {}))
+    section = verdicts_section(inputs_of(tmp_path, {"kind": "devices"}))
     assert section.blocks[0].table.rows == [["no calibration", "can't tell"]]
     assert "no calibration" in section.text[0]
+
+
+def test_a_simulated_rig_has_no_verdicts(tmp_path: Path) -> None:
+    assert not verdicts_section(inputs_of(tmp_path, {"kind": "simulated"})).blocks
 
 
 def test_a_run_warns_of_a_rig_that_is_not_good(caplog: pytest.LogCaptureFixture) -> None:

@@ -130,7 +130,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
             sections.levels_section(inputs),
         ]
     else:
-        pictures = [sections.captured_section(inputs), verdicts.verdicts_section(inputs)]
+        pictures = [sections.captured_section(inputs)]
     of_thesis = figures.figures_sections(inputs)  # with Tables 3.1 and 5.1 of their own
     costs = [] if of_thesis else [sections.cost_section(inputs)]
     candidates = [
@@ -138,6 +138,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
         *of_thesis,
         sections.speed_section(inputs),
         *pictures,
+        verdicts.verdicts_section(inputs),
         *costs,
         estimates.estimates_section(inputs),
         sections.leaves_section(inputs),

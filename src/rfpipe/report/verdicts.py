@@ -19,24 +19,29 @@ STANDING_COLOURS = {
 """Colours of the verdicts, as they read."""
 
 
-def verdicts_of_run(inputs: Inputs, run: Run) -> dict[str, dict[str, str]]:
-    """Return the verdicts on the rig that captured a run, by the calibration's steps; may be {}."""
+def verdicts_of_run(inputs: Inputs, run: Run) -> dict[str, dict[str, str]] | None:
+    """Return the verdicts on the rig that captured a run, by the calibration's steps.
+
+    None of a run that no rig of devices captured; {} of a rig that told of no calibration.
+    """
     manifest = inputs.results / run.scene / run.method / "L00" / "capture.json"
     if not manifest.is_file():
-        return {}
+        return None
     described = json.loads(manifest.read_text(encoding="utf-8")).get("rig", {})
-    return dict(described.get(VERDICTS_KEY) or {})
+    return dict(described.get(VERDICTS_KEY) or {}) if described.get("kind") == "devices" else None
 
 
 def verdicts_section(inputs: Inputs) -> Section:
-    """What the calibration found of the rig that captured the runs."""
-    found = {run: verdicts_of_run(inputs, run) for run in inputs.runs}
+    """What the calibration found of the rig that captured the runs; no blocks without such one."""
     told: dict[str, list[Run]] = {}
-    for run, verdicts in found.items():
-        told.setdefault(json.dumps(verdicts), []).append(run)
-    text, blocks = [], []
-    for runs in told.values():
-        verdicts = found[runs[0]]
+    for run in inputs.runs:
+        verdicts = verdicts_of_run(inputs, run)
+        if verdicts is not None:
+            told.setdefault(json.dumps(verdicts), []).append(run)
+    text: list[str] = []
+    blocks = []
+    for same, runs in told.items():
+        verdicts = json.loads(same)
         who = ", ".join(f"{run.title} by {run.method_title.lower()}" for run in runs)
         if not verdicts:
             text.append(
