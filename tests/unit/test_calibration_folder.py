@@ -204,6 +204,28 @@ def test_a_finished_calibration_that_is_not_good_is_done_anew(tmp_path: Path) ->
     assert folder.manifest("dark").stat().st_mtime_ns > before
 
 
+@pytest.mark.parametrize(
+    ("lamp", "room", "said"),
+    [(0.0, 0.0, "shows nothing above the noise"), (1.0, 5.0, "The all-off picture itself")],
+)
+def test_without_a_signal_there_is_a_report_all_the_same(
+    tmp_path: Path, lamp: float, room: float, said: str
+) -> None:
+    bench = wedge_bench((12, 12), (96, 96), (40, 42), gamma=GAMMA)
+    seen = bench.camera._radiance
+    bench.camera._radiance = lambda: lamp * seen() + np.float32(room)
+    folder = CalibrationFolder(tmp_path / "calibration")
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, (12, 12))
+    verdicts = folder.verdicts()
+    assert set(verdicts) == set(STEPS)
+    assert verdicts["scene"]["verdict"].startswith(("Too dark", "The all-off"))
+    assert said in verdicts["scene"]["verdict"]
+    assert verdicts["rays"]["standing"] == "failed"
+    text = build_calibration_report(folder).read_text(encoding="utf-8")
+    assert "NOT MEASURED" in text
+    assert said in text
+
+
 def test_the_report_is_one_page(calibrated: tuple[Bench, CalibrationFolder]) -> None:
     _, folder = calibrated
     page = build_calibration_report(folder)

@@ -269,7 +269,8 @@ def _measured(
             if projector.failed or camera.failed:
                 raise
             return Findings(Verdict("failed", f"Could not be measured: {error}.{_why(folder)}"))
-    first = next((n for n in ("scene", "rays") if n in _below(step) and _is_poor(folder, n)), None)
+    below = _below(step) if step.name != "dark" else set()  # which names its own cause
+    first = next((n for n in ("scene", "rays") if n in below and _is_poor(folder, n)), None)
     if first is not None and found.verdict.standing != "good":
         text = (
             f"{found.verdict.text} This may follow from another step that is not good: "

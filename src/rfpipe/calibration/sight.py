@@ -242,7 +242,7 @@ def sight_findings(sight: Sight, exposures: Sequence[float], white_level: int) -
             f"at the shortest exposure, {exposures[0]:.3g} s: darken the room, or the projector "
             "is not black when it is off."
         )
-    if share > MOST_SATURATED:
+    elif share > MOST_SATURATED:
         about = "about " if sight.is_extrapolated else ""
         faults.append(
             f"{share:.1%} of the pixels that the projector lights are saturated even at the "
@@ -293,7 +293,7 @@ def _dark(lit: int, level: float, exposures: Sequence[float], told: str) -> str:
         return (
             f"Too dark: {longest}, the projector's white shows nothing above the noise. Is the "
             "lamp on, the lens cap off, does the camera see what the projector lights? Then take "
-            "exposures a hundred times as long, or open the aperture."
+            "much longer exposures, or open the aperture."
         )
     return (
         f"Too dark: {longest}, white reaches {level:.1%} of full scale where it is bright; "

@@ -68,7 +68,8 @@ def run(
         rig = RemoteRig(url, read_token(file), patience_seconds)
         try:
             check_rig(rig, plan, url)
-            warn_of(rig.describe(), url)
+            if level == 0:
+                warn_of(rig.describe(), url)
         except BaseException:
             rig.close()
             raise
