@@ -85,7 +85,7 @@ def test_a_projector_beside_the_view_leaves_rays_unseen(tmp_path: Path) -> None:
 
 
 def test_saturated_exposures_are_said_to_be_by_how_much(tmp_path: Path) -> None:
-    verdicts, facts, page = calibrated(tmp_path, sensor={"exposures": [0.5, 1.0, 2.0]})
+    verdicts, facts, page = calibrated(tmp_path, UP_TO_RAYS, sensor={"exposures": [0.5, 1.0, 2.0]})
     assert verdicts["scene"]["standing"] == "poor"
     assert "saturated even at the shortest exposure, 0.5 s" in verdicts["scene"]["verdict"]
     assert "Add shorter exposures" in verdicts["scene"]["verdict"]
@@ -102,7 +102,8 @@ def test_saturated_exposures_are_said_to_be_by_how_much(tmp_path: Path) -> None:
 @pytest.mark.parametrize("shortest", [2e-6, 2e-5])
 def test_exposures_far_too_short_are_too_dark(tmp_path: Path, shortest: float) -> None:
     exposures = [shortest, 4 * shortest, 16 * shortest]
-    verdicts, _, page = calibrated(tmp_path, sensor={"exposures": exposures})
+    only = ["scene", "dark", "linearity", "light"]
+    verdicts, _, page = calibrated(tmp_path, only, sensor={"exposures": exposures})
     assert verdicts["scene"]["standing"] == "poor"
     assert "Too dark" in verdicts["scene"]["verdict"]
     assert "longer exposures" in verdicts["scene"]["verdict"]
@@ -154,7 +155,7 @@ def test_blur_flare_and_vignetting_are_told_apart(tmp_path: Path) -> None:
     bench = {
         **SETTINGS["bench"], "camera": optics, "camera_shape": [50, 54], "camera_corners": corners
     }  # fmt: skip
-    verdicts, facts, page = calibrated(tmp_path, bench=bench)
+    verdicts, facts, page = calibrated(tmp_path, UP_TO_RAYS, bench=bench)
     assert verdicts["rays"]["standing"] == "poor"
     assert verdicts["rays"]["verdict"].startswith("Blur: the picture is blurred by ")
     assert facts["rays"]["blur_pixels"] == pytest.approx(1.0, abs=0.1)
