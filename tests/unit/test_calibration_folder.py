@@ -103,7 +103,9 @@ def test_a_projector_that_is_not_dark_when_off_changes_nothing_else(tmp_path: Pa
     folder = CalibrationFolder(tmp_path / "calibration")
     calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
     found = load(folder.path)
-    assert "stray light" in found.facts["dark"]["verdict"]
+    assert "Projector black: 0.3" in found.facts["dark"]["verdict"]
+    assert found.facts["dark"]["projector_black"] == pytest.approx(0.003, rel=0.1)
+    assert found.facts["linearity"]["standing"] == "good"
     assert found.camera["response_gamma"] == 1
     assert found.camera["full_well_electrons"] == pytest.approx(20_000, rel=0.1)
     assert found.camera["read_noise_electrons"] == pytest.approx(5, rel=0.1)
@@ -127,7 +129,7 @@ def test_steps_that_are_done_are_not_repeated(
 def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
     bench = wedge_bench(RAYS)
     folder = CalibrationFolder(tmp_path / "calibration")
-    expose, left = bench.camera.expose, [20]
+    expose, left = bench.camera.expose, [35]
 
     def failing() -> np.ndarray:
         left[0] -= 1
@@ -154,7 +156,7 @@ def test_an_interrupted_calibration_goes_on(tmp_path: Path) -> None:
 def test_what_a_change_concerns_is_done_anew(tmp_path: Path) -> None:
     bench = wedge_bench(RAYS)
     folder = CalibrationFolder(tmp_path / "calibration")
-    only = ["dark", "linearity"]
+    only = ["scene", "dark", "linearity"]
     calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, only)
     first = {name: folder.made_for(name) for name in only}
     changed = SETTINGS.model_copy(update={"tolerance": 0.05})
@@ -182,19 +184,46 @@ def test_a_rig_that_is_not_coaxial_has_no_rays(tmp_path: Path) -> None:
 def test_damage_is_found(tmp_path: Path) -> None:
     bench = wedge_bench(RAYS)
     folder = CalibrationFolder(tmp_path / "calibration")
-    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, only=["dark"])
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS, only=["scene", "dark"])
     write_arrays(folder.store("dark"), {"black": np.zeros(3)}, {})
     with pytest.raises(IntegrityError, match="remove both"):
         folder.read("dark")
 
 
-def test_a_rig_out_of_order_is_said_to_be(tmp_path: Path) -> None:
+def test_a_finished_calibration_that_is_not_good_is_done_anew(tmp_path: Path) -> None:
     # a light so strong that the shortest exposure is saturated nearly everywhere
     bench = wedge_bench(RAYS, sensor=brighter(CAMERA, 200.0))
     folder = CalibrationFolder(tmp_path / "calibration")
-    with pytest.raises(CaptureError):
-        calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
-    assert folder.is_done("dark")
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    assert folder.read("scene").verdict.standing == "poor"
+    assert "saturated" in folder.read("light").verdict.text
+    assert {folder.read(name).verdict.standing for name in ("rays", "symmetry")} == {"failed"}
+    assert load(folder.path).layout is None
+    before = folder.manifest("dark").stat().st_mtime_ns
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, RAYS)
+    assert folder.manifest("dark").stat().st_mtime_ns > before
+
+
+@pytest.mark.parametrize(
+    ("lamp", "room", "said"),
+    [(0.0, 0.0, "shows nothing above the noise"), (1.0, 5.0, "The all-off picture itself")],
+)
+def test_without_a_signal_there_is_a_report_all_the_same(
+    tmp_path: Path, lamp: float, room: float, said: str
+) -> None:
+    bench = wedge_bench((12, 12), (96, 96), (40, 42), gamma=GAMMA)
+    seen = bench.camera._radiance
+    bench.camera._radiance = lambda: lamp * seen() + np.float32(room)
+    folder = CalibrationFolder(tmp_path / "calibration")
+    calibrate(bench.projector, bench.camera, folder, SETTINGS, (12, 12))
+    verdicts = folder.verdicts()
+    assert set(verdicts) == set(STEPS)
+    assert verdicts["scene"]["verdict"].startswith(("Too dark", "The all-off"))
+    assert said in verdicts["scene"]["verdict"]
+    assert verdicts["rays"]["standing"] == "failed"
+    text = build_calibration_report(folder).read_text(encoding="utf-8")
+    assert "NOT MEASURED" in text
+    assert said in text
 
 
 def test_the_report_is_one_page(calibrated: tuple[Bench, CalibrationFolder]) -> None:
@@ -235,7 +264,7 @@ def test_the_command_calibrates_and_reports(
     rig = tmp_path / "rig.yaml"
     rig.write_text("rays: [16, 16]\ncalibrate: {dark_frames: 4}\n")
     output = str(tmp_path / "calibration")
-    arguments = ["calibrate", str(rig), "--output", output, "--step", "dark"]
+    arguments = ["calibrate", str(rig), "--output", output, "--step", "scene"]
     done = CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert done.exit_code == 0
     assert f"report: {output}/report.html" in done.output

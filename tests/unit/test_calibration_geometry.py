@@ -18,7 +18,7 @@ from rfpipe.calibration.correspondence import (
 from rfpipe.calibration.dark import measure_dark, take_dark
 from rfpipe.calibration.mapping import SmoothMap, fit_map, inner
 from rfpipe.calibration.rays import coverage, fit_rays
-from rfpipe.calibration.steps import rays_verdict
+from rfpipe.calibration.rays_verdict import rays_verdict
 from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel, MergeOptions

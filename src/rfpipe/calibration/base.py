@@ -16,7 +16,7 @@ from rfpipe.rigs.devices import Camera, Projector, bracket_of
 __all__ = ["Findings", "Measured", "Standing", "Verdict", "camera_model", "take", "uniform"]
 
 Float = NDArray[np.float32]
-Standing = Literal["good", "poor", "unknown"]
+Standing = Literal["good", "poor", "unknown", "failed"]
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class Verdict:
 
     Attributes
     ----------
-    standing : {"good", "poor", "unknown"}
-        unknown: the measurement can't tell; the text says what would.
+    standing : {"good", "poor", "unknown", "failed"}
+        unknown: the measurement can't tell; the text says what would. failed: there is none.
     text : str
         Why, with the numbers behind it, and what to do.
     """

@@ -26,6 +26,9 @@ Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 
 LEAST_PIXELS = 100
+LEAST_DECODED = 0.7
+"""Share of the lit pixels to be decoded; at the outline, and on what is black, none are."""
+
 WANTED = 0.1
 """Standard error in projector pixels up to which single camera pixels are sharp."""
 
@@ -133,9 +136,19 @@ def measure_correspondence(
     )
 
 
-def correspondence_findings(correspondence: Correspondence) -> Findings:
-    """Return the step's findings, with a verdict on how many pixels are valid, and how sharp."""
+def correspondence_findings(
+    correspondence: Correspondence, lit: NDArray[np.bool_] | None = None
+) -> Findings:
+    """Return the step's findings, with a verdict on how many pixels are valid, and how sharp.
+
+    Parameters
+    ----------
+    correspondence : Correspondence
+    lit : ndarray of bool, shape (Hc, Wc), optional
+        Where the projector's own light falls; most of it should be decoded.
+    """
     valid = correspondence.valid
+    of_lit = 1.0 if lit is None or not lit.any() else float(valid[lit].mean())
     share = float(valid.mean())
     error = float(np.median(correspondence.error[valid])) if valid.any() else None
     if valid.sum() < LEAST_PIXELS or error is None:
@@ -144,6 +157,13 @@ def correspondence_findings(correspondence: Correspondence) -> Findings:
             f"Only {int(valid.sum())} camera pixels see the projector's stripes. Check focus, that "
             "the camera sees what the projector lights, and the exposures; or make the stripes "
             f"wider than {correspondence.period_pixels} pixels a period.",
+        )
+    elif of_lit < LEAST_DECODED:
+        verdict = Verdict(
+            "poor",
+            f"Only {of_lit:.0%} of the camera's pixels that the projector lights are decoded; "
+            f"{LEAST_DECODED:.0%} are wanted. They are saturated, too dark or out of focus: mend "
+            "exposures and focus first.",
         )
     elif error > WANTED:
         verdict = Verdict(
@@ -161,5 +181,6 @@ def correspondence_findings(correspondence: Correspondence) -> Findings:
         verdict,
         valid_pixels=int(valid.sum()),
         valid_share=share,
+        decoded_of_lit=of_lit,
         median_error_pixels=error,
     )

@@ -28,6 +28,8 @@ def calibrate_rig(
     folder: Path,
     only: Iterable[str] | None = None,
     progress: Progress | None = None,
+    *,
+    again: bool = False,
 ) -> CalibrationFolder:
     """Do the steps of a rig's calibration that aren't done yet.
 
@@ -41,6 +43,8 @@ def calibrate_rig(
         Steps to do; None for all, and then the calibration itself.
     progress : callable, optional
         As `rfpipe.calibration.folder.calibrate`.
+    again : bool
+        Whether to do steps anew that are done.
 
     Returns
     -------
@@ -56,5 +60,7 @@ def calibrate_rig(
     place = CalibrationFolder(folder)
     projector, camera = devices_from_config(uncalibrated(config))
     with closing(projector), closing(camera):
-        calibrate(projector, camera, place, config.calibrate, config.rays, only, progress)
+        calibrate(
+            projector, camera, place, config.calibrate, config.rays, only, progress, again=again
+        )
     return place

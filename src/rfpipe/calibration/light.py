@@ -22,6 +22,10 @@ CODES = 256
 BRIGHT = 0.5
 """Of the 90th percentile of the lit pixels' light: darker ones add more noise than knowledge."""
 
+SURE = 4.0
+LEAST_OVER_NOISE = 30.0
+"""Below, the choice of lit pixels by a noisy picture makes later pictures seem darker."""
+
 SIGNIFICANCE = 10.0
 """Deviations of noise from which on a pixel is lit."""
 
@@ -42,6 +46,8 @@ class LightCurve(Measured):
         Change of the full light between the first and the last picture, a fraction.
     pixels : int
         Camera pixels measured at.
+    over_noise : float
+        Their light under full light over its noise, median.
     """
 
     codes: NDArray[np.int64]
@@ -50,6 +56,7 @@ class LightCurve(Measured):
     light: Double
     drift: float
     pixels: int
+    over_noise: float
 
 
 class LinearProjector:
@@ -133,15 +140,22 @@ def measure_light(
     monotone = (monotone - monotone[0]) / (monotone[-1] - monotone[0])
     light = PchipInterpolator(shown, monotone)(np.arange(CODES))
     light = np.maximum.accumulate(np.clip(light, 0, 1))
-    return LightCurve(shown, relative, np.array(error), light, last - 1, int(lit.sum()))
+    over_noise = float(np.median(full[lit] / np.sqrt(variance[lit])))
+    return LightCurve(shown, relative, np.array(error), light, last - 1, int(lit.sum()), over_noise)
 
 
 def light_findings(curve: LightCurve, tolerance: float) -> Findings:
     """Return the step's findings, with a verdict on drift, order and noise."""
-    falls = np.diff(curve.measured) + 3 * np.hypot(curve.error[1:], curve.error[:-1])
+    falls = np.diff(curve.measured) + SURE * np.hypot(curve.error[1:], curve.error[:-1])
     usable = int(np.count_nonzero(np.diff(curve.light) > 1e-5))
     faults = []
-    if abs(curve.drift) > tolerance:
+    if curve.over_noise < LEAST_OVER_NOISE:
+        faults.append(
+            f"Too dark: full light is {curve.over_noise:.0f} times a pixel's noise, of the pixels "
+            f"where it shows at all; {LEAST_OVER_NOISE:.0f} times or more are wanted. Take longer "
+            "exposures, or open the aperture."
+        )
+    elif abs(curve.drift) > tolerance + 3 * float(curve.error[-1]):
         faults.append(
             f"The light changed by {curve.drift:+.2%} while the codes were shown, more than "
             f"{tolerance:.1%}: let the lamp warm up, and calibrate again."

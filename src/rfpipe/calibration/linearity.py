@@ -21,12 +21,29 @@ Double = NDArray[np.float64]
 LEVELS = (1.0, 0.25, 1 / 16)
 """Weights of the flat pictures whose brackets are compared."""
 
-BINS = 24
+BINS = 12
 FLOOR = 0.02
 """Fraction of full scale above which exposures are compared: below, noise and black level rule."""
 
 TOP = 0.9
 """Fraction of full scale up to which they are."""
+
+
+SPREAD = 2.0
+"""Variance of a shorter exposure, scaled to the longer one, over that of the longer one and over
+how many times longer it is: 1 of photon noise, and more of read noise."""
+
+SURE = 4.0
+"""Standard errors beyond which exposures differ in one of many bins."""
+
+STEEPEST = (0.2, 5.0)
+"""Exponents that a response is believed to have."""
+
+STRAIGHT = 0.03
+"""By how much the exponent of a response differs from 1 that no more than noise bends."""
+
+LEAST_PIXELS = 30
+"""Photosites in a bin that is compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +57,7 @@ class Linearity:
     deviation, error : ndarray of float64, shape (n,)
         Light by the shorter exposure over that by the longer one, less 1; its standard error.
     worst : float
-        Largest deviation beyond twice its error; NaN where nothing could be compared.
+        Largest deviation beyond `SURE` times its error; NaN where nothing could be compared.
     response : Response or None
         Recovered where the camera isn't linear.
     gamma : float
@@ -98,27 +115,36 @@ def measure_linearity(
     good = ~dark.hot
     edges = np.geomspace(FLOOR, TOP, BINS + 1)
     pairs = len(exposures) - 1
-    short, long, noise, count = (np.zeros((pairs, BINS)) for _ in range(4))
+    short, long, squares, count = (np.zeros((pairs, BINS)) for _ in range(4))
     for frames in brackets:
         signal = frames[:, good] - dark.black[:, good].astype(np.float64)
         for k in range(pairs):
-            at = np.searchsorted(edges, signal[k + 1] / span) - 1
+            ratio = exposures[k + 1] / exposures[k]
+            # of both, so that noise which lifts one into a bin doesn't make them differ there
+            light = signal[k + 1] + (signal[k] * ratio - signal[k + 1]) / (1 + SPREAD * ratio)
+            at = np.searchsorted(edges, light / span) - 1
             # glow under the all-off picture takes up room below full scale, too
             inside = (at >= 0) & (at < BINS) & (frames[k + 1][good] < TOP * white_level)
-            index, ratio = at[inside], exposures[k + 1] / exposures[k]
+            index = at[inside]
             short[k] += np.bincount(index, signal[k][inside] * ratio, BINS)
             long[k] += np.bincount(index, signal[k + 1][inside], BINS)
-            # shot noise of an unknown gain is at most that of one electron a count; half a count
-            # of rounding and the black level's own noise come on top
-            own = dark.variance[k] * (1 + 1 / dark.frames) + 1 / 12 + np.maximum(signal[k], 0)
-            noise[k] += np.bincount(index, own[inside] * ratio**2, BINS)
+            # noise as it is, of both exposures: the same light, so that their difference is all
+            rest = signal[k][inside] * ratio - signal[k + 1][inside]
+            squares[k] += np.bincount(index, rest**2, BINS)
             count[k] += np.bincount(index, minlength=BINS)
-    there = long > 0
+    there = count >= LEAST_PIXELS
     deviation = short[there] / long[there] - 1
-    error = np.sqrt(noise[there]) / long[there]
+    scatter = squares[there] - np.square(short - long)[there] / count[there]
+    # of few photosites the scatter may be small by chance: darkness' own noise is in it at least
+    ratios = np.asarray(exposures[1:], float) / np.asarray(exposures[:-1], float)
+    least = (dark.variance[:-1] * (1 + 1 / dark.frames) + 1 / 12) * ratios**2
+    scatter = np.maximum(scatter, (count * least[:, None])[there])
+    error = np.sqrt(scatter) / long[there]
+    # as sure as bins are many; rounding is no chance
+    error += _rounding(edges, span, exposures, dark)[there] * count[there] / long[there] / SURE
     level = long[there] / span / count[there]
     known = error < max(tolerance, 1e-3)
-    beyond = np.maximum(np.abs(deviation[known]) - 2 * error[known], 0)
+    beyond = np.maximum(np.abs(deviation[known]) - SURE * error[known], 0)
     worst = float(beyond.max()) if known.any() else float("nan")
     response, gamma, misfit = None, 1.0, 0.0
     if worst > tolerance:
@@ -127,6 +153,10 @@ def measure_linearity(
         black = np.broadcast_to(dark.level[:, None], frames.shape)
         response = recover_response(frames, exposures, black, white_level)
         gamma, misfit = _power(response)
+        if not STEEPEST[0] <= gamma <= STEEPEST[1]:
+            gamma, misfit = 1.0, 1.0
+        elif abs(gamma - 1) <= STRAIGHT:
+            gamma = 1.0
     return Linearity(level, deviation, error, worst, response, gamma, misfit)
 
 
@@ -162,10 +192,39 @@ def linearity_findings(linearity: Linearity, tolerance: float) -> Findings:
             f"is a power law of exponent {linearity.gamma:.3g} within "
             f"{linearity.gamma_misfit:.2%} of full scale"
         )
-        follows = linearity.gamma_misfit <= tolerance
-        advice = ", and is undone with it." if follows else "; switch the camera's gamma off."
+        follows = linearity.gamma_misfit <= tolerance and linearity.gamma != 1
+        if linearity.gamma_misfit >= 1:
+            text = (
+                f"Exposures of the same light differ by up to {linearity.worst:.1%}, and by no "
+                "response that a camera has"
+            )
+        if linearity.gamma == 1 and linearity.gamma_misfit < 1:
+            text = (
+                f"Exposures of the same light differ by up to {linearity.worst:.1%}, though the "
+                "camera's response is next to a straight line: is the light steady, are gain and "
+                "exposure not automatic, and are the exposure times true"
+            )
+            advice = "?"
+        elif follows:
+            advice = ", and is undone with it."
+        else:
+            advice = "; switch the camera's gamma off."
         verdict = Verdict("good" if follows else "poor", text + advice)
     return Findings(verdict, facts, arrays)
+
+
+def _rounding(edges: Double, span: float, exposures: Sequence[float], dark: Dark) -> Double:
+    """Return by how many counts of the longer exposure rounding may shift a bin, (pairs, bins).
+
+    Of light whose counts spread over w steps evenly, the mean rounded is off by w-th parts of an
+    eighth of a step; of less than one step, by up to half of one. Noise evens that out.
+    """
+    times = np.asarray(exposures, float)
+    ratio = (times[1:] / times[:-1])[:, None]
+    steps = np.maximum(np.diff(edges) * span / ratio, 1e-9)
+    off = np.where(steps < 1, 0.5, 0.125 / steps)
+    noise = np.maximum(dark.variance[:-1] - 1 / 12, 0)[:, None]
+    return np.asarray(off * np.exp(-2 * np.pi**2 * noise) * ratio)
 
 
 def _power(response: Response) -> tuple[float, float]:

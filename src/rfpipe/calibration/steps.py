@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.base import Findings, Verdict, camera_model, take, uniform
+from rfpipe.calibration.asymmetry import find_causes
+from rfpipe.calibration.base import Findings, camera_model, take, uniform
 from rfpipe.calibration.blur import fit_blur
 from rfpipe.calibration.correspondence import (
     Correspondence,
@@ -18,7 +19,7 @@ from rfpipe.calibration.correspondence import (
     structured_light,
     take_radiance,
 )
-from rfpipe.calibration.dark import Dark, dark_findings, measure_dark, take_dark
+from rfpipe.calibration.dark import Dark, dark_findings, glow_of, measure_dark, take_dark
 from rfpipe.calibration.light import (
     LinearProjector,
     codes_of,
@@ -31,8 +32,15 @@ from rfpipe.calibration.linearity import (
     measure_linearity,
     power_law,
 )
-from rfpipe.calibration.mapping import SmoothMap
-from rfpipe.calibration.rays import RayFit, fit_rays
+from rfpipe.calibration.rays import fit_rays
+from rfpipe.calibration.rays_verdict import rays_verdict
+from rfpipe.calibration.sight import (
+    PICTURES,
+    Sight,
+    measure_sight,
+    sight_findings,
+    sight_pictures,
+)
 from rfpipe.calibration.symmetry import symmetry_findings, symmetry_pictures, take_symmetry
 from rfpipe.calibration.transfer import (
     levels_of,
@@ -48,23 +56,9 @@ from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 
-__all__ = ["STEPS", "Bench", "Step", "camera_numbers", "rays_verdict", "steps_of"]
+__all__ = ["STEPS", "Bench", "Step", "camera_numbers", "steps_of"]
 
 Float = NDArray[np.float32]
-
-MAP_WANTED = 0.1
-"""Standard error of the smooth map in projector pixels that the rays bear."""
-
-MOST_NOISE = 4.0
-"""Noise of a ray over that of a camera pixel; one that few pixels see alone has up to about 2."""
-
-MOST_UNSEEN = 0.02
-"""Share of the rays that the camera may miss, as at a rim; more is a projector beside its view."""
-
-_ASIDE = 0.1  # of the picture's extent, from its middle
-
-LEAST_PIXELS_A_RAY = 4.0
-"""Camera pixels a ray below which few pixels look at one ray alone."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +82,11 @@ class Bench:
     settings: CalibrationConfig
     rays: tuple[int, int] | None
     found: Mapping[str, Findings]
+
+    @property
+    def sight(self) -> Sight:
+        """What the camera sees."""
+        return Sight.of(self.found["scene"])
 
     @property
     def dark(self) -> Dark:
@@ -149,11 +148,21 @@ def camera_numbers(found: Mapping[str, Findings]) -> dict[str, Any]:
     return numbers
 
 
+def _scene(bench: Bench) -> Findings:
+    exposures, white_level = bench.camera.sensor.exposures, camera_model(bench.camera).white_level
+    period = bench.settings.period_pixels
+    pictures = sight_pictures(bench.projector.shape, period)
+    frames = list(take(bench.projector, bench.camera, pictures))
+    sight = measure_sight(frames, exposures, white_level, period)
+    return sight_findings(sight, exposures, white_level)
+
+
 def _dark(bench: Bench) -> Findings:
-    exposures = bench.camera.sensor.exposures
+    model, exposures = camera_model(bench.camera), bench.camera.sensor.exposures
     frames = take_dark(bench.projector, bench.camera, bench.settings.dark_frames)
-    white_level = camera_model(bench.camera).white_level
-    return dark_findings(measure_dark(frames, exposures), exposures, white_level)
+    dark = measure_dark(frames, exposures, model.white_level)
+    glow = glow_of(dark, exposures, model.white_level, bench.sight, model.electrons_per_count)
+    return dark_findings(dark, exposures, model.white_level, glow)
 
 
 def _linearity(bench: Bench) -> Findings:
@@ -185,7 +194,7 @@ def _correspondence(bench: Bench) -> Findings:
     code = settings.period_pixels, settings.phase_steps
     images = bench.radiance(bench.lit, structured_light(shape, *code))
     found = measure_correspondence(images, shape, *code)
-    return correspondence_findings(found)
+    return correspondence_findings(found, bench.sight.lit)
 
 
 def _rays(bench: Bench) -> Findings:
@@ -221,7 +230,9 @@ def _rays(bench: Bench) -> Findings:
         "largest_noise": float(fit.noise.max()),
         "maps": [one.facts() for one in maps],
     }
-    return Findings(rays_verdict(fit, maps, blur, settings.tolerance), facts, arrays)
+    sharp = fit if not blur else fit_rays(maps, layout, bench.camera.shape)
+    facts["leak_if_sharp"] = float(np.percentile(sharp.leak, 99))
+    return Findings(rays_verdict(fit, maps, blur, settings.tolerance, sharp), facts, arrays)
 
 
 def _symmetry(bench: Bench) -> Findings:
@@ -230,7 +241,8 @@ def _symmetry(bench: Bench) -> Findings:
     rig = DeviceRig(bench.lit, bench.camera, layout, resampling)
     rig.sensor = ResampledSensor(bench.model, resampling)
     taken = take_symmetry(rig, bench.settings.symmetry_patterns, bench.settings.dark_frames)
-    return symmetry_findings(measure_symmetry(*taken), bench.settings.tolerance)
+    causes = find_causes(*taken, resampling)
+    return symmetry_findings(measure_symmetry(*taken), bench.settings.tolerance, causes)
 
 
 def _structured(bench: Bench) -> int:
@@ -249,7 +261,8 @@ def _random(bench: Bench) -> int:
 STEPS: dict[str, Step] = {
     step.name: step
     for step in (
-        Step("dark", "Black level and dark frames", (), ("dark_frames",), _dark,
+        Step("scene", "What the camera sees", (), ("period_pixels",), _scene, lambda _: PICTURES),
+        Step("dark", "Black level and dark frames", ("scene",), ("dark_frames",), _dark,
              lambda bench: bench.settings.dark_frames),
         Step("linearity", "Linearity of the camera", ("dark",), ("tolerance",), _linearity,
              lambda _: len(LEVELS)),
@@ -264,7 +277,8 @@ STEPS: dict[str, Step] = {
         ),
         Step(
             "correspondence", "Correspondence of projector and camera",
-            ("dark", "linearity", "light", "transfer"), ("period_pixels", "phase_steps"),
+            ("scene", "dark", "linearity", "light", "transfer"),
+            ("period_pixels", "phase_steps"),
             _correspondence, _structured,
         ),
         Step(
@@ -293,67 +307,3 @@ def _rays_a_view(corners: Iterable[Any]) -> tuple[int, int]:
     sides = np.linalg.norm(np.roll(outlines, -1, axis=1) - outlines, axis=-1)
     wide, tall = sides.reshape(-1, 2).min(axis=0)
     return max(1, int(tall)), max(1, int(wide))
-
-
-def _whereabouts(rays: NDArray[np.bool_]) -> str:
-    """Say on which side of the projector's picture most of some rays (*, H, W) are."""
-    height, width = rays.shape[-2:]
-    row, column = np.nonzero(rays.any(axis=tuple(range(rays.ndim - 2))))
-    down, across = (row.mean() + 0.5) / height - 0.5, (column.mean() + 0.5) / width - 0.5
-    words = [
-        word
-        for offset, less, more in ((down, "upper", "lower"), (across, "left", "right"))
-        if (word := less if offset < -_ASIDE else more if offset > _ASIDE else "")
-    ]
-    return f"most of them on the {' '.join(words)} side" if words else "on no one side"
-
-
-def rays_verdict(fit: RayFit, maps: list[SmoothMap], blur: float, tolerance: float) -> Verdict:
-    """Say whether rays are seen and told apart to the tolerance, and whether the map is known.
-
-    Parameters
-    ----------
-    fit : RayFit
-    maps : list of SmoothMap
-        Of all views.
-    blur : float
-        Camera pixels.
-    tolerance : float
-        Of relit pictures; half of it is for light that leaks from ray to ray.
-    """
-    seen = fit.resampling.seen
-    unseen = int((~seen).sum())
-    error = max(one.error for one in maps)
-    leak = float(np.percentile(fit.leak, 99))
-    pixels = float(np.median(fit.pixels[seen.ravel()]))
-    faults = []
-    if unseen > MOST_UNSEEN * seen.size:
-        faults.append(
-            f"{unseen:,} of {seen.size:,} rays are not seen ({unseen / seen.size:.0%}), "
-            f"{_whereabouts(~seen)}; {MOST_UNSEEN:.0%} are allowed. Turn the camera or its "
-            "zoom until all of the projector's picture is in its view, or light less of it."
-        )
-    if error > MAP_WANTED:
-        faults.append(
-            f"The map from camera to projector is known to {error:.2f} projector pixels only, "
-            f"above {MAP_WANTED}: it is no smooth one. Is the rig coaxial?"
-        )
-    if leak > tolerance / 2:
-        faults.append(
-            f"Rays share camera pixels: {leak:.1%} of other rays' light leaks into them, more than "
-            f"{tolerance / 2:.1%}. There are {pixels:.1f} camera pixels a ray; "
-            f"{LEAST_PIXELS_A_RAY:.0f} or more are wanted: use larger rays, or a longer lens."
-        )
-    if fit.noise.max() > MOST_NOISE:
-        faults.append(
-            f"The camera hardly tells some rays from their neighbours: their noise is up to "
-            f"{fit.noise.max():.1f} times that of a camera pixel, with a blur of {blur:.2f} pixels "
-            f"and {pixels:.1f} pixels a ray. Focus, or use larger rays."
-        )
-    text = (
-        f"{pixels:.1f} camera pixels a ray, a leak of {leak:.2%}; the map fits within "
-        f"{max(one.rms for one in maps):.2f} projector pixels a camera pixel, its own error is "
-        f"{error:.3f}. The picture is blurred by {blur:.2f} camera pixels. {unseen} rays are not "
-        "seen, and stay dark."
-    )
-    return Verdict.of(faults, text)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.calibration.asymmetry import Causes
 from rfpipe.calibration.base import Findings, Verdict
 from rfpipe.photometry import MergeOptions
 from rfpipe.photometry.symmetry import CONFIDENCE, Pictures, Symmetry, random_signs
@@ -71,7 +72,9 @@ def _sides(shape: tuple[int, ...]) -> list[int]:
     return [side for side in SCALES if side == 1 or side * 2 <= max(RayDomain(shape).image_shape)]
 
 
-def symmetry_findings(symmetry: Symmetry, tolerance: float) -> Findings:
+def symmetry_findings(
+    symmetry: Symmetry, tolerance: float, causes: Causes | None = None
+) -> Findings:
     """Return the step's findings, with a verdict whether the predicted error is accepted.
 
     Parameters
@@ -79,26 +82,32 @@ def symmetry_findings(symmetry: Symmetry, tolerance: float) -> Findings:
     symmetry : Symmetry
     tolerance : float
         Relative error of a relit picture that the rig is to stay below.
+    causes : Causes, optional
+        What makes the asymmetry.
     """
     worst = symmetry.worst
     low = worst.least
     high = worst.predicted + CONFIDENCE * worst.predicted_error
+    rays = "single rays" if worst.side == 1 else f"patches of {worst.side} x {worst.side} rays"
     found = (
         f"asymmetry alone makes errors of {worst.predicted:.2%} +- {worst.predicted_error:.2%} in "
-        f"pictures relit with patches of {worst.side} rays, {tolerance:.1%} accepted"
+        f"pictures relit with {rays}, {tolerance:.1%} accepted"
     )
+    why = "" if causes is None else _told(causes)
     if high <= tolerance:
-        verdict = Verdict("good", f"Good enough for symmetric photography: {found}.")
+        verdict = Verdict("good", f"Good enough for symmetric photography: {found}.{why}")
     elif low > tolerance:
         verdict = Verdict(
             "poor",
-            f"Not good enough for symmetric photography: {found}. Largest at one ray: align the "
-            "two devices' centres, or focus. At patches of many rays: flare, or unequal vignetting "
-            "of projector and camera. Dual photography doesn't need symmetry.",
-        )
+            f"Not good enough for symmetric photography: {found}."
+            + (why or " Its cause isn't known. Largest at one ray: align the two devices' centres, "
+               "or focus. At patches of many rays: flare, or unequal vignetting.")
+            + " Dual photography doesn't need symmetry.",
+        )  # fmt: skip
     else:
         verdict = Verdict(
-            "unknown", f"The noise can't tell: {found}. Use more patterns, or longer exposures."
+            "unknown",
+            f"The noise can't tell: {found}.{why} Use more patterns, or longer exposures.",
         )
     facts = {
         "tolerance": tolerance,
@@ -112,9 +121,38 @@ def symmetry_findings(symmetry: Symmetry, tolerance: float) -> Findings:
             for scale in symmetry.scales
         ],
     }
+    if causes is not None:
+        names = "flare", "flare_error", "vignetting", "vignetting_error"
+        facts |= {name: getattr(causes, name) for name in names}
     arrays = {
         f"{name}_{scale.side}": getattr(scale, name)
         for scale in symmetry.scales
         for name in ("forward", "backward", "error")
     }
     return Findings(verdict, facts, arrays)
+
+
+def _told(causes: Causes) -> str:
+    """Say what makes the asymmetry, how large it is, the error that follows, and what to do."""
+    text = ""
+    if causes.has_flare:
+        text += (
+            f" Flare: the lens spreads {causes.flare:.1%} +- {causes.flare_error:.1%} of the light "
+            f"over the picture, which makes an error of {causes.flare_makes:.1%}: clean and shade "
+            "the lens, and cover what is bright beside the scene."
+        )
+    if causes.has_vignetting:
+        text += (
+            f" Vignetting: the camera loses {causes.vignetting:.0%} +- "
+            f"{causes.vignetting_error:.0%} more light in its corners than the projector does, "
+            f"which makes an error of {causes.vignetting_makes:.1%}: close the aperture, or take a "
+            "longer lens."
+        )
+    if text:
+        rest = causes.rest.worst
+        them = "them" if causes.has_flare and causes.has_vignetting else "it"
+        text += (
+            f" Without {them} {rest.predicted:.1%} +- "
+            f"{rest.predicted_error:.1%} would be left, of misalignment, blur or noise."
+        )
+    return text

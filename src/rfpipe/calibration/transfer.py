@@ -53,6 +53,9 @@ ABOVE_DARK = 4.0
 SAFE = 0.9
 """Fraction of full scale up to which an exposure tells the signal of the others."""
 
+MOST_IN_DARK = 0.1
+"""Fraction of full scale that dark frames may have: of more, some photosites are saturated."""
+
 CLIP = 6.0
 """Standard deviations from which on a difference is no noise (a cosmic ray, a moving thing)."""
 
@@ -161,17 +164,22 @@ def measure_transfer(
             pair = _linear(raw, dark, good, response, span)
             light, finer = _pooled(pair, raw < SAFE * white_level, times)
             for k in range(len(times)):
-                # a photosite's own, fixed differences between them averaging to zero
+                # a photosite's own, fixed differences between them averaging to zero; what a
+                # response was undone of has it in it
                 glow = dark.black[k][good] - dark.black_level_counts
-                signal = pair[:, k].mean(axis=0)
+                if response is not None:
+                    glow = np.zeros_like(glow)
+                # by all light: what the all-off picture all but saturates has no noise to show
+                signal = pair[:, k].mean(axis=0) + glow
                 total = total.plus(
-                    _binned(pair[:, k], signal + glow, _bin_of(signal, edges), len(total.pairs))
+                    _binned(pair[:, k], signal, _bin_of(signal, edges), len(total.pairs))
                 )
                 known = finer[k]
                 signal = times[k] * light[known]
                 phase = (signal + dark.black[k][good][known]) % 1
+                signal = signal + glow[known]
                 at = PHASES * _bin_of(signal, edges) + (PHASES * phase).astype(int)
-                finely = _binned(pair[:, k][:, known], signal + glow[known], at, len(fine.pairs))
+                finely = _binned(pair[:, k][:, known], signal, at, len(fine.pairs))
                 fine = fine.plus(finely)
     saturation, saturated = _saturation(counts, white_level)
     # where rounding hides noise, the two pictures' own mean tells whether they differ: there,
@@ -184,7 +192,7 @@ def measure_transfer(
             "the flat pictures hold no light between darkness and saturation; check projector and "
             "lens, or choose other exposures"
         )
-    of_dark = _dark_bins(dark, current) if response is None else None
+    of_dark = _dark_bins(dark, current, span) if response is None else None
     fit = fit_noise(total.chosen(used), of_dark)
     return Transfer(fit, total, used, saturation, saturated, span)
 
@@ -337,10 +345,11 @@ def _usable(bins: Bins, limit: float) -> NDArray[np.bool_]:
     return np.asarray(enough & above & (bins.signal * RATIO + CLIP * spread < limit))
 
 
-def _dark_bins(dark: Dark, current: Double) -> Bins:
-    """Return the dark frames as bins of next to no signal."""
+def _dark_bins(dark: Dark, current: Double, span: float) -> Bins:
+    """Return the dark frames as bins of next to no signal, those that light fills left out."""
+    bare = current < MOST_IN_DARK * span
+    current, variance = current[bare], np.maximum(dark.variance, 0)[bare]
     pairs = np.full(len(current), float((dark.frames - 1) * (~dark.hot).sum()))
-    variance = np.maximum(dark.variance, 0)
     return Bins(
         pairs, pairs * current, pairs * variance, pairs * 3 * variance**2, np.ones_like(pairs)
     )

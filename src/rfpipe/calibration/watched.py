@@ -1,4 +1,4 @@
-"""Progress inside a step of a calibration: its pictures are counted as the projector shows them."""
+"""Watching a step of a calibration: its pictures are counted, and whether a device failed."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.rigs.devices import Projector
+from rfpipe.photometry import Sensor
+from rfpipe.rigs.devices import Camera, Projector
 
-__all__ = ["Counts", "Progress", "WatchedProjector"]
+__all__ = ["Counts", "Progress", "WatchedCamera", "WatchedProjector"]
 
 
 class Counts(Protocol):
@@ -31,12 +32,18 @@ class WatchedProjector:
     Parameters
     ----------
     projector : Projector
-    counts : Counts
+    counts : Counts or None
+
+    Attributes
+    ----------
+    failed : bool
+        Whether it raised.
     """
 
-    def __init__(self, projector: Projector, counts: Counts) -> None:
+    def __init__(self, projector: Projector, counts: Counts | None) -> None:
         self._projector = projector
         self._counts = counts
+        self.failed = False
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -45,8 +52,11 @@ class WatchedProjector:
 
     def show(self, picture: NDArray[np.float32]) -> None:
         """Show a picture, and count it."""
+        self.failed = True  # until it has not
         self._projector.show(picture)
-        self._counts.advance(1)
+        self.failed = False
+        if self._counts is not None:
+            self._counts.advance(1)
 
     def describe(self) -> dict[str, Any]:
         """Describe the projector."""
@@ -55,3 +65,42 @@ class WatchedProjector:
     def close(self) -> None:
         """Give the display back."""
         self._projector.close()
+
+
+class WatchedCamera:
+    """A camera of which is known whether it failed; everything else is the camera's own.
+
+    Parameters
+    ----------
+    camera : Camera
+
+    Attributes
+    ----------
+    failed : bool
+        Whether it raised.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+        self.failed = False
+        self.shape, self.channels = camera.shape, camera.channels
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor, which merges what `expose` returns."""
+        return self._camera.sensor
+
+    def expose(self) -> NDArray[Any]:
+        """Take one bracket."""
+        self.failed = True  # until it has not
+        frames = self._camera.expose()
+        self.failed = False
+        return frames
+
+    def describe(self) -> dict[str, Any]:
+        """Describe the camera."""
+        return self._camera.describe()
+
+    def close(self) -> None:
+        """Give the camera back."""
+        self._camera.close()

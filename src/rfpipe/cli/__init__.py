@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rfpipe.cli import fit, offline
+from rfpipe.cli.aim import aim
+from rfpipe.cli.calibrate import calibrate
 from rfpipe.cli.export import app as export
 from rfpipe.cli.info import info, open_checked, times
 from rfpipe.cli.plan import plan
@@ -211,32 +213,8 @@ def check_report(
     typer.echo(f"{folder}: whole. {len(results.figures)} figures, none blank")
 
 
-@app.command()
-def calibrate(
-    rig: Annotated[Path, typer.Argument(metavar="RIG", help="A YAML file of a rig's settings.")],
-    output: Annotated[
-        Path, typer.Option(help="Folder of the calibration; steps that are done there stay.")
-    ] = Path("calibration"),
-    step: Annotated[
-        list[str] | None,
-        typer.Option(help="Do this step alone, those that it needs being done; may be repeated."),
-    ] = None,
-) -> None:
-    """Calibrate a rig: noise, responses, correspondence, rays and symmetry; write a report.
-
-    Steps that are done, for the same devices and settings, are not repeated.
-    """
-    import logging
-
-    from rfpipe.calibration.job import calibrate_rig
-    from rfpipe.config import load_rig_config
-    from rfpipe.report.calibration import build_calibration_report
-    from rfpipe.stages.jobs.progress import Progress
-
-    logging.basicConfig(format="%(message)s")
-    logging.getLogger("rfpipe").setLevel(logging.INFO)
-    folder = calibrate_rig(load_rig_config(rig), output, step, Progress)
-    typer.echo(f"report: {build_calibration_report(folder)}")
+app.command()(aim)
+app.command()(calibrate)
 
 
 @app.command()
@@ -264,11 +242,19 @@ def serve(
         float, typer.Option(help="How long a client keeps the rig without a sign of life.")
     ] = 15.0,
     log_file: Annotated[Path | None, typer.Option(help="File to log to beside stderr.")] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Serve a rig whose calibration is not good, too.")
+    ] = False,
 ) -> None:
-    """Run the acquisition server, next to a rig's devices, until Ctrl-C or SIGTERM."""
+    """Run the acquisition server, next to a rig's devices, until Ctrl-C or SIGTERM.
+
+    A rig whose calibration found faults is refused: mend it, or say --force.
+    """
     from rfpipe.config import load_rig_config
     from rfpipe.rigs.build import rig_from_config
+    from rfpipe.rigs.settings import calibration_of
     from rfpipe.rigs.token import read_token
+    from rfpipe.rigs.verdicts import check_verdicts
     from rfpipe.server import ServerSettings
     from rfpipe.server import serve as run
 
@@ -280,6 +266,8 @@ def serve(
         log_file=log_file,
     )
     config = load_rig_config(rig)
+    if config.kind == "devices" and config.rig is None:
+        check_verdicts(calibration_of(config).facts, config.calibration, force=force)
     run(lambda: rig_from_config(config), read_token(token_file), settings)
 
 

@@ -27,7 +27,8 @@ __all__ = ["ResampledSensor", "Resampling", "sensor_from_description"]
 Float = NDArray[np.float32]
 
 ROW_SUM_TOLERANCE = 1e-4
-"""By how much a ray's weights may miss a sum of 1: the rounding of float32, generously."""
+"""By how much a ray's weights may miss a sum of 1, over the sum of their magnitudes: the rounding
+of float32, generously."""
 
 LEAST_LEFT = 0.1
 """A ray whose defective pixels had more than all but this share of its weight has none left."""
@@ -75,7 +76,9 @@ class Resampling:
             )
         sums = np.asarray(self.matrix.sum(axis=1, dtype=np.float64))
         used = np.diff(self.matrix.indptr) > 0
-        wrong = used & ~(np.abs(sums - 1) <= ROW_SUM_TOLERANCE)  # NaN is wrong, too
+        # large weights of either sign, as of a blurred picture, round as much more
+        sizes = np.asarray(abs(self.matrix).sum(axis=1, dtype=np.float64))
+        wrong = used & ~(np.abs(sums - 1) <= ROW_SUM_TOLERANCE * np.maximum(sizes, 1))  # or NaN
         if wrong.any():
             ray = int(np.argmax(wrong))
             raise InputError(

@@ -12,17 +12,19 @@ from numpy.typing import NDArray
 from rfpipe.calibration import STEPS, CalibrationFolder
 from rfpipe.calibration.base import Findings
 from rfpipe.errors import StoreError
-from rfpipe.report.blocks import Illustration, Section, Table, Tabulation, table_of
+from rfpipe.photometry import Resampling
+from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation, table_of
 from rfpipe.report.drawing import label_below, label_left, new_figure, panel_ratio, show_image
 from rfpipe.report.page import write_page
+from rfpipe.report.sight import SCENE_CAPTION, scene_figure
+from rfpipe.report.verdicts import STANDING_COLOURS
+from rfpipe.rigs.verdicts import STANDINGS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 __all__ = ["build_calibration_report"]
-
-_STANDINGS = {"good": "good", "poor": "NOT GOOD", "unknown": "can't tell"}
 
 
 def build_calibration_report(folder: CalibrationFolder) -> Path:
@@ -46,39 +48,59 @@ def build_calibration_report(folder: CalibrationFolder) -> Path:
     found = {name: folder.read(name) for name in STEPS if folder.is_done(name)}
     if not found:
         raise StoreError(f"{folder.path}: holds no calibration; run `rfpipe calibrate` first")
-    poor = [name for name, findings in found.items() if findings.verdict.standing == "poor"]
-    lead = (
-        f"Not good enough yet: {', '.join(STEPS[name].title.lower() for name in poor)}."
-        if poor
-        else "No step found a fault."
-    )
+    titles = {
+        standing: ", ".join(
+            STEPS[name].title.lower()
+            for name, findings in found.items()
+            if findings.verdict.standing == standing
+        )
+        for standing in STANDINGS
+    }
+    words = {"poor": "Not good enough yet", "failed": "Not measured", "unknown": "Can't tell"}
+    lead = " ".join(f"{word}: {titles[of]}." for of, word in words.items() if titles[of])
     page = folder.path / "report.html"
-    sections = [_summary(found), *(_section(name, of_step) for name, of_step in found.items())]
-    write_page(page, "Calibration of the rig", lead, sections, folder.path)
+    rest = [_section(name, one) for name, one in found.items() if name != "scene"]
+    sections = [_first(found), *rest]
+    write_page(
+        page, "Calibration of the rig", lead or "No step found a fault.", sections, folder.path,
+        STANDING_COLOURS,
+    )  # fmt: skip
     return page
 
 
-def _summary(found: dict[str, Findings]) -> Section:
+def _first(found: dict[str, Findings]) -> Section:
+    """Return the page's beginning: all verdicts, and what the camera sees."""
     rows = [
-        [STEPS[name].title, _STANDINGS[findings.verdict.standing]]
+        [STEPS[name].title, STANDINGS[findings.verdict.standing]]
         for name, findings in found.items()
     ]
     table = Table([], ["step", "verdict"], rows, text_columns=2)
-    caption = "What each step found; its reasons stand in its section."
-    return Section("summary", "Verdicts", [Tabulation("Verdicts", caption, table, is_folded=False)])
+    caption = "What each step found. What isn't good is told above, with what to do."
+    blocks: list[Block] = [Tabulation("Verdicts", caption, table, is_folded=False)]
+    reasons = [
+        f"{STEPS[name].title}: {STANDINGS[findings.verdict.standing]}. {findings.verdict.text}"
+        for name, findings in found.items()
+        if findings.verdict.standing != "good" or name == "scene"
+    ]
+    if "scene" in found:
+        blocks += _section("scene", found["scene"], found).blocks
+    return Section("scene", "What the camera sees", blocks, reasons)
 
 
-def _section(name: str, findings: Findings) -> Section:
+def _section(name: str, findings: Findings, others: dict[str, Findings] | None = None) -> Section:
     title = STEPS[name].title
+    verdict = f"Verdict: {STANDINGS[findings.verdict.standing]}. {findings.verdict.text}"
+    if findings.verdict.standing == "failed":
+        return Section(name, title, [], [verdict])
     draw, caption = _CHARTS[name]
-    verdict = f"Verdict: {_STANDINGS[findings.verdict.standing]}. {findings.verdict.text}"
     labels = [("number", "number", str), ("value", "value", str)]
     table = table_of(_numbers(findings.facts), labels, [], csv=f"{name}.csv")
+    drawn = scene_figure(others) if others is not None else draw(findings)
     return Section(
         name,
         title,
         [
-            Illustration(title, caption, name, draw(findings)),
+            Illustration(title, caption, name, drawn),
             Tabulation("Numbers", "Units stand in the names.", table),
         ],
         [verdict],
@@ -96,7 +118,9 @@ def _numbers(facts: dict[str, Any]) -> list[dict[str, str]]:
 
 _Draw: TypeAlias = "Callable[[Findings], Figure]"
 
-_CHARTS: dict[str, tuple[_Draw, str]] = {}
+_CHARTS: dict[str, tuple[_Draw, str]] = {
+    "scene": (lambda findings: scene_figure({"scene": findings}), SCENE_CAPTION)
+}
 """What draws a step's findings, and its caption."""
 
 
@@ -110,6 +134,7 @@ def _chart_of(step: str, caption: str) -> Callable[[_Draw], _Draw]:
     return register
 
 
+_UNSEEN = (0.85, 0.1, 0.1)
 _BLUE, _RED, _GREY = "#1f5a9e", "#c4611a", "#9a9a9a"
 _WIDTH = 8.4
 _FIT: dict[str, Any] = {"color": _RED, "linewidth": 0.9}
@@ -238,19 +263,31 @@ def _correspondence(findings: Findings) -> Figure:
 
 @_chart_of(
     "rays",
-    "Camera pixels a ray; light of other rays that leaks into each, per unit of "
-    "theirs; and the noise of a ray over that of a camera pixel. Views one above "
+    "The projector's rays: those that the camera doesn't see in red, the others the brighter the "
+    "more camera pixels look at them; camera pixels a ray; light of other rays that leaks into "
+    "each, per unit of theirs; and the noise of a ray over that of a camera pixel. Views one above "
     "the other.",
 )
 def _rays(findings: Findings) -> Figure:
-    """Draw camera pixels, leak and noise of each ray."""
+    """Draw which rays are seen, and camera pixels, leak and noise of each."""
     arrays = findings.arrays
+    seen = Resampling.from_arrays(arrays).seen
     maps = {
-        "camera pixels a ray": arrays["pixels"],
-        "leak, %": 100 * arrays["leak"],
-        "noise over a pixel's": arrays["noise"],
+        "camera pixels a ray": np.where(seen, arrays["pixels"], np.nan),
+        "leak, %": np.where(seen, 100 * arrays["leak"], np.nan),
+        "noise over a pixel's": np.where(seen, arrays["noise"], np.nan),
     }
-    return _maps({name: image.reshape(-1, image.shape[-1]) for name, image in maps.items()})
+    maps = {name: image.reshape(-1, image.shape[-1]) for name, image in maps.items()}
+    grey = arrays["pixels"] / max(float(arrays["pixels"].max()), 1e-9)
+    picture = np.where(seen[..., None], 0.25 + 0.7 * grey[..., None], _UNSEEN)
+    picture = picture.reshape(-1, picture.shape[-2], 3)
+    ratio = panel_ratio([picture.shape])
+    figure, axes = _plots(*[("", "")] * 4, size=(_WIDTH, _WIDTH / 4 * ratio + 0.4))
+    show_image(axes[0], picture)
+    axes[0].set_title(f"unseen rays: {np.count_nonzero(~seen):,} of {seen.size:,}", fontsize=8)
+    for axis, (name, image) in zip(axes[1:], maps.items(), strict=True):
+        _map(axis, image, name)
+    return figure
 
 
 @_chart_of(

@@ -20,6 +20,7 @@ from rfpipe.report import (
     sections,
     single_responses,
     speed_error,
+    verdicts,
 )
 from rfpipe.report.blocks import Section
 from rfpipe.report.entries import RESULTS_NAME, Results, SectionEntry, write_results
@@ -61,7 +62,7 @@ def build_report(
             f"{', '.join(config.scenes)}; run the relight stage first"
         )
     title, lead = config.report.title, _lead(inputs)
-    swatches = methods.swatches(inputs.methods)
+    swatches = methods.swatches(inputs.methods) | verdicts.STANDING_COLOURS
     shown = write_page(
         page, title, lead, make_sections(inputs), results, swatches, _SOURCE, _views(inputs, page)
     )
@@ -137,6 +138,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
         *of_thesis,
         sections.speed_section(inputs),
         *pictures,
+        verdicts.verdicts_section(inputs),
         *costs,
         estimates.estimates_section(inputs),
         sections.leaves_section(inputs),

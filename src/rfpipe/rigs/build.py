@@ -12,6 +12,7 @@ from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.settings import calibration_of, sensor_of
 from rfpipe.rigs.simulated import SimulatedRig
+from rfpipe.rigs.verdicts import verdicts_of
 
 if TYPE_CHECKING:
     from rfpipe.config import RigConfig
@@ -56,8 +57,9 @@ def rig_from_config(config: RigConfig) -> Rig:
         if layout is None and config.rays is not None:
             layout = ProjectorLayout.grid(projector.shape, config.rays)
         return DeviceRig(
-            projector, camera, layout, calibration.resampling, config.seconds_per_pattern
-        )
+            projector, camera, layout, calibration.resampling, config.seconds_per_pattern,
+            verdicts_of(calibration.facts),
+        )  # fmt: skip
     except BaseException:
         camera.close()
         projector.close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of
 from rfpipe.rigs.layout import ProjectorLayout
+from rfpipe.rigs.verdicts import VERDICTS_KEY
 
 if TYPE_CHECKING:
     from rfpipe.photometry.resampling import Resampling
@@ -36,6 +37,8 @@ class DeviceRig(Closing):
         are its rays.
     seconds_per_pattern : float
         Seconds that a bracket takes about, for estimates; at least 0.
+    verdicts : mapping, optional
+        Of its calibration, see `rfpipe.rigs.verdicts`: whoever acquires with the rig is told.
 
     Raises
     ------
@@ -50,6 +53,7 @@ class DeviceRig(Closing):
         layout: ProjectorLayout | None = None,
         resampling: Resampling | None = None,
         seconds_per_pattern: float = 2.0,
+        verdicts: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
         if layout is not None and layout.display_shape != tuple(projector.shape):
             raise InputError(
@@ -66,6 +70,7 @@ class DeviceRig(Closing):
         self.layout = layout
         self.resampling = resampling
         self.seconds_per_pattern = float(seconds_per_pattern)
+        self._verdicts = {step: dict(verdict) for step, verdict in (verdicts or {}).items()}
         self.projector_shape = projector.shape if layout is None else layout.shape
         self.camera_shape = camera.shape if resampling is None else resampling.shape
         self.channels = camera.channels
@@ -95,6 +100,7 @@ class DeviceRig(Closing):
             "channels": self.channels,
             "sensor": self.sensor.describe(),
             "seconds_per_pattern": self.seconds_per_pattern,
+            **({VERDICTS_KEY: self._verdicts} if self._verdicts else {}),
         }
 
     @property

@@ -14,6 +14,7 @@ from rfpipe.errors import CaptureError, InputError, StoreError
 from rfpipe.photometry import Sensor, sensor_from_description
 from rfpipe.rigs import RemoteRig, Rig
 from rfpipe.rigs.token import read_token
+from rfpipe.rigs.verdicts import warn_of
 from rfpipe.stages import capture
 from rfpipe.stages.aside import differing
 from rfpipe.stages.capture import frame_settings
@@ -67,6 +68,8 @@ def run(
         rig = RemoteRig(url, read_token(file), patience_seconds)
         try:
             check_rig(rig, plan, url)
+            if level == 0:
+                warn_of(rig.describe(), url)
         except BaseException:
             rig.close()
             raise

@@ -1,0 +1,222 @@
+"""Rigs that are wrong in usual ways, on the bench in software: the right verdict, with its cause.
+
+And always a report, whatever a step made of it.
+"""
+
+import json
+import re
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from rfpipe.calibration import CalibrationFolder
+from rfpipe.calibration.job import calibrate_rig
+from rfpipe.cli import app
+from rfpipe.config import parse_rig_config
+from rfpipe.errors import CaptureError, ConfigError
+from rfpipe.report.calibration import build_calibration_report
+from rfpipe.rigs.build import rig_from_config
+from rfpipe.rigs.settings import calibration_of
+from rfpipe.rigs.verdicts import VERDICTS_KEY, check_verdicts
+
+RAYS = 12
+SETTINGS: dict[str, Any] = {
+    "rays": [RAYS, RAYS],
+    "projector": {"options": {"settle_seconds": 0.0}},
+    "bench": {
+        "scene": {
+            "kind": "wedge", "surfaces": ["white", "texture"], "shape": [RAYS, RAYS],
+            "channels": 1,
+        },
+        "display_shape": [96, 96],
+        "camera_shape": [40, 42],
+    },
+    "calibrate": {"dark_frames": 3, "levels": 5, "codes": 9, "symmetry_patterns": 4},
+}  # fmt: skip
+UP_TO_RAYS = ["scene", "dark", "linearity", "light", "transfer", "correspondence", "rays"]
+
+
+def settings(**changes: Any) -> dict[str, Any]:
+    made = deepcopy(SETTINGS)
+    for name, value in changes.items():
+        made[name] = {**made.get(name, {}), **value}
+    return made
+
+
+def calibrated(
+    folder: Path, only: list[str] | None = None, **changes: Any
+) -> tuple[dict[str, dict[str, str]], dict[str, Any], str]:
+    """Calibrate a bench; return the verdicts, the facts, and the report's text."""
+    calibrate_rig(parse_rig_config(settings(**changes), "rig.yaml"), folder, only)
+    found = CalibrationFolder(folder)
+    page = build_calibration_report(found).read_text(encoding="utf-8")
+    verdicts = found.verdicts()
+    return verdicts, {name: found.read(name).facts for name in verdicts}, page
+
+
+def unseen() -> list[list[list[float]]]:
+    """Corners of the rays on the camera: half of them past its right edge."""
+    return [[[22, 3], [62, 4], [61, 37], [21, 36]]]
+
+
+def test_a_healthy_bench_is_good(tmp_path: Path) -> None:
+    verdicts, facts, page = calibrated(tmp_path)
+    assert {one["standing"] for one in verdicts.values()} == {"good"}, verdicts
+    assert facts["scene"]["saturated_share"] == 0
+    assert page.index("What the camera sees") < page.index("Black level")
+    assert "#2f7d36" in page  # a green dot
+    assert (tmp_path / "figures" / "scene.png").stat().st_size > 5000
+
+
+def test_a_projector_beside_the_view_leaves_rays_unseen(tmp_path: Path) -> None:
+    verdicts, facts, page = calibrated(
+        tmp_path, UP_TO_RAYS, bench={**SETTINGS["bench"], "camera_corners": unseen()}
+    )
+    assert verdicts["rays"]["standing"] == "poor"
+    count, total = facts["rays"]["unseen_rays"], RAYS**2
+    assert 0.3 * total < count < 0.7 * total
+    assert f"{count} of {total} rays are not seen" in verdicts["rays"]["verdict"]
+    assert "right side" in verdicts["rays"]["verdict"]
+    assert "leaves the camera's view at the right edge" in verdicts["scene"]["verdict"]
+    assert "NOT GOOD" in page
+
+
+def test_saturated_exposures_are_said_to_be_by_how_much(tmp_path: Path) -> None:
+    verdicts, facts, page = calibrated(tmp_path, UP_TO_RAYS, sensor={"exposures": [0.5, 1.0, 2.0]})
+    assert verdicts["scene"]["standing"] == "poor"
+    assert "saturated even at the shortest exposure, 0.5 s" in verdicts["scene"]["verdict"]
+    assert "Add shorter exposures" in verdicts["scene"]["verdict"]
+    # a radiance of 2 fills the well in 1/64 s, and the brightest of the scene is about 1.6
+    assert 15 < facts["scene"]["times_too_bright"] < 50
+    assert facts["scene"]["proposed_exposures_s"][0] < 0.04
+    assert "saturated" in page
+    # what follows from it says so, and names no other culprit without that
+    assert verdicts["correspondence"]["standing"] == "poor"
+    for one in list(verdicts.values())[1:]:
+        assert one["standing"] in ("good", "failed") or "mend that first" in one["verdict"]
+
+
+@pytest.mark.parametrize("shortest", [2e-6, 2e-5])
+def test_exposures_far_too_short_are_too_dark(tmp_path: Path, shortest: float) -> None:
+    exposures = [shortest, 4 * shortest, 16 * shortest]
+    only = ["scene", "dark", "linearity", "light"]
+    verdicts, _, page = calibrated(tmp_path, only, sensor={"exposures": exposures})
+    assert verdicts["scene"]["standing"] == "poor"
+    assert "Too dark" in verdicts["scene"]["verdict"]
+    assert "longer exposures" in verdicts["scene"]["verdict"]
+    assert "warm up" not in page
+    assert verdicts["light"]["standing"] in ("poor", "failed")
+    assert "oo dark" in verdicts["light"]["verdict"]
+
+
+@pytest.mark.parametrize(
+    ("bench", "said", "not_said"),
+    [
+        ({"ambient": 0.3}, ["Stray light of the room"], ["Projector black", "Dark current"]),
+        ({"projector_black": 0.05}, ["Projector black: 5."], ["of the room", "Dark current"]),
+        (
+            {"ambient": 0.3, "projector_black": 0.05},
+            ["Stray light of the room", "Projector black: 5."],
+            ["Dark current"],
+        ),
+        (
+            {"camera": {"dark_current_electrons": 5000.0}},
+            ["Dark current", "put the cap on"],
+            ["of the room", "Projector black"],
+        ),
+    ],
+)
+def test_what_fills_the_dark_is_told_apart(
+    tmp_path: Path, bench: dict[str, Any], said: list[str], not_said: list[str]
+) -> None:
+    only = ["scene", "dark", "linearity", "light", "transfer"]
+    verdicts, facts, _ = calibrated(tmp_path, only, bench={**SETTINGS["bench"], **bench})
+    dark = verdicts["dark"]
+    assert dark["standing"] == "poor"
+    for words in said:
+        assert words in dark["verdict"]
+    for words in [*not_said, "cool the camera or"]:
+        assert words not in dark["verdict"]
+    assert facts["dark"]["hot_photosites"] == 0
+    black = bench.get("projector_black", 0)
+    assert facts["dark"]["projector_black"] == pytest.approx(black / (1 - black), rel=0.1)
+    # the steps after it are not led astray
+    assert verdicts["linearity"]["standing"] == "good"
+    assert verdicts["light"]["standing"] == "good"
+    assert verdicts["transfer"]["standing"] in ("good", "unknown")
+
+
+def test_blur_flare_and_vignetting_are_told_apart(tmp_path: Path) -> None:
+    optics = {"psf_sigma": 1.0, "flare": 0.05, "vignetting": 0.4}
+    corners = [[[10, 8], [44, 9], [43, 42], [9, 41]]]
+    bench = {
+        **SETTINGS["bench"], "camera": optics, "camera_shape": [50, 54], "camera_corners": corners
+    }  # fmt: skip
+    verdicts, facts, page = calibrated(tmp_path, UP_TO_RAYS, bench=bench)
+    assert verdicts["rays"]["standing"] == "poor"
+    assert verdicts["rays"]["verdict"].startswith("Blur: the picture is blurred by ")
+    assert facts["rays"]["blur_pixels"] == pytest.approx(1.0, abs=0.1)
+    assert re.search(r"leaks into rays|noise grows", verdicts["rays"]["verdict"])
+    assert facts["scene"]["veil"] == pytest.approx(0.05, abs=0.005)
+    assert "flare" in verdicts["scene"]["verdict"]
+    assert "weights of a ray" not in page
+
+
+def test_a_linear_8_bit_camera_is_linear(tmp_path: Path) -> None:
+    verdicts, facts, _ = calibrated(
+        tmp_path,
+        ["scene", "dark", "linearity"],
+        camera={"options": {"pixel_format": "Mono8"}},
+        sensor={"bits": 8, "black_level_counts": 4},
+    )
+    assert verdicts["linearity"]["standing"] == "good"
+    assert verdicts["linearity"]["verdict"].startswith("Linear")
+    assert facts["linearity"]["response_gamma"] == 1
+
+
+def test_a_calibration_that_is_not_good_is_not_served(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    bench = {**SETTINGS["bench"], "camera_corners": unseen()}
+    folder = tmp_path / "calibration"
+    plain = {**settings(bench=bench), "calibration": str(folder)}
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(json.dumps(plain))
+    done = CliRunner().invoke(app, ["calibrate", str(rig), "--output", str(folder)])
+    assert done.exit_code == 0
+    assert "not good: rays of camera and projector" in done.output
+    refused = CliRunner().invoke(app, ["serve", str(rig)], env={"RFPIPE_TOKEN": "x" * 32})
+    assert isinstance(refused.exception, ConfigError)
+    assert "rays are not seen" in str(refused.exception)
+    assert "--force" in str(refused.exception)
+    config = parse_rig_config(plain, "rig.yaml")
+    check_verdicts(calibration_of(config).facts, config.calibration, force=True)
+    assert "rays are not seen" in caplog.text
+    with rig_from_config(config) as served:  # type: ignore[attr-defined]
+        assert served.describe()[VERDICTS_KEY]["rays"]["standing"] == "poor"
+
+
+def test_a_device_that_fails_leaves_a_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(json.dumps(settings()))
+    from rfpipe.rigs.bench import BenchCamera
+
+    expose, left = BenchCamera.expose, [20]
+
+    def failing(camera: BenchCamera) -> Any:
+        left[0] -= 1
+        if left[0] < 0:
+            raise CaptureError("the camera is lost")
+        return expose(camera)
+
+    monkeypatch.setattr(BenchCamera, "expose", failing)
+    folder = tmp_path / "calibration"
+    done = CliRunner().invoke(app, ["calibrate", str(rig), "--output", str(folder)])
+    assert isinstance(done.exception, CaptureError)
+    assert f"report: {folder}/report.html" in done.output
+    assert "What the camera sees" in (folder / "report.html").read_text(encoding="utf-8")

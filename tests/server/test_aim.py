@@ -1,0 +1,146 @@
+"""The page of `rfpipe aim`: who may see it, and that it tells what the camera sees."""
+
+import asyncio
+import time
+from collections.abc import Iterator
+from io import BytesIO
+from typing import Any
+
+import matplotlib.image as mpimg
+import numpy as np
+import pytest
+from httpx import ASGITransport, AsyncClient, Response
+from tests.benches import CAMERA, Bench, brighter, wedge_bench
+
+from rfpipe.errors import CaptureError
+from rfpipe.server.aim import Watch, create_app
+
+TOKEN = "a-token-of-the-test"
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return wedge_bench((12, 12), (96, 96), (40, 42), sensor=brighter(CAMERA, 10.0))
+
+
+@pytest.fixture
+def watch(bench: Bench) -> Iterator[Watch]:
+    watch = Watch(lambda: (bench.projector, bench.camera), period=16)
+    watch.start()
+    yield watch
+    watch.close()
+
+
+class Client:
+    """A browser that keeps its cookies."""
+
+    def __init__(self, app: Any) -> None:
+        self._app = app
+        self._cookies: dict[str, str] = {}
+
+    def _ask(self, method: str, path: str, **options: Any) -> Response:
+        async def asked() -> Response:
+            async with AsyncClient(
+                transport=ASGITransport(self._app), base_url="http://127.0.0.1",
+                cookies=self._cookies, follow_redirects=True,
+            ) as client:  # fmt: skip
+                answer = await client.request(method, path, **options)
+                self._cookies = dict(client.cookies)
+                return answer
+
+        return asyncio.run(asked())
+
+    def get(self, path: str, **options: Any) -> Response:
+        return self._ask("GET", path, **options)
+
+    def post(self, path: str, **options: Any) -> Response:
+        return self._ask("POST", path, **options)
+
+
+@pytest.fixture
+def client(watch: Watch) -> Client:
+    return Client(create_app(watch, TOKEN))
+
+
+def wait_for(watch: Watch, number: int) -> None:
+    end = time.monotonic() + 60
+    while watch.look.number < number:
+        assert time.monotonic() < end, watch.state
+        time.sleep(0.02)
+
+
+def test_nothing_is_shown_without_the_token(client: Client) -> None:
+    for path in ("/", "/?token=another", "/state.json", "/picture.png"):
+        assert client.get(path).status_code == 401
+    assert client.post("/mode", json={"shown": "white"}).status_code == 401
+    page = client.get(f"/?token={TOKEN}")
+    assert page.status_code == 200
+    assert TOKEN not in str(page.url)
+    assert "What the camera sees" in page.text
+    assert client.get("/state.json").status_code == 200
+    assert client.get("/state.json", headers={"Host": "elsewhere.example"}).status_code == 400
+
+
+def test_it_tells_what_the_camera_sees(client: Client, watch: Watch) -> None:
+    client.get(f"/?token={TOKEN}")
+    wait_for(watch, 1)
+    state = client.get("/state.json").json()
+    assert state["standing"] == "poor"
+    assert "saturated" in state["verdict"]
+    assert 0.5 < state["saturated"] <= 1
+    proposed = float(state["proposal"].partition("[")[2].partition(",")[0])
+    # the brightest then has three quarters of full scale; now it has some eight times all of it
+    assert 1 / 64 / 20 < proposed < 1 / 64 / 5
+    picture = mpimg.imread(BytesIO(client.get("/picture.png").content))[..., :3]
+    red = (picture[..., 0] > 0.8) & (picture[..., 1] < 0.2)
+    assert red.mean() > 0.3
+    assert (np.abs(picture - [1.0, 0.82, 0.12]).max(axis=-1) < 0.02).any()  # the outline
+
+
+def test_a_held_picture_stays(client: Client, watch: Watch, bench: Bench) -> None:
+    client.get(f"/?token={TOKEN}")
+    wait_for(watch, 1)
+    assert client.post("/mode", json={"shown": "nonsense"}).status_code == 422
+    assert client.post("/mode", json={"shown": "white"}).status_code == 204
+    wait_for(watch, watch.look.number + 2)
+    assert (bench.projector.light == 1).all()
+    state = client.get("/state.json").json()
+    assert state["mode"] == "white"
+    assert state["proposal"]
+
+
+def test_a_device_that_fails_is_told_of_and_tried_again(
+    client: Client, watch: Watch, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client.get(f"/?token={TOKEN}")
+    wait_for(watch, 1)
+    expose = bench.camera.expose
+
+    def fail() -> None:
+        raise CaptureError("the cable is out")
+
+    monkeypatch.setattr("rfpipe.server.aim.watch.AGAIN_SECONDS", 0.05)
+    bench.camera.expose = fail  # type: ignore[method-assign,assignment]
+    end = time.monotonic() + 30
+    while "cable is out" not in (client.get("/state.json").json()["error"] or ""):
+        assert time.monotonic() < end
+    bench.camera.expose = expose  # type: ignore[method-assign]
+    seen = watch.look.number
+    wait_for(watch, seen + 1)
+    assert client.get("/state.json").json()["error"] is None
+
+
+def test_devices_that_can_t_be_opened_end_it() -> None:
+    def missing() -> None:
+        raise CaptureError("no camera answers")
+
+    with pytest.raises(CaptureError, match="no camera answers"):
+        Watch(missing, period=16).start()  # type: ignore[arg-type]
+
+
+def test_the_devices_are_given_back(bench: Bench) -> None:
+    watch = Watch(lambda: (bench.projector, bench.camera), period=16)
+    watch.start()
+    watch.close()
+    with pytest.raises(CaptureError, match="closed"):
+        bench.camera.expose()

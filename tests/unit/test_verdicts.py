@@ -1,0 +1,66 @@
+"""What a captured run's report says of its rig's calibration, and what a run warns of."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rfpipe.errors import ConfigError
+from rfpipe.report.verdicts import verdicts_of_run, verdicts_section
+from rfpipe.rigs.verdicts import VERDICTS_KEY, check_verdicts, warn_of
+
+VERDICTS = {
+    "dark": {"title": "Black level", "standing": "good", "verdict": "64 counts."},
+    "rays": {"title": "Rays", "standing": "poor", "verdict": "Half of them are not seen."},
+    "symmetry": {"title": "Symmetry", "standing": "unknown", "verdict": "Too noisy."},
+}
+
+
+def inputs_of(folder: Path, rig: dict[str, Any]) -> Any:
+    run = SimpleNamespace(scene="desk", method="auto", title="desk", method_title="Auto")
+    place = folder / "desk" / "auto" / "L00"
+    place.mkdir(parents=True)
+    (place / "capture.json").write_text(json.dumps({"rig": rig}))
+    return SimpleNamespace(results=folder, runs=[run], run_sources=[])
+
+
+def test_a_report_shows_the_verdicts_on_its_rig(tmp_path: Path) -> None:
+    inputs = inputs_of(tmp_path, {"kind": "devices", VERDICTS_KEY: VERDICTS})
+    assert verdicts_of_run(inputs, inputs.runs[0]) == VERDICTS
+    section = verdicts_section(inputs)
+    assert section.text == ["desk by auto: Rays: NOT GOOD. Half of them are not seen."]
+    [block] = section.blocks
+    assert block.table.rows == [
+        ["Black level", "good"], ["Rays", "NOT GOOD"], ["Symmetry", "can't tell"],
+    ]  # fmt: skip
+
+
+def test_a_report_says_where_nothing_is_known_of_the_rig(tmp_path: Path) -> None:
+    section = verdicts_section(inputs_of(tmp_path, {"kind": "devices"}))
+    assert section.blocks[0].table.rows == [["no calibration", "can't tell"]]
+    assert "no calibration" in section.text[0]
+
+
+def test_a_simulated_rig_has_no_verdicts(tmp_path: Path) -> None:
+    assert not verdicts_section(inputs_of(tmp_path, {"kind": "simulated"})).blocks
+
+
+def test_a_run_warns_of_a_rig_that_is_not_good(caplog: pytest.LogCaptureFixture) -> None:
+    warn_of({VERDICTS_KEY: VERDICTS}, "http://rig")
+    [record] = caplog.records
+    assert "http://rig: its calibration is not good. Rays" in record.message
+    warn_of({}, "http://rig")
+    assert len(caplog.records) == 1
+
+
+def test_what_is_not_good_is_refused_unless_forced(caplog: pytest.LogCaptureFixture) -> None:
+    with pytest.raises(ConfigError, match=r"(?s)mine: the calibration is not good.*Rays.*--force"):
+        check_verdicts(VERDICTS, "mine", force=False)
+    check_verdicts(VERDICTS, "mine", force=True)
+    assert "Half of them" in caplog.text
+    good = {name: one for name, one in VERDICTS.items() if name != "rays"}
+    check_verdicts(good, "mine", force=False)
+    check_verdicts({}, None, force=False)
+    assert "has no calibration" in caplog.text
