@@ -13,6 +13,7 @@ import logging
 import os
 import shutil
 import tempfile
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.provenance import fingerprint
+from rfpipe.rigs.devices import check_picture
 from rfpipe.rigs.display import VirtualDisplay, memory_display
 from rfpipe.rigs.geometry import centred_corners, tilted_corners
 from rfpipe.rigs.optics import OpticalPath
@@ -40,6 +42,9 @@ if TYPE_CHECKING:
 __all__ = ["BenchCamera", "BenchProjector", "Scenery", "optical_path", "software_bench"]
 
 Float = NDArray[np.float32]
+
+SEQUENCE_PICTURES = 400
+"""The most that the bench's projector takes, as many as a common one."""
 
 EMULATED_SERIAL = "0815-0000"
 """Of the driver's first emulated camera."""
@@ -92,18 +97,46 @@ class Scenery:
 
 
 class BenchProjector(WindowProjector):
-    """The window on the bench's display, which ends with it."""
+    """The window on the bench's display, which ends with it.
+
+    Attributes
+    ----------
+    trigger : callable or None
+        Triggers the bench's camera, where that is to be by the projector.
+    """
 
     def __init__(self, display_shape: tuple[int, int], **settings: Any) -> None:
         with ExitStack() as stack:
             self.display = stack.enter_context(_display(display_shape))
             super().__init__(**{**settings, "display": self.display.name})
             self._server = stack.pop_all()
+        self.trigger: Callable[[], None] | None = None
+        self._loaded: list[Float] = []
 
     def close(self) -> None:
         """Close the window and its display; closing twice is no error."""
         super().close()
         self._server.close()
+
+    @property
+    def sequence_pictures(self) -> int:
+        """The most pictures of a sequence, 0 where no camera is triggered."""
+        return SEQUENCE_PICTURES if self.trigger is not None else 0
+
+    def load(self, pictures: Float) -> None:
+        """Take the pictures of a sequence; see `rfpipe.rigs.sequences.SequenceProjector`."""
+        self._loaded = [check_picture(picture, self.shape) for picture in pictures]
+
+    def play(self, order: Sequence[int], seconds: float) -> None:
+        """Show a sequence as fast as the bench can, whose time isn't that of the exposures."""
+        del seconds
+        assert self.trigger is not None
+        for place in order:
+            self.show_now(self._loaded[place])
+            self.trigger()
+
+    def _before_opening(self) -> None:
+        self.display.revive()
 
 
 class BenchCamera(PylonCamera):
@@ -127,6 +160,7 @@ class BenchCamera(PylonCamera):
         os.environ.setdefault("PYLON_CAMEMU", "1")  # is read when the driver is loaded
         self._scenery = scenery
         self._number = 0
+        self._armed_for = 0.0
         self._seen: tuple[NDArray[np.uint8], Float] | None = None
         self._folder = Path(tempfile.mkdtemp(prefix="rfpipe-bench-"))
         (self._folder / "pictures").mkdir()
@@ -168,6 +202,18 @@ class BenchCamera(PylonCamera):
         """Give the camera back; closing twice is no error."""
         super().close()
         self._clear()
+
+    def arm(self, exposure: float, count: int) -> None:
+        """Wait for triggers by the bench's projector; see `SequenceCamera`."""
+        super().arm(exposure, count)
+        self._armed_for = exposure
+
+    def trigger(self) -> None:
+        """Take a frame while armed, as the projector's signal would have it."""
+        patience = round(1000 * self._options.timeout_seconds)
+        if self._camera.WaitForFrameTriggerReady(patience, self._pylon.TimeoutHandling_Return):
+            self._before_trigger(self._armed_for)
+            self._camera.ExecuteSoftwareTrigger()
 
     def _before_trigger(self, exposure: float) -> None:
         """Make the picture that the driver is about to read."""
@@ -229,7 +275,9 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
             true,
             config.seed,
         )
-        return projector, BenchCamera(scenery, sensor_of(config), **config.camera.arguments())
+        camera = BenchCamera(scenery, sensor_of(config), **config.camera.arguments())
+        projector.trigger = camera.trigger if camera.can_be_triggered else None
+        return projector, camera
     except BaseException:
         projector.close()
         raise

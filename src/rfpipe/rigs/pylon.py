@@ -15,7 +15,8 @@ from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.devices import Closing
 from rfpipe.rigs.pylon_options import PylonOptions
-from rfpipe.rigs.pylon_setup import CameraSetup, load_pylon, said
+from rfpipe.rigs.pylon_sequence import Collector
+from rfpipe.rigs.pylon_setup import SOFTWARE, CameraSetup, load_pylon, said
 
 __all__ = ["PylonCamera"]
 
@@ -67,6 +68,7 @@ class PylonCamera(Closing):
         self._closed = False
         self._pylon, self._genicam = load_pylon()
         self._camera: Any = None
+        self._collector: Collector | None = None
         self.shape = self._open()
 
     def expose(self) -> Counts:
@@ -77,6 +79,60 @@ class PylonCamera(Closing):
                 frame = self._exposure(exposure)
                 frames[index] = frame[..., None] if self.channels == 1 else frame
         return frames
+
+    @property
+    def can_be_triggered(self) -> bool:
+        """Whether a projector triggers it; see `rfpipe.rigs.sequences.SequenceCamera`."""
+        return self._options.sequence_line is not None
+
+    def seconds_between(self, exposure: float) -> float:
+        """Return the least time between two triggers; as `SequenceCamera` has it."""
+        return self._setup.seconds_between(exposure, self._camera)
+
+    def arm(self, exposure: float, count: int) -> None:
+        """Wait for triggers by the projector; as `SequenceCamera` has it.
+
+        Raises
+        ------
+        CaptureError
+            When the camera is lost, or refuses the line.
+        """
+        with self._lock:
+            if self._closed:
+                raise CaptureError("the camera is closed; open it anew")
+            try:
+                if self._camera is None or self._camera.IsCameraDeviceRemoved():
+                    self._reconnect("it was disconnected")
+                self._camera.StopGrabbing()
+                self._setup.set_exposure(self._camera, exposure)
+                self._setup.set_trigger(self._camera, str(self._options.sequence_line))
+                self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+            except self._genicam.GenericException as error:
+                self._drop()
+                raise CaptureError(f"camera {self._serial}: {said(error)}") from error
+            patience = exposure + self._options.timeout_seconds
+            self._collector = Collector(self._camera, count, patience)
+
+    def collect(self) -> Counts:
+        """Return the frames since `arm`; as `SequenceCamera` has it."""
+        with self._lock:
+            collector, self._collector = self._collector, None
+            if collector is None:
+                raise CaptureError(f"camera {self._serial}: isn't armed")
+            frames, failed = collector.finish()
+            self.statistics["frames"] += len(frames)
+            self.statistics["failed"] += failed
+            self.statistics["timed_out"] += collector.count - len(frames) - failed
+            try:
+                self._camera.StopGrabbing()
+                self._setup.set_trigger(self._camera, SOFTWARE)
+                self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+            except self._genicam.GenericException as error:
+                self._drop()
+                _log.warning("camera %s: %s", self._serial, said(error))
+        item = self.sensor.frame_shape(self.shape, self.channels)[1:]
+        good = [frame.reshape(item) for frame in frames if frame.shape == self.shape]
+        return np.stack(good) if good else np.zeros((0, *item), np.uint16)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""

@@ -64,6 +64,12 @@ class PylonOptions(Settings):
     reconnect_seconds: float = Field(
         2.0, ge=0, le=600, description="Wait before each of these attempts in seconds, 0 to 600."
     )
+    sequence_line: str | None = Field(
+        None,
+        min_length=1,
+        description="Input at which a projector with sequences triggers the camera, as its manual "
+        "names it, such as Line1; null where there is no such projector.",
+    )
     nodes: dict[str, bool | int | float | str] = Field(
         default_factory=dict,
         description="Further settings of the camera, as its manual names them, such as "

@@ -13,7 +13,7 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.pylon_options import PylonOptions
 
-__all__ = ["CameraSetup", "load_pylon", "said"]
+__all__ = ["SOFTWARE", "CameraSetup", "load_pylon", "said"]
 
 Value: TypeAlias = bool | int | float | str
 """Of a camera's setting."""
@@ -25,6 +25,12 @@ EXPOSURE_TOLERANCE = 1e-3
 
 SETTING_TOLERANCE = 0.02
 """Fraction by which it may round another number, such as the gain."""
+
+TRIGGER_MARGIN = 0.05
+"""Of the least time between two triggers: one that comes too early is missed."""
+
+SOFTWARE = "Software"
+"""Source of triggers that this program gives."""
 
 FIXED: dict[str, Value] = {
     "GainAuto": "Off",
@@ -118,7 +124,7 @@ class CameraSetup:
             _set(camera, "TriggerSelector", selector)
             _set(camera, "TriggerMode", "On" if selector == "FrameStart" else "Off")
         _set(camera, "TriggerSelector", "FrameStart")
-        _set(camera, "TriggerSource", "Software")
+        self.set_trigger(camera, SOFTWARE)
         self._set_gain(camera)
         for name, value in self.options.nodes.items():
             _set(camera, name, value)
@@ -148,6 +154,27 @@ class CameraSetup:
                 f"camera: rounds an exposure of {exposure:g} s to {node.Value / MICROSECONDS:g} "
                 "s; set sensor.exposures to what it can do"
             )
+
+    def set_trigger(self, camera: Any, source: str) -> None:
+        """Say what triggers a frame: `SOFTWARE`, or an input such as Line1, at its rising edge.
+
+        Raises
+        ------
+        CaptureError
+            When the camera refuses it: names what it would take.
+        """
+        _set(camera, "TriggerSource", source)
+        if source != SOFTWARE and _is_writable(camera.TriggerActivation):
+            _set(camera, "TriggerActivation", "RisingEdge")
+
+    def seconds_between(self, exposure: float, camera: Any) -> float:
+        """Return the least time from one trigger to the next."""
+        between = exposure
+        for name in ("ResultingFrameRate", "ResultingFrameRateAbs"):  # SFNC 2, and before
+            with suppress(Exception):
+                between = max(between, 1 / float(getattr(camera, name).Value))
+                break
+        return between * (1 + TRIGGER_MARGIN)
 
     def _set_region(self, camera: Any) -> tuple[int, int]:
         """Choose the part of the sensor."""
