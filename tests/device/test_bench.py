@@ -260,6 +260,7 @@ def test_the_devices_count_what_happens() -> None:
         assert rig.statistics == {
             "projector": {"shown": 3, "reopened": 0, "disturbed": 0},
             "camera": {"frames": 6, "failed": 0, "timed_out": 0, "reconnected": 0},
+            "brackets": {"doubted": 0, "stale": 0},
         }
 
 

@@ -19,6 +19,7 @@ from rfpipe.calibration.correspondence import (
     take_radiance,
 )
 from rfpipe.calibration.dark import Dark, dark_findings, measure_dark, take_dark
+from rfpipe.calibration.latency import PICTURES, latency_findings, measure_latency
 from rfpipe.calibration.light import (
     LinearProjector,
     codes_of,
@@ -149,6 +150,11 @@ def camera_numbers(found: Mapping[str, Findings]) -> dict[str, Any]:
     return numbers
 
 
+def _latency(bench: Bench) -> Findings:
+    latency = measure_latency(bench.projector, bench.camera)
+    return latency_findings(latency, sum(bench.camera.sensor.exposures))
+
+
 def _dark(bench: Bench) -> Findings:
     exposures = bench.camera.sensor.exposures
     frames = take_dark(bench.projector, bench.camera, bench.settings.dark_frames)
@@ -249,6 +255,7 @@ def _random(bench: Bench) -> int:
 STEPS: dict[str, Step] = {
     step.name: step
     for step in (
+        Step("latency", "Delay from display to camera", (), (), _latency, lambda _: PICTURES),
         Step("dark", "Black level and dark frames", (), ("dark_frames",), _dark,
              lambda bench: bench.settings.dark_frames),
         Step("linearity", "Linearity of the camera", ("dark",), ("tolerance",), _linearity,

@@ -135,6 +135,21 @@ def _measured(
 
 
 @_chart_of(
+    "latency",
+    "Share of the step from one picture to the next that the camera's first exposure saw in the "
+    "worst of some trials, after each wait: 1 where the new picture was all that it saw.",
+)
+def _latency(findings: Findings) -> Figure:
+    """Draw what was seen after each wait, and what the settings wait."""
+    figure, (axis,) = _plots(("wait after a picture was drawn, s", "new picture seen"))
+    axis.plot(findings.arrays["waits"], findings.arrays["worst"], color=_BLUE, **_DOTS)
+    if findings.facts["settle_seconds"] is not None:
+        axis.axvline(findings.facts["settle_seconds"], color=_GREY, linestyle="--")
+    axis.set_ylim(-0.05, 1.05)
+    return figure
+
+
+@_chart_of(
     "dark",
     "Left: counts without light against the exposure time; the slope is the dark "
     "current and what light is left. Right: the black level of each photosite at "

@@ -13,6 +13,8 @@ import logging
 import os
 import shutil
 import tempfile
+import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
@@ -46,6 +48,9 @@ Float = NDArray[np.float32]
 SEQUENCE_PICTURES = 400
 """The most that the bench's projector takes, as many as a common one."""
 
+PICTURES_DELAYED = 16
+"""Pictures kept where light comes late."""
+
 EMULATED_SERIAL = "0815-0000"
 """Of the driver's first emulated camera."""
 
@@ -72,6 +77,10 @@ class Scenery:
         Its noise, bits and mosaic; the exposures are those that the driver sets.
     seed : int
         Seed of the noise.
+    delay_seconds : float
+        From a picture's drawing to its light.
+    drawn : sequence of (float, ndarray)
+        Times, of `time.monotonic`, and codes of the last pictures drawn.
     """
 
     display: VirtualDisplay
@@ -80,8 +89,19 @@ class Scenery:
     light_of_code: Float
     camera: CameraModel
     seed: int = 0
+    delay_seconds: float = 0.0
+    drawn: Sequence[tuple[float, NDArray[np.uint8]]] = ()
 
     def codes(self) -> NDArray[np.uint8]:
+        """Return what the projector lights now, (H, W): what its window shows, or showed."""
+        lit = [
+            codes
+            for when, codes in tuple(self.drawn)
+            if when <= time.monotonic() - self.delay_seconds
+        ]
+        return lit[-1] if self.delay_seconds and lit else self.window()
+
+    def window(self) -> NDArray[np.uint8]:
         """Return what the window shows now, (H, W)."""
         (top, left), (height, width) = self.offset, self.path.projector_shape
         return self.display.pixels[top : top + height, left : left + width, 1].copy()
@@ -103,6 +123,10 @@ class BenchProjector(WindowProjector):
     ----------
     trigger : callable or None
         Triggers the bench's camera, where that is to be by the projector.
+    scenery : Scenery or None
+        What it lights.
+    drawn : deque
+        The last pictures, where their light comes late.
     """
 
     def __init__(self, display_shape: tuple[int, int], **settings: Any) -> None:
@@ -111,12 +135,20 @@ class BenchProjector(WindowProjector):
             super().__init__(**{**settings, "display": self.display.name})
             self._server = stack.pop_all()
         self.trigger: Callable[[], None] | None = None
+        self.scenery: Scenery | None = None
+        self.drawn: deque[tuple[float, NDArray[np.uint8]]] = deque(maxlen=PICTURES_DELAYED)
         self._loaded: list[Float] = []
 
     def close(self) -> None:
         """Close the window and its display; closing twice is no error."""
         super().close()
         self._server.close()
+
+    def show_now(self, picture: Float) -> None:
+        """Show a picture, and return when it is drawn."""
+        super().show_now(picture)
+        if self.scenery is not None and self.scenery.delay_seconds:
+            self.drawn.append((time.monotonic(), self.scenery.window()))
 
     @property
     def sequence_pictures(self) -> int:
@@ -274,7 +306,10 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
             light.astype(np.float32),
             true,
             config.seed,
+            bench.display_delay_seconds,
+            projector.drawn,
         )
+        projector.scenery = scenery
         camera = BenchCamera(scenery, sensor_of(config), **config.camera.arguments())
         projector.trigger = camera.trigger if camera.can_be_triggered else None
         return projector, camera

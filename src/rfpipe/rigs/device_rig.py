@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -15,11 +17,14 @@ from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.sequencer import Sequencer, check_sequence, patterns_within
 from rfpipe.rigs.sequences import can_play
+from rfpipe.rigs.stale import RETAKE_SECONDS, StaleWatch
 
 if TYPE_CHECKING:
     from rfpipe.photometry.resampling import Resampling
 
 __all__ = ["DeviceRig"]
+
+_log = logging.getLogger(__name__)
 
 
 class DeviceRig(Closing):
@@ -74,6 +79,7 @@ class DeviceRig(Closing):
         self.channels = camera.channels
         self.sensor = _sensor(camera, resampling)
         self._frame_shape = camera.sensor.frame_shape(camera.shape, camera.channels)
+        self._watch = StaleWatch(camera.sensor)
         self._sequencer = Sequencer(
             _DevicePlayer(projector, camera, self._picture), camera.sensor, self.capture
         )
@@ -85,7 +91,7 @@ class DeviceRig(Closing):
         frames = np.empty((len(patterns), *self._frame_shape), dtype)
         for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
             name = f"pattern {tuple(key)}"
-            frames[index] = bracket_of(self.projector, self.camera, self._picture(pattern), name)
+            frames[index] = self._bracket(self._picture(pattern), name)
         return frames
 
     @property
@@ -108,6 +114,22 @@ class DeviceRig(Closing):
                 for first in parts
             ]
         )
+
+    def _bracket(self, picture: NDArray[np.float32], name: str) -> NDArray[Any]:
+        """Show a picture and take its bracket, again where it may be of the picture before."""
+        frames = bracket_of(self.projector, self.camera, picture, name)
+        if self._watch.is_doubtful(frames, picture):
+            time.sleep(RETAKE_SECONDS)
+            again = bracket_of(self.projector, self.camera, picture, name)
+            if self._watch.judge(frames, again):
+                _log.warning(
+                    "%s: the frames were, in part at least, of the pattern before; taken again. "
+                    "The projector is slower than its settle_seconds: `rfpipe calibrate` measures "
+                    "its delay (step latency)", name,
+                )  # fmt: skip
+                frames = again
+        self._watch.accept(frames, picture)
+        return frames
 
     def _picture(self, pattern: NDArray[np.float32]) -> NDArray[np.float32]:
         return pattern if self.layout is None else self.layout.picture(pattern)
@@ -133,6 +155,7 @@ class DeviceRig(Closing):
             name: getattr(device, "statistics", None)
             for name, device in (("projector", self.projector), ("camera", self.camera))
         }
+        counts["brackets"] = self._watch.statistics
         if self.sequence_patterns:
             counts["sequences"] = self._sequencer.statistics
         return {name: dict(count) for name, count in counts.items() if count is not None}

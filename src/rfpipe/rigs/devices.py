@@ -12,7 +12,7 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.weights import as_weights
 
-__all__ = ["Camera", "Closing", "Projector", "bracket_of", "check_picture"]
+__all__ = ["Camera", "Closing", "Projector", "bracket_of", "check_picture", "undisturbed"]
 
 Float = NDArray[np.float32]
 
@@ -132,15 +132,20 @@ def bracket_of(projector: Projector, camera: Camera, picture: Float, name: str) 
     return frames
 
 
+def undisturbed(projector: Projector) -> bool:
+    """Whether a projector's last picture stood from `show` until now, as far as it can tell."""
+    asked = getattr(projector, "undisturbed", None)
+    return asked is None or bool(asked())
+
+
 def _standing_bracket(
     projector: Projector, camera: Camera, picture: Float, name: str
 ) -> NDArray[Any]:
     """Show a picture and take its bracket, again where it didn't stand all the while."""
-    undisturbed = getattr(projector, "undisturbed", None)
     for _ in range(TIMES_SHOWN):
         projector.show(picture)
         frames = np.asarray(camera.expose())
-        if undisturbed is None or undisturbed():
+        if undisturbed(projector):
             return frames
         _log.warning(
             "%s: the projector's picture was lost or hidden while it was taken; taking it again",

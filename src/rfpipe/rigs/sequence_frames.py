@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BLACK", "WHITE", "WORD", "Frames", "Light", "Playlist", "lags_of"]
+__all__ = ["BLACK", "WHITE", "WORD", "Frames", "Light", "Playlist", "is_little", "lags_of"]
 
 Float = NDArray[np.float32]
 
@@ -152,9 +152,11 @@ class Light:
         off = np.where(usable, picture + other - self.white - self.black, 0)
         variance = 2 * (self.variance(picture) + self.variance(other))
         own = min(self._sum(picture), self._sum(other))
-        return _is_little(off, variance, self.white - self.black, own)
+        return is_little(off, variance, self.white - self.black, own)
 
-    def is_promised(self, picture: Float, before: Float, shorter: Light, ratio: float) -> bool:
+    def is_promised(
+        self, picture: Float, before: Float, shorter: Light, ratio: float, share: float = ASTRAY
+    ) -> bool:
         """Whether a frame is what that of a shorter exposure promises, up to saturation."""
         promised = self.black + np.float32(ratio) * (before - shorter.black)
         promised[before >= shorter.saturated] = self.saturated
@@ -162,7 +164,8 @@ class Light:
         variance = self.variance(seen) + np.float32(ratio**2) * shorter.variance(before)
         # what is saturated says nothing, and must not make room for the rest
         light = np.where(promised < self.saturated, np.maximum(promised - self.black, 0), 0)
-        return _is_little(seen - promised, variance, light, float(light.sum(dtype=np.float64)))
+        own = float(light.sum(dtype=np.float64))
+        return is_little(seen - promised, variance, light, own, share)
 
     def _sum(self, picture: Float) -> float:
         return float(np.maximum(picture - self.black, 0).sum(dtype=np.float64))
@@ -257,11 +260,23 @@ def _is_word(cells: NDArray[np.float64], begin: int) -> bool:
     return float(off) < ALIKE * contrast
 
 
-def _is_little(off: Float, variance: Float, light: Float, own: float) -> bool:
-    """Whether what is astray is little beside the light in each place, and a picture's own."""
+def is_little(off: Float, variance: Float, light: Float, own: float, share: float = ASTRAY) -> bool:
+    """Whether what is astray is little beside the light in each place, and a picture's own.
+
+    Parameters
+    ----------
+    off, variance : ndarray of float32
+        Difference of two frames, and its variance.
+    light : ndarray of float32
+        What is expected in each place, from black on.
+    own : float
+        Sum of the picture's light.
+    share : float
+        Of it that may be astray.
+    """
     off, light = np.abs(off), np.maximum(light, 0)
     beyond = off > SIGNIFICANCE * np.sqrt(variance) + TOLERANCE * light
-    most = ASTRAY * own + PIXELS_ASTRAY * float(light.mean(dtype=np.float64))
+    most = share * own + PIXELS_ASTRAY * float(light.mean(dtype=np.float64))
     return float(off[beyond].sum(dtype=np.float64)) <= most
 
 

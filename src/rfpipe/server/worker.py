@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
+from rfpipe.rigs.sequences import capture_batch, sequence_patterns
 from rfpipe.server.lease import Leases
 from rfpipe.server.models import Metrics
 
@@ -191,39 +192,42 @@ class RigWorker:
             del self._captures[name]
 
     def _expose(self, capture: Capture) -> Frames:
-        """Expose the patterns that are missing, one by one."""
-        for index in range(len(capture.brackets), len(capture.keys)):
+        """Expose the patterns that are missing: by sequences where the rig has them."""
+        count = len(capture.keys)
+        step = max(1, sequence_patterns(self.rig))
+        for first in range(len(capture.brackets), count, step):
             if self.is_stopping:
                 raise CaptureStoppedError("the server is being stopped; send it again")
             if not self._leases.is_held_by(capture.lease):
                 raise CaptureStoppedError("the lease lapsed; send it again")
+            last = min(first + step, count)
             began = time.perf_counter()
-            bracket = self._bracket(capture.patterns[index], capture.keys[index])
+            brackets = self._taken(capture.patterns[first:last], capture.keys[first:last])
             self.metrics.exposing_seconds += time.perf_counter() - began
-            self.metrics.brackets += 1
-            self.last = Shown(self.metrics.brackets, capture.keys[index], bracket)
-            capture.brackets.append(bracket)
+            self.metrics.brackets += last - first
+            self.last = Shown(self.metrics.brackets, capture.keys[last - 1], brackets[-1])
+            capture.brackets.extend(brackets)
         return capture.brackets
 
-    def _bracket(self, pattern: Patterns, key: tuple[int, ...]) -> NDArray[Any]:
+    def _taken(self, patterns: Patterns, keys: list[tuple[int, ...]]) -> Frames:
         try:
-            return self._checked(self.rig.capture(pattern[None], [key]))
+            return self._checked(capture_batch(self.rig, patterns, keys), len(keys))
         except InputError:
             raise
         except Exception as error:
             self.metrics.failures += 1
-            self.metrics.last_error = f"pattern {key}: {error}"
-            _log.exception("the rig failed at pattern %s", key)
+            self.metrics.last_error = f"pattern {keys[0]}: {error}"
+            _log.exception("the rig failed at pattern %s", keys[0])
             if isinstance(error, CaptureError):
                 raise
             raise CaptureError(f"the rig failed: {type(error).__name__}: {error}") from error
 
-    def _checked(self, frames: NDArray[Any]) -> NDArray[Any]:
+    def _checked(self, frames: NDArray[Any], count: int) -> Frames:
         sensor = self.rig.sensor
-        shape = (1, *sensor.frame_shape(self.rig.camera_shape, self.rig.channels))
+        shape = (count, *sensor.frame_shape(self.rig.camera_shape, self.rig.channels))
         if frames.shape != shape or frames.dtype != sensor.frame_dtype:
             raise CaptureError(
                 f"the rig returned {frames.dtype} frames of shape {frames.shape}; expected "
                 f"{sensor.frame_dtype} {shape}. Check the camera's size, pixel format and exposures"
             )
-        return np.ascontiguousarray(frames[0])
+        return [np.ascontiguousarray(bracket) for bracket in frames]
