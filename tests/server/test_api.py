@@ -228,6 +228,30 @@ def test_a_rig_that_fails_is_tried_again_and_then_given_up(
     assert "no light" in status["last_error"]
 
 
+class SequenceRig(SlowRig):
+    """One that shows up to two patterns in hardware."""
+
+    sequence_patterns = 2
+    lists: list[int]
+
+    def show_sequence(self, patterns: np.ndarray, keys: list[tuple[int, ...]]) -> np.ndarray:
+        self.lists.append(len(keys))
+        return OperatorRig.capture(self, patterns, keys)
+
+
+def test_a_rig_with_sequences_shows_them() -> None:
+    rig = SequenceRig(noise=CameraModel(), seed=1)
+    rig.lists = []
+    patterns, keys = np.repeat(ON, 5, axis=0), [(1, index) for index in range(5)]
+    with running(rig) as server, server.client() as client:
+        frames = client.capture(patterns, keys)
+        with server.http() as http:
+            assert http.get("/v1/status").json()["brackets"] == 5
+    np.testing.assert_array_equal(frames, OperatorRig.capture(rig, patterns, keys))
+    assert rig.lists == [2, 2]
+    assert rig.shown == [(1, 4)]
+
+
 def test_a_failed_request_goes_on_where_it_was(server: Running, rig: SlowRig) -> None:
     patterns, keys = np.repeat(ON, 3, axis=0), [(1, index) for index in range(3)]
     rig.faults = {(1, 1): [CaptureError("once")]}

@@ -105,6 +105,8 @@ class DeviceRig(Closing):
         """Show patterns by sequences; see `rfpipe.rigs.sequences.SequenceRig`."""
         patterns = check_patterns(patterns, keys, self.projector_shape)
         most = self.sequence_patterns
+        if getattr(self.projector, "sequence_levels", None) == 2 and not _is_binary(patterns):
+            most = 0  # grey ones go one by one
         parts = range(0, len(patterns), most) if most else range(0)
         if not parts:
             return self.capture(patterns, keys)
@@ -166,6 +168,10 @@ class DeviceRig(Closing):
             self.camera.close()
         finally:
             self.projector.close()
+
+
+def _is_binary(patterns: NDArray[np.float32]) -> bool:
+    return bool(((patterns == 0) | (patterns == 1)).all())
 
 
 class _DevicePlayer:

@@ -25,7 +25,10 @@ Float = NDArray[np.float32]
 
 
 class SequenceProjector(Projector, Protocol):
-    """A projector that shows a list of pictures by its own clock, and triggers a camera at each."""
+    """A projector that shows a list of pictures by its own clock, and triggers a camera at each.
+
+    One whose sequences are of zeros and ones alone says so by ``sequence_levels = 2``.
+    """
 
     @property
     def sequence_pictures(self) -> int:
