@@ -84,22 +84,9 @@ def test_it_waits_until_the_picture_settled(display: VirtualDisplay) -> None:
 
 @pytest.mark.xvfb
 def test_what_another_window_hid_is_drawn_again(x_display: VirtualDisplay) -> None:
-    from Xlib.display import Display
-
     with WindowProjector(x_display.name, settle_seconds=0) as projector:
         projector.show(np.ones(projector.shape, np.float32))
-        client = Display(x_display.name)
-        screen = client.screen()
-        cover = screen.root.create_window(
-            0, 0, 90, 70, 0, screen.root_depth, background_pixel=0, override_redirect=True
-        )
-        cover.map()
-        client.sync()
-        until(lambda: not x_display.pixels[:20, :20].any())
-        cover.destroy()
-        client.sync()
-        until(lambda: bool((x_display.pixels == 255).all()))
-        client.close()
+        cover_for_a_while(x_display)
 
 
 def test_pictures_of_many_threads_come_whole(display: VirtualDisplay) -> None:
@@ -207,25 +194,12 @@ def test_a_lost_display_is_not_waited_for_by_who_closes() -> None:
 
 @pytest.mark.xvfb
 def test_it_tells_when_its_picture_was_hidden(x_display: VirtualDisplay) -> None:
-    from Xlib.display import Display
-
     with WindowProjector(x_display.name, settle_seconds=0) as projector:
         white = np.ones(projector.shape, np.float32)
         for _ in range(10):  # never without a reason
             projector.show(white)
             assert projector.undisturbed()
-        client = Display(x_display.name)
-        screen = client.screen()
-        cover = screen.root.create_window(
-            0, 0, 90, 70, 0, screen.root_depth, background_pixel=0, override_redirect=True
-        )
-        cover.map()
-        client.sync()
-        until(lambda: not x_display.pixels[:20, :20].any())
-        cover.destroy()
-        client.sync()
-        until(lambda: bool((x_display.pixels == 255).all()))
-        client.close()
+        cover_for_a_while(x_display)
         assert not projector.undisturbed()
         projector.show(white)
         assert projector.undisturbed()
@@ -299,6 +273,24 @@ def test_a_response_is_read_from_a_file(tmp_path: Path) -> None:
         read_response(path)
     with pytest.raises(InputError, match="can't be read"):
         read_response(tmp_path / "absent.txt")
+
+
+def cover_for_a_while(x_display: VirtualDisplay) -> None:
+    """Hide a part of a white window, until it is drawn again."""
+    from Xlib.display import Display
+
+    client = Display(x_display.name)
+    screen = client.screen()
+    cover = screen.root.create_window(
+        0, 0, 90, 70, 0, screen.root_depth, background_pixel=0, override_redirect=True
+    )
+    cover.map()
+    client.sync()
+    until(lambda: not x_display.pixels[:20, :20].any())
+    cover.destroy()
+    client.sync()
+    until(lambda: bool((x_display.pixels == 255).all()))
+    client.close()
 
 
 def until(holds, seconds: float = 5.0) -> None:  # type: ignore[no-untyped-def]

@@ -19,6 +19,7 @@ from rfpipe.stages.capture import brackets_of
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.results import write_bundle
 from rfpipe.store import FrameStore
+from rfpipe.testing import RigContract
 
 RAYS = (12, 14)
 COUNT = 13
@@ -187,6 +188,11 @@ def test_an_acquisition_by_sequences_is_that_one_by_one() -> None:
     np.testing.assert_array_equal(
         found.transport.relight(pattern), expected.transport.relight(pattern)
     )
+
+
+class TestSequencesAsARig(RigContract):
+    def make_rig(self) -> SimulatedSequences:
+        return SimulatedSequences(rig(), faults=SequenceFaults(dropped=0.01, late=0.2, seed=1))
 
 
 class Stopping(SimulatedSequences):

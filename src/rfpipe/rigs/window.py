@@ -357,6 +357,6 @@ class _WindowProcess:
     def _failure(self, what: str) -> _LostWindowError:
         """Say what happened, with what the window's process said last."""
         self._errors.seek(0)
-        said = self._errors.read().decode(errors="replace").strip().splitlines()[-1:]
-        detail = f" ({said[0]})" if said else ""
+        said = self._errors.read().decode(errors="replace").strip().splitlines()[-2:]
+        detail = f" ({' '.join(' '.join(said).split())})" if said else ""
         return _LostWindowError(self._display, f"{what}{detail}")
