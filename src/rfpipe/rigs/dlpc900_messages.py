@@ -114,8 +114,9 @@ def lut_entry(index: int, microseconds: int, place: int, bits: int = 1) -> bytes
 def encoded_image(pictures: NDArray[np.bool_]) -> bytes:
     """Return up to `BITS_AN_IMAGE` binary pictures (n, H, W) as one compressed image."""
     _, height, width = pictures.shape
-    weights = (1 << np.arange(len(pictures), dtype=np.uint32))[:, None, None]
-    values = (pictures * weights).sum(axis=0, dtype=np.uint32)
+    values = np.zeros((height, width), np.uint32)
+    for bit, picture in enumerate(pictures):
+        values |= picture.astype(np.uint32) << np.uint32(bit)
     pixels = np.stack([values >> 16, values >> 8, values], axis=-1).astype(np.uint8)
     rows = b"".join(_encoded_rows(values, pixels))
     data = rows + bytes([0, 1, 0])
