@@ -15,7 +15,7 @@ import shutil
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -155,7 +155,7 @@ class BenchProjector(WindowProjector):
         """The most pictures of a sequence, 0 where no camera is triggered."""
         return SEQUENCE_PICTURES if self.trigger is not None else 0
 
-    def load(self, pictures: Float) -> None:
+    def load(self, pictures: Iterable[Float]) -> None:
         """Take the pictures of a sequence; see `rfpipe.rigs.sequences.SequenceProjector`."""
         self._loaded = [check_picture(picture, self.shape) for picture in pictures]
 

@@ -188,7 +188,7 @@ class _DevicePlayer:
     def load(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> None:
         """Give the projector its pictures; see `rfpipe.rigs.sequences.SequencePlayer`."""
         del keys  # devices make their own noise
-        self._projector.load(np.stack([self._picture(pattern) for pattern in patterns]))
+        self._projector.load(self._picture(pattern) for pattern in patterns)
 
     def play(self, order: Sequence[int], exposure: int) -> NDArray[Any]:
         """Have them shown and taken; see `rfpipe.rigs.sequences.SequencePlayer`."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from itertools import islice
 from struct import pack
 from typing import Any, Literal, Protocol
 
@@ -137,17 +138,18 @@ class Dlpc900Projector(Closing):
         is_binary = bool(((picture == 0) | (picture == 1)).all())
         with self._lock:
             if is_binary:
-                self._load(picture[None] == 1)
+                self._load([picture == 1])
             else:  # its mirrors are on for a time in proportion to the code
                 codes = np.rint(255 * picture).astype(np.uint8)
-                self._load(codes >> np.arange(GREY_BITS)[:, None, None] & 1 == 1, GREY_BITS)
+                self._load([codes >> bit & 1 == 1 for bit in range(GREY_BITS)], GREY_BITS)
             self._tell(say.DISPLAY_START, _START)
 
-    def load(self, pictures: Float) -> None:
+    def load(self, pictures: Iterable[Float]) -> None:
         """Take the pictures of a sequence; see `rfpipe.rigs.sequences.SequenceProjector`."""
-        if not 0 < len(pictures) <= MOST_PICTURES:
-            raise InputError(f"{len(pictures)} pictures; the projector holds up to {MOST_PICTURES}")
-        lit = _binary(np.stack([check_picture(picture, self.shape) for picture in pictures]))
+        lit = (
+            _binary(check_picture(picture, self.shape), index)
+            for index, picture in enumerate(pictures)
+        )
         with self._lock:
             self._load(lit)
 
@@ -183,15 +185,17 @@ class Dlpc900Projector(Closing):
                     transport.write(b"\0" + packet)
             transport.close()
 
-    def _load(self, lit: NDArray[np.bool_], bits: int = 1) -> None:
+    def _load(self, lit: Iterable[NDArray[np.bool_]], bits: int = 1) -> None:
         """Load bits of pictures: their definitions first, then images, the last one first."""
+        images, count, rest = [], 0, iter(lit)
+        while pictures := list(islice(rest, say.BITS_AN_IMAGE)):  # few at a time are in memory
+            images.append(say.encoded_image(np.stack(pictures)))
+            count += len(pictures)
+            if count > MOST_PICTURES:
+                raise InputError(f"the projector holds up to {MOST_PICTURES} pictures, not more")
         self._tell(say.DISPLAY_START, _STOP)
-        self._loaded = len(lit) // bits
+        self._loaded = count // bits
         self._define(STANDING_MICROSECONDS, bits)
-        step = say.BITS_AN_IMAGE
-        images = [
-            say.encoded_image(lit[first : first + step]) for first in range(0, len(lit), step)
-        ]
         for index, image in reversed(list(enumerate(images))):
             self._tell(say.IMAGE_BEGIN, pack("<HI", index, len(image)))
             for first in range(0, len(image), say.MOST_DATA):
@@ -255,14 +259,14 @@ def open_usb(serial: str | None) -> Transport:
     return found
 
 
-def _binary(pictures: Float) -> NDArray[np.bool_]:
-    """Return pictures as bits, or raise InputError."""
-    lit = pictures == 1
-    grey = ~lit & (pictures != 0)
+def _binary(picture: Float, index: int) -> NDArray[np.bool_]:
+    """Return a picture as bits, or raise InputError."""
+    lit = picture == 1
+    grey = ~lit & (picture != 0)
     if grey.any():
         where = tuple(int(i) for i in np.argwhere(grey)[0])
         raise InputError(
-            f"picture {where[0]} is {pictures[where]:g} at projector pixel {where[1:]}; this "
+            f"picture {index} is {picture[where]:g} at projector pixel {where}; this "
             "projector's sequences are of zeros and ones"
         )
     return np.asarray(lit)

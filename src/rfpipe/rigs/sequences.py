@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -34,8 +34,8 @@ class SequenceProjector(Projector, Protocol):
     def sequence_pictures(self) -> int:
         """The most pictures that it holds; 0 where it holds none as it is set up."""
 
-    def load(self, pictures: Float) -> None:
-        """Take pictures (N, H, W), weights in [0, 1], in the place of those before.
+    def load(self, pictures: Iterable[Float]) -> None:
+        """Take pictures (H, W), weights in [0, 1], in the place of those before.
 
         Raises
         ------

@@ -112,7 +112,8 @@ def run(
             warm_up(rig, warm_up_minutes)
     # a sequence is stored when it is complete: long ones, as loading takes most of their time
     at_a_time = sequence_patterns(rig) or batch_patterns
-    batch = (resources or Resources()).fitting(_bytes_in_hand(rig), at_a_time)
+    in_hand = _bytes_in_hand(rig) * (2 if sequence_patterns(rig) else 1)  # with complements
+    batch = (resources or Resources()).fitting(in_hand, at_a_time)
     beside: dict[str, Any] = {} if level else write_sensor(folder, rig.sensor)
     for name, part in before.items():
         beside[name] = {**part.capture(batch), **facts[name]}
