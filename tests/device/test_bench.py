@@ -258,9 +258,36 @@ def test_the_devices_count_what_happens() -> None:
     with bench() as rig:
         rig.capture(np.ones((3, *RAYS), np.float32), [(0, index) for index in range(3)])
         assert rig.statistics == {
-            "projector": {"shown": 3, "reopened": 0},
+            "projector": {"shown": 3, "reopened": 0, "disturbed": 0},
             "camera": {"frames": 6, "failed": 0, "timed_out": 0, "reconnected": 0},
+            "brackets": {"doubted": 0, "stale": 0},
         }
+
+
+def test_a_display_that_is_killed_costs_a_pattern(either_display: str) -> None:
+    """kill -9 of the X server, in the midst of patterns, of a bracket, and of its window."""
+    if either_display != "x server":
+        pytest.skip("a display in memory has no server to kill")
+    patterns = (np.random.default_rng(0).random((12, *RAYS)) < 0.5).astype(np.float32)
+    with bench() as undisturbed, bench(seed=1) as rig:
+        expected = merged(undisturbed, patterns)
+        expose, taken = rig.camera.expose, []
+
+        def failing_camera() -> np.ndarray:
+            taken.append(0)
+            if len(taken) in (11, 15):  # after eight black ones, before and after an exposure
+                os.kill(rig.projector.display.pid, signal.SIGKILL)
+            frames = expose()
+            if len(taken) == 18:
+                os.kill(rig.projector.display.pid, signal.SIGKILL)
+            return frames
+
+        rig.camera.expose = failing_camera
+        images = merged(rig, patterns)
+        assert rig.statistics["projector"]["reopened"] == 3
+        assert len(taken) <= 8 + 12 + 3
+    deviation = (images.radiance - expected.radiance) / np.sqrt(images.variance + expected.variance)
+    assert np.square(deviation).mean() == pytest.approx(1, abs=0.1)
 
 
 def test_a_simulated_rig_has_no_devices() -> None:

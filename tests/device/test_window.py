@@ -65,7 +65,7 @@ def test_random_pictures_are_on_display_when_show_returns(display: VirtualDispla
             codes = random.integers(0, 256, projector.shape, dtype=np.uint8)
             projector.show(codes.astype(np.float32) / 255)
             assert (display.pixels == codes[..., None]).all()
-        assert projector.statistics == {"shown": 40, "reopened": 0}
+        assert projector.statistics == {"shown": 40, "reopened": 0, "disturbed": 0}
 
 
 def test_a_window_is_black_until_told_otherwise(display: VirtualDisplay) -> None:
@@ -84,22 +84,9 @@ def test_it_waits_until_the_picture_settled(display: VirtualDisplay) -> None:
 
 @pytest.mark.xvfb
 def test_what_another_window_hid_is_drawn_again(x_display: VirtualDisplay) -> None:
-    from Xlib.display import Display
-
     with WindowProjector(x_display.name, settle_seconds=0) as projector:
         projector.show(np.ones(projector.shape, np.float32))
-        client = Display(x_display.name)
-        screen = client.screen()
-        cover = screen.root.create_window(
-            0, 0, 90, 70, 0, screen.root_depth, background_pixel=0, override_redirect=True
-        )
-        cover.map()
-        client.sync()
-        until(lambda: not x_display.pixels[:20, :20].any())
-        cover.destroy()
-        client.sync()
-        until(lambda: bool((x_display.pixels == 255).all()))
-        client.close()
+        cover_for_a_while(x_display)
 
 
 def test_pictures_of_many_threads_come_whole(display: VirtualDisplay) -> None:
@@ -142,10 +129,80 @@ def test_a_window_that_is_moved_is_put_back(x_display: VirtualDisplay) -> None:
 @pytest.mark.parametrize("kind", DISPLAYS)
 def test_a_lost_display_is_an_error_and_not_the_end(kind: str) -> None:
     with {"x server": xvfb, "memory": memory_display}[kind]((40, 50)) as server:
-        projector = WindowProjector(server.name, settle_seconds=0)
-    with pytest.raises(CaptureError, match=rf"display {server.name}.*DISPLAY"):
-        projector.show(np.ones((40, 50), np.float32))
+        projector = WindowProjector(server.name, settle_seconds=0, reopen_seconds=0.5)
+    white = np.ones((40, 50), np.float32)
+    assert not projector.undisturbed()
+    for _ in range(3):  # at every picture, what happened first is said
+        with pytest.raises(
+            CaptureError, match=rf"display {server.name}: .*tried to open it again.*DISPLAY"
+        ) as failure:
+            projector.show(white)
+        first = {"x server": "window is gone", "memory": "the display is gone"}[kind]
+        assert first in str(failure.value)
+        assert "closed file" not in str(failure.value)
     projector.close()
+    with pytest.raises(CaptureError, match="closed"):
+        projector.show(white)
+
+
+@pytest.mark.xvfb
+def test_a_display_that_comes_back_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+    white = np.ones((40, 50), np.float32)
+    with (
+        xvfb((40, 50)) as server,
+        WindowProjector(server.name, settle_seconds=0, reopen_seconds=0) as projector,
+    ):
+        projector.show(white)
+        os.kill(server.pid, signal.SIGKILL)
+        os.waitpid(server.pid, 0)
+        assert not projector.undisturbed()
+        with pytest.raises(CaptureError, match="window is gone"):
+            projector.show(white)
+        name = server.name
+        server.revive()
+        assert server.name == name
+        projector.show(white)
+        assert projector.undisturbed()
+        assert (server.pixels == 255).all()
+        assert projector.statistics == {"shown": 2, "reopened": 1, "disturbed": 1}
+    assert "going on" in caplog.text
+
+
+@pytest.mark.xvfb
+def test_a_display_that_flickers_is_waited_for() -> None:
+    white = np.ones((40, 50), np.float32)
+    with (
+        xvfb((40, 50)) as server,
+        WindowProjector(server.name, settle_seconds=0, reopen_seconds=30) as projector,
+    ):
+        os.kill(server.pid, signal.SIGKILL)
+        threading.Timer(1.0, server.revive).start()
+        projector.show(white)
+        assert (server.pixels == 255).all()
+        assert projector.statistics["reopened"] == 1
+
+
+def test_a_lost_display_is_not_waited_for_by_who_closes() -> None:
+    with memory_display((40, 50)) as server:
+        projector = WindowProjector(server.name, settle_seconds=0, reopen_seconds=600)
+    threading.Timer(0.5, projector.close).start()
+    began = time.monotonic()
+    with pytest.raises(CaptureError, match="closed"):
+        projector.show(np.ones((40, 50), np.float32))
+    assert time.monotonic() - began < 30
+
+
+@pytest.mark.xvfb
+def test_it_tells_when_its_picture_was_hidden(x_display: VirtualDisplay) -> None:
+    with WindowProjector(x_display.name, settle_seconds=0) as projector:
+        white = np.ones(projector.shape, np.float32)
+        for _ in range(10):  # never without a reason
+            projector.show(white)
+            assert projector.undisturbed()
+        cover_for_a_while(x_display)
+        assert not projector.undisturbed()
+        projector.show(white)
+        assert projector.undisturbed()
 
 
 def test_without_a_display_it_says_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -216,6 +273,24 @@ def test_a_response_is_read_from_a_file(tmp_path: Path) -> None:
         read_response(path)
     with pytest.raises(InputError, match="can't be read"):
         read_response(tmp_path / "absent.txt")
+
+
+def cover_for_a_while(x_display: VirtualDisplay) -> None:
+    """Hide a part of a white window, until it is drawn again."""
+    from Xlib.display import Display
+
+    client = Display(x_display.name)
+    screen = client.screen()
+    cover = screen.root.create_window(
+        0, 0, 90, 70, 0, screen.root_depth, background_pixel=0, override_redirect=True
+    )
+    cover.map()
+    client.sync()
+    until(lambda: not x_display.pixels[:20, :20].any())
+    cover.destroy()
+    client.sync()
+    until(lambda: bool((x_display.pixels == 255).all()))
+    client.close()
 
 
 def until(holds, seconds: float = 5.0) -> None:  # type: ignore[no-untyped-def]

@@ -18,7 +18,17 @@ RIG = {
     "calibrate": {"dark_frames": 2, "levels": 3, "codes": 9, "symmetry_patterns": 3},
     "calibration": "mine",
 }  # fmt: skip
-STEPS = {"scene", "dark", "linearity", "light", "transfer", "correspondence", "rays", "symmetry"}
+STEPS = {
+    "latency",
+    "scene",
+    "dark",
+    "linearity",
+    "light",
+    "transfer",
+    "correspondence",
+    "rays",
+    "symmetry",
+}
 
 
 def test_calibrate_is_a_target_of_its_own(tmp_path: Path) -> None:

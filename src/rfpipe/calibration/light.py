@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.calibration.base import Findings, Float, Measured, Verdict
 from rfpipe.errors import CaptureError
-from rfpipe.rigs.devices import Projector
+from rfpipe.rigs.devices import Projector, undisturbed
 from rfpipe.rigs.window import STEPS, code_table
 
 __all__ = ["LightCurve", "LinearProjector", "codes_of", "light_findings", "measure_light"]
@@ -78,6 +78,10 @@ class LinearProjector:
         """Show a picture in linear light; see `rfpipe.rigs.devices.Projector.show`."""
         weights = np.rint(np.clip(picture, 0, 1) * STEPS).astype(np.int64)
         self._projector.show(self._table[weights])
+
+    def undisturbed(self) -> bool:
+        """Whether the last picture stood; see `rfpipe.rigs.devices.Projector`."""
+        return undisturbed(self._projector)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""

@@ -20,6 +20,8 @@ from rfpipe.calibration.correspondence import (
     take_radiance,
 )
 from rfpipe.calibration.dark import Dark, dark_findings, glow_of, measure_dark, take_dark
+from rfpipe.calibration.latency import PICTURES as SWITCHES
+from rfpipe.calibration.latency import latency_findings, measure_latency
 from rfpipe.calibration.light import (
     LinearProjector,
     codes_of,
@@ -157,6 +159,11 @@ def _scene(bench: Bench) -> Findings:
     return sight_findings(sight, exposures, white_level)
 
 
+def _latency(bench: Bench) -> Findings:
+    latency = measure_latency(bench.projector, bench.camera)
+    return latency_findings(latency, sum(bench.camera.sensor.exposures))
+
+
 def _dark(bench: Bench) -> Findings:
     model, exposures = camera_model(bench.camera), bench.camera.sensor.exposures
     frames = take_dark(bench.projector, bench.camera, bench.settings.dark_frames)
@@ -261,6 +268,7 @@ def _random(bench: Bench) -> int:
 STEPS: dict[str, Step] = {
     step.name: step
     for step in (
+        Step("latency", "Delay from display to camera", (), (), _latency, lambda _: SWITCHES),
         Step("scene", "What the camera sees", (), ("period_pixels",), _scene, lambda _: PICTURES),
         Step("dark", "Black level and dark frames", ("scene",), ("dark_frames",), _dark,
              lambda bench: bench.settings.dark_frames),

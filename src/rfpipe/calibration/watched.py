@@ -58,6 +58,10 @@ class WatchedProjector:
         if self._counts is not None:
             self._counts.advance(1)
 
+    def __getattr__(self, name: str) -> Any:
+        """Return what else the projector has, such as `undisturbed`."""
+        return getattr(self._projector, name)
+
     def describe(self) -> dict[str, Any]:
         """Describe the projector."""
         return self._projector.describe()

@@ -59,6 +59,13 @@ class BenchConfig(Settings):
         0.0,
         description="Light of a pixel at code 0 as a fraction of that at 255, from 0 to below 1.",
     )
+    display_delay_seconds: float = Field(
+        0.0,
+        ge=0,
+        le=60,
+        description="Time from a picture's drawing to its light, in seconds, 0 to 60: what a real "
+        "projector's electronics take.",
+    )
     ambient: NonNegativeFloat = Field(
         0.0, description="Radiance of other light in every camera pixel, at least 0."
     )

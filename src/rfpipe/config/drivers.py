@@ -114,7 +114,8 @@ class ProjectorDriver(DeviceDriver):
 
     driver: Text = Field(
         "window",
-        description="window: a full-screen window on a display; or a driver of your own, as "
+        description="window: a full-screen window on a display; dlpc900: a projector with TI's "
+        "DLPC900 controller, over USB; or a driver of your own, as "
         "module:Class or file.py:Class.",
     )
 

@@ -71,8 +71,8 @@ class CaptureConfig(Settings):
         600.0,
         ge=0,
         le=604_800,
-        description="How long to wait for a server that doesn't answer before the run ends, in "
-        "seconds, 0 to 604800, a week.",
+        description="How long to wait for a server that doesn't answer, or for a rig that fails, "
+        "before the run ends, in seconds, 0 to 604800, a week.",
     )
     seconds_per_pattern: float = Field(
         2.0,

@@ -160,6 +160,26 @@ def _measured(
 
 
 @_chart_of(
+    "latency",
+    "Share of the step from one picture to the next that the camera's first exposure saw in the "
+    "worst of some trials, after each wait: 1 where the new picture was all that it saw. Dashed: "
+    "what the settings wait.",
+)
+def _latency(findings: Findings) -> Figure:
+    """Draw what was seen after each wait, and what the settings wait."""
+    labels = "wait after a picture was drawn, ms", "share of the step seen"
+    figure, (axis,) = _plots(labels, size=(_WIDTH * 0.6, 3.0))
+    waits, settle = 1000 * findings.arrays["waits"], findings.facts["settle_seconds"]
+    settled = 0.0 if settle is None else 1000 * settle
+    axis.plot(waits, findings.arrays["worst"], color=_BLUE, **_DOTS)
+    if settle is not None:
+        axis.axvline(settled, color=_GREY, linestyle="--")
+    axis.set_xlim(-2, 1.1 * max(40.0, settled, float(waits.max())))
+    axis.set_ylim(-0.1, 1.1)
+    return figure
+
+
+@_chart_of(
     "dark",
     "Left: counts without light against the exposure time; the slope is the dark "
     "current and what light is left. Right: the black level of each photosite at "

@@ -17,6 +17,7 @@ __all__ = [
     "BLACK_LEVEL_KEY",
     "DRIFT_KEY",
     "FLOODLIT_KEY",
+    "SEQUENCE_KEY",
     "SYMMETRY_KEY",
     "WARM_UP_KEY",
     "PatternOperator",
@@ -42,9 +43,16 @@ WARM_UP_KEY = 1_000_003
 SYMMETRY_KEY = 1_000_004
 """The same of the random patterns that tell whether a rig is coaxial: (this, i)."""
 
+SEQUENCE_KEY = 1_000_005
+"""The same of what a sequence shows beside its patterns: (this, ...)."""
+
 
 class Rig(Protocol):
-    """A projector and a camera, real or simulated; see `rfpipe.testing.RigContract`."""
+    """A projector and a camera, real or simulated; see `rfpipe.testing.RigContract`.
+
+    A rig may also have ``sequence_patterns`` and ``show_sequence``: lists of patterns in hardware,
+    see `rfpipe.rigs.sequences.SequenceRig`.
+    """
 
     @property
     def camera_shape(self) -> tuple[int, ...]:

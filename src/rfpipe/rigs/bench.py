@@ -13,6 +13,9 @@ import logging
 import os
 import shutil
 import tempfile
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +29,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.devices import Camera
+from rfpipe.rigs.devices import Camera, check_picture
 from rfpipe.rigs.display import VirtualDisplay, memory_display
 from rfpipe.rigs.geometry import centred_corners, tilted_corners
 from rfpipe.rigs.optics import OpticalPath
@@ -42,6 +45,12 @@ if TYPE_CHECKING:
 __all__ = ["BenchCamera", "BenchProjector", "Scenery", "View", "optical_path", "software_bench"]
 
 Float = NDArray[np.float32]
+
+SEQUENCE_PICTURES = 400
+"""The most that the bench's projector takes, as many as a common one."""
+
+PICTURES_DELAYED = 16
+"""Pictures kept where light comes late."""
 
 EMULATED_SERIAL = "0815-0000"
 """Of the driver's first emulated camera."""
@@ -69,6 +78,10 @@ class Scenery:
         Its noise, bits and mosaic; the exposures are those that the driver sets.
     seed : int
         Seed of the noise.
+    delay_seconds : float
+        From a picture's drawing to its light.
+    drawn : sequence of (float, ndarray)
+        Times, of `time.monotonic`, and codes of the last pictures drawn.
     """
 
     display: VirtualDisplay
@@ -77,8 +90,19 @@ class Scenery:
     light_of_code: Float
     camera: CameraModel
     seed: int = 0
+    delay_seconds: float = 0.0
+    drawn: Sequence[tuple[float, NDArray[np.uint8]]] = ()
 
     def codes(self) -> NDArray[np.uint8]:
+        """Return what the projector lights now, (H, W): what its window shows, or showed."""
+        lit = [
+            codes
+            for when, codes in tuple(self.drawn)
+            if when <= time.monotonic() - self.delay_seconds
+        ]
+        return lit[-1] if self.delay_seconds and lit else self.window()
+
+    def window(self) -> NDArray[np.uint8]:
         """Return what the window shows now, (H, W)."""
         (top, left), (height, width) = self.offset, self.path.projector_shape
         return self.display.pixels[top : top + height, left : left + width, 1].copy()
@@ -128,18 +152,58 @@ class View:
 
 
 class BenchProjector(WindowProjector):
-    """The window on the bench's display, which ends with it."""
+    """The window on the bench's display, which ends with it.
+
+    Attributes
+    ----------
+    trigger : callable or None
+        Triggers the bench's camera, where that is to be by the projector.
+    scenery : Scenery or None
+        What it lights.
+    drawn : deque
+        The last pictures, where their light comes late.
+    """
 
     def __init__(self, display_shape: tuple[int, int], **settings: Any) -> None:
         with ExitStack() as stack:
             self.display = stack.enter_context(_display(display_shape))
             super().__init__(**{**settings, "display": self.display.name})
             self._server = stack.pop_all()
+        self.trigger: Callable[[], None] | None = None
+        self.scenery: Scenery | None = None
+        self.drawn: deque[tuple[float, NDArray[np.uint8]]] = deque(maxlen=PICTURES_DELAYED)
+        self._loaded: list[Float] = []
 
     def close(self) -> None:
         """Close the window and its display; closing twice is no error."""
         super().close()
         self._server.close()
+
+    def show_now(self, picture: Float) -> None:
+        """Show a picture, and return when it is drawn."""
+        super().show_now(picture)
+        if self.scenery is not None and self.scenery.delay_seconds:
+            self.drawn.append((time.monotonic(), self.scenery.window()))
+
+    @property
+    def sequence_pictures(self) -> int:
+        """The most pictures of a sequence, 0 where no camera is triggered."""
+        return SEQUENCE_PICTURES if self.trigger is not None else 0
+
+    def load(self, pictures: Iterable[Float]) -> None:
+        """Take the pictures of a sequence; see `rfpipe.rigs.sequences.SequenceProjector`."""
+        self._loaded = [check_picture(picture, self.shape) for picture in pictures]
+
+    def play(self, order: Sequence[int], seconds: float) -> None:
+        """Show a sequence as fast as the bench can, whose time isn't that of the exposures."""
+        del seconds
+        assert self.trigger is not None
+        for place in order:
+            self.show_now(self._loaded[place])
+            self.trigger()
+
+    def _before_opening(self) -> None:
+        self.display.revive()
 
 
 class BenchCamera(PylonCamera):
@@ -162,6 +226,7 @@ class BenchCamera(PylonCamera):
     def __init__(self, scenery: Scenery, sensor: CameraModel, **settings: Any) -> None:
         os.environ.setdefault("PYLON_CAMEMU", "1")  # is read when the driver is loaded
         self._view = View(scenery)
+        self._armed_for = 0.0
         self._folder = Path(tempfile.mkdtemp(prefix="rfpipe-bench-"))
         (self._folder / "pictures").mkdir()
         self._put(np.zeros(scenery.path.camera_shape, np.uint16))
@@ -192,6 +257,18 @@ class BenchCamera(PylonCamera):
         """Give the camera back; closing twice is no error."""
         super().close()
         self._clear()
+
+    def arm(self, exposure: float, count: int) -> None:
+        """Wait for triggers by the bench's projector; see `SequenceCamera`."""
+        super().arm(exposure, count)
+        self._armed_for = exposure
+
+    def trigger(self) -> None:
+        """Take a frame while armed, as the projector's signal would have it."""
+        patience = round(1000 * self._options.timeout_seconds)
+        if self._camera.WaitForFrameTriggerReady(patience, self._pylon.TimeoutHandling_Return):
+            self._before_trigger(self._armed_for)
+            self._camera.ExecuteSoftwareTrigger()
 
     def _before_trigger(self, exposure: float) -> None:
         """Make the picture that the driver is about to read."""
@@ -248,9 +325,15 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
             light.astype(np.float32),
             true,
             config.seed,
+            bench.display_delay_seconds,
+            projector.drawn,
         )
+        projector.scenery = scenery
         camera_of = plugins.find(plugins.CAMERAS, config.camera.bench or "")
-        return projector, camera_of(scenery, sensor_of(config), **config.camera.arguments())
+        camera = camera_of(scenery, sensor_of(config), **config.camera.arguments())
+        if isinstance(camera, BenchCamera) and camera.can_be_triggered:
+            projector.trigger = camera.trigger
+        return projector, camera
     except BaseException:
         projector.close()
         raise

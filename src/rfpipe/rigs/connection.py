@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.config.addresses import check_server
 from rfpipe.errors import CaptureError, InputError
+from rfpipe.rigs.patience import Patience
 
 if TYPE_CHECKING:
     import httpx
@@ -20,9 +20,6 @@ _ANSWER_SECONDS = 30.0
 # a bracket may take some times what the rig says: retries of the camera, a device that reconnects
 _SLACK = 4.0
 _KEEP_ALIVE_SECONDS = 60.0
-_FIRST_PAUSE_SECONDS = 0.1
-_LONGEST_PAUSE_SECONDS = 5.0
-_REMIND_SECONDS = 30.0
 _COME_AGAIN = (408, 409, 429, 503)
 
 _log = logging.getLogger(__name__)
@@ -79,14 +76,16 @@ class Connection:
             verify=url.startswith("https"),  # without it, certificates needn't be loaded
             trust_env=False,  # a proxy for the web doesn't lead to a rig
         )
-        self._closing = threading.Event()
-        self._waiting_since: float | None = None
-        self._reminded = 0.0
-        self._pause = _FIRST_PAUSE_SECONDS
+        self.closing = threading.Event()
+        self._waiting = self.patience()
 
     def another(self) -> Connection:
         """Return a second connection to the same server, for another thread."""
         return Connection(*self._settings)
+
+    def patience(self) -> Patience:
+        """Return as much patience as this connection has, for something behind the server."""
+        return Patience(self._url, self._patience, self.closing)
 
     def send(self, method: str, path: str, seconds: float = 0.0, **request: Any) -> httpx.Response:
         """Send a request until the server answers it; `seconds` is the rig's part of the time.
@@ -112,9 +111,9 @@ class Connection:
             if response.status_code not in _COME_AGAIN:
                 break
             self.pause(_detail(response))
-        if self._waiting_since is not None:
+        if self._waiting.is_tried:
             _log.warning("%s: answers again; going on", self._url)
-            self._waiting_since = None
+            self._waiting.end()
         if response.is_success:
             return response
         detail = _detail(response)
@@ -139,26 +138,11 @@ class Connection:
         CaptureError
             When the patience is at its end.
         """
-        now = time.monotonic()
-        if self._waiting_since is None:
-            self._waiting_since, self._pause = now, _FIRST_PAUSE_SECONDS
-            self._reminded = now
-            _log.warning("%s: %s; waiting for up to %g s", self._url, reason, self._patience)
-        waited = now - self._waiting_since
-        if waited >= self._patience:
-            raise CaptureError(
-                f"{self._url}: {reason}. Waited for {waited:.0f} s (capture.patience_seconds); "
-                "what is captured is kept: run again when the server is back"
-            )
-        if now - self._reminded >= _REMIND_SECONDS:
-            self._reminded = now
-            _log.warning("%s: %s; waiting since %.0f s", self._url, reason, waited)
-        self._closing.wait(min(self._pause, self._patience - waited))
-        self._pause = min(2 * self._pause, _LONGEST_PAUSE_SECONDS)
+        self._waiting.pause(reason)
 
     def close(self) -> None:
         """Close the connection; closing twice is no error."""
-        self._closing.set()
+        self.closing.set()
         self._http.close()
 
 

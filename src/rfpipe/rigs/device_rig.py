@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +15,9 @@ from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of
 from rfpipe.rigs.layout import ProjectorLayout
+from rfpipe.rigs.sequencer import Sequencer, check_sequence, patterns_within
+from rfpipe.rigs.sequences import can_play
+from rfpipe.rigs.stale import RETAKE_SECONDS, StaleWatch
 from rfpipe.rigs.verdicts import VERDICTS_KEY
 
 if TYPE_CHECKING:
@@ -20,11 +25,14 @@ if TYPE_CHECKING:
 
 __all__ = ["DeviceRig"]
 
+_log = logging.getLogger(__name__)
+
 
 class DeviceRig(Closing):
     """A rig of two devices: shows a pattern on the projector, then has the camera take a bracket.
 
-    Retries of failed frames are the camera's; what reaches this rig is good or an error.
+    Retries of failed frames are the camera's; what reaches this rig is good or an error. Where both
+    devices have sequences, see `rfpipe.rigs.sequences`, the rig has them, too.
 
     Parameters
     ----------
@@ -76,6 +84,10 @@ class DeviceRig(Closing):
         self.channels = camera.channels
         self.sensor = _sensor(camera, resampling)
         self._frame_shape = camera.sensor.frame_shape(camera.shape, camera.channels)
+        self._watch = StaleWatch(camera.sensor)
+        self._sequencer = Sequencer(
+            _DevicePlayer(projector, camera, self._picture), camera.sensor, self.capture
+        )
 
     def capture(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`."""
@@ -83,10 +95,51 @@ class DeviceRig(Closing):
         dtype = self.camera.sensor.frame_dtype
         frames = np.empty((len(patterns), *self._frame_shape), dtype)
         for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
-            picture = pattern if self.layout is None else self.layout.picture(pattern)
             name = f"pattern {tuple(key)}"
-            frames[index] = bracket_of(self.projector, self.camera, picture, name)
+            frames[index] = self._bracket(self._picture(pattern), name)
         return frames
+
+    @property
+    def sequence_patterns(self) -> int:
+        """The most patterns of a sequence; 0 where the devices have none together."""
+        if not can_play(self.projector, self.camera):
+            return 0
+        return patterns_within(self.projector.sequence_pictures)  # type: ignore[attr-defined]
+
+    def show_sequence(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> NDArray[Any]:
+        """Show patterns by sequences; see `rfpipe.rigs.sequences.SequenceRig`."""
+        patterns = check_patterns(patterns, keys, self.projector_shape)
+        most = self.sequence_patterns
+        if getattr(self.projector, "sequence_levels", None) == 2 and not _is_binary(patterns):
+            most = 0  # grey ones go one by one
+        parts = range(0, len(patterns), most) if most else range(0)
+        if not parts:
+            return self.capture(patterns, keys)
+        return np.concatenate(
+            [
+                self._sequencer.brackets(patterns[first : first + most], keys[first : first + most])
+                for first in parts
+            ]
+        )
+
+    def _bracket(self, picture: NDArray[np.float32], name: str) -> NDArray[Any]:
+        """Show a picture and take its bracket, again where it may be of the picture before."""
+        frames = bracket_of(self.projector, self.camera, picture, name)
+        if self._watch.is_doubtful(frames, picture):
+            time.sleep(RETAKE_SECONDS)
+            again = bracket_of(self.projector, self.camera, picture, name)
+            if self._watch.judge(frames, again):
+                _log.warning(
+                    "%s: the frames were, in part at least, of the pattern before; taken again. "
+                    "The projector is slower than its settle_seconds: `rfpipe calibrate` measures "
+                    "its delay (step latency)", name,
+                )  # fmt: skip
+                frames = again
+        self._watch.accept(frames, picture)
+        return frames
+
+    def _picture(self, pattern: NDArray[np.float32]) -> NDArray[np.float32]:
+        return pattern if self.layout is None else self.layout.picture(pattern)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
@@ -110,6 +163,9 @@ class DeviceRig(Closing):
             name: getattr(device, "statistics", None)
             for name, device in (("projector", self.projector), ("camera", self.camera))
         }
+        counts["brackets"] = self._watch.statistics
+        if self.sequence_patterns:
+            counts["sequences"] = self._sequencer.statistics
         return {name: dict(count) for name, count in counts.items() if count is not None}
 
     def close(self) -> None:
@@ -118,6 +174,39 @@ class DeviceRig(Closing):
             self.camera.close()
         finally:
             self.projector.close()
+
+
+def _is_binary(patterns: NDArray[np.float32]) -> bool:
+    return bool(((patterns == 0) | (patterns == 1)).all())
+
+
+class _DevicePlayer:
+    """Plays lists of patterns on two devices that have sequences."""
+
+    def __init__(
+        self,
+        projector: Any,
+        camera: Any,
+        picture: Callable[[NDArray[np.float32]], NDArray[np.float32]],
+    ) -> None:
+        self._projector, self._camera, self._picture = projector, camera, picture
+
+    def load(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> None:
+        """Give the projector its pictures; see `rfpipe.rigs.sequences.SequencePlayer`."""
+        del keys  # devices make their own noise
+        self._projector.load(self._picture(pattern) for pattern in patterns)
+
+    def play(self, order: Sequence[int], exposure: int) -> NDArray[Any]:
+        """Have them shown and taken; see `rfpipe.rigs.sequences.SequencePlayer`."""
+        camera = self._camera
+        seconds = camera.sensor.exposures[exposure]
+        camera.arm(seconds, len(order))
+        try:
+            self._projector.play(order, camera.seconds_between(seconds))
+        finally:
+            frames = np.asarray(camera.collect())  # also disarms it
+        shape = camera.sensor.frame_shape(camera.shape, camera.channels)[1:]
+        return check_sequence(frames, shape, camera.sensor.frame_dtype)
 
 
 def _sensor(camera: Camera, resampling: Resampling | None) -> Sensor:

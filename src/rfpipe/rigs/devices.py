@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -11,13 +12,27 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.weights import as_weights
 
-__all__ = ["Camera", "Closing", "Projector", "bracket_of", "check_picture"]
+__all__ = ["Camera", "Closing", "Projector", "bracket_of", "check_picture", "undisturbed"]
 
 Float = NDArray[np.float32]
 
+TIMES_SHOWN = 5
+"""How often a picture is shown until it stands for a whole bracket."""
+
+_log = logging.getLogger(__name__)
+
 
 class Projector(Protocol):
-    """One display; see `rfpipe.testing.ProjectorContract`."""
+    """One display; see `rfpipe.testing.ProjectorContract`.
+
+    A projector may also have, and is then asked for it,
+
+    - ``undisturbed() -> bool``: whether the last picture stood from `show` until now. Where it
+      didn't, as when a cable flickered or a window hid it, the pattern is shown and taken again.
+    - ``show_now(picture)``: as `show`, but returns before the light has settled, which the
+      calibration then measures; and ``settle_seconds``, what `show` waits for it.
+    - what `rfpipe.rigs.sequences.SequenceProjector` has: sequences of patterns in hardware.
+    """
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -100,12 +115,11 @@ def bracket_of(projector: Projector, camera: Camera, picture: Float, name: str) 
     Raises
     ------
     CaptureError
-        When a device fails, or the camera returns what is no bracket of its own; begins with the
-        picture's name.
+        When a device fails, the picture doesn't stand for a whole bracket, or the camera returns
+        what is no bracket of its own; begins with the picture's name.
     """
     try:
-        projector.show(picture)
-        frames = np.asarray(camera.expose())
+        frames = _standing_bracket(projector, camera, picture, name)
     except CaptureError as error:
         raise CaptureError(f"{name}: {error}") from error
     dtype = camera.sensor.frame_dtype
@@ -116,6 +130,31 @@ def bracket_of(projector: Projector, camera: Camera, picture: Float, name: str) 
             f"{dtype} {expected}. Check the camera's size, pixel format and exposures"
         )
     return frames
+
+
+def undisturbed(projector: Projector) -> bool:
+    """Whether a projector's last picture stood from `show` until now, as far as it can tell."""
+    asked = getattr(projector, "undisturbed", None)
+    return asked is None or bool(asked())
+
+
+def _standing_bracket(
+    projector: Projector, camera: Camera, picture: Float, name: str
+) -> NDArray[Any]:
+    """Show a picture and take its bracket, again where it didn't stand all the while."""
+    for _ in range(TIMES_SHOWN):
+        projector.show(picture)
+        frames = np.asarray(camera.expose())
+        if undisturbed(projector):
+            return frames
+        _log.warning(
+            "%s: the projector's picture was lost or hidden while it was taken; taking it again",
+            name,
+        )
+    raise CaptureError(
+        f"the projector's picture was lost or hidden {TIMES_SHOWN} times while it was taken. "
+        "Check the projector's cable, and keep other windows and notifications off its monitor"
+    )
 
 
 def check_picture(picture: NDArray[Any], shape: tuple[int, int]) -> Float:

@@ -16,7 +16,7 @@ from rfpipe.errors import CaptureError
 __all__ = ["VirtualDisplay", "memory_display"]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class VirtualDisplay:
     """A display without a screen.
 
@@ -31,6 +31,9 @@ class VirtualDisplay:
 
     name: str
     pixels: NDArray[np.uint8]
+
+    def revive(self) -> None:
+        """Start again what makes the display, where it has died; a mere array doesn't."""
 
 
 @contextmanager

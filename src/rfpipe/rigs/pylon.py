@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.cameras.bracket import BracketCamera, chosen, options_of
-from rfpipe.rigs.cameras.genicam import CameraSetup, RefusedError
+from rfpipe.rigs.cameras.genicam import SOFTWARE, CameraSetup, RefusedError, seconds_between
 from rfpipe.rigs.pylon_options import PylonOptions
+from rfpipe.rigs.pylon_sequence import Collector
 from rfpipe.rigs.pylon_setup import PylonNodes, load_pylon, said
 
 __all__ = ["PylonCamera"]
@@ -55,7 +56,63 @@ class PylonCamera(BracketCamera):
         self._pylon, self._genicam = load_pylon()
         self.faults = self._genicam.GenericException, RefusedError
         self._camera: Any = None
+        self._collector: Collector | None = None
         self.shape = self._open()
+
+    @property
+    def can_be_triggered(self) -> bool:
+        """Whether a projector triggers it; see `rfpipe.rigs.sequences.SequenceCamera`."""
+        return self._options.sequence_line is not None
+
+    def seconds_between(self, exposure: float) -> float:
+        """Return the least time between two triggers; as `SequenceCamera` has it."""
+        return seconds_between(exposure, PylonNodes(self._camera).frame_rate())
+
+    def arm(self, exposure: float, count: int) -> None:
+        """Wait for triggers by the projector; as `SequenceCamera` has it.
+
+        Raises
+        ------
+        CaptureError
+            When the camera is lost, or refuses the line.
+        """
+        with self._lock:
+            if self._closed:
+                raise CaptureError("the camera is closed; open it anew")
+            try:
+                if self._is_lost():
+                    self._reconnect("it was disconnected")
+                self._camera.StopGrabbing()
+                nodes = PylonNodes(self._camera)
+                self._setup.set_exposure(nodes, exposure)
+                self._setup.set_trigger(nodes, str(self._options.sequence_line))
+                self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+            except self._genicam.GenericException as error:
+                self._drop()
+                raise CaptureError(f"camera {self._serial}: {said(error)}") from error
+            patience = exposure + self._options.timeout_seconds
+            self._collector = Collector(self._camera, count, patience)
+
+    def collect(self) -> Counts:
+        """Return the frames since `arm`; as `SequenceCamera` has it."""
+        with self._lock:
+            collector, self._collector = self._collector, None
+            if collector is None:
+                raise CaptureError(f"camera {self._serial}: isn't armed")
+            frames, failed = collector.finish()
+            self.statistics["frames"] += len(frames)
+            self.statistics["failed"] += failed
+            self.statistics["timed_out"] += collector.count - len(frames) - failed
+            try:
+                self._camera.StopGrabbing()
+                self._setup.set_trigger(PylonNodes(self._camera), SOFTWARE)
+                self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
+            except self._genicam.GenericException as error:
+                self._drop()
+                _log.warning("camera %s: %s", self._serial, said(error))
+        item = self.sensor.frame_shape(self.shape, self.channels)[1:]
+        good = [frame.reshape(item) for frame in frames if frame.shape == self.shape]
+        return np.stack(good) if good else np.zeros((0, *item), np.uint16)
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""

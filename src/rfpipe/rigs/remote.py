@@ -31,7 +31,6 @@ Float = NDArray[np.float32]
 _API = 1
 _MOST_ARRAY_BYTES = 2**34
 _SECONDS_PER_REQUEST = 10.0
-_RIG_ATTEMPTS = 3
 
 _log = logging.getLogger(__name__)
 
@@ -50,8 +49,8 @@ class RemoteRig(Closing):
     token : str
         The server's bearer token.
     patience_seconds : float
-        How long to wait for a server that doesn't answer or for another client to end, at least
-        0.
+        How long to wait for a server that doesn't answer, for another client to end, or for a rig
+        that fails, at least 0.
     client : str, optional
         A name for the server's log; this machine and process by default.
 
@@ -90,8 +89,8 @@ class RemoteRig(Closing):
         Raises
         ------
         CaptureError
-            Also when the server doesn't answer, or is held by another client, for longer than
-            `patience_seconds`, or serves another rig than before.
+            Also when the server doesn't answer, is held by another client or its rig fails, for
+            longer than `patience_seconds`, or it serves another rig than before.
         """
         patterns = check_patterns(patterns, keys, self.projector_shape)
         frames = np.empty((len(patterns), *self._frame_shape), self.sensor.frame_dtype)
@@ -125,35 +124,27 @@ class RemoteRig(Closing):
             "Idempotency-Key": secrets.token_urlsafe(24),
         }
         seconds = self.seconds_per_pattern * len(patterns)
-        failures = 0
+        rig = self._connection.patience()
         while True:
             lease = {"Rig-Lease": self._lease()}
             try:
                 response = self._connection.send(
                     "POST", "/v1/captures", seconds, content=body, headers=headers | lease
                 )
-                return self._brackets(response, keys)
+                brackets = self._brackets(response, keys)
             except TransferError as error:
-                failures += 1
-                self._give_up_after(failures, f"its answer arrived damaged ({error})")
+                rig.pause(f"its answer arrived damaged ({error})")
             except RefusedError as refusal:
                 if refusal.status == 410:
                     self._lose_lease()
                     continue
                 if refusal.status != 502:
                     raise
-                failures += 1
-                self._give_up_after(failures, refusal.detail)
-            self._connection.pause(f"pattern {tuple(keys[0])} failed {failures} times")
-
-    def _give_up_after(self, failures: int, reason: str) -> None:
-        if failures < _RIG_ATTEMPTS:
-            _log.warning("%s: %s", self.url, reason)
-            return
-        raise CaptureError(
-            f"{self.url}: the rig failed {failures} times: {reason}. What is captured is kept; "
-            "look after the rig, then run again"
-        )
+                rig.pause(f"the rig failed: {refusal.detail}")
+            else:
+                if rig.is_tried:
+                    _log.warning("%s: the rig works again; going on", self.url)
+                return brackets
 
     def _brackets(self, response: httpx.Response, keys: Sequence[Key]) -> NDArray[Any]:
         """Return the brackets of an answer; raises TransferError where it is damaged."""

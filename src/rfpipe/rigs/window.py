@@ -22,6 +22,7 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.devices import Closing, check_picture
 from rfpipe.rigs.window_options import WindowOptions
+from rfpipe.rigs.window_process import ASK, DRAW
 
 __all__ = ["WindowProjector", "code_table", "read_response"]
 
@@ -30,6 +31,11 @@ Codes = NDArray[np.uint8]
 
 ANSWER_SECONDS = 20.0
 """Time within which a window opens and a picture is drawn, or the display counts as dead."""
+
+REOPEN_PAUSE_SECONDS = 0.2
+"""From one attempt to open a lost window again to the next; doubles each time."""
+
+LONGEST_PAUSE_SECONDS = 5.0
 
 STEPS = 65535
 """Weights are told apart in steps of 1 / STEPS before they are looked up."""
@@ -97,14 +103,27 @@ def read_response(path: str | Path) -> NDArray[np.float64]:
     return light
 
 
+class _LostWindowError(CaptureError):
+    """The window, or its display, is gone; `reason` says so without advice."""
+
+    def __init__(self, display: str | None, reason: str) -> None:
+        self.reason = reason
+        super().__init__(
+            f"projector on display {display or 'unset'}: {reason}. Check that the "
+            "projector is a monitor of this display, and set projector.display, screen, offset "
+            "and shape, or the environment's DISPLAY (and XAUTHORITY), accordingly"
+        )
+
+
 class WindowProjector(Closing):
     """A projector as a monitor: a borderless window with one pixel for each of its pixels.
 
     The window lives in a process of its own (`rfpipe.rigs.window_process`), so `show` may be
     called from any thread, and the loss of the display is an error instead of the process' end.
-    `show` returns after the display's server has confirmed that it drew the picture (on X11 by
-    XSync) and after `settle_seconds`. When the light then leaves the lens is known to the
-    projector alone: set `settle_seconds` to a few frames more than its delay.
+    A window that is lost is opened again, for `reopen_seconds` and then at each further picture:
+    a display that comes back goes on. `show` returns after the display's server has confirmed
+    that it drew the picture (on X11 by XSync) and after `settle_seconds`. When the light then
+    leaves the lens is known to the projector alone: calibration's step *latency* measures it.
 
     Parameters
     ----------
@@ -121,11 +140,14 @@ class WindowProjector(Closing):
         Wait after a picture was drawn.
     response : ndarray, shape (256,), or path, optional
         Light measured at each code, see `code_table`, or a file of it, see `read_response`.
+    reopen_seconds : float
+        How long to try to open a lost window again before `show` fails, at least 0.
 
     Attributes
     ----------
     statistics : dict of str to int
-        ``shown``: pictures; ``reopened``: times that the window was lost and opened again.
+        ``shown``: pictures; ``reopened``: times that the window was lost and opened again;
+        ``disturbed``: pictures of which `undisturbed` was told that they didn't stand.
 
     Raises
     ------
@@ -145,34 +167,47 @@ class WindowProjector(Closing):
         shape: tuple[int, int] | None = None,
         settle_seconds: float = 0.1,
         response: NDArray[Any] | str | Path | None = None,
+        reopen_seconds: float = 10.0,
     ) -> None:
         if isinstance(response, str | Path):
             response = read_response(response)
         self._codes = code_table(response)
         self._display = display
         self._settings = {"screen": screen, "offset": list(offset), "shape": shape and list(shape)}
-        self._settle_seconds = settle_seconds
+        self.settle_seconds = settle_seconds
+        self._reopen_seconds = reopen_seconds
         self._lock = threading.Lock()
-        self._closed = False
-        self.statistics = {"shown": 0, "reopened": 0}
-        self._window = _WindowProcess(self._display, self._settings)
+        self._closing = threading.Event()
+        self._lost: _LostWindowError | None = None
+        self.statistics = {"shown": 0, "reopened": 0, "disturbed": 0}
+        self._window: _WindowProcess | None = _WindowProcess(self._display, self._settings)
         self.shape = self._window.shape
 
     def show(self, picture: Float) -> None:
         """Show a picture; see `rfpipe.rigs.devices.Projector.show`."""
+        self.show_now(picture)
+        time.sleep(self.settle_seconds)
+
+    def show_now(self, picture: Float) -> None:
+        """Show a picture, and return when it is drawn; see `rfpipe.rigs.devices.Projector`."""
         picture = check_picture(picture, self.shape)
         codes = self._codes[np.rint(picture * np.float32(STEPS)).astype(np.uint16)]
         with self._lock:
-            if self._closed:
-                raise CaptureError("the projector's window is closed; open it anew")
-            try:
-                self._window.draw(codes)
-            except CaptureError as error:
-                _log.warning("%s; opening the window again", error)
-                self._reopen()
-                self._window.draw(codes)
+            self._draw(codes)
             self.statistics["shown"] += 1
-        time.sleep(self._settle_seconds)
+
+    def undisturbed(self) -> bool:
+        """Whether the last picture stood until now; see `rfpipe.rigs.devices.Projector`."""
+        with self._lock:
+            try:
+                stood = self._window is not None and self._window.is_undisturbed()
+            except _LostWindowError as error:
+                _log.warning("projector: %s", error.reason)
+                self._lost = error
+                self._drop()
+                stood = False
+            self.statistics["disturbed"] += not stood
+        return stood
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes the light."""
@@ -185,19 +220,67 @@ class WindowProjector(Closing):
 
     def close(self) -> None:
         """Close the window; closing twice is no error."""
+        self._closing.set()
         with self._lock:
-            self._closed = True
-            self._window.close()
+            self._drop()
 
-    def _reopen(self) -> None:
-        self._window.close()
-        self._window = _WindowProcess(self._display, self._settings)
-        self.statistics["reopened"] += 1
-        if self._window.shape != self.shape:
-            raise CaptureError(
-                f"the projector's monitor has {self._window.shape} pixels now, {self.shape} "
-                "before; set its resolution back"
-            )
+    def _before_opening(self) -> None:
+        """Is called before a lost window is opened again; a real display needs nothing more."""
+
+    def _draw(self, codes: Codes) -> None:
+        """Draw a picture, in a window opened again where it is lost."""
+        began = time.monotonic()
+        pause, last = REOPEN_PAUSE_SECONDS, ""
+        while not self._closing.is_set():
+            try:
+                self._opened().draw(codes)
+            except _LostWindowError as error:
+                self._drop()
+                last = error.reason
+                if self._lost is None:
+                    self._lost = error
+                    _log.warning(
+                        "%s. Opening the window again, for up to %g s", error, self._reopen_seconds
+                    )
+            else:
+                if self._lost is not None:
+                    self._lost = None
+                    self.statistics["reopened"] += 1
+                    _log.warning("projector: the window is open again; going on")
+                return
+            left = began + self._reopen_seconds - time.monotonic()
+            if left <= 0:
+                raise self._given_up(last)
+            self._closing.wait(min(pause, left))
+            pause = min(2 * pause, LONGEST_PAUSE_SECONDS)
+        raise CaptureError("the projector's window is closed; open it anew")
+
+    def _opened(self) -> _WindowProcess:
+        """Return the window, opened again if it is lost."""
+        if self._window is None:
+            self._before_opening()
+            self._window = _WindowProcess(self._display, self._settings)
+            if self._window.shape != self.shape:
+                raise _LostWindowError(
+                    self._display,
+                    f"the projector's monitor has {self._window.shape} pixels now, {self.shape} "
+                    "before; set its resolution back",
+                )
+        return self._window
+
+    def _drop(self) -> None:
+        window, self._window = self._window, None
+        if window is not None:
+            window.close()
+
+    def _given_up(self, last: str) -> CaptureError:
+        """Say what happened at first, which explains more than what every attempt since says."""
+        assert self._lost is not None
+        first = self._lost.reason
+        tried = f"tried to open it again for {self._reopen_seconds:g} s (reopen_seconds)"
+        if last != first:
+            tried += f", the last time: {last}"
+        return _LostWindowError(self._display, f"{first}; {tried}")
 
 
 class _WindowProcess:
@@ -226,13 +309,13 @@ class _WindowProcess:
 
     def draw(self, codes: Codes) -> None:
         """Send a picture, and wait until it is drawn."""
-        assert self._process.stdin is not None
-        try:
-            self._process.stdin.write(codes.tobytes())
-            self._process.stdin.flush()
-        except (BrokenPipeError, ValueError):
-            raise self._failure("the projector's window is gone") from None
+        self._send(DRAW + codes.tobytes())
         self._answer("shown")
+
+    def is_undisturbed(self) -> bool:
+        """Ask whether the last picture stood where it was drawn, and nothing hid it."""
+        self._send(ASK)
+        return bool(self._answer("undisturbed"))
 
     def close(self) -> None:
         """End the process, which closes the window."""
@@ -248,6 +331,16 @@ class _WindowProcess:
         self._process.stdout.close()
         self._errors.close()
 
+    def _send(self, message: bytes) -> None:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(message)
+            self._process.stdin.flush()
+        except (BrokenPipeError, ValueError):
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=1)  # its last words are then said
+            raise self._failure("the projector's window is gone") from None
+
     def _answer(self, name: str) -> Any:
         """Read the next answer."""
         assert self._process.stdout is not None
@@ -261,13 +354,9 @@ class _WindowProcess:
             return answer[name]
         raise self._failure(answer.get("error", "the projector's window is gone"))
 
-    def _failure(self, what: str) -> CaptureError:
-        """Say what happened, with what the window's process said last, and what to do."""
+    def _failure(self, what: str) -> _LostWindowError:
+        """Say what happened, with what the window's process said last."""
         self._errors.seek(0)
-        said = self._errors.read().decode(errors="replace").strip().splitlines()[-1:]
-        detail = f" ({said[0]})" if said else ""
-        return CaptureError(
-            f"projector on display {self._display or 'unset'}: {what}{detail}. Check that the "
-            "projector is a monitor of this display, and set projector.display, screen, offset "
-            "and shape, or the environment's DISPLAY (and XAUTHORITY), accordingly"
-        )
+        said = self._errors.read().decode(errors="replace").strip().splitlines()[-2:]
+        detail = f" ({' '.join(' '.join(said).split())})" if said else ""
+        return _LostWindowError(self._display, f"{what}{detail}")

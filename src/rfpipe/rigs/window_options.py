@@ -42,6 +42,14 @@ class WindowOptions(Settings):
         description="Wait after a picture was drawn, until the projector shows it, in seconds, 0 "
         "to 60: two or three frames of the display plus the projector's own delay.",
     )
+    reopen_seconds: float = Field(
+        10.0,
+        ge=0,
+        le=3600,
+        description="How long to try to open the window again when its display is lost, as by a "
+        "cable that flickers or an X server that is started again, in seconds, 0 to 3600. A "
+        "client of the server that serves the rig then waits for up to capture.patience_seconds.",
+    )
     response: str | None = Field(
         None,
         description="Text file with the light of the codes 0 to 255, one number a line, as a "

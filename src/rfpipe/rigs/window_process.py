@@ -2,8 +2,10 @@
 
 SDL wants to be called by the main thread alone, and Xlib ends the process when its display goes
 away: neither is fit for a server. Started by `rfpipe.rigs.window` as
-``python -P window_process.py SETTINGS``; ends when stdin does. Each answer is a line of JSON:
-``{"shape": [H, W]}`` once, ``{"shown": n}`` for each picture, or ``{"error": text}`` at last.
+``python -P window_process.py SETTINGS``; ends when stdin does. What comes in is `DRAW` and the
+bytes of a picture, or `ASK`, whether the last one still stands. Each answer is a line of JSON:
+``{"shape": [H, W]}`` once, ``{"shown": n}`` for each picture, ``{"undisturbed": bool}`` for each
+question, or ``{"error": text}`` at last.
 """
 
 import json
@@ -21,6 +23,9 @@ from numpy.typing import NDArray
 
 EVENT_SECONDS = 0.05
 """How often the window's events are looked at while no picture comes."""
+
+DRAW, ASK = b"D", b"?"
+"""First byte of what comes in."""
 
 DRIVERS = ("x11", "wayland", "windows", "cocoa")
 """SDL's drivers that show something; without a display it takes one that doesn't."""
@@ -72,20 +77,18 @@ class Window:
             )
         red, green, blue, _ = self._surface.get_shifts()
         self._grey = np.uint32(1 << red | 1 << green | 1 << blue)
+        self._was_hidden = False
         self.draw(np.zeros(self.shape, np.uint8))
 
     def draw(self, codes: NDArray[np.uint8]) -> None:
         """Draw a picture; return when the display's server has drawn it."""
-        if self._window.size != self._size or self._window.position != self._place:
-            raise WindowError(
-                f"the window is {self._window.size} pixels at {self._window.position}, not "
-                f"{self._size} at {self._place}: something moved or resized it"
-            )
+        self._check_place()
         height, width = self.shape
         row = self._surface.get_pitch() // 4
         memory: Any = self._surface.get_buffer()
         pixels = np.frombuffer(memory, np.uint32).reshape(height, row)
         np.multiply(codes, self._grey, out=pixels[:, :width], dtype=np.uint32)
+        self._was_hidden = False
         self._flip()
 
     def handle_events(self) -> None:
@@ -94,7 +97,22 @@ class Window:
 
         exposed = pygame.WINDOWEXPOSED, pygame.WINDOWRESTORED, pygame.WINDOWSHOWN
         if any(event.type in exposed for event in pygame.event.get()):
+            self._was_hidden = True
             self._flip()
+
+    def is_undisturbed(self) -> bool:
+        """Whether the last picture stood where it was drawn, and nothing hid it for a while."""
+        self.handle_events()
+        self._check_place()
+        self._flip()  # a server that is gone ends this process here
+        return not self._was_hidden
+
+    def _check_place(self) -> None:
+        if self._window.size != self._size or self._window.position != self._place:
+            raise WindowError(
+                f"the window is {self._window.size} pixels at {self._window.position}, not "
+                f"{self._size} at {self._place}: something moved or resized it"
+            )
 
     def _flip(self) -> None:
         import pygame
@@ -127,6 +145,10 @@ class MemoryWindow:
 
     def handle_events(self) -> None:
         """Do nothing: there is no window manager, and no other window."""
+
+    def is_undisturbed(self) -> bool:
+        """Whether the display is still there."""
+        return self._path.exists()
 
 
 def fitting_shape(
@@ -162,10 +184,11 @@ def serve(window: Window | MemoryWindow, pictures: IO[bytes], answer: Any) -> No
     size = window.shape[0] * window.shape[1]
 
     def read() -> None:
-        picture = pictures.read(size)
-        while len(picture) == size:
-            incoming.put(picture)
-            picture = pictures.read(size)
+        while (kind := pictures.read(1)) == ASK or kind == DRAW:
+            picture = pictures.read(size) if kind == DRAW else b""
+            if kind == DRAW and len(picture) < size:
+                break
+            incoming.put(kind + picture)
         incoming.put(b"")
 
     threading.Thread(target=read, daemon=True).start()
@@ -173,14 +196,17 @@ def serve(window: Window | MemoryWindow, pictures: IO[bytes], answer: Any) -> No
     shown = 0
     while True:
         try:
-            picture = incoming.get(timeout=EVENT_SECONDS)
+            message = incoming.get(timeout=EVENT_SECONDS)
         except queue.Empty:
             window.handle_events()
             continue
-        if not picture:
+        if not message:
             return
+        if message == ASK:
+            answer({"undisturbed": window.is_undisturbed()})
+            continue
         window.handle_events()
-        window.draw(np.frombuffer(picture, np.uint8).reshape(window.shape))
+        window.draw(np.frombuffer(message, np.uint8, offset=1).reshape(window.shape))
         shown += 1
         answer({"shown": shown})
 

@@ -19,14 +19,13 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.rigs.display import VirtualDisplay
 
-__all__ = ["xvfb"]
+__all__ = ["XServer", "xvfb"]
 
 START_SECONDS = 20.0
 
 
-@contextmanager
-def xvfb(shape: tuple[int, int], *, until_unused: bool = False) -> Iterator[VirtualDisplay]:
-    """Run an X server in memory on a free display number.
+class XServer(VirtualDisplay):
+    """An X server in memory on a free display number.
 
     Parameters
     ----------
@@ -36,46 +35,75 @@ def xvfb(shape: tuple[int, int], *, until_unused: bool = False) -> Iterator[Virt
         Whether the server ends with its last client, so that none stays behind when this process
         is killed.
 
-    Yields
-    ------
-    VirtualDisplay
-
     Raises
     ------
     CaptureError
         When Xvfb isn't installed or doesn't start.
     """
-    program = shutil.which("Xvfb")
-    if program is None:
-        raise CaptureError("Xvfb isn't installed; on Debian: apt-get install xvfb")
-    height, width = shape
-    read, write = os.pipe()
-    with tempfile.TemporaryDirectory(prefix="rfpipe-xvfb-") as folder:
-        process = subprocess.Popen(
-            [
-                program, "-displayfd", str(write), "-screen", "0", f"{width}x{height}x24",
-                "-fbdir", folder, "-nolisten", "tcp", "-s", "0", "-dpms",
-                "-terminate" if until_unused else "-noreset",
-            ],
-            pass_fds=[write], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        os.close(write)
-        try:
-            name = _display_name(read)
-            pixels = _pixels(Path(folder) / "Xvfb_screen0", shape)
-        except BaseException:
-            process.terminate()
-            process.wait()
-            raise
-        finally:
-            os.close(read)
-    # the memory stays mapped without its file, and nothing is left when this process is killed
+
+    def __init__(self, shape: tuple[int, int], *, until_unused: bool = False) -> None:
+        self._shape = shape
+        self._until_unused = until_unused
+        self._process, name, pixels = self._started()
+        super().__init__(name, pixels)
+
+    @property
+    def pid(self) -> int:
+        """Number of the server's process."""
+        return self._process.pid
+
+    def revive(self) -> None:
+        """Start the server again, under the same name, where it has died."""
+        if self._process.poll() is not None:
+            self._process, self.name, self.pixels = self._started(self.name)
+
+    def close(self) -> None:
+        """End the server; ending it twice is no error."""
+        self._process.terminate()
+        self._process.wait()
+
+    def _started(
+        self, name: str | None = None
+    ) -> tuple[subprocess.Popen[bytes], str, NDArray[np.uint8]]:
+        """Start a server; return its process, its name and its pixels."""
+        program = shutil.which("Xvfb")
+        if program is None:
+            raise CaptureError("Xvfb isn't installed; on Debian: apt-get install xvfb")
+        height, width = self._shape
+        read, write = os.pipe()
+        with tempfile.TemporaryDirectory(prefix="rfpipe-xvfb-") as folder:
+            process = subprocess.Popen(
+                [
+                    program, *([name] if name else []), "-displayfd", str(write),
+                    "-screen", "0", f"{width}x{height}x24",
+                    "-fbdir", folder, "-nolisten", "tcp", "-s", "0", "-dpms",
+                    "-terminate" if self._until_unused else "-noreset",
+                ],
+                pass_fds=[write], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+            os.close(write)
+            try:
+                found = _display_name(read)
+                pixels = _pixels(Path(folder) / "Xvfb_screen0", self._shape)
+            except BaseException:
+                process.terminate()
+                process.wait()
+                raise
+            finally:
+                os.close(read)
+        # the memory stays mapped without its file, and nothing is left when this process is killed
+        return process, found, pixels
+
+
+@contextmanager
+def xvfb(shape: tuple[int, int], *, until_unused: bool = False) -> Iterator[XServer]:
+    """Run an X server in memory, as `XServer` does, while a with statement lasts."""
+    server = XServer(shape, until_unused=until_unused)
     try:
-        yield VirtualDisplay(name, pixels)
+        yield server
     finally:
-        process.terminate()
-        process.wait()
+        server.close()
 
 
 def _display_name(descriptor: int) -> str:

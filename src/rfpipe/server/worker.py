@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
 from rfpipe.rigs.messages import Message
+from rfpipe.rigs.sequences import capture_batch, sequence_patterns
 from rfpipe.rigs.wire import SentPatterns
 from rfpipe.server.lease import Leases
 from rfpipe.server.models import Metrics
@@ -30,6 +31,7 @@ __all__ = [
 ]
 
 Patterns = NDArray[np.float32]
+Frames = list[NDArray[Any]]
 
 # of which one ends before its next pattern, since its lease has lapsed
 _MOST_UNDER_WAY = 2
@@ -231,46 +233,49 @@ class RigWorker:
             del self._captures[name]
 
     def _expose(self, capture: Capture) -> bytes:
-        """Expose the patterns that are missing, one by one."""
+        """Expose the patterns that are missing: by sequences where the rig has them."""
         patterns, capture.patterns = capture.patterns, None  # freed with the end of this
         assert patterns is not None
         if capture.brackets is None:
             capture.brackets = Message({"keys": patterns.keys})
-        for index in range(capture.exposed, len(patterns)):
+        step = max(1, sequence_patterns(self.rig))
+        for first in range(capture.exposed, len(patterns), step):
             if self.is_stopping:
                 raise CaptureStoppedError("the server is being stopped; send it again")
             if not self._leases.is_held_by(capture.lease):
                 raise CaptureStoppedError("the lease lapsed; send it again")
-            key = patterns.keys[index]
+            last = min(first + step, len(patterns))
+            keys = patterns.keys[first:last]
             began = time.perf_counter()
-            bracket = self._bracket(patterns.expanded(index, index + 1), key)
+            brackets = self._taken(patterns.expanded(first, last), keys)
             self.metrics.exposing_seconds += time.perf_counter() - began
-            self.metrics.brackets += 1
-            self.last = Shown(self.metrics.brackets, key, bracket)
-            capture.brackets.add(str(index), bracket)
-            capture.exposed += 1
+            self.metrics.brackets += last - first
+            self.last = Shown(self.metrics.brackets, keys[-1], brackets[-1])
+            for index, bracket in enumerate(brackets, first):
+                capture.brackets.add(str(index), bracket)
+            capture.exposed = last
         message, capture.brackets = capture.brackets.content(), None
         return message
 
-    def _bracket(self, patterns: Patterns, key: tuple[int, ...]) -> NDArray[Any]:
+    def _taken(self, patterns: Patterns, keys: Sequence[tuple[int, ...]]) -> Frames:
         try:
-            return self._checked(self.rig.capture(patterns, [key]))
+            return self._checked(capture_batch(self.rig, patterns, keys), len(keys))
         except InputError:
             raise
         except Exception as error:
             self.metrics.failures += 1
-            self.metrics.last_error = f"pattern {key}: {error}"
-            _log.exception("the rig failed at pattern %s", key)
+            self.metrics.last_error = f"pattern {keys[0]}: {error}"
+            _log.exception("the rig failed at pattern %s", keys[0])
             if isinstance(error, CaptureError):
                 raise
             raise CaptureError(f"the rig failed: {type(error).__name__}: {error}") from error
 
-    def _checked(self, frames: NDArray[Any]) -> NDArray[Any]:
+    def _checked(self, frames: NDArray[Any], count: int) -> Frames:
         sensor = self.rig.sensor
-        shape = (1, *sensor.frame_shape(self.rig.camera_shape, self.rig.channels))
+        shape = (count, *sensor.frame_shape(self.rig.camera_shape, self.rig.channels))
         if frames.shape != shape or frames.dtype != sensor.frame_dtype:
             raise CaptureError(
                 f"the rig returned {frames.dtype} frames of shape {frames.shape}; expected "
                 f"{sensor.frame_dtype} {shape}. Check the camera's size, pixel format and exposures"
             )
-        return np.ascontiguousarray(frames[0])
+        return [np.ascontiguousarray(bracket) for bracket in frames]

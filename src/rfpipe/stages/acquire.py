@@ -17,6 +17,7 @@ from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
 from rfpipe.rigs import Rig
+from rfpipe.rigs.sequences import capture_batch, sequence_patterns
 from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
 from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.stages.merging.images import (
@@ -201,6 +202,7 @@ class _Session:
         self.rig = rig
         self.progress = progress
         self.capture_seconds = 0.0
+        self._batch = sequence_patterns(rig) or _BATCH
         off, on = references
         self.merger = Merger.from_references(
             rig.sensor, self._reference(off, 0, off), self._reference(off, off, off + on), **merging
@@ -230,8 +232,8 @@ class _Session:
         ) as bar:
             for start, stop in runs(schedule.count, image_shape):
                 run = LevelSum.zero(image_shape)
-                for first in range(start, stop, _BATCH):
-                    last = min(first + _BATCH, stop)
+                for first in range(start, stop, self._batch):
+                    last = min(first + self._batch, stop)
                     keys = [(schedule.level, index) for index in range(first, last)]
                     frames = self._show(schedule.batch(first, last), keys)
                     merged = self.merger.merge(frames, first)
@@ -251,12 +253,12 @@ class _Session:
 
     def _shown(self, patterns: _Patterns, first: int, last: int) -> Iterator[NDArray[Any]]:
         """Show patterns, a few at a time."""
-        for start in range(first, last, _BATCH):
-            yield self._show(*patterns(start, min(start + _BATCH, last)))
+        for start in range(first, last, self._batch):
+            yield self._show(*patterns(start, min(start + self._batch, last)))
 
     def _show(self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]) -> NDArray[Any]:
         began = perf_counter()
-        frames = self.rig.capture(patterns, keys)
+        frames = capture_batch(self.rig, patterns, keys)
         self.capture_seconds += perf_counter() - began
         expected = self.rig.sensor.frame_shape(self.rig.camera_shape, self.rig.channels)
         if frames.shape != (len(patterns), *expected):

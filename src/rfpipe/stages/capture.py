@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry import ExactSensor
 from rfpipe.rigs import Rig
+from rfpipe.rigs.sequences import sequence_patterns
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run
 from rfpipe.stages.capturing.drift import DRIFT
@@ -60,7 +61,8 @@ def run(
     symmetry_frames : int
         Brackets of random patterns that follow them, for `rfpipe.stages.symmetry.run`.
     batch_patterns : int
-        Patterns shown, then stored, at a time; fewer where memory is short.
+        Patterns shown, then stored, at a time; fewer where memory is short. A rig with sequences
+        shows as many as one of them takes.
     when_patterns_change : {"recapture", "refuse"}
         What to do when pictures of other patterns, or of another rig, stand there.
     expected_patterns : int
@@ -108,7 +110,10 @@ def run(
         check_level(of_level.name, need, folder.path, present, keep_raw=keep_raw)
         if 0 < 60 * warm_up_minutes < seconds_since_capture(folder.path):
             warm_up(rig, warm_up_minutes)
-    batch = (resources or Resources()).fitting(_bytes_in_hand(rig), batch_patterns)
+    # a sequence is stored when it is complete: long ones, as loading takes most of their time
+    at_a_time = sequence_patterns(rig) or batch_patterns
+    in_hand = _bytes_in_hand(rig) * (2 if sequence_patterns(rig) else 1)  # with complements
+    batch = (resources or Resources()).fitting(in_hand, at_a_time)
     beside: dict[str, Any] = {} if level else write_sensor(folder, rig.sensor)
     for name, part in before.items():
         beside[name] = {**part.capture(batch), **facts[name]}

@@ -16,6 +16,7 @@ from rfpipe.errors import InputError
 from rfpipe.photometry import MergeOptions
 from rfpipe.provenance import generator
 from rfpipe.rigs import BLACK_LEVEL_KEY, Rig
+from rfpipe.rigs.sequences import capture_batch, sequence_patterns
 from rfpipe.testing.checks import require, require_equal_descriptions, require_raises
 
 __all__ = ["RigContract"]
@@ -126,6 +127,28 @@ class RigContract:
             self._require_equal_light(
                 parts - whole, merged.variance.sum(axis=0), whole, "two halves"
             )
+
+    def test_sequences_are_what_is_taken_one_by_one(self) -> None:
+        """A rig that shows sequences in hardware returns the brackets of each pattern."""
+        with self._opened() as rig:
+            if not sequence_patterns(rig):
+                return
+            patterns, keys = _batch(rig, 6)
+            patterns = np.rint(patterns)
+            frames, one_by_one = capture_batch(rig, patterns, keys), rig.capture(patterns, keys)
+            if self.repeatable:
+                require(np.array_equal(frames, one_by_one), "a sequence gives other bytes")
+            black, options = _black(rig)
+            merged, expected = (
+                rig.sensor.merge(taken, black, options) for taken in (frames, one_by_one)
+            )
+            for index in range(len(patterns)):
+                self._require_equal_light(
+                    merged.radiance[index] - expected.radiance[index],
+                    merged.variance[index] + expected.variance[index],
+                    expected.radiance[index],
+                    f"pattern {index} of a sequence",
+                )
 
     def test_rejects_what_cannot_be_shown(self) -> None:
         """Wrong shapes, weights outside [0, 1], NaN, and missing keys raise InputError."""

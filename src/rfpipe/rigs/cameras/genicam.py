@@ -10,7 +10,7 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.cameras.options import BAYER_NAMES, GenicamOptions
 
-__all__ = ["CameraSetup", "Nodes", "RefusedError", "Value"]
+__all__ = ["SOFTWARE", "CameraSetup", "Nodes", "RefusedError", "Value", "seconds_between"]
 
 Value: TypeAlias = bool | int | float | str
 """Of a camera's setting."""
@@ -22,6 +22,12 @@ EXPOSURE_TOLERANCE = 1e-3
 
 SETTING_TOLERANCE = 0.02
 """Fraction by which it may round another number, such as the gain."""
+
+TRIGGER_MARGIN = 0.05
+"""Of the least time between two triggers: one that comes too early is missed."""
+
+SOFTWARE = "Software"
+"""Source of triggers that this program gives."""
 
 FIXED: dict[str, Value] = {
     "GainAuto": "Off",
@@ -137,7 +143,7 @@ class CameraSetup:
             _set(nodes, "TriggerMode", "On" if selector == "FrameStart" else "Off")
         _set(nodes, "TriggerSelector", "FrameStart")
         _set(nodes, "TriggerMode", "On")  # where a camera has one for all selectors
-        _set(nodes, "TriggerSource", "Software")
+        self.set_trigger(nodes, SOFTWARE)
         self._set_gain(nodes)
         for name, value in self.options.nodes.items():
             _set(nodes, name, value)
@@ -168,6 +174,18 @@ class CameraSetup:
                 "s; set sensor.exposures to what it can do"
             )
 
+    def set_trigger(self, nodes: Nodes, source: str) -> None:
+        """Say what triggers a frame: `SOFTWARE`, or an input such as Line1, at its rising edge.
+
+        Raises
+        ------
+        CaptureError
+            When the camera refuses it: names what it would take.
+        """
+        _set(nodes, "TriggerSource", source)
+        if source != SOFTWARE and nodes.is_writable("TriggerActivation"):
+            _set(nodes, "TriggerActivation", "RisingEdge")
+
     def _set_region(self, nodes: Nodes) -> tuple[int, int]:
         """Choose the part of the sensor."""
         offsets = dict(zip(("OffsetY", "OffsetX"), self.options.offset, strict=True))
@@ -193,6 +211,12 @@ class CameraSetup:
                 "camera: has no gain in decibels; set camera.gain_db to 0 and camera.nodes to "
                 "{GainRaw: ...}"
             )
+
+
+def seconds_between(exposure: float, frame_rate: float | None) -> float:
+    """Return the least time from one trigger to the next, of a camera that tells its frame rate."""
+    between = exposure if not frame_rate else max(exposure, 1 / frame_rate)
+    return between * (1 + TRIGGER_MARGIN)
 
 
 def _set(nodes: Nodes, name: str, value: Value) -> None:

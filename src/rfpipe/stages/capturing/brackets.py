@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, IntegrityError, StoreError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
+from rfpipe.rigs.sequences import capture_batch
 from rfpipe.stages.aside import settle
 from rfpipe.stages.capturing.shown import Keys
 from rfpipe.stages.jobs.progress import Progress
@@ -201,7 +202,7 @@ class Brackets:
 
     def take(self, frames: FrameStore, first: int, last: int) -> NDArray[Any]:
         """Capture items ``first:last`` into the opened store; return their brackets."""
-        block = self.rig.capture(*self.patterns(first, last))
+        block = capture_batch(self.rig, *self.patterns(first, last))
         frames.write(first, self._checked(block, first, frames.shape[1:]))
         return block
 

@@ -1,0 +1,272 @@
+"""Projectors with TI's DLPC900 controller: LightCrafter 6500 and its kin, over USB."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from itertools import islice
+from struct import pack
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rfpipe.config.base import Settings
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.rigs import dlpc900_messages as say
+from rfpipe.rigs.devices import Closing, check_picture
+
+__all__ = ["Dlpc900Options", "Dlpc900Projector", "Transport", "open_usb"]
+
+Float = NDArray[np.float32]
+Device = Literal["DLP6500", "DLP670S"]
+
+VENDOR, PRODUCT = 0x0451, 0xC900
+
+SHAPES: dict[str, tuple[int, int]] = {"DLP6500": (1080, 1920), "DLP670S": (1600, 2716)}
+"""Height and width of the mirrors of devices with a single controller."""
+
+MOST_PICTURES = 236
+"""Loaded at a time: their order, with the words of a sequence, must fit into a message."""
+
+STANDING_MICROSECONDS = 100_000
+"""Of a picture that is shown until the next one, again and again."""
+
+GREY_BITS = 8
+"""Of a picture that isn't part of a sequence."""
+
+LEAST_MICROSECONDS, MOST_MICROSECONDS = 105, 2**24 - 1
+
+ANSWER_MILLISECONDS = 2000
+
+_STOP, _START = b"\0", b"\2"
+_ON_THE_FLY = b"\3"
+_ERRORS = {1: "controller and mirrors don't fit", 2: "reset", 3: "forced swap", 6: "abort",
+           7: "sequencer"}  # fmt: skip
+
+_log = logging.getLogger(__name__)
+
+
+class Transport(Protocol):
+    """A HID device; hidapi's `device` is one."""
+
+    def write(self, report: bytes) -> int:
+        """Send a report: its number, 0, and 64 bytes."""
+
+    def read(self, length: int, timeout_ms: int) -> list[int] | bytes:
+        """Return a report, or nothing in that time."""
+
+    def close(self) -> None:
+        """Give the device back."""
+
+
+class Dlpc900Options(Settings):
+    """A projector with TI's DLPC900 controller."""
+
+    device: Device = Field(
+        "DLP6500", description="Its mirrors: DLP6500 (1080 x 1920) or DLP670S (1600 x 2716)."
+    )
+    serial: str | None = Field(
+        None, min_length=1, description="Serial number of its USB device, or null for the only one."
+    )
+    settle_seconds: float = Field(
+        0.05, ge=0, le=60, description="Wait after a picture was loaded and started, 0 to 60 s."
+    )
+
+
+class Dlpc900Projector(Closing):
+    """A projector of pictures of 8 bits, and of sequences of binary ones that trigger the camera.
+
+    Pictures are loaded into the controller's memory ("pattern on-the-fly"). Its first trigger
+    output frames each picture of a sequence: wire it to the input that the camera's settings name.
+    Written from the maker's guide DLPU018J and tried on an emulator of it only: never on metal.
+
+    Parameters
+    ----------
+    device : str
+    serial : str, optional
+    settle_seconds : float
+        As `Dlpc900Options` has them.
+    transport : Transport, optional
+        In the place of the USB device.
+
+    Raises
+    ------
+    CaptureError
+        When no such device answers.
+    """
+
+    Options = Dlpc900Options
+
+    sequence_pictures = MOST_PICTURES
+    sequence_levels = 2
+    """Weights that a picture of a sequence may have: 0 and 1."""
+
+    def __init__(
+        self,
+        device: Device = "DLP6500",
+        serial: str | None = None,
+        settle_seconds: float = 0.05,
+        transport: Transport | None = None,
+    ) -> None:
+        self.shape = SHAPES[device]
+        self.settle_seconds = settle_seconds
+        self._device = device
+        self._number = 0
+        self._loaded = 0
+        self._lock = threading.Lock()
+        self._transport: Transport | None = transport or open_usb(serial)
+        try:
+            self._tell(say.DISPLAY_START, _STOP)
+            self._tell(say.DISPLAY_MODE, _ON_THE_FLY)
+        except BaseException:
+            self.close()
+            raise
+
+    def show(self, picture: Float) -> None:
+        """Show a picture; see `rfpipe.rigs.devices.Projector.show`."""
+        self.show_now(picture)
+        time.sleep(self.settle_seconds)
+
+    def show_now(self, picture: Float) -> None:
+        """Show a picture, and return when it was started; see `rfpipe.rigs.devices.Projector`."""
+        picture = check_picture(picture, self.shape)
+        is_binary = bool(((picture == 0) | (picture == 1)).all())
+        with self._lock:
+            if is_binary:
+                self._load([picture == 1])
+            else:  # its mirrors are on for a time in proportion to the code
+                codes = np.rint(255 * picture).astype(np.uint8)
+                self._load([codes >> bit & 1 == 1 for bit in range(GREY_BITS)], GREY_BITS)
+            self._tell(say.DISPLAY_START, _START)
+
+    def load(self, pictures: Iterable[Float]) -> None:
+        """Take the pictures of a sequence; see `rfpipe.rigs.sequences.SequenceProjector`."""
+        lit = (
+            _binary(check_picture(picture, self.shape), index)
+            for index, picture in enumerate(pictures)
+        )
+        with self._lock:
+            self._load(lit)
+
+    def play(self, order: Sequence[int], seconds: float) -> None:
+        """Show a sequence; see `rfpipe.rigs.sequences.SequenceProjector`."""
+        microseconds = int(np.ceil(1e6 * seconds))
+        if not LEAST_MICROSECONDS <= microseconds <= MOST_MICROSECONDS:
+            raise CaptureError(
+                f"projector: shows a picture of a sequence for {LEAST_MICROSECONDS} us to "
+                f"{MOST_MICROSECONDS / 1e6:.1f} s, not for {seconds:g} s"
+            )
+        with self._lock:
+            self._tell(say.DISPLAY_START, _STOP)
+            self._define(microseconds)
+            order_of = pack("<HI", len(order), len(order)) + pack(f"<{len(order)}H", *order)
+            self._tell(say.LUT_ORDER, order_of)
+            self._tell(say.DISPLAY_START, _START)
+            time.sleep(len(order) * microseconds / 1e6 + self.settle_seconds)
+            self._check_status()
+            self._tell(say.DISPLAY_START, _STOP)
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes the light."""
+        return {"kind": "dlpc900", "device": self._device, "shape": list(self.shape)}
+
+    def close(self) -> None:
+        """Stop showing, and give the device back; closing twice is no error."""
+        with self._lock:
+            transport, self._transport = self._transport, None
+        if transport is not None:
+            with suppress(Exception):
+                for packet in say.message(say.DISPLAY_START, _STOP, 0):
+                    transport.write(b"\0" + packet)
+            transport.close()
+
+    def _load(self, lit: Iterable[NDArray[np.bool_]], bits: int = 1) -> None:
+        """Load bits of pictures: their definitions first, then images, the last one first."""
+        images, count, rest = [], 0, iter(lit)
+        while pictures := list(islice(rest, say.BITS_AN_IMAGE)):  # few at a time are in memory
+            images.append(say.encoded_image(np.stack(pictures)))
+            count += len(pictures)
+            if count > MOST_PICTURES:
+                raise InputError(f"the projector holds up to {MOST_PICTURES} pictures, not more")
+        self._tell(say.DISPLAY_START, _STOP)
+        self._loaded = count // bits
+        self._define(STANDING_MICROSECONDS, bits)
+        for index, image in reversed(list(enumerate(images))):
+            self._tell(say.IMAGE_BEGIN, pack("<HI", index, len(image)))
+            for first in range(0, len(image), say.MOST_DATA):
+                part = image[first : first + say.MOST_DATA]
+                self._tell(say.IMAGE_DATA, pack("<H", len(part)) + part)
+
+    def _define(self, microseconds: int, bits: int = 1) -> None:
+        """Define every loaded picture as a pattern, shown for so long, again and again."""
+        for index in range(self._loaded):
+            entry = say.lut_entry(index, microseconds, index * bits, bits)
+            self._tell(say.LUT_DEFINE, entry)
+        self._tell(say.LUT_CONFIGURE, pack("<HI", self._loaded, 0))
+
+    def _check_status(self) -> None:
+        status = self._tell(say.HARDWARE_STATUS, b"", read=True)[0]
+        wrong = [name for bit, name in _ERRORS.items() if status >> bit & 1]
+        if wrong or not status & 1:
+            raise CaptureError(
+                f"projector: reports an error ({', '.join(wrong) or 'not initialised'}). Show "
+                "sequences more slowly, or switch it off and on"
+            )
+
+    def _tell(self, command: int, data: bytes, *, read: bool = False) -> bytes:
+        """Send a message; return its answer's data."""
+        if self._transport is None:
+            raise CaptureError("the projector is closed; open it anew")
+        self._number = (self._number + 1) % 256
+        try:
+            for packet in say.message(command, data, self._number, read=read):
+                self._transport.write(b"\0" + packet)
+            answer = bytes(self._transport.read(say.PACKET, ANSWER_MILLISECONDS))
+        except (OSError, ValueError) as error:
+            raise CaptureError(
+                f"projector: the USB device is lost ({error}). Check its cable and power"
+            ) from error
+        if not answer:
+            raise CaptureError(
+                f"projector: no answer to command {command:#06x} within "
+                f"{ANSWER_MILLISECONDS / 1000:g} s. Check its cable and power"
+            )
+        return say.answer_of(answer, command, self._number)
+
+
+def open_usb(serial: str | None) -> Transport:
+    """Open a DLPC900's USB device, or raise CaptureError."""
+    try:
+        import hid
+    except ImportError as error:
+        raise CaptureError(
+            f"hidapi can't be loaded: {error}. Install it: pip install 'rfpipe[dlp]'"
+        ) from error
+    device: Any = hid.device()
+    try:
+        device.open(VENDOR, PRODUCT, serial)
+    except OSError as error:
+        raise CaptureError(
+            f"projector: no DLPC900 answers on USB ({error}). Check cable and power, that this "
+            "user may open the device (a udev rule for 0451:c900), and that no other program has it"
+        ) from error
+    found: Transport = device
+    return found
+
+
+def _binary(picture: Float, index: int) -> NDArray[np.bool_]:
+    """Return a picture as bits, or raise InputError."""
+    lit = picture == 1
+    grey = ~lit & (picture != 0)
+    if grey.any():
+        where = tuple(int(i) for i in np.argwhere(grey)[0])
+        raise InputError(
+            f"picture {index} is {picture[where]:g} at projector pixel {where}; this "
+            "projector's sequences are of zeros and ones"
+        )
+    return np.asarray(lit)

@@ -1,0 +1,96 @@
+"""Sequences through a real window and the real camera driver: its emulated camera, triggered."""
+
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from tests.device.test_bench import RAYS, bench
+
+from rfpipe.errors import CaptureError
+from rfpipe.rigs import DeviceRig
+
+pytestmark = pytest.mark.usefixtures("either_display")
+
+TRIGGERED = {"camera": {"options": {"sequence_line": "Software", "timeout_seconds": 0.5}}}
+COUNT = 9
+
+
+@pytest.fixture(scope="module")
+def rig(either_display: str) -> Iterator[DeviceRig]:
+    with bench(**TRIGGERED) as rig:
+        yield rig
+
+
+def shown() -> tuple[np.ndarray, list[tuple[int, int]]]:
+    patterns = (np.random.default_rng(0).random((COUNT, *RAYS)) < 0.5).astype(np.float32)
+    return patterns, [(1, index) for index in range(COUNT)]
+
+
+def test_a_sequence_gives_what_one_by_one_gives(rig: DeviceRig) -> None:
+    one_by_one = rig.capture(*shown()).astype(float)
+    frames = rig.show_sequence(*shown()).astype(float)
+    assert rig.statistics["sequences"] == {
+        "played": 2, "lost": 0, "loaded_again": 0, "one_by_one": 0
+    }  # fmt: skip
+    assert frames.shape == one_by_one.shape
+    step = np.abs(one_by_one[1:] - one_by_one[:-1]).mean()
+    assert np.abs(frames - one_by_one).mean() < 0.05 * step
+
+
+def test_a_trigger_that_the_camera_misses_is_mended(rig: DeviceRig) -> None:
+    trigger, count = rig.projector.trigger, 0
+
+    def missing() -> None:
+        nonlocal count
+        count += 1
+        if count != 9:
+            trigger()
+
+    before = rig.statistics["sequences"]["lost"]
+    rig.projector.trigger = missing
+    try:
+        frames = rig.show_sequence(*shown()).astype(float)
+    finally:
+        rig.projector.trigger = trigger
+    one_by_one = rig.capture(*shown()).astype(float)
+    step = np.abs(one_by_one[1:] - one_by_one[:-1]).mean()
+    assert (np.abs(frames - one_by_one).mean(axis=(1, 2, 3, 4)) < 0.1 * step).all()
+    assert rig.statistics["sequences"]["lost"] > before
+    assert rig.statistics["sequences"]["one_by_one"] == 0
+
+
+def test_software_triggers_work_again_after_a_sequence(rig: DeviceRig) -> None:
+    rig.show_sequence(*shown())
+    assert rig.capture(shown()[0][:1], [(0, 0)]).shape[0] == 1
+
+
+def test_without_a_line_there_are_no_sequences() -> None:
+    with bench() as plain:
+        assert plain.sequence_patterns == 0
+        assert plain.show_sequence(*shown()).shape[0] == COUNT  # one by one
+
+
+def test_an_input_that_stays_silent_is_given_up_in_time() -> None:
+    line = {"camera": {"options": {"sequence_line": "Line1", "timeout_seconds": 0.2}}}
+    with bench(**line) as rig:
+        assert rig.sequence_patterns == 199
+        camera = rig.camera
+        camera.arm(1 / 64, 5)
+        assert camera._camera.TriggerSource.Value == "Line1"
+        assert camera._camera.TriggerActivation.Value == "RisingEdge"
+        finished = []
+        waiting = threading.Thread(target=lambda: finished.append(camera.collect()))
+        waiting.start()
+        waiting.join(20)
+        assert finished[0].shape == (0, *camera.shape, 1)
+        assert camera._camera.TriggerSource.Value == "Software"
+        assert camera.expose().shape[0] == 2
+        with pytest.raises(CaptureError, match="isn't armed"):
+            camera.collect()
+
+
+def test_an_input_that_the_camera_lacks_is_named() -> None:
+    line = {"camera": {"options": {"sequence_line": "Line99"}}}
+    with bench(**line) as rig, pytest.raises(CaptureError, match=r"refuses TriggerSource = Line99"):
+        rig.camera.arm(1 / 64, 5)

@@ -1,0 +1,166 @@
+"""TI's DLPC900 against an emulator of it, byte by byte: its pictures, sequences and faults."""
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.dlpc900 import Emulator
+
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs import DeviceRig, ProjectorLayout, dlpc900
+from rfpipe.rigs.dlpc900 import Dlpc900Projector
+from rfpipe.rigs.dlpc900_messages import lut_entry, message
+from rfpipe.testing import ProjectorContract
+
+SHAPE = (30, 44)
+RAYS = (6, 8)
+
+
+@pytest.fixture(autouse=True)
+def _small(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(dlpc900.SHAPES, "DLP6500", SHAPE)
+
+
+def projector(emulator: Emulator) -> Dlpc900Projector:
+    return Dlpc900Projector(settle_seconds=0, transport=emulator)
+
+
+class TestDlpc900(ProjectorContract):
+    def make_projector(self) -> Dlpc900Projector:
+        self.emulator = Emulator(SHAPE)
+        return projector(self.emulator)
+
+    def read_back(self, shown: Any) -> Any:
+        del shown
+        return self.emulator.lit
+
+
+def test_bytes_are_those_of_the_guide() -> None:
+    # its tables 1-7 (a write, here with a reply asked for) and 5.3 (two patterns)
+    (packet,) = message(0x1100, bytes.fromhex("ff01ff01ff01"), 0x12)
+    assert packet[:12] == bytes.fromhex("40 12 0800 0011 ff01ff01ff01")
+    assert (len(packet), set(packet[12:])) == (64, {0})
+    assert lut_entry(0, 200, 0) == bytes.fromhex("0000 c80000 71 000000 00 0000")
+    assert lut_entry(1, 400, 1) == bytes.fromhex("0100 900100 71 000000 00 0008")
+    assert lut_entry(25, 400, 25) == bytes.fromhex("1900 900100 71 000000 00 0108")
+    assert len(message(0x1A2B, bytes(506), 0)) == 8
+
+
+@pytest.mark.parametrize("count", [1, 24, 25, 60])
+def test_sequences_are_shown_in_any_order(count: int) -> None:
+    random = np.random.default_rng(count)
+    pictures = (random.random((count, *SHAPE)) < 0.5).astype(np.float32)
+    pictures[0] = np.kron(random.random((3, 4)) < 0.5, np.ones((10, 11)))  # runs and equal rows
+    seen: list[np.ndarray] = []
+    emulator = Emulator(SHAPE, lambda light, microseconds: seen.append(light * microseconds))
+    with projector(emulator) as shown:
+        shown.load(pictures)
+        loads = emulator.commands.count(0x1A2A)
+        order = random.integers(0, count, 9).tolist()
+        shown.play(order, 150e-6)
+        shown.play(order[:2], 200e-6)
+        assert emulator.commands.count(0x1A2A) == loads == -(-count // 24)  # loaded once
+    np.testing.assert_array_equal(np.stack(seen[:9]), 150 * pictures[order])
+    np.testing.assert_array_equal(np.stack(seen[9:]), 200 * pictures[order[:2]])
+
+
+def test_what_cannot_be_shown_is_explained() -> None:
+    emulator = Emulator(SHAPE)
+    with projector(emulator) as shown:
+        grey = np.zeros((2, *SHAPE), np.float32)
+        grey[1, 2, 3] = 0.5
+        with pytest.raises(InputError, match=r"picture 1 is 0.5 at projector pixel \(2, 3\)"):
+            shown.load(grey)
+        with pytest.raises(InputError, match="holds up to 236 pictures"):
+            shown.load(np.zeros((237, *SHAPE), np.float32))
+        shown.load(np.zeros((2, *SHAPE), np.float32))
+        with pytest.raises(CaptureError, match="not for 5e-05 s"):
+            shown.play([0], 50e-6)
+        emulator.status = 1 | 1 << 6
+        with pytest.raises(CaptureError, match=r"reports an error \(abort\)"):
+            shown.play([0], 150e-6)
+        emulator.status = 1
+        emulator.refused = {0x1A24}
+        with pytest.raises(CaptureError, match="refuses command 0x1a24"):
+            shown.play([0], 150e-6)
+        emulator.refused = set()
+        emulator.is_silent = True
+        with pytest.raises(CaptureError, match="no answer to command"):
+            shown.play([0], 150e-6)
+        emulator.is_gone = True
+        with pytest.raises(CaptureError, match="USB device is lost"):
+            shown.play([0], 150e-6)
+
+
+class TriggeredCamera:
+    """Looks at an emulated projector; a frame at each trigger, one a projector pixel."""
+
+    shape = SHAPE
+    channels = 1
+    can_be_triggered = True
+
+    def __init__(self, emulator: Emulator, missed: set[int]) -> None:
+        self.sensor = CameraModel(exposures=(1 / 512, 1 / 64))
+        self.albedo = np.random.default_rng(0).uniform(0.1, 0.8, SHAPE).astype(np.float32)
+        self._emulator, self._missed = emulator, missed
+        self._frames: deque[np.ndarray] = deque()
+        self._number, self._triggers, self._armed = 0, 0, 0
+
+    def seconds_between(self, exposure: float) -> float:
+        return exposure
+
+    def arm(self, exposure: float, count: int) -> None:
+        self._armed = self.sensor.exposures.index(exposure)
+        self._frames.clear()
+        self._emulator.triggered = self._trigger
+
+    def collect(self) -> np.ndarray:
+        return np.stack(self._frames)
+
+    def expose(self) -> np.ndarray:
+        assert self._emulator.lit is not None
+        return self._bracket(self._emulator.lit)
+
+    def describe(self) -> dict[str, Any]:
+        return {"kind": "triggered"}
+
+    def close(self) -> None:
+        pass
+
+    def _trigger(self, light: np.ndarray, microseconds: int) -> None:
+        assert microseconds >= 1e6 * self.sensor.exposures[self._armed]
+        self._triggers += 1
+        if self._triggers not in self._missed:
+            self._frames.append(self._bracket(light)[self._armed])
+
+    def _bracket(self, light: np.ndarray) -> np.ndarray:
+        self._number += 1
+        return self.sensor.expose((self.albedo * light)[..., None], 0, (self._number,))
+
+
+@pytest.mark.parametrize("missed", [set(), {13, 31}])
+def test_a_rig_takes_binary_patterns_by_sequences(missed: set[int]) -> None:
+    emulator = Emulator(SHAPE)
+    camera = TriggeredCamera(emulator, missed)
+    layout = ProjectorLayout.grid(SHAPE, RAYS)
+    patterns = (np.random.default_rng(1).random((11, *RAYS)) < 0.5).astype(np.float32)
+    keys = [(1, index) for index in range(11)]
+    with DeviceRig(projector(emulator), camera, layout) as rig:
+        assert rig.sequence_patterns == 117
+        frames = rig.show_sequence(patterns, keys).astype(float)
+        counts = rig.statistics["sequences"]
+        assert counts["one_by_one"] == 0
+        assert (counts["lost"] > 0) is bool(missed)
+        one_by_one = rig.capture(patterns, keys).astype(float)
+        played = counts["played"]
+        rig.show_sequence(0.5 * patterns, keys)  # grey: one by one
+        assert rig.statistics["sequences"]["played"] == played
+    step = np.abs(one_by_one[1:] - one_by_one[:-1]).mean()
+    assert (np.abs(frames - one_by_one).mean(axis=(1, 2, 3, 4)) < 0.1 * step).all()
+
+
+def test_without_a_device_it_says_what_to_do() -> None:
+    with pytest.raises(CaptureError, match=r"no DLPC900 answers on USB|rfpipe\[dlp\]"):
+        dlpc900.open_usb(None)

@@ -1,0 +1,88 @@
+"""The delay from display to camera: measured, and noticed where settings are too short for it."""
+
+import numpy as np
+import pytest
+from tests.device.test_bench import RAYS, bench, settings
+
+from rfpipe.calibration import latency
+from rfpipe.calibration.latency import PICTURES, latency_findings, measure_latency
+from rfpipe.errors import CaptureError
+from rfpipe.rigs.build import devices_from_config
+
+
+@pytest.fixture(autouse=True)
+def _in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The delay is the bench's: an X server would add nothing but its start."""
+    monkeypatch.setenv("PATH", "")
+
+
+def measured(delay: float, settle: float):  # type: ignore[no-untyped-def]
+    config = settings(
+        bench={"display_delay_seconds": delay},
+        projector={"options": {"settle_seconds": settle}},
+    )
+    projector, camera = devices_from_config(config)
+    try:
+        return projector, latency_findings(measure_latency(projector, camera), 0.14)
+    finally:
+        camera.close()
+        projector.close()
+
+
+def test_a_quick_display_is_good() -> None:
+    projector, found = measured(0, 0.1)
+    assert found.verdict.standing == "good"
+    assert found.facts["delay_seconds"] == 0
+    assert found.facts["settle_seconds"] == 0.1
+    assert projector.statistics["shown"] == PICTURES
+    assert "0.02 would do, and save about" in found.verdict.text
+
+
+def test_a_slow_display_is_found_and_what_to_set() -> None:
+    _, found = measured(0.03, 0.01)
+    assert found.verdict.standing == "poor"
+    assert 0.015 < found.facts["delay_seconds"] < 0.08
+    proposed = found.facts["proposed_settle_seconds"]
+    assert f"frames are taken of the picture before. Set it to {proposed:g}" in found.verdict.text
+    assert proposed > found.facts["delay_seconds"]
+    assert found.arrays["worst"][0] < 0.5 < found.arrays["worst"][-1] == 1
+
+
+def test_a_projector_that_is_covered_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latency, "LONGEST_SECONDS", 0.5)
+    projector, camera = devices_from_config(settings())
+    try:
+        projector.show_now = lambda picture: None
+        with pytest.raises(CaptureError, match="doesn't tell a white picture from a black one"):
+            measure_latency(projector, camera)
+    finally:
+        camera.close()
+        projector.close()
+
+
+@pytest.mark.parametrize("exposures", [(1 / 64,), (1 / 64, 1 / 8)])
+def test_pictures_of_the_pattern_before_are_taken_again(
+    exposures: tuple[float, ...], caplog: pytest.LogCaptureFixture
+) -> None:
+    patterns = (np.random.default_rng(0).random((6, *RAYS)) < 0.5).astype(np.float32)
+    keys = [(0, index) for index in range(6)]
+    changes = {"sensor": {"exposures": exposures}}
+    with bench(**changes) as quick:
+        expected = quick.capture(patterns, keys).astype(float)
+        assert quick.statistics["brackets"] == {"doubted": 0, "stale": 0}
+    with bench(**changes, bench={"display_delay_seconds": 0.03}) as slow:
+        frames = slow.capture(patterns, keys).astype(float)
+        assert slow.statistics["brackets"]["stale"] >= 4
+    noise = np.abs(frames - expected).mean(axis=tuple(range(1, frames.ndim)))
+    step = np.abs(expected[1:] - expected[:-1]).mean()
+    assert (noise < 0.1 * step).all()
+    assert "slower than its settle_seconds" in caplog.text
+
+
+def test_patterns_that_look_alike_cost_less_and_less() -> None:
+    dark = (1e-3 * np.arange(24)[:, None, None] / 24 * np.ones((24, *RAYS))).astype(np.float32)
+    with bench() as rig:
+        rig.capture(dark, [(0, index) for index in range(24)])
+        counts = rig.statistics["brackets"]
+    assert counts["stale"] == 0
+    assert 0 < counts["doubted"] <= 5

@@ -1,0 +1,223 @@
+"""Sequences of patterns in hardware: what is lost or mixed up is found, and taken again."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rfpipe import acquire
+from rfpipe.errors import InputError
+from rfpipe.photometry import CameraModel, MergeOptions, Sensor
+from rfpipe.rigs import BLACK_LEVEL_KEY, OperatorRig
+from rfpipe.rigs.sequence_frames import Playlist, lags_of
+from rfpipe.rigs.sequences import capture_batch, sequence_patterns
+from rfpipe.rigs.simulated_sequences import SequenceFaults, SimulatedSequences
+from rfpipe.stages import capture
+from rfpipe.stages.capture import brackets_of
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.results import write_bundle
+from rfpipe.store import FrameStore
+from rfpipe.testing import RigContract
+
+RAYS = (12, 14)
+COUNT = 13
+
+Float = np.ndarray
+
+
+def rig(scene: str = "mixed", seed: int = 0, noise: Sensor | None = None) -> OperatorRig:
+    """A scene of direct light, one with as much indirect light, and a cavity full of it."""
+    random, rays = np.random.default_rng(7), RAYS[0] * RAYS[1]
+    direct = np.diag(random.uniform(0.1, 1, rays))
+    indirect = {
+        "direct": 0,
+        "mixed": 0.3 * random.random((rays, rays)) / rays,
+        "cavity": 3 * np.outer(random.random(rays), random.random(rays)) / rays,
+    }[scene]
+    matrix = (0.3 if scene == "cavity" else 1.0) * direct + indirect
+    return OperatorRig(matrix, RAYS, RAYS, CameraModel() if noise is None else noise, seed)
+
+
+def patterns(kind: str) -> tuple[Float, list[tuple[int, int]]]:
+    random = np.random.default_rng(3)
+    shown = np.zeros((COUNT, *RAYS), np.float32)
+    if kind == "half":
+        shown[:] = random.random(shown.shape) < 0.5
+    elif kind == "grey":
+        shown[:] = random.random(shown.shape)
+    elif kind == "one ray":
+        shown.reshape(COUNT, -1)[np.arange(COUNT), random.permutation(shown[0].size)[:COUNT]] = 1
+    else:
+        shown[COUNT // 3 :] = 1
+    return shown, [(1, index) for index in range(COUNT)]
+
+
+FAULTS = {
+    "a trigger is dropped": {"dropped": 0.02},
+    "all come one late": {"late": 0.6},
+    "two are exchanged": {"swapped": 0.7},
+    "one comes twice": {"twice": 0.02},
+    "all of it": {"dropped": 0.01, "late": 0.3, "swapped": 0.3, "twice": 0.005},
+}
+
+
+@pytest.mark.parametrize("scene", ["direct", "mixed", "cavity"])
+@pytest.mark.parametrize("kind", ["half", "grey", "one ray", "black and white"])
+def test_without_faults_nothing_is_doubted(scene: str, kind: str) -> None:
+    plain, given = rig(scene), patterns(kind)
+    sequences = SimulatedSequences(plain)
+    np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
+    played = len(plain.sensor.exposures)
+    assert sequences.statistics == {
+        "played": played, "lost": 0, "loaded_again": 0, "one_by_one": 0
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("scene", ["direct", "cavity"])
+@pytest.mark.parametrize("kind", ["half", "grey", "one ray"])
+def test_faults_are_found_and_mended(fault: str, scene: str, kind: str) -> None:
+    plain, given, lost = rig(scene), patterns(kind), 0
+    for seed in range(2):
+        sequences = SimulatedSequences(plain, faults=SequenceFaults(seed=seed, **FAULTS[fault]))
+        frames = sequences.show_sequence(*given)
+        expected = plain.capture(*given)
+        differing = (frames != expected).any(axis=tuple(range(2, frames.ndim)))
+        # frames that are saturated all over are alike, whatever they are of: the merge is the same
+        assert not differing[:, :2].any()
+        np.testing.assert_allclose(
+            merged(plain, frames),
+            merged(plain, expected),
+            atol=1e-3 * merged(plain, expected).max(),
+        )
+        lost += sequences.statistics["lost"]
+    assert (lost > 0) is (fault != "all come one late")  # which is told by the words alone
+
+
+def merged(plain: OperatorRig, frames: Float) -> Float:
+    dark = plain.capture(np.zeros((4, *RAYS), np.float32), [(BLACK_LEVEL_KEY, i) for i in range(4)])
+    mean = dark.mean(axis=0, dtype=np.float64).astype(np.float32)
+    return plain.sensor.merge(frames, mean, MergeOptions(black_count=4)).radiance
+
+
+def test_what_a_sequence_never_gives_is_taken_one_by_one(caplog: pytest.LogCaptureFixture) -> None:
+    plain, given = rig(), patterns("half")
+    for faults in (SequenceFaults(dropped=1), SequenceFaults(dropped=0.3, swapped=1)):
+        sequences = SimulatedSequences(plain, faults=faults)
+        np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
+        assert sequences.statistics["one_by_one"] > 0
+    assert "does each picture trigger the camera" in caplog.text
+    assert "taking them one by one" in caplog.text
+
+
+def test_only_what_is_missing_is_played_again() -> None:
+    plain, given = rig(), patterns("half")
+
+    class Counted(SimulatedSequences):
+        played: list[int]
+
+    sequences = Counted(plain, faults=SequenceFaults(dropped=0.02, seed=5))
+    sequences.played = []
+    play = sequences._player.play
+
+    def counting(order: Sequence[int], exposure: int) -> Float:
+        sequences.played.append(len(order))
+        return play(order, exposure)
+
+    sequences._player.play = counting  # type: ignore[method-assign]
+    sequences.show_sequence(*given)
+    first, again = sequences.played[0], min(sequences.played)
+    assert sequences.statistics["lost"] > 0
+    assert sequences.statistics["loaded_again"] == 0
+    assert first == 3 * 4 + 2 * COUNT
+    assert again < 2 * 4 + COUNT
+
+
+def test_exact_radiance_comes_by_sequences_too() -> None:
+    from rfpipe.photometry import ExactSensor
+
+    plain, given = rig(noise=ExactSensor()), patterns("grey")
+    sequences = SimulatedSequences(plain, faults=SequenceFaults(dropped=0.02, swapped=0.5, seed=1))
+    np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
+
+
+def test_a_camera_that_bends_counts_is_straightened() -> None:
+    plain, given = rig(noise=CameraModel(response_gamma=2.2)), patterns("half")
+    sequences = SimulatedSequences(plain, faults=SequenceFaults(swapped=0.5, seed=2))
+    frames = sequences.show_sequence(*given)
+    assert sequences.statistics["one_by_one"] == 0
+    np.testing.assert_array_equal(frames[:, :2], plain.capture(*given)[:, :2])
+
+
+def test_long_lists_are_cut_and_short_ones_are_none() -> None:
+    plain, given = rig(), patterns("half")
+    sequences = SimulatedSequences(plain, most=5)
+    np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
+    assert sequences.statistics["played"] == 3 * len(plain.sensor.exposures)
+    assert sequences.show_sequence(given[0][:0], []).shape[0] == 0
+    assert sequence_patterns(plain) == 0
+    capture_batch(sequences, given[0][:1], given[1][:1])
+    assert sequences.statistics["played"] == 3 * len(plain.sensor.exposures)  # one is no list
+    with pytest.raises(InputError, match="weights from 0 to 1"):
+        sequences.show_sequence(given[0] + 1, given[1])
+    with pytest.raises(InputError, match="dropped is 2"):
+        SequenceFaults(dropped=2)
+
+
+def test_words_are_found_where_frames_were_lost() -> None:
+    playlist = Playlist(3, [0, 1, 2], with_complements=True)
+    levels = np.array([1, 0, 0.2, 0.3, 0.4, 0.8, 0.7, 0.6])[playlist.order]
+    frames = levels[:, None, None, None] * np.ones((1, 4, 5, 1))
+    assert lags_of(frames, playlist.words) == [0, 0, 0]
+    assert lags_of(np.delete(frames, 5, axis=0), playlist.words) == [0, -1, -1]
+    assert lags_of(np.concatenate([frames[-1:], frames[:-1]]), playlist.words) == [1, 1, 1]
+    assert lags_of(frames[:9], playlist.words) is None
+    assert lags_of(frames[:0], playlist.words) is None
+
+
+def test_an_acquisition_by_sequences_is_that_one_by_one() -> None:
+    plain = rig()
+    expected = acquire(plain, "near_far", progress=False, target_error=0.2)
+    sequences = SimulatedSequences(plain, faults=SequenceFaults(dropped=0.002, late=0.2, seed=1))
+    found = acquire(sequences, "near_far", progress=False, target_error=0.2)
+    assert sequences.statistics["played"] > 0
+    assert found.patterns == expected.patterns
+    pattern = patterns("half")[0][0]
+    np.testing.assert_array_equal(
+        found.transport.relight(pattern), expected.transport.relight(pattern)
+    )
+
+
+class TestSequencesAsARig(RigContract):
+    def make_rig(self) -> SimulatedSequences:
+        return SimulatedSequences(rig(), faults=SequenceFaults(dropped=0.01, late=0.2, seed=1))
+
+
+class Stopping(SimulatedSequences):
+    """Fails in the midst of its second sequence."""
+
+    def show_sequence(self, shown: Float, keys: Any) -> Float:
+        if self.statistics["played"]:
+            raise KeyboardInterrupt
+        return super().show_sequence(shown, keys)
+
+
+def test_a_capture_goes_on_at_the_sequence_where_it_stopped(tmp_path: Path) -> None:
+    plain, (shown, _) = rig(), patterns("half")
+    folder = AcquisitionFolder(tmp_path / "scene" / "method")
+    facts = {"stage": "schedule", "level": 1, "patterns": COUNT, "complete": False}
+    facts |= {"shape": list(RAYS), "shown": "these", "units": "fraction of full light"}
+    write_bundle(folder.manifest(1, "schedule"), "these", {"weights": shown}, facts)
+    with pytest.raises(KeyboardInterrupt):
+        capture.run(Stopping(plain, most=5), folder, 1, references=(2, 2))
+    of_level, _ = brackets_of(plain, folder, 1, (2, 2))
+    assert of_level.count_missing() == COUNT - 5
+    again = SimulatedSequences(plain, most=5)
+    capture.run(again, folder, 1, references=(2, 2))
+    assert again.statistics["played"] == 2 * len(plain.sensor.exposures)
+    with FrameStore.open(folder.store(1, "capture")) as frames:
+        np.testing.assert_array_equal(
+            frames.read(0, COUNT), plain.capture(shown, [(1, i) for i in range(COUNT)])
+        )
