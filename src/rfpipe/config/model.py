@@ -26,6 +26,7 @@ from rfpipe.config.figures import FiguresConfig
 from rfpipe.config.offline import OfflineConfig
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
+from rfpipe.config.verification import VerificationConfig
 
 __all__ = [
     "CaptureConfig",
@@ -45,6 +46,9 @@ Batch = Annotated[int, Field(ge=1, le=1024)]
 SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 
 _Address = TypeVar("_Address", str, str | None)
+
+# That verify what a real rig acquires.
+_VERIFICATION_PICTURES = 8
 
 # Those of the default run, in the order of its report.
 _DEFAULT_METHODS = ("near_far", "symmetric", "dual")
@@ -299,6 +303,7 @@ class Config(Settings):
         "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
         "to each image's energy, for the colours that a mosaic loses).",
     )
+    verification: VerificationConfig = group_of(VerificationConfig)
     offline: OfflineConfig = group_of(OfflineConfig)
     rig_file: Text | None = Field(
         None,
@@ -318,6 +323,12 @@ class Config(Settings):
     def methods_of(self, scene: str) -> dict[str, MethodSettings]:
         """Methods to acquire a scene with, and their options: its own, or those of the run."""
         return methods_of_scene(self.methods, self.scenes[scene].methods)
+
+    @property
+    def verification_pictures(self) -> int:
+        """Pictures that verify each acquisition, 0 for none."""
+        asked = self.verification.pictures
+        return _VERIFICATION_PICTURES * (self.capture.rig == "remote") if asked is None else asked
 
     def shaping(self) -> dict[str, Any]:
         """Return all settings as plain data but those that shape no result."""
@@ -401,6 +412,15 @@ class Config(Settings):
         return self
 
     @model_validator(mode="after")
+    def _verification_has_pictures(self) -> Self:
+        if self.verification.fail_above is not None and not self.verification_pictures:
+            raise ValueError(
+                "verification.pictures should be 1 to 10 with verification.fail_above; this run "
+                "takes none"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _pictures_can_be_taken_elsewhere(self) -> Self:
         if self.capture.rig != "offline":
             return self
@@ -408,6 +428,11 @@ class Config(Settings):
             raise ValueError(
                 "capture.drift_minutes should be null with capture.rig offline, whose pictures say "
                 "nothing of their time"
+            )
+        if self.verification.pictures:
+            raise ValueError(
+                "verification.pictures should be 0 or null with capture.rig offline, whose "
+                "pictures are taken level by level by hand"
             )
         if self.offline.camera_corners is not None and self.camera is None:
             raise ValueError(

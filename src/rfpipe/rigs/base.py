@@ -17,7 +17,9 @@ __all__ = [
     "BLACK_LEVEL_KEY",
     "DRIFT_KEY",
     "FLOODLIT_KEY",
+    "LOOK_KEY",
     "SYMMETRY_KEY",
+    "VERIFICATION_KEY",
     "WARM_UP_KEY",
     "PatternOperator",
     "Rig",
@@ -41,6 +43,12 @@ WARM_UP_KEY = 1_000_003
 
 SYMMETRY_KEY = 1_000_004
 """The same of the random patterns that tell whether a rig is coaxial: (this, i)."""
+
+VERIFICATION_KEY = 1_000_005
+"""The same of pictures that no method saw, taken to verify a transport: (this, i)."""
+
+LOOK_KEY = 1_000_006
+"""The same of the random pattern that is repeated to see whether the rig moved: (this, level, i)."""
 
 
 class Rig(Protocol):

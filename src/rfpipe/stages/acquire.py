@@ -16,8 +16,10 @@ from rfpipe.methods import Method, get_method, options_of
 from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
-from rfpipe.rigs import Rig
+from rfpipe.rigs import DRIFT_KEY, Rig
+from rfpipe.stages.capturing.drift import look
 from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
+from rfpipe.stages.folder import name_of
 from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.stages.merging.images import (
     ImagesInMemory,
@@ -28,6 +30,9 @@ from rfpipe.stages.merging.images import (
 )
 from rfpipe.stages.merging.merger import LevelSum, Merger, runs
 from rfpipe.stages.symmetry import Asymmetry, measure
+from rfpipe.stages.unseen.comparing import Verification, compare
+from rfpipe.stages.unseen.patterns import NAMES
+from rfpipe.stages.unseen.verify import schedule_of
 from rfpipe.transport import Transport
 from rfpipe.transport.filling import fill_from_transpose
 
@@ -54,6 +59,9 @@ class AcquisitionResult:
         Samples that were saturated in every exposure; 0 in a well exposed acquisition.
     masked : ndarray of bool, shape (*camera_shape)
         Camera rays that were left out, since they are dead or hot.
+    verification : Verification or None
+        What the transport is wrong by on pictures that the method didn't see, if any were taken;
+        ``verification.table`` has a row a picture.
     """
 
     transport: Transport
@@ -62,6 +70,7 @@ class AcquisitionResult:
     processing_seconds: float
     saturated: int
     masked: NDArray[np.bool_]
+    verification: Verification | None = None
 
     @property
     def levels(self) -> pd.DataFrame:
@@ -91,6 +100,7 @@ def acquire(
     asymmetry: float = 0.05,
     mask_defects: bool = True,
     saturation_fraction: float = 0.98,
+    verification: int = 0,
     **options: Any,
 ) -> AcquisitionResult:
     """Acquire the transport between a rig's projector and camera.
@@ -122,6 +132,9 @@ def acquire(
         light fills them in at the end; otherwise their rows of T are zero.
     saturation_fraction : float
         Counts from this fraction of full scale on are not used.
+    verification : int
+        Pictures that the method doesn't see, taken afterwards to compare the transport with, up to
+        10; 0 for none.
     **options
         The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
         a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
@@ -149,6 +162,8 @@ def acquire(
         )
     if symmetry_frames < 0 or symmetry_frames in (1, 2):
         raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 3 or more, are needed")
+    if not 0 <= verification <= len(NAMES):
+        raise InputError(f"verification is {verification}; 0 to {len(NAMES)} pictures can be taken")
     began = perf_counter()
     camera, projector = RayDomain(rig.camera_shape), RayDomain(rig.projector_shape)
     asks_symmetry = chosen.asks_symmetry(camera, projector) and symmetry_frames > 0
@@ -185,9 +200,10 @@ def acquire(
             log_estimate(state.rows, asked)
     masked = masked_rays(session.merger.floodlit_variance)
     transport = fill_from_transpose(chosen.transport(state), masked)
+    verified = session.verify(transport, verification) if verification else None
     processing = perf_counter() - began - session.capture_seconds
     return AcquisitionResult(
-        transport, shown, session.capture_seconds, processing, saturated, masked
+        transport, shown, session.capture_seconds, processing, saturated, masked, verified
     )
 
 
@@ -213,6 +229,24 @@ class _Session:
 
         return measure(self.merger, self._shown(patterns, 0, count), count)
 
+    def verify(self, transport: Transport, count: int) -> Verification:
+        """Take pictures that no method saw, between two looks at the lamp, and compare them."""
+        names, schedule = schedule_of(transport, count)
+
+        def lamp(index: int) -> NDArray[np.float64]:
+            white = np.ones((1, *self.rig.projector_shape), np.float32)
+            bracket = self._show(white, [(DRIFT_KEY, schedule.level, index)])
+            return look(self.merger, bracket, index)[0]
+
+        before = lamp(0)
+        images, _ = self.capture(schedule)
+        gain = np.mean([before, lamp(1)], axis=0)
+        scale = np.where(gain > 0, gain, 1).astype(np.float32)
+        captured = images.radiance / scale, images.variance / scale**2
+        assert schedule.weights is not None
+        relit = transport.relight_batch(schedule.weights)
+        return compare(names, schedule.weights, captured, relit, gain)
+
     def capture(self, schedule: Schedule) -> tuple[ImagesInMemory, LevelSum]:
         """Capture and merge the patterns of a level; also return their sum."""
         from tqdm import tqdm
@@ -223,7 +257,7 @@ class _Session:
         total = LevelSum.zero(image_shape)
         with tqdm(
             total=schedule.count,
-            desc=f"level {schedule.level}",
+            desc=name_of(schedule.level),
             unit="pattern",
             disable=not self.progress,
         ) as bar:

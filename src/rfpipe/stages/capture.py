@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from rfpipe.photometry import ExactSensor
 from rfpipe.rigs import Rig
 from rfpipe.stages.capturing.brackets import Brackets
+from rfpipe.stages.capturing.devices import counted_by, difference
 from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run
 from rfpipe.stages.capturing.drift import DRIFT
 from rfpipe.stages.capturing.sensors import write_sensor
 from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
 from rfpipe.stages.capturing.warm_up import seconds_since_capture, warm_up
 from rfpipe.stages.capturing.watch import watch_of
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder
+from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.results import standing_manifest
 from rfpipe.stages.schedule import read_schedule
@@ -108,6 +109,7 @@ def run(
         check_level(of_level.name, need, folder.path, present, keep_raw=keep_raw)
         if 0 < 60 * warm_up_minutes < seconds_since_capture(folder.path):
             warm_up(rig, warm_up_minutes)
+    counted_before = counted_by(rig)
     batch = (resources or Resources()).fitting(_bytes_in_hand(rig), batch_patterns)
     beside: dict[str, Any] = {} if level else write_sensor(folder, rig.sensor)
     for name, part in before.items():
@@ -128,6 +130,7 @@ def run(
             "rig": of_level.shown["rig"],
             **captured,
             **beside,
+            "devices": difference(counted_by(rig), counted_before),
         },
     )
 
@@ -164,7 +167,7 @@ def brackets_of(
 
     shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
     path = folder.store(level, "capture")
-    of_level = Brackets(rig, path, f"level {level}", schedule.count, shown, of_schedule)
+    of_level = Brackets(rig, path, name_of(level), schedule.count, shown, of_schedule)
     before: dict[str, Brackets] = {}
     if level == 0:
         of_rig = {"black_frames": counts[0], "floodlit_frames": counts[1], "rig": described}

@@ -15,7 +15,7 @@ from rfpipe.errors import IntegrityError, LockedError, StoreError
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.capturing.drift import DRIFT, measure
-from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.merging.raw import RawFrames
@@ -198,7 +198,7 @@ def _drift(
     every = captured[DRIFT]["every"]
     with folder.frames(level, "capture", DRIFT) as frames:
         drift = measure(merger, frames)
-    drift.report(f"level {level}", divided_out=divide_out)
+    drift.report(name_of(level), divided_out=divide_out)
     gains = drift.gains_at(captured["patterns"], every) if divide_out else None
     return gains, {DRIFT: {**drift.facts(every), "divided_out": divide_out}}
 
@@ -244,9 +244,9 @@ def _merge(
     samples = count * int(np.prod(image_shape))
     if total.saturated:
         _log.warning(
-            "level %d: %d of %d samples are saturated in every exposure; their radiance is a "
+            "%s: %d of %d samples are saturated in every exposure; their radiance is a "
             "lower bound. Add a shorter exposure",
-            level, total.saturated, samples,
+            name_of(level), total.saturated, samples,
         )  # fmt: skip
     sums = folder.store(level, SUMS)
     arrays = {"radiance": total.radiance, "variance": total.variance}
@@ -314,7 +314,7 @@ def _drop_raw(folder: AcquisitionFolder, level: int) -> None:
         to_disk(folder.store(level, part))
     freed = sum(drop(folder.store(level, part)) for part in raw)
     if freed:
-        _log.info("level %d: raw exposures dropped, %.3g MB", level, freed / 1e6)
+        _log.info("%s: raw exposures dropped, %.3g MB", name_of(level), freed / 1e6)
 
 
 def read_level_sum(folder: AcquisitionFolder, level: int) -> LevelSum:

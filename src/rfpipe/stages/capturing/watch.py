@@ -15,7 +15,7 @@ from rfpipe.rigs import DRIFT_KEY
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.drift import DRIFT, item_count, item_due, look
 from rfpipe.stages.capturing.shown import Keys
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.folder import AcquisitionFolder, name_of
 from rfpipe.stages.merging.merger import Merger
 from rfpipe.stages.merging.references import read_merger
 from rfpipe.store import FrameStore, restore_header
@@ -97,7 +97,7 @@ def watch_of(
             of_this_capture = old.attributes.get("made_beside") == level_brackets.made_for
             every = int(old.attributes["every"]) if of_this_capture else 0
     elif is_begun and every:
-        _log.warning("level %d was begun without a drift watch, and goes on without", level)
+        _log.warning("%s was begun without a drift watch, and goes on without", name_of(level))
         every = 0
     if not every or not patterns:
         yield None
@@ -115,7 +115,7 @@ def watch_of(
         "made_beside": level_brackets.made_for,
         "rig": level_brackets.shown["rig"],
     }
-    brackets = Brackets(rig, path, f"level {level}, drift watch", count, shown, floodlit)
+    brackets = Brackets(rig, path, f"{name_of(level)}, drift watch", count, shown, floodlit)
     brackets.settle("recapture")
     merger = None
     if folder.manifest(0, "merge").exists():
