@@ -69,7 +69,8 @@ def acquired(plan: Plan, folder: AcquisitionFolder, rig: OperatorRig, frames: in
         code=dict.fromkeys([*STAGES, "symmetry", "assemble"], CODE),
         capture_options={"references": (2, 2), "symmetry_frames": frames, "keep_raw": True},
         merge_options={"saturation_fraction": 0.98, "mask_defects": True},
-        normalization="none", number_format="float32", asymmetry=0.05, resources=Resources(),
+        normalization="none", number_format="float32", asymmetry=0.05,
+        watch={"mode": "warn", "looks": 0}, resources=Resources(),
     )  # fmt: skip
 
 

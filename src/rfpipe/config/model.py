@@ -106,6 +106,19 @@ class CaptureConfig(Settings):
         description="Error in relit pictures, as a fraction of their norm between 0 and 1, that "
         "taking the rig for a coaxial one may make; above it, the acquisition ends.",
     )
+    watch: Literal["off", "warn", "refuse"] = Field(
+        "warn",
+        description="What to do when pictures tell that the rig moved, or that a coaxial one isn't "
+        "aligned: warn, refuse (end the capture), or off (not looked at).",
+    )
+    look_patterns: int | None = Field(
+        None,
+        ge=0,
+        le=1000,
+        description="Patterns from one look at the rig to the next, to see whether it moved, 0 "
+        "(none) to 1000; null: 8 by a real rig, and none by a simulated one or where the patterns "
+        "of a method for coaxial rigs tell without.",
+    )
     batch_patterns: Batch = Field(
         16, description="Patterns captured and stored at a time, 1 to 1024."
     )
@@ -150,6 +163,12 @@ class CaptureConfig(Settings):
     def rule(self) -> Literal["simulated", "hardware", "offline"]:
         """Which of the workflow's rules of capture."""
         return "hardware" if self.rig == "remote" else self.rig
+
+    @property
+    def looks(self) -> int | None:
+        """Patterns from one look at the rig to the next; None where that follows the method."""
+        is_real = self.rig == "remote"
+        return 0 if self.look_patterns is None and not is_real else self.look_patterns
 
     @property
     def drift_patterns(self) -> int:
@@ -428,6 +447,11 @@ class Config(Settings):
             raise ValueError(
                 "capture.drift_minutes should be null with capture.rig offline, whose pictures say "
                 "nothing of their time"
+            )
+        if self.capture.look_patterns:
+            raise ValueError(
+                "capture.look_patterns should be 0 or null with capture.rig offline, whose "
+                "pictures are taken level by level by hand"
             )
         if self.verification.pictures:
             raise ValueError(

@@ -48,7 +48,7 @@ VERIFICATION_KEY = 1_000_005
 """The same of pictures that no method saw, taken to verify a transport: (this, i)."""
 
 LOOK_KEY = 1_000_006
-"""The same of the random pattern that is repeated to see whether the rig moved: (this, level, i)."""
+"""The same of the random pattern that tells, repeated, whether the rig moved: (this, level, i)."""
 
 
 class Rig(Protocol):

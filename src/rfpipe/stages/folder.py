@@ -15,7 +15,14 @@ from rfpipe.rigs import VERIFICATION_KEY
 from rfpipe.store import FrameStore, open_arrays, read_manifest
 from rfpipe.store.places import Place
 
-__all__ = ["REFERENCE", "SYMMETRY", "VERIFICATION", "AcquisitionFolder", "advice_on_damage", "name_of"]
+__all__ = [
+    "REFERENCE",
+    "SYMMETRY",
+    "VERIFICATION",
+    "AcquisitionFolder",
+    "advice_on_damage",
+    "name_of",
+]
 
 REFERENCE = "reference"
 """The all-off and all-on brackets, taken with level 0: their store and their manifest's key."""

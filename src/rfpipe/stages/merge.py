@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from rfpipe.errors import IntegrityError, LockedError, StoreError
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
+from rfpipe.stages.capturing import moves
 from rfpipe.stages.capturing.drift import DRIFT, measure
+from rfpipe.stages.capturing.moves import MOVES
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
@@ -111,6 +113,8 @@ def run(
     }
     if DRIFT in captured:
         made_of[DRIFT] = [captured[DRIFT]["digest"], divide_out_drift]
+    if MOVES in captured:
+        made_of[MOVES] = captured[MOVES]["digest"]
     made_from = fingerprint([made_of, code])
     store = folder.store(level, "merge")
     manifest = folder.manifest(level, "merge")
@@ -127,6 +131,7 @@ def run(
             **({REFERENCES: references} if level == 0 else {}),
             **_merge(merger, gains, folder, level, made_from, resources),
             **drift,
+            **_moves(merger, folder, level, captured),
             "made_of": made_of,
             "fingerprint": made_from,
             "versions": versions(),
@@ -201,6 +206,17 @@ def _drift(
     drift.report(name_of(level), divided_out=divide_out)
     gains = drift.gains_at(captured["patterns"], every) if divide_out else None
     return gains, {DRIFT: {**drift.facts(every), "divided_out": divide_out}}
+
+
+def _moves(
+    merger: Merger, folder: AcquisitionFolder, level: int, captured: dict[str, Any]
+) -> dict[str, Any]:
+    """Return what looks at the rig saw, if there were any."""
+    if MOVES not in captured:
+        return {}
+    with folder.frames(level, "capture", MOVES) as frames:
+        found = moves.measure(folder, merger, frames)
+    return {MOVES: {"every": captured[MOVES]["every"], **found}}
 
 
 def _divided(merged: Merged, gains: Double) -> Merged:

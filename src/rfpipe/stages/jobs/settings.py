@@ -40,6 +40,7 @@ def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
         "normalization": settings.normalization,
         "number_format": settings.storage.number_format,
         "asymmetry": capture.asymmetry,
+        "watch": {"mode": capture.watch, "looks": capture.looks},
         "code": acquisition_code(module_of(METHODS, method)),
     }
 

@@ -139,9 +139,9 @@ def compare(
 
 
 def _compared(name: str, seen: Float, drawn: Float, variance: Float) -> Compared:
-    seen, drawn, v = (image.astype(np.float64) for image in (seen, drawn, variance))
-    squares, noise = np.square(drawn - seen), float(v.sum())
-    light = float(np.square(seen).sum()) - noise
+    v = variance.astype(np.float64)
+    squares, noise = np.square(drawn.astype(np.float64) - seen), float(v.sum())
+    light = float(np.square(seen, dtype=np.float64).sum()) - noise
     if light <= 0:
         return Compared(name, *[float("nan")] * 4)
     error = np.sqrt(max(float(squares.sum()) - noise, 0.0))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,12 @@ from rfpipe.errors import StoreError, VerificationError
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint
 from rfpipe.stages import merge
+from rfpipe.stages.capture import Watching
 from rfpipe.stages.capturing.drift import DRIFT
+from rfpipe.stages.capturing.moves import MOVES
+from rfpipe.stages.capturing.mutual import MUTUAL
 from rfpipe.stages.capturing.sensors import read_sensor
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
+from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merge import MergedFrames
@@ -85,6 +89,7 @@ def run(
                     # a look at the lamp before the first and after the last
                     "drift_patterns": pictures,
                     "batch_patterns": 1,
+                    "watching": _watching(folder, pictures),
                 },
                 resources=resources.here,
             )
@@ -138,6 +143,12 @@ def check_bound(manifests: Mapping[str, Mapping[str, Any]], bound: float, where:
             "changed); one under 'natural' and 'slope' alone is the projector's response; else ask "
             "the method for a smaller error"
         )
+
+
+def _watching(folder: AcquisitionFolder, pictures: int) -> Watching | None:
+    """Look at the rig before the first picture and after the last, if it was looked at before."""
+    was_watched = any(folder.path.glob(f"L[0-9]*/{MOVES}.zarr"))
+    return Watching(look_patterns=pictures) if was_watched else None
 
 
 def _schedule(folder: AcquisitionFolder, pictures: int) -> None:
@@ -208,22 +219,66 @@ def told(found: Verification, name: str) -> None:
 
 
 def _of_all_levels(folder: AcquisitionFolder) -> dict[str, Any]:
-    """Return what else tells of a rig's day: drift, saturation, and what its devices counted."""
-    levels = sorted(
-        int(place.parent.name[1:]) for place in folder.path.glob("L[0-9]*/merge.json")
-    )
-    drift, saturated, samples = 0.0, 0, 0
-    devices: dict[str, int] = {}
-    for level in [*levels, VERIFICATION]:
+    """Return what else tells of the rig: drift, moves, reciprocity, saturation, its devices."""
+    levels = [int(place.parent.name[1:]) for place in folder.path.glob("L[0-9]*/merge.json")]
+    found = _OfLevels()
+    for level in [*sorted(levels), VERIFICATION]:
         try:
             merged = folder.read_manifest(level, "merge")
             captured = folder.read_manifest(level, "capture")
         except StoreError:
             continue
-        saturated, samples = saturated + merged["saturated"], samples + merged["samples"]
+        found.add(name_of(level), merged, captured)
+    return vars(found)
+
+
+@dataclass
+class _OfLevels:
+    """What the manifests of all levels tell of the rig.
+
+    Attributes
+    ----------
+    drift, moved : float or None
+        Largest change of the lamp's light, and of the repeated pattern, relative; None where
+        nothing looked.
+    reciprocity : float or None
+        Error of the worst picture by asymmetry, at least, None where it wasn't watched; 0: none.
+    reciprocity_deviations : float or None
+        Largest residual of reciprocity, in standard deviations.
+    alarms : list of str
+        Where the rig moved, or wasn't aligned, first at each level.
+    saturated, samples : int
+    devices : dict of str to int
+        What the devices counted, such as frames that failed.
+    """
+
+    drift: float | None = None
+    moved: float | None = None
+    reciprocity: float | None = None
+    reciprocity_deviations: float | None = None
+    alarms: list[str] = field(default_factory=list)
+    saturated: int = 0
+    samples: int = 0
+    devices: dict[str, int] = field(default_factory=dict)
+
+    def add(self, name: str, merged: dict[str, Any], captured: dict[str, Any]) -> None:
+        """Add a level's."""
+        self.saturated += merged["saturated"]
+        self.samples += merged["samples"]
         if DRIFT in merged:
             gains = np.asarray(merged[DRIFT]["gain"])
-            drift = max(drift, float(np.abs(gains - 1).max(initial=0.0)))
-        for name, count in captured.get("devices", {}).items():
-            devices[name] = devices.get(name, 0) + count
-    return {"drift": drift, "saturated": saturated, "samples": samples, "devices": devices}
+            self.drift = max(self.drift or 0.0, float(np.abs(gains - 1).max(initial=0.0)))
+        if MOVES in merged:
+            looks = merged[MOVES]
+            self.moved = max(self.moved or 0.0, *looks["change"])
+            if looks["moved"]:
+                self.alarms.append(f"{name}: the rig or the scene moved")
+        if MUTUAL in captured:
+            mutual = captured[MUTUAL]
+            self.reciprocity = max(self.reciprocity or 0.0, mutual["error"])
+            worst = max(self.reciprocity_deviations or 0.0, mutual["deviations"])
+            self.reciprocity_deviations = worst
+            if mutual["first"] is not None:
+                self.alarms.append(f"{name}, pattern {mutual['first']}: not aligned")
+        for what, count in captured.get("devices", {}).items():
+            self.devices[what] = self.devices.get(what, 0) + count

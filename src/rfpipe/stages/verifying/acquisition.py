@@ -8,6 +8,7 @@ from typing import Any
 
 from rfpipe.errors import StoreError
 from rfpipe.stages.capturing.drift import DRIFT
+from rfpipe.stages.capturing.moves import MOVES
 from rfpipe.stages.capturing.sensors import SENSOR
 from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder
 from rfpipe.stages.merge import SUMS
@@ -19,9 +20,9 @@ from rfpipe.store import StoreLock, read_manifest
 __all__ = ["check_acquisition", "is_acquisition"]
 
 _STAGES = ("schedule", "capture", "merge", "normalize", "refine")
-_FRAMES = ("capture", "merge", REFERENCE, SYMMETRY, DRIFT)
+_FRAMES = ("capture", "merge", REFERENCE, SYMMETRY, DRIFT, MOVES)
 _PARTS = {
-    "capture": (REFERENCE, SYMMETRY, DRIFT, SENSOR),
+    "capture": (REFERENCE, SYMMETRY, DRIFT, MOVES, SENSOR),
     "merge": (SUMS, REFERENCES),
 }
 

@@ -1,0 +1,178 @@
+"""Whether a coaxial rig still is one, by the pictures that its acquisition takes anyway."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError, StoreError
+from rfpipe.photometry.reciprocity import Reciprocity, Residual
+from rfpipe.stages.capturing.brackets import Brackets
+from rfpipe.stages.capturing.watch import merger_before
+from rfpipe.stages.folder import AcquisitionFolder, name_of
+from rfpipe.stages.merging.merger import Merger
+from rfpipe.stages.schedule import read_schedule
+from rfpipe.store import FrameStore
+
+__all__ = ["MUTUAL", "MutualWatch", "Tally", "mutual_watch"]
+
+MUTUAL = "reciprocity"
+"""What was found, in a level's manifest."""
+
+# Pictures of a level above that new ones are held against: as many as are held at all.
+_OF_A_LEVEL = 24
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass
+class Tally:
+    """What the pictures of a level told of reciprocity.
+
+    Parameters
+    ----------
+    name : str
+        Of the level, for messages.
+    worth_a_word : float
+        Error in a picture from which on it is said.
+    refuse : bool
+        Whether to end the capture there.
+    """
+
+    name: str
+    worth_a_word: float
+    refuse: bool
+    judged: int = 0
+    deviations: float = 0.0
+    error: float = 0.0
+    first: int | None = None
+
+    def add(self, index: int, found: Residual, *, silent: bool = False) -> None:
+        """Enter what one picture told.
+
+        Raises
+        ------
+        CaptureError
+            When it is wrong, and that is to end the capture.
+        """
+        self.judged += 1
+        self.deviations = max(self.deviations, found.deviations)
+        if not found.is_wrong(self.worth_a_word):
+            return
+        self.error = max(self.error, found.error)
+        is_first, self.first = self.first is None, index if self.first is None else self.first
+        text = (
+            f"{self.name}, pattern {index}: light doesn't go from camera to projector as it comes "
+            f"({found.deviations:.0f} standard deviations): taking the rig for a coaxial one makes "
+            f"an error of at least {found.error:.1%} in this picture"
+        )
+        if self.refuse:
+            raise CaptureError(
+                f"{text}. The two devices are not aligned any more, or never were. What is "
+                "captured is kept: align them and remove the acquisition's folder to begin anew, "
+                "or use a method for any rig, such as dual photography; capture.watch: warn goes "
+                "on regardless"
+            )
+        if is_first and not silent:
+            _log.warning(
+                "%s. The two devices are not aligned any more, or never were; capture.watch: "
+                "refuse would stop here", text,
+            )  # fmt: skip
+
+    def facts(self) -> dict[str, Any]:
+        """Return plain data for a manifest."""
+        return {
+            "judged": self.judged,
+            "deviations": float(f"{self.deviations:.4g}"),
+            "error": float(f"{self.error:.4g}"),
+            "first": self.first,
+        }
+
+
+@dataclass(frozen=True)
+class MutualWatch:
+    """Holds the pictures of a level against each other and those of the levels above."""
+
+    reciprocity: Reciprocity
+    merger: Merger
+    patterns: Callable[[int, int], tuple[NDArray[np.float32], Any]]
+    tally: Tally
+    name: str = field(default=MUTUAL, init=False)
+
+    def due(self, first: int, last: int) -> Sequence[int]:  # noqa: ARG002
+        """Take nothing between patterns."""
+        return ()
+
+    def before(self, position: int) -> None:
+        """Take nothing before any."""
+
+    def after(self, first: int, brackets: NDArray[Any]) -> None:
+        """Judge what was captured."""
+        patterns, _ = self.patterns(first, first + len(brackets))
+        for offset, pattern in enumerate(patterns):
+            merged = self.merger.merge(brackets[offset : offset + 1], first + offset)
+            found = self.reciprocity.judge(pattern, merged.radiance[0], merged.variance[0])
+            self.tally.add(first + offset, found)
+
+    def entry(self) -> dict[str, Any]:
+        """Return what the level's manifest says."""
+        return self.tally.facts()
+
+
+def mutual_watch(
+    level_brackets: Brackets,
+    folder: AcquisitionFolder,
+    level: int,
+    worth_a_word: float,
+    *,
+    refuse: bool,
+) -> MutualWatch | None:
+    """Return the watch of a level that believes in symmetry; None before level 0 is merged.
+
+    Parameters
+    ----------
+    level_brackets : Brackets
+        Of the level's patterns; what of them is captured is judged at once.
+    folder : AcquisitionFolder
+    level : int
+    worth_a_word : float
+        Error in a picture, relative, from which on it is said.
+    refuse : bool
+        Whether to end the capture there.
+    """
+    merger = merger_before(level_brackets, folder)
+    if merger is None or not merger.floodlit.any() or not level_brackets.count:
+        return None
+    reciprocity = Reciprocity(merger.floodlit, merger.floodlit_variance)
+    for above in range(1, level):
+        _enter(reciprocity, folder, above)
+    tally = Tally(name_of(level), worth_a_word, refuse)
+    watch = MutualWatch(reciprocity, merger, level_brackets.patterns, tally)
+    if level_brackets.path.exists():
+        try:
+            with FrameStore.open(level_brackets.path) as frames:
+                for index in np.flatnonzero(frames.done):
+                    watch.after(int(index), frames.read(int(index), int(index) + 1))
+        except StoreError:  # dropped, or damaged: whoever merges them says so
+            return None
+    return watch
+
+
+def _enter(reciprocity: Reciprocity, folder: AcquisitionFolder, level: int) -> None:
+    """Make witnesses of a level's first pictures."""
+    try:
+        schedule = read_schedule(folder, level)
+        count = min(schedule.count, _OF_A_LEVEL)
+        if not count:
+            return
+        with folder.frames(level, "merge") as frames:
+            images = frames.read(0, count)
+    except StoreError:
+        return
+    for pattern, (radiance, variance) in zip(schedule.batch(0, count), images, strict=True):
+        reciprocity.judge(pattern, radiance, variance)
