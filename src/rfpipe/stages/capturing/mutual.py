@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.watch import merger_before
 from rfpipe.stages.folder import AcquisitionFolder, name_of
 from rfpipe.stages.merging.merger import Merger
+from rfpipe.stages.merging.raw import RawFrames
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import FrameStore
 
@@ -42,17 +45,21 @@ class Tally:
         Error in a picture from which on it is said.
     refuse : bool
         Whether to end the capture there.
+    silent : bool
+        Whether it has been said already.
     """
 
     name: str
     worth_a_word: float
     refuse: bool
+    silent: bool = False
     judged: int = 0
+    is_in_order: bool = True
     deviations: float = 0.0
     error: float = 0.0
     first: int | None = None
 
-    def add(self, index: int, found: Residual, *, silent: bool = False) -> None:
+    def add(self, index: int, found: Residual) -> None:
         """Enter what one picture told.
 
         Raises
@@ -60,6 +67,7 @@ class Tally:
         CaptureError
             When it is wrong, and that is to end the capture.
         """
+        self.is_in_order &= index == self.judged
         self.judged += 1
         self.deviations = max(self.deviations, found.deviations)
         if not found.is_wrong(self.worth_a_word):
@@ -78,7 +86,7 @@ class Tally:
                 "or use a method for any rig, such as dual photography; capture.watch: warn goes "
                 "on regardless"
             )
-        if is_first and not silent:
+        if is_first and not self.silent:
             _log.warning(
                 "%s. The two devices are not aligned any more, or never were; capture.watch: "
                 "refuse would stop here", text,
@@ -102,6 +110,7 @@ class MutualWatch:
     merger: Merger
     patterns: Callable[[int, int], tuple[NDArray[np.float32], Any]]
     tally: Tally
+    again: Callable[[], MutualWatch | None]
     name: str = field(default=MUTUAL, init=False)
 
     def due(self, first: int, last: int) -> Sequence[int]:  # noqa: ARG002
@@ -120,8 +129,9 @@ class MutualWatch:
             self.tally.add(first + offset, found)
 
     def entry(self) -> dict[str, Any]:
-        """Return what the level's manifest says."""
-        return self.tally.facts()
+        """Return what the level's manifest says: the same however the capture went."""
+        in_order = self if self.tally.is_in_order else self.again()
+        return (in_order or self).tally.facts()
 
 
 def mutual_watch(
@@ -131,6 +141,7 @@ def mutual_watch(
     worth_a_word: float,
     *,
     refuse: bool,
+    silent: bool = False,
 ) -> MutualWatch | None:
     """Return the watch of a level that believes in symmetry; None before level 0 is merged.
 
@@ -144,6 +155,8 @@ def mutual_watch(
         Error in a picture, relative, from which on it is said.
     refuse : bool
         Whether to end the capture there.
+    silent : bool
+        Whether it has been said already.
     """
     merger = merger_before(level_brackets, folder)
     if merger is None or not merger.floodlit.any() or not level_brackets.count:
@@ -151,16 +164,27 @@ def mutual_watch(
     reciprocity = Reciprocity(merger.floodlit, merger.floodlit_variance)
     for above in range(1, level):
         _enter(reciprocity, folder, above)
-    tally = Tally(name_of(level), worth_a_word, refuse)
-    watch = MutualWatch(reciprocity, merger, level_brackets.patterns, tally)
+    tally = Tally(name_of(level), worth_a_word, refuse, silent)
+    again = partial(
+        mutual_watch, level_brackets, folder, level, worth_a_word, refuse=False, silent=True
+    )
+    watch = MutualWatch(reciprocity, merger, level_brackets.patterns, tally, again)
     if level_brackets.path.exists():
-        try:
-            with FrameStore.open(level_brackets.path) as frames:
-                for index in np.flatnonzero(frames.done):
-                    watch.after(int(index), frames.read(int(index), int(index) + 1))
-        except StoreError:  # dropped, or damaged: whoever merges them says so
+        if RawFrames(folder, level, "capture").dropped:
             return None
+        _judge_captured(watch, level_brackets.path)
     return watch
+
+
+def _judge_captured(watch: MutualWatch, store: Path) -> None:
+    """Judge what of a level is captured; what is damaged will be captured, and judged, again."""
+    with FrameStore.open(store) as frames:
+        for index in map(int, np.flatnonzero(frames.done)):
+            try:
+                brackets = frames.read(index, index + 1)
+            except StoreError:
+                continue
+            watch.after(index, brackets)
 
 
 def _enter(reciprocity: Reciprocity, folder: AcquisitionFolder, level: int) -> None:
