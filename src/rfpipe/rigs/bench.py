@@ -67,6 +67,9 @@ class Scenery:
         Its noise, bits and mosaic; the exposures are those that the driver sets.
     seed : int
         Seed of the noise.
+    knock : (int, int, int), optional
+        Exposures before a knock against the projector, and the pixels down and to the right that
+        its picture lies from then on.
     """
 
     display: VirtualDisplay
@@ -75,11 +78,21 @@ class Scenery:
     light_of_code: Float
     camera: CameraModel
     seed: int = 0
+    knock: tuple[int, int, int] | None = None
 
     def codes(self) -> NDArray[np.uint8]:
         """Return what the window shows now, (H, W)."""
         (top, left), (height, width) = self.offset, self.path.projector_shape
         return self.display.pixels[top : top + height, left : left + width, 1].copy()
+
+    def knocked(self, codes: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
+        """Return codes as they are lit at an exposure: moved, from the knock on."""
+        if self.knock is None or number <= self.knock[0]:
+            return codes
+        moved = np.zeros_like(codes)
+        (rows, more_rows), (columns, more_columns) = map(_shifted, self.knock[1:])
+        moved[rows, columns] = codes[more_rows, more_columns]
+        return moved
 
     def radiance(self, codes: NDArray[np.uint8]) -> Float:
         """Return what the camera sees of a picture, (Hc, Wc, C)."""
@@ -162,6 +175,7 @@ class BenchCamera(PylonCamera):
             "camera": numbers,
             "light_of_code": fingerprint(true.light_of_code),
             "seed": true.seed,
+            **({} if true.knock is None else {"knock": list(true.knock)}),
         }
 
     def close(self) -> None:
@@ -171,7 +185,7 @@ class BenchCamera(PylonCamera):
 
     def _before_trigger(self, exposure: float) -> None:
         """Make the picture that the driver is about to read."""
-        codes = self._scenery.codes()
+        codes = self._scenery.knocked(self._scenery.codes(), self._number + 1)
         if self._seen is None or not np.array_equal(codes, self._seen[0]):
             self._seen = codes, self._scenery.radiance(codes)
         self._number += 1
@@ -228,11 +242,19 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, BenchCamera]:
             light.astype(np.float32),
             true,
             config.seed,
+            bench.knock,
         )
         return projector, BenchCamera(scenery, sensor_of(config), **config.camera.arguments())
     except BaseException:
         projector.close()
         raise
+
+
+def _shifted(pixels: int) -> tuple[slice, slice]:
+    """Return where moved pixels come to lie along an axis, and where they lay."""
+    if pixels > 0:
+        return slice(pixels, None), slice(None, -pixels)
+    return slice(None, pixels or None), slice(-pixels, None)
 
 
 def _display(shape: tuple[int, int]) -> AbstractContextManager[VirtualDisplay]:

@@ -21,6 +21,7 @@ from rfpipe.errors import DamagedStageError
 from rfpipe.photometry.normalize import Mode
 from rfpipe.stages import assemble, merge, normalize, refine, schedule, symmetry
 from rfpipe.stages.capture import Watching
+from rfpipe.stages.capturing.moves import every_of
 from rfpipe.stages.capturing.sensors import read_sensor
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.jobs.job import stage_log
@@ -30,10 +31,7 @@ from rfpipe.stages.symmetry import WORTH_A_WORD
 from rfpipe.store import StoreLock, restore_header
 from rfpipe.units import NumberFormat
 
-__all__ = ["LOOK_PATTERNS", "run", "watching_of"]
-
-LOOK_PATTERNS = 8
-"""So that a rig that moved is noticed within ten patterns, at an eighth more of them."""
+__all__ = ["run", "watching_of"]
 
 _log = logging.getLogger(__name__)
 
@@ -166,7 +164,7 @@ def watching_of(plan: Plan, asymmetry: float, *, mode: str, looks: int | None) -
         return None
     tells = plan.method.needs_coaxial_rig
     return Watching(
-        (0 if tells else LOOK_PATTERNS) if looks is None else looks,
+        every_of(looks, tells=tells),
         WORTH_A_WORD * asymmetry if tells else 0.0,
         refuse=mode == "refuse",
     )

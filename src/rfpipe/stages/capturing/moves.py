@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from rfpipe.photometry.sensor import Merged
     from rfpipe.stages.merging.merger import Merger
 
-__all__ = ["MOVES", "Move", "compare", "first_look", "measure", "move_pattern", "told"]
+__all__ = ["MOVES", "Move", "compare", "every_of", "first_look", "measure", "move_pattern", "told"]
 
 MOVES = "moves"
 """The repeated random pattern of a level: its store and its key in manifests."""
@@ -38,6 +38,23 @@ _NOISE_KNOWN = 0.1
 _SIGNIFICANCE = 5.0
 
 _log = logging.getLogger(__name__)
+
+
+LOOK_PATTERNS = 8
+"""So that a rig that moved is noticed within ten patterns, at an eighth more of them."""
+
+
+def every_of(looks: int | None, *, tells: bool) -> int:
+    """Return the patterns from one look to the next, 0 for none.
+
+    Parameters
+    ----------
+    looks : int or None
+        As the settings say; None: `LOOK_PATTERNS`, where the patterns don't tell by themselves.
+    tells : bool
+        Whether they do, by reciprocity.
+    """
+    return (0 if tells else LOOK_PATTERNS) if looks is None else looks
 
 
 @dataclass(frozen=True)
