@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +16,10 @@ from rfpipe.methods import Method, get_method, options_of
 from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
+from rfpipe.photometry.reciprocity import Reciprocity
 from rfpipe.rigs import DRIFT_KEY, Rig
 from rfpipe.stages.capturing.drift import look
+from rfpipe.stages.capturing.mutual import MutualWatch, Tally
 from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
 from rfpipe.stages.folder import name_of
 from rfpipe.stages.jobs.progress import log_estimate
@@ -29,7 +31,7 @@ from rfpipe.stages.merging.images import (
     normalize_level,
 )
 from rfpipe.stages.merging.merger import LevelSum, Merger, runs
-from rfpipe.stages.symmetry import Asymmetry, measure
+from rfpipe.stages.symmetry import NOTICED, Asymmetry, measure
 from rfpipe.stages.unseen.comparing import Verification, compare
 from rfpipe.stages.unseen.patterns import NAMES
 from rfpipe.stages.unseen.verify import schedule_of
@@ -62,6 +64,10 @@ class AcquisitionResult:
     verification : Verification or None
         What the transport is wrong by on pictures that the method didn't see, if any were taken;
         ``verification.table`` has a row a picture.
+    reciprocity : tuple of dict
+        For each level of a method that takes the rig for a coaxial one: pictures ``judged``,
+        largest residual in standard ``deviations`` (about 1 on a right rig), ``error`` in relit
+        pictures that it means at least, and the ``first`` picture that was wrong, None for none.
     """
 
     transport: Transport
@@ -71,6 +77,7 @@ class AcquisitionResult:
     saturated: int
     masked: NDArray[np.bool_]
     verification: Verification | None = None
+    reciprocity: tuple[dict[str, Any], ...] = ()
 
     @property
     def levels(self) -> pd.DataFrame:
@@ -101,6 +108,7 @@ def acquire(
     mask_defects: bool = True,
     saturation_fraction: float = 0.98,
     verification: int = 0,
+    watch: Literal["off", "warn", "refuse"] = "warn",
     **options: Any,
 ) -> AcquisitionResult:
     """Acquire the transport between a rig's projector and camera.
@@ -135,6 +143,9 @@ def acquire(
     verification : int
         Pictures that the method doesn't see, taken afterwards to compare the transport with, up to
         10; 0 for none.
+    watch : {"off", "warn", "refuse"}
+        What to do when the pictures of a method that takes the rig for a coaxial one tell that it
+        isn't, or not any more.
     **options
         The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
         a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
@@ -181,6 +192,8 @@ def acquire(
         chosen = chosen.on_rig(coaxial=False)
     chosen = chosen.with_options(asked)
     state = chosen.start(camera, projector, rig.channels, asked)
+    if chosen.needs_coaxial_rig and watch != "off":
+        session.watch(NOTICED * asymmetry, refuse=watch == "refuse")
     shown = saturated = 0
     for _ in range(chosen.n_levels(camera, projector)):
         schedule = chosen.schedule(state)
@@ -203,8 +216,9 @@ def acquire(
     verified = session.verify(transport, verification) if verification else None
     processing = perf_counter() - began - session.capture_seconds
     return AcquisitionResult(
-        transport, shown, session.capture_seconds, processing, saturated, masked, verified
-    )
+        transport, shown, session.capture_seconds, processing, saturated, masked, verified,
+        tuple(tally.facts() for tally in session.tallies),
+    )  # fmt: skip
 
 
 class _Session:
@@ -216,6 +230,8 @@ class _Session:
         self.rig = rig
         self.progress = progress
         self.capture_seconds = 0.0
+        self.tallies: list[Tally] = []
+        self._mutual: Callable[[Schedule], MutualWatch] | None = None
         off, on = references
         self.merger = Merger.from_references(
             rig.sensor, self._reference(off, 0, off), self._reference(off, off, off + on), **merging
@@ -229,9 +245,23 @@ class _Session:
 
         return measure(self.merger, self._shown(patterns, 0, count), count)
 
+    def watch(self, worth_a_word: float, *, refuse: bool) -> None:
+        """From now on hold each picture against those before it, as a coaxial rig's."""
+        if not self.merger.floodlit.any():
+            return
+        reciprocity = Reciprocity(self.merger.floodlit, self.merger.floodlit_variance)
+
+        def of_level(schedule: Schedule) -> MutualWatch:
+            tally = Tally(name_of(schedule.level), worth_a_word, refuse)
+            self.tallies.append(tally)
+            return MutualWatch(reciprocity, schedule.batch, tally)
+
+        self._mutual = of_level
+
     def verify(self, transport: Transport, count: int) -> Verification:
         """Take pictures that no method saw, between two looks at the lamp, and compare them."""
         names, schedule = schedule_of(transport, count)
+        self._mutual = None
 
         def lamp(index: int) -> NDArray[np.float64]:
             white = np.ones((1, *self.rig.projector_shape), np.float32)
@@ -255,6 +285,8 @@ class _Session:
         shape = (schedule.count, *image_shape)
         radiance, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         total = LevelSum.zero(image_shape)
+        is_judged = self._mutual and schedule.count and schedule.level
+        mutual = self._mutual(schedule) if self._mutual and is_judged else None
         with tqdm(
             total=schedule.count,
             desc=name_of(schedule.level),
@@ -269,6 +301,8 @@ class _Session:
                     frames = self._show(schedule.batch(first, last), keys)
                     merged = self.merger.merge(frames, first)
                     run.add(merged)
+                    if mutual:
+                        mutual.judge(first, merged)
                     radiance[first:last], variance[first:last] = merged.radiance, merged.variance
                     bar.update(last - first)
                 total.join(run)

@@ -17,7 +17,7 @@ from rfpipe.rigs import Rig
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.devices import counted_by, difference
 from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run
-from rfpipe.stages.capturing.mutual import MutualWatch, mutual_watch
+from rfpipe.stages.capturing.mutual import MutualCapture, mutual_watch
 from rfpipe.stages.capturing.sensors import write_sensor
 from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
 from rfpipe.stages.capturing.warm_up import seconds_since_capture, warm_up
@@ -174,10 +174,10 @@ def _watches(
     level: int,
     drift_patterns: int,
     watching: Watching | None,
-) -> Iterator[list[LookWatch | MutualWatch]]:
+) -> Iterator[list[LookWatch | MutualCapture]]:
     """Provide all that watches a level."""
     with ExitStack() as stack:
-        watches: list[LookWatch | MutualWatch | None] = [
+        watches: list[LookWatch | MutualCapture | None] = [
             stack.enter_context(
                 drift_watch(of_level, folder, level, drift_patterns if level else 0)
             )

@@ -27,7 +27,7 @@ from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.symmetry import WORTH_A_WORD
+from rfpipe.stages.symmetry import NOTICED
 from rfpipe.store import StoreLock, restore_header
 from rfpipe.units import NumberFormat
 
@@ -165,7 +165,7 @@ def watching_of(plan: Plan, asymmetry: float, *, mode: str, looks: int | None) -
     tells = plan.method.needs_coaxial_rig
     return Watching(
         every_of(looks, tells=tells),
-        WORTH_A_WORD * asymmetry if tells else 0.0,
+        NOTICED * asymmetry if tells else 0.0,
         refuse=mode == "refuse",
     )
 

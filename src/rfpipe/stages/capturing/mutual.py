@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.photometry.reciprocity import Reciprocity, Residual
+from rfpipe.photometry.sensor import Merged
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.watch import merger_before
 from rfpipe.stages.folder import AcquisitionFolder, name_of
@@ -22,7 +23,7 @@ from rfpipe.stages.merging.raw import RawFrames
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import FrameStore
 
-__all__ = ["MUTUAL", "MutualWatch", "Tally", "mutual_watch"]
+__all__ = ["MUTUAL", "MutualCapture", "MutualWatch", "Tally", "mutual_watch"]
 
 MUTUAL = "reciprocity"
 """What was found, in a level's manifest."""
@@ -104,13 +105,43 @@ class Tally:
 
 @dataclass(frozen=True)
 class MutualWatch:
-    """Holds the pictures of a level against each other and those of the levels above."""
+    """Holds the merged pictures of a level against each other and those of the levels above.
+
+    Parameters
+    ----------
+    reciprocity : Reciprocity
+    patterns : callable
+        ``patterns(first, last)`` returns these patterns of the level.
+    tally : Tally
+    """
 
     reciprocity: Reciprocity
-    merger: Merger
-    patterns: Callable[[int, int], tuple[NDArray[np.float32], Any]]
+    patterns: Callable[[int, int], NDArray[np.float32]]
     tally: Tally
-    again: Callable[[], MutualWatch | None]
+
+    def judge(self, first: int, merged: Merged) -> None:
+        """Judge merged pictures, from pattern `first` on."""
+        patterns = self.patterns(first, first + len(merged.radiance))
+        for offset, pattern in enumerate(patterns):
+            image = merged.radiance[offset], merged.variance[offset]
+            self.tally.add(first + offset, self.reciprocity.judge(pattern, *image))
+
+
+@dataclass(frozen=True)
+class MutualCapture:
+    """Judges the brackets of a level as they are captured.
+
+    Parameters
+    ----------
+    watch : MutualWatch
+    merger : Merger
+    again : callable
+        Returns another one that has judged the level from its first pattern on.
+    """
+
+    watch: MutualWatch
+    merger: Merger
+    again: Callable[[], MutualCapture | None]
     name: str = field(default=MUTUAL, init=False)
 
     def due(self, first: int, last: int) -> Sequence[int]:  # noqa: ARG002
@@ -122,16 +153,12 @@ class MutualWatch:
 
     def after(self, first: int, brackets: NDArray[Any]) -> None:
         """Judge what was captured."""
-        patterns, _ = self.patterns(first, first + len(brackets))
-        for offset, pattern in enumerate(patterns):
-            merged = self.merger.merge(brackets[offset : offset + 1], first + offset)
-            found = self.reciprocity.judge(pattern, merged.radiance[0], merged.variance[0])
-            self.tally.add(first + offset, found)
+        self.watch.judge(first, self.merger.merge(brackets, first))
 
     def entry(self) -> dict[str, Any]:
         """Return what the level's manifest says: the same however the capture went."""
-        in_order = self if self.tally.is_in_order else self.again()
-        return (in_order or self).tally.facts()
+        in_order = self if self.watch.tally.is_in_order else self.again()
+        return (in_order or self).watch.tally.facts()
 
 
 def mutual_watch(
@@ -142,7 +169,7 @@ def mutual_watch(
     *,
     refuse: bool,
     silent: bool = False,
-) -> MutualWatch | None:
+) -> MutualCapture | None:
     """Return the watch of a level that believes in symmetry; None before level 0 is merged.
 
     Parameters
@@ -168,7 +195,8 @@ def mutual_watch(
     again = partial(
         mutual_watch, level_brackets, folder, level, worth_a_word, refuse=False, silent=True
     )
-    watch = MutualWatch(reciprocity, merger, level_brackets.patterns, tally, again)
+    schedule = read_schedule(folder, level)
+    watch = MutualCapture(MutualWatch(reciprocity, schedule.batch, tally), merger, again)
     if level_brackets.path.exists():
         if RawFrames(folder, level, "capture").dropped:
             return None
@@ -176,7 +204,7 @@ def mutual_watch(
     return watch
 
 
-def _judge_captured(watch: MutualWatch, store: Path) -> None:
+def _judge_captured(watch: MutualCapture, store: Path) -> None:
     """Judge what of a level is captured; what is damaged will be captured, and judged, again."""
     with FrameStore.open(store) as frames:
         for index in map(int, np.flatnonzero(frames.done)):
