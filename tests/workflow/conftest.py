@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import fcntl
+import logging
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -31,3 +33,14 @@ def undisturbed(shared: Path, kernels: None) -> Workflow:
 def copy(undisturbed: Workflow, tmp_path: Path) -> Workflow:
     """A complete run to disturb."""
     return undisturbed.copy_to(tmp_path / "copy")
+
+
+@pytest.fixture
+def closed_logs() -> Iterator[None]:
+    """Close the logs that stages leave open where they fail, as their job ends then."""
+    log = logging.getLogger("rfpipe")
+    before = list(log.handlers)
+    yield
+    for handler in set(log.handlers) - set(before):
+        log.removeHandler(handler)
+        handler.close()

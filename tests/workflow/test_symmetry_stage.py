@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,15 +31,7 @@ from rfpipe.store import FrameStore, read_manifest
 FRAMES = 6
 
 
-@pytest.fixture(autouse=True)
-def _logs_are_closed() -> Iterator[None]:
-    """A stage that fails leaves its log open: its job ends then."""
-    log = logging.getLogger("rfpipe")
-    before = list(log.handlers)
-    yield
-    for handler in set(log.handlers) - set(before):
-        log.removeHandler(handler)
-        handler.close()
+pytestmark = pytest.mark.usefixtures("closed_logs")
 
 
 def judge(acquisition: Acquisition, accepted: float = 0.05, **options: Any) -> dict[str, Any]:

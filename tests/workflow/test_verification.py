@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -68,15 +67,7 @@ def verified(folder: AcquisitionFolder, rig: Any, code: str = "code") -> dict[st
     return read_manifest(folder.path / verify.MANIFEST)
 
 
-@pytest.fixture(autouse=True)
-def closed_logs() -> Iterator[None]:
-    """Close the logs that a stage leaves open where it fails, as its job ends there."""
-    log = logging.getLogger("rfpipe")
-    before = list(log.handlers)
-    yield
-    for handler in set(log.handlers) - set(before):
-        log.removeHandler(handler)
-        handler.close()
+pytestmark = pytest.mark.usefixtures("closed_logs")
 
 
 class Stopping(OperatorRig):
