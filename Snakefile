@@ -3,8 +3,8 @@
 Each scene of the configuration is acquired with each method, level by level: the levels above
 decide on the patterns of a level (schedule), the rig shows them (capture), brackets become radiance
 (merge) that adds up to the floodlit image (normalize), and the method learns from it (refine). The
-transport is assembled from all levels, relit, compared with the truth, put on a page on which one
-paints with light (view), and reported.
+transport is assembled from all levels, verified by pictures that no method saw (verify), relit,
+compared with the truth, put on a page on which one paints with light (view), and reported.
 
 An acquisition is one job, since a level is little work beside a job's start, and how many levels
 have patterns to show turns out on the way. Each of its stages leaves a store and, written last, a
@@ -43,6 +43,7 @@ rule all:
     input:
         every_acquisition("transport.json"),
         "results/report/index.html",
+        ["results/verified"] if SETTINGS.verification.fail_above else [],
 
 
 onstart:

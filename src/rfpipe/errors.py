@@ -25,6 +25,7 @@ __all__ = [
     "StaleStoreError",
     "StoreError",
     "TransferError",
+    "VerificationError",
     "without_password",
 ]
 
@@ -59,6 +60,10 @@ class CaptureError(RfpipeError):
 
 class PicturesNeeded(CaptureError):  # noqa: N818 - no failure: somebody is to take them
     """A rig whose pictures are taken elsewhere waits for those of some patterns."""
+
+
+class VerificationError(RfpipeError):
+    """A transport is further from the pictures taken to verify it than was accepted."""
 
 
 class ClusterError(RfpipeError):

@@ -301,3 +301,14 @@ def test_a_simulated_rig_has_no_devices() -> None:
 
 def test_the_sensor_is_that_of_the_settings() -> None:
     assert sensor_of(settings()).exposures == (1 / 64, 1 / 8)
+
+
+def test_a_knock_moves_the_picture_from_then_on() -> None:
+    plain = settings(bench={"knock": [2, 0, 3]})  # after one bracket of two exposures
+    with rig_from_config(plain) as rig:  # type: ignore[attr-defined]
+        pattern = (np.random.default_rng(0).random((1, *RAYS)) < 0.5).astype(np.float32)
+        before, after, still = (
+            rig.capture(pattern, [(0, index)])[0, 1].astype(float) for index in range(3)
+        )
+    moved, noise = np.abs(after - before).mean(), np.abs(still - after).mean()
+    assert moved > 5 * noise

@@ -24,12 +24,14 @@ from tests.reports import (
 )
 
 from rfpipe.config import Config
+from rfpipe.config.verification import VerificationConfig
 from rfpipe.errors import InputError, StoreError
 from rfpipe.pictures.images import srgb
 from rfpipe.report import build_report
 from rfpipe.report.benchmarks import benchmarks_section
 from rfpipe.report.blocks import Section
 from rfpipe.report.drawing import chunks
+from rfpipe.report.entries import read_results
 from rfpipe.report.inputs import load_inputs
 from rfpipe.report.light_fields import view_errors
 from rfpipe.report.page import make_sections
@@ -41,6 +43,8 @@ from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1, numeral_of
 from rfpipe.scenes import RELIGHTING_PATTERNS
 from rfpipe.stages import relight
 from rfpipe.stages.evaluating import evaluate
+from rfpipe.stages.results import write_bundle
+from rfpipe.stages.unseen.comparing import compare
 from rfpipe.store import write_arrays, write_manifest
 from rfpipe.transport.dense import DenseTransport
 
@@ -103,6 +107,33 @@ def test_the_page_names_the_thesis_figures_and_its_numbers(page):
     assert "7,382" in page.words
     assert "310\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}350" in page.words
     assert "refused: the floodlit image is all black" in page.words
+
+
+def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
+    config = GREY.model_copy(update={"verification": VerificationConfig(pictures=3)})
+    acquired(tmp_path, config)
+    folder = tmp_path / "grey/brute_force"
+    image = np.ones((3, 5, 6, 1), np.float32)
+    names = ("natural", "stripes", "steep")
+    found = compare(names, image[..., 0], (image, 0.01 * image), 1.1 * image, np.ones(1))
+    rig = {
+        "drift": 0.004, "moved": 0.3, "reciprocity": None, "reciprocity_deviations": None,
+        "alarms": ["level 2: the rig or the scene moved"], "saturated": 7, "samples": 700,
+        "devices": {"camera failed": 2, "camera frames": 90, "camera reconnected": 1},
+    }  # fmt: skip
+    arrays = {"captured": found.captured, "relit": found.relit}
+    write_bundle(folder / "verification.json", "it", arrays, {**found.facts(), **rig})
+    path = tmp_path / "report/index.html"
+    build_report(config, tmp_path, path, *tables_of(tmp_path))
+    words = Page(path).words
+    assert "NOTICED DURING THE CAPTURE, level 2: the rig or the scene moved" in words
+    entry = read_results(path.with_name("results.json")).provenance.acquisitions[0].verification
+    assert entry is not None
+    assert entry.mean_error == pytest.approx(found.mean_error)
+    assert entry.devices["camera failed"] == 2
+    assert (path.parent / "figures/verified_grey_brute_force_steep.png").exists()
+    rows = (path.parent / "tables/verification_rig.csv").read_text()
+    assert "2,1" in rows.replace(".0", "")
 
 
 def test_the_title_is_text_and_not_markup(page):

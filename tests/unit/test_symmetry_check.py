@@ -92,7 +92,8 @@ def test_what_is_accepted_may_be_said(caplog) -> None:
         rfpipe.acquire(wrong, "symmetric", asymmetry=0.5, tolerance=1e-2, **FEW)
     assert "capture.asymmetry" in caplog.text
     caplog.clear()
-    rfpipe.acquire(wrong, "symmetric", symmetry_frames=0, tolerance=1e-2, **FEW)
+    off = {"symmetry_frames": 0, "watch": "off"}
+    rfpipe.acquire(wrong, "symmetric", tolerance=1e-2, **off, **FEW)
     rfpipe.acquire(wrong, "dual", tolerance=1e-2, **FEW)
     assert not caplog.text
     for frames in (1, 2):

@@ -32,6 +32,7 @@ def acquire(path: Path, method: str = "symmetric") -> AcquisitionFolder:
         normalization="per_channel",
         number_format="float32",
         asymmetry=0.05,
+        watch={"mode": "warn", "looks": 0},
         resources=Resources(),
     )
     return folder

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,15 +31,7 @@ from rfpipe.store import FrameStore, read_manifest
 FRAMES = 6
 
 
-@pytest.fixture(autouse=True)
-def _logs_are_closed() -> Iterator[None]:
-    """A stage that fails leaves its log open: its job ends then."""
-    log = logging.getLogger("rfpipe")
-    before = list(log.handlers)
-    yield
-    for handler in set(log.handlers) - set(before):
-        log.removeHandler(handler)
-        handler.close()
+pytestmark = pytest.mark.usefixtures("closed_logs")
 
 
 def judge(acquisition: Acquisition, accepted: float = 0.05, **options: Any) -> dict[str, Any]:
@@ -69,7 +59,8 @@ def acquired(plan: Plan, folder: AcquisitionFolder, rig: OperatorRig, frames: in
         code=dict.fromkeys([*STAGES, "symmetry", "assemble"], CODE),
         capture_options={"references": (2, 2), "symmetry_frames": frames, "keep_raw": True},
         merge_options={"saturation_fraction": 0.98, "mask_defects": True},
-        normalization="none", number_format="float32", asymmetry=0.05, resources=Resources(),
+        normalization="none", number_format="float32", asymmetry=0.05,
+        watch={"mode": "warn", "looks": 0}, resources=Resources(),
     )  # fmt: skip
 
 

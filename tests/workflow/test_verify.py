@@ -43,6 +43,7 @@ def acquire(path: Path, method: str = "symmetric") -> list[tuple[int, ...]]:
         capture_options={"references": (2, 2)},
         merge_options={"saturation_fraction": 0.98, "mask_defects": True},
         normalization="per_channel", number_format="float32", asymmetry=0.05,
+        watch={"mode": "warn", "looks": 0},
         resources=Resources(),
     )  # fmt: skip
     return rig.shown

@@ -26,3 +26,31 @@ rule acquire_hardware:
         stages=stages,
     script:
         "../scripts/acquire_hardware.py"
+
+
+rule verify_hardware:
+    """A scene's transport beside pictures that no method saw, taken by the same rig."""
+    input:
+        "results/{scene}/{method}/transport.json",
+    output:
+        "results/{scene}/{method}/verification.json",
+    log:
+        "results/{scene}/{method}/verification.log",
+    benchmark:
+        "results/{scene}/{method}/verification.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        rig=1,
+        mem_mib=MEMORY_MIB,
+        cluster=SETTINGS.resources.cluster or "",
+        # where the rig is, and how long to wait for it, shapes no result
+        rig_url=SETTINGS.capture.url,
+        rig_token_file=SETTINGS.capture.token_file or "",
+        rig_patience=str(SETTINGS.capture.patience_seconds),
+    params:
+        plan=plan,
+        stages=verification,
+    script:
+        "../scripts/verify_hardware.py"

@@ -23,3 +23,32 @@ rule acquire_simulated:
         },
     script:
         "../scripts/acquire_simulated.py"
+
+
+rule verify_simulated:
+    """A simulated scene's transport beside pictures that no method saw."""
+    input:
+        "results/{scene}/{method}/transport.json",
+    output:
+        "results/{scene}/{method}/verification.json",
+    log:
+        "results/{scene}/{method}/verification.log",
+    benchmark:
+        "results/{scene}/{method}/verification.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        mem_mib=MEMORY_MIB,
+        cluster=SETTINGS.resources.cluster or "",
+    params:
+        plan=plan,
+        stages=verification,
+        scene=scene_settings,
+        camera=SETTINGS.camera and plain(SETTINGS.camera),
+        rig={
+            "seed": SETTINGS.seed,
+            "seconds_per_pattern": SETTINGS.capture.seconds_per_pattern,
+        },
+    script:
+        "../scripts/verify_simulated.py"

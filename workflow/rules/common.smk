@@ -9,7 +9,7 @@ from rfpipe.stages.evaluating.studies import FIGURES
 from rfpipe.stages.evaluating.sweep import is_swept
 from rfpipe.stages.jobs.code import module_of, stage_code
 from rfpipe.stages.jobs.notify import notify
-from rfpipe.stages.jobs.settings import stages_of
+from rfpipe.stages.jobs.settings import stages_of, verification_of
 from rfpipe.stages.plan import plan_of
 from rfpipe.stages.verifying.again import write_run
 from rfpipe.store.files import digest_of
@@ -66,11 +66,23 @@ def stages(wildcards):
     return stages_of(SETTINGS, wildcards.scene, wildcards.method)
 
 
+def verification(wildcards):
+    """What the verification of an acquisition does, before any rig."""
+    return verification_of(SETTINGS, wildcards.scene, wildcards.method)
+
+
 def every_acquisition(name):
     """A file of each scene and method."""
     return [
         f"results/{scene}/{method}/{name}" for scene, method in SETTINGS.acquisitions
     ]
+
+
+def every_verification(wildcards):
+    """The verification of each scene and method, if there are to be any."""
+    return (
+        every_acquisition("verification.json") if SETTINGS.verification_pictures else []
+    )
 
 
 def every_view(wildcards):
@@ -103,7 +115,7 @@ def sweep_settings(wildcards):
     """The settings of one scene and method's sweep."""
     section = SETTINGS.methods_of(wildcards.scene)[wildcards.method]
     return {
-        **SHAPING,
+        **{name: part for name, part in SHAPING.items() if name != "verification"},
         "scenes": {wildcards.scene: scene_settings(wildcards)},
         "methods": {wildcards.method: plain(section)},
         "report": {"trials": SHAPING["report"]["trials"]},
@@ -153,7 +165,7 @@ def study_settings(wildcards):
             for name in (["figures"] if wildcards.study in FIGURES else ["resolutions"])
         },
     }
-    del settings["scenes"]
+    del settings["scenes"], settings["verification"]
     return settings
 
 

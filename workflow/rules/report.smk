@@ -63,6 +63,7 @@ rule report:
         errors="results/report/tables/errors.csv",
         speed_error="results/report/tables/speed_error.csv",
         views=every_view,
+        verified=every_verification,
         # what `make bench` left, if anything, when the workflow starts
         benchmarks=sorted(map(str, Path("results/bench").glob("*.csv"))),
     output:
@@ -82,3 +83,23 @@ rule report:
         template=fingerprint(PAGE_TEMPLATE.read_text(encoding="utf-8")),
     script:
         "../scripts/report.py"
+
+
+rule bound:
+    """Whether what was acquired is as near to the pictures that verify it as was asked for.
+
+    Last of all: a run that fails here has its report, and all that was acquired.
+    """
+    input:
+        verified=every_verification,
+        page="results/report/index.html",
+    output:
+        touch("results/verified"),
+    log:
+        "results/verified.log",
+    conda:
+        "../envs/rfpipe.yaml"
+    params:
+        bound=SETTINGS.verification.fail_above,
+    script:
+        "../scripts/bound.py"

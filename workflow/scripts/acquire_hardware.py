@@ -1,7 +1,6 @@
-from functools import partial
 from pathlib import Path
 
-from rfpipe.stages import hardware, levels
+from rfpipe.stages import captures, levels
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
@@ -9,19 +8,12 @@ from rfpipe.stages.plan import Plan
 
 params = snakemake.params
 start(snakemake.log[0])
-resources = Resources.of_job(snakemake)
 plan = Plan(**params.plan)
 levels.run(
     plan,
     AcquisitionFolder(Path(snakemake.output[0]).parent, believing=True),
     snakemake.wildcards.scene,
-    partial(
-        hardware.run,
-        plan,
-        url=snakemake.resources.rig_url,
-        token_file=snakemake.resources.rig_token_file or None,
-        patience_seconds=float(snakemake.resources.rig_patience),
-    ),
+    captures.by_server(plan, snakemake.resources),
     **params.stages,
-    resources=resources,
+    resources=Resources.of_job(snakemake),
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, NonNegativeFloat, SerializeAsAny, model_validator
 
@@ -14,6 +14,11 @@ from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
 from rfpipe.config.scenes import SceneSettings
 
 __all__ = ["BenchConfig", "RigConfig"]
+
+
+Pixels = Annotated[int, Field(ge=-4096, le=4096)]
+Knock = tuple[Annotated[int, Field(ge=0)], Pixels, Pixels]
+"""Exposures before it, and pixels down and to the right."""
 
 
 class BenchConfig(Settings):
@@ -68,6 +73,12 @@ class BenchConfig(Settings):
     )
     ambient: NonNegativeFloat = Field(
         0.0, description="Radiance of other light in every camera pixel, at least 0."
+    )
+    knock: Knock | None = Field(
+        None,
+        description="A knock against the projector, to rehearse what notices it: exposures before "
+        "it, and its pixels that the picture then lies down and to the right, such as [200, 0, 4]; "
+        "null: none.",
     )
 
     @model_validator(mode="after")

@@ -26,6 +26,7 @@ from rfpipe.config.figures import FiguresConfig
 from rfpipe.config.offline import OfflineConfig
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
+from rfpipe.config.verification import VerificationConfig
 from rfpipe.units import SATURATION_FRACTION
 
 __all__ = [
@@ -44,6 +45,9 @@ NumberFormat = Literal["float32", "uint16", "uint8"]
 
 Batch = Annotated[int, Field(ge=1, le=1024)]
 SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+
+# That verify what a real rig acquires.
+_VERIFICATION_PICTURES = 8
 
 # Those of the default run, in the order of its report.
 _DEFAULT_METHODS = ("near_far", "symmetric", "dual")
@@ -101,6 +105,19 @@ class CaptureConfig(Settings):
         description="Error in relit pictures, as a fraction of their norm between 0 and 1, that "
         "taking the rig for a coaxial one may make; above it, the acquisition ends.",
     )
+    watch: Literal["off", "warn", "refuse"] = Field(
+        "warn",
+        description="What to do when pictures tell that the rig moved, or that a coaxial one isn't "
+        "aligned: warn, refuse (end the capture), or off (not looked at).",
+    )
+    look_patterns: int | None = Field(
+        None,
+        ge=0,
+        le=1000,
+        description="Patterns from one look at the rig to the next, to see whether it moved, 0 "
+        "(none) to 1000; null: 8 by a real rig, and none by a simulated one or where the patterns "
+        "of a method for coaxial rigs tell without.",
+    )
     batch_patterns: Batch = Field(
         16, description="Patterns captured and stored at a time, 1 to 1024."
     )
@@ -146,6 +163,12 @@ class CaptureConfig(Settings):
     def rule(self) -> Literal["simulated", "hardware", "offline"]:
         """Which of the workflow's rules of capture."""
         return "hardware" if self.rig == "remote" else self.rig
+
+    @property
+    def looks(self) -> int | None:
+        """Patterns from one look at the rig to the next; None where that follows the method."""
+        is_real = self.rig == "remote"
+        return 0 if self.look_patterns is None and not is_real else self.look_patterns
 
     @property
     def drift_patterns(self) -> int:
@@ -290,6 +313,7 @@ class Config(Settings):
         "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
         "to each image's energy, for the colours that a mosaic loses).",
     )
+    verification: VerificationConfig = group_of(VerificationConfig)
     offline: OfflineConfig = group_of(OfflineConfig)
     rig_file: Text | None = Field(
         None,
@@ -309,6 +333,12 @@ class Config(Settings):
     def methods_of(self, scene: str) -> dict[str, MethodSettings]:
         """Methods to acquire a scene with, and their options: its own, or those of the run."""
         return methods_of_scene(self.methods, self.scenes[scene].methods)
+
+    @property
+    def verification_pictures(self) -> int:
+        """Pictures that verify each acquisition, 0 for none."""
+        asked = self.verification.pictures
+        return _VERIFICATION_PICTURES * (self.capture.rig == "remote") if asked is None else asked
 
     def shaping(self) -> dict[str, Any]:
         """Return all settings as plain data but those that shape no result."""
@@ -392,6 +422,15 @@ class Config(Settings):
         return self
 
     @model_validator(mode="after")
+    def _verification_has_pictures(self) -> Self:
+        if self.verification.fail_above is not None and not self.verification_pictures:
+            raise ValueError(
+                "verification.pictures should be 1 to 10 with verification.fail_above; this run "
+                "takes none"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _pictures_can_be_taken_elsewhere(self) -> Self:
         if self.capture.rig != "offline":
             return self
@@ -399,6 +438,16 @@ class Config(Settings):
             raise ValueError(
                 "capture.drift_minutes should be null with capture.rig offline, whose pictures say "
                 "nothing of their time"
+            )
+        if self.capture.look_patterns:
+            raise ValueError(
+                "capture.look_patterns should be 0 or null with capture.rig offline, whose "
+                "pictures are taken level by level by hand"
+            )
+        if self.verification.pictures:
+            raise ValueError(
+                "verification.pictures should be 0 or null with capture.rig offline, whose "
+                "pictures are taken level by level by hand"
             )
         if self.offline.camera_corners is not None and self.camera is None:
             raise ValueError(

@@ -117,11 +117,11 @@ def times_section(inputs: Inputs) -> Section:
             "first level includes loading its code, some tenths of a second that dominate at this "
             "size; acquisitions may run side by side."
         )
-        figure = charts.times_figure(inputs.times)
+        figure = charts.times_figure(inputs.times, inputs.capture_named)
         blocks.append(Illustration("Time by stage", caption, "processing_time", figure))
     about = (
-        "Processing (everything but the simulated capture) of each run, and for each HDR image: "
-        "of the stages on files, and of the same acquisition in memory, as measured in the "
+        f"Processing (everything but the {inputs.capture_named}) of each run, and for each HDR "
+        "image: of the stages on files, and of the same acquisition in memory, as measured in the "
         "sweep of tolerances."
     )
     blocks.append(Tabulation("Processing time", about, tables.processing_table(inputs)))

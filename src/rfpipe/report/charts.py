@@ -174,13 +174,15 @@ def _draw_errors(axis: Axes, table: pd.DataFrame, name: str) -> None:
         draw_method(axis, shown, mean, str(method))
 
 
-def times_figure(times: pd.DataFrame) -> Figure:
+def times_figure(times: pd.DataFrame, capture_named: str) -> Figure:
     """Draw the seconds of each acquisition, stacked by stage.
 
     Parameters
     ----------
     times : DataFrame
         As `Inputs.times`, not empty.
+    capture_named : str
+        What captures are called.
     """
     totals: Any = times.pivot_table(
         index=["scene", "method"], columns="stage", values="seconds", aggfunc="sum", sort=False
@@ -193,7 +195,7 @@ def times_figure(times: pd.DataFrame) -> Figure:
         if stage in totals:
             seconds = totals[stage].to_numpy()
             hatch = "////" if stage == "capture" else None
-            name = "capture (simulated)" if stage == "capture" else stage
+            name = capture_named if stage == "capture" else stage
             axis.barh(y, seconds, 0.7, left=left, color=colour, label=name, hatch=hatch,
                       edgecolor="white", linewidth=0.4)  # fmt: skip
             left += seconds

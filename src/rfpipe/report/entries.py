@@ -28,6 +28,8 @@ __all__ = [
     "TableEntry",
     "ThesisClaim",
     "Value",
+    "VerificationEntry",
+    "VerifiedPicture",
     "read_results",
     "results_schema",
     "write_results",
@@ -148,6 +150,46 @@ class SectionEntry(_Entry):
     content: list[Annotated[FigureEntry | TableEntry, Field(discriminator="kind")]]
 
 
+class VerifiedPicture(_Entry):
+    """A picture that no method saw, captured and relit; all relative to its norm."""
+
+    name: str
+    difference: Value = Field(description="Between both pictures, with noise.")
+    noise: Value = Field(description="Noise floor: what of it the captured picture's noise makes.")
+    error: Value = Field(description="The difference without the noise's share.")
+    standard_error: Value
+
+
+class VerificationEntry(_Entry):
+    """What a transport is wrong by, and what else tells of the rig during the capture."""
+
+    digest: str = Field(description="Digest of the pictures.")
+    pictures: list[VerifiedPicture]
+    mean_error: Value
+    worst_error: Value
+    worst_picture: str
+    noise: Value = Field(description="Mean noise floor.")
+    accepted: float | None = Field(description="Mean error above which the run fails.")
+    gain: list[float] = Field(
+        description="The lamp's light at the verification, relative to the acquisition's "
+        "beginning, by channel: divided out of the captured pictures."
+    )
+    drift: float | None = Field(description="Largest change of the lamp's light; null: no look.")
+    moved: float | None = Field(
+        description="Largest change of the repeated pattern, relative; null: no look."
+    )
+    reciprocity: float | None = Field(
+        description="Error that asymmetry makes in a picture, at least; null: not watched."
+    )
+    reciprocity_deviations: float | None = Field(
+        description="Largest residual of reciprocity, in standard deviations; about 1 is right."
+    )
+    alarms: list[str] = Field(description="Where the rig moved, or wasn't aligned.")
+    saturated: int = Field(description="Samples saturated at every exposure.")
+    samples: int
+    devices: dict[str, int] = Field(description="What the devices counted, by device and what.")
+
+
 class AcquisitionEntry(_Entry):
     """A scene acquired with a method: what it was made from, and what it cost."""
 
@@ -164,6 +206,10 @@ class AcquisitionEntry(_Entry):
     capture_s: float = Field(description="Capture at the stated seconds a pattern.")
     capture_jobs_s: Value = Field(description="Wall seconds of the capture as it ran here.")
     processing_s: Value = Field(description="Wall seconds of all other stages.")
+    verification: VerificationEntry | None = Field(
+        description="What its transport is wrong by on pictures that no method saw; null: none "
+        "were taken."
+    )
 
 
 class Provenance(_Entry):

@@ -31,7 +31,12 @@ def glance_section(inputs: Inputs) -> Section:
             "dark, which show indirect light."
         )
     else:
-        about = "The truth of a real scene is not known, and so no error."
+        about = "The truth of a real scene is not known."
+        if any(run.verified for run in inputs.runs):
+            about += (
+                " Error: of pictures that no method saw, captured and relit, without their noise; "
+                "their mean, and the largest."
+            )
     per_pattern = inputs.config.capture.seconds_per_pattern
     caption = (
         f"Patterns shown; minutes of capture, at {per_pattern:g} s a pattern, and processing"

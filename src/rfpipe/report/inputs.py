@@ -17,6 +17,7 @@ from rfpipe.report.blocks import Column
 from rfpipe.report.light import Light
 from rfpipe.report.thesis import numeral_of
 from rfpipe.stages.relight import right_half
+from rfpipe.stages.unseen.verify import MANIFEST as VERIFIED
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 
 if TYPE_CHECKING:
@@ -65,6 +66,10 @@ class Run:
         ``relight.zarr``, see `relit_arrays` and `relit_of_captured` in `rfpipe.stages.relight`.
     acquired : dict
         The manifest ``transport.json``; empty where there is none.
+    verified : dict
+        The manifest ``verification.json``; empty where there is none.
+    verified_images : ArrayBundle or None
+        ``verification.zarr``, see `rfpipe.stages.unseen.comparing.Verification`.
     """
 
     scene: str
@@ -73,6 +78,13 @@ class Run:
     facts: dict[str, Any]
     images: ArrayBundle
     acquired: dict[str, Any] = field(default_factory=dict)
+    verified: dict[str, Any] = field(default_factory=dict)
+    verified_images: ArrayBundle | None = None
+
+    @property
+    def verification_source(self) -> str:
+        """The manifest of what it was verified with, from the results folder."""
+        return f"{self.scene}/{self.method}/{VERIFIED}"
 
     @property
     def source(self) -> str:
@@ -234,6 +246,11 @@ class Inputs:
         return all(run.has_truth for run in self.runs)
 
     @property
+    def capture_named(self) -> str:
+        """What its captures are called."""
+        return "simulated capture" if self.config.capture.rig == "simulated" else "capture"
+
+    @property
     def methods(self) -> list[str]:
         """The methods of the runs."""
         return list(dict.fromkeys(run.method for run in self.runs))
@@ -305,7 +322,8 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         transport = folder / "transport.json"
         acquired = read_manifest(transport) if transport.exists() else {}
         facts = read_manifest(manifest)
-        runs.append(Run(scene, method, config.scenes[scene], facts, images, acquired))
+        verified = _verified(folder / VERIFIED) if config.verification_pictures else ({}, None)
+        runs.append(Run(scene, method, config.scenes[scene], facts, images, acquired, *verified))
         times += [{"scene": scene, "method": method, **row} for row in _job_times(folder)]
     studies = {
         path.stem: Study(
@@ -325,6 +343,13 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         results,
         (errors, speed_error),
     )
+
+
+def _verified(manifest: Path) -> tuple[dict[str, Any], ArrayBundle | None]:
+    """Read what a verification found, if there was one."""
+    if not manifest.exists():
+        return {}, None
+    return read_manifest(manifest), open_arrays(manifest.with_suffix(".zarr"))
 
 
 def _benchmarks(folder: Path) -> dict[str, pd.DataFrame]:

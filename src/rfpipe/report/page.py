@@ -21,6 +21,7 @@ from rfpipe.report import (
     single_responses,
     speed_error,
     verdicts,
+    verification,
 )
 from rfpipe.report.blocks import Section
 from rfpipe.report.entries import RESULTS_NAME, Results, SectionEntry, write_results
@@ -132,9 +133,12 @@ def make_sections(inputs: Inputs) -> list[Section]:
     else:
         pictures = [sections.captured_section(inputs)]
     of_thesis = figures.figures_sections(inputs)  # with Tables 3.1 and 5.1 of their own
-    costs = [] if of_thesis else [sections.cost_section(inputs)]
+    # the thesis' scenes are no yardstick for a captured one
+    is_simulated = inputs.config.capture.rig == "simulated"
+    costs = [sections.cost_section(inputs)] if is_simulated and not of_thesis else []
     candidates = [
         glance.glance_section(inputs),
+        verification.verification_section(inputs),
         *of_thesis,
         sections.speed_section(inputs),
         *pictures,

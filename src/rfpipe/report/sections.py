@@ -235,15 +235,17 @@ def leaves_section(inputs: Inputs) -> Section | None:
         "camera pixel, and a leaf a response that is stored at this level. The last level's "
         "leaves are scalars."
     )
+    thesis, name = ("Fig. 5.10", "Fig. 5.10") if inputs.has_truth else ("", "Leaves")
     if any(numeral_of(scene) == "I" for scene in inputs.config.scenes.values()):
         caption += " As in the thesis, scene I is the sparse one: most of its nodes are empty."
     about = "Patterns and nodes of each level, added over the scenes of a method."
     blocks: list[Block] = [Tabulation("Levels", about, tables.levels_table(inputs))]
     if rows:
         figure = charts.leaves_figure(rows)
-        blocks.insert(0, Illustration("Fig. 5.10", caption, "fig_5_10", figure, "Fig. 5.10"))
+        blocks.insert(0, Illustration(name, caption, "fig_5_10", figure, thesis))
     sources = [run.source for run in runs]
-    return Section("leaves", "Leaves at each level (Fig. 5.10)", blocks, sources=sources)
+    title = "Leaves at each level (Fig. 5.10)" if inputs.has_truth else "Leaves at each level"
+    return Section("leaves", title, blocks, sources=sources)
 
 
 def speed_section(inputs: Inputs) -> Section | None:

@@ -42,7 +42,8 @@ def costs(inputs: Inputs) -> list[dict[str, Any]]:
         ``capture_s`` at the rig's stated seconds a pattern, ``processing_s``: wall seconds of
         the run's processing jobs, or of the same acquisition within the sweep where there are
         no benchmark files; NaN without either. ``capture_jobs_s``: wall seconds of the capture
-        as it ran. ``minutes`` of both; of the capture alone where
+        as it ran. ``verified_error``, ``verified_worst_error``: of pictures that no method saw,
+        None where none were taken. ``minutes`` of both; of the capture alone where
         that is all that is known.
     """
     return [_cost(inputs, run) for run in inputs.runs]
@@ -69,6 +70,8 @@ def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
         "dense_terabytes": run.rays * camera_rays * channels * _FLOAT_BYTES / 1e12,
         "capture_s": capture,
         "capture_jobs_s": simulated,
+        "verified_error": run.verified.get("mean_error"),
+        "verified_worst_error": run.verified.get("worst_error"),
         "processing_s": processing,
         "minutes": (capture + (0.0 if math.isnan(processing) else processing)) / 60,
     }
@@ -128,6 +131,12 @@ def results_table(inputs: Inputs, found: pd.DataFrame) -> Table:
     groups = [("", 2), ("cost", 3), ("error of relit pictures, %", 3)]
     if not inputs.has_truth:
         columns, groups = columns[:3], []
+        if any(run.verified for run in inputs.runs):
+            groups = [("", 2), ("cost", 3), ("error of pictures that no method saw, %", 2)]
+            columns += [
+                ("mean", "verified_error", percent),
+                ("largest", "verified_worst_error", percent),
+            ]
     return table_of(found, inputs.labels, columns, groups, csv="results.csv")
 
 
@@ -299,7 +308,7 @@ def processing_table(inputs: Inputs) -> Table:
         inputs.labels,
         [
             ("HDR images", "patterns", number),
-            ("simulated capture, s", "capture_jobs_s", fixed(1)),
+            (f"{inputs.capture_named}, s", "capture_jobs_s", fixed(1)),
             ("processing, s", "processing_jobs_s", fixed(1)),
             ("ms an image", "processing_jobs_s_per_image", fixed(1, 1000)),
             ("processing, s", "processing_in_process_s", fixed(2)),

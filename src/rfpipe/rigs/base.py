@@ -17,8 +17,10 @@ __all__ = [
     "BLACK_LEVEL_KEY",
     "DRIFT_KEY",
     "FLOODLIT_KEY",
+    "LOOK_KEY",
     "SEQUENCE_KEY",
     "SYMMETRY_KEY",
+    "VERIFICATION_KEY",
     "WARM_UP_KEY",
     "PatternOperator",
     "Rig",
@@ -43,7 +45,12 @@ WARM_UP_KEY = 1_000_003
 SYMMETRY_KEY = 1_000_004
 """The same of the random patterns that tell whether a rig is coaxial: (this, i)."""
 
-SEQUENCE_KEY = 1_000_005
+VERIFICATION_KEY = 1_000_005
+"""The same of pictures that no method saw, taken to verify a transport: (this, i)."""
+
+LOOK_KEY = 1_000_006
+"""The same of the random pattern that tells, repeated, whether the rig moved: (this, level, i)."""
+SEQUENCE_KEY = 1_000_007
 """The same of what a sequence shows beside its patterns: (this, ...)."""
 
 

@@ -82,6 +82,9 @@ class Scenery:
         From a picture's drawing to its light.
     drawn : sequence of (float, ndarray)
         Times, of `time.monotonic`, and codes of the last pictures drawn.
+    knock : (int, int, int), optional
+        Exposures before a knock against the projector, and the pixels down and to the right that
+        its picture lies from then on.
     """
 
     display: VirtualDisplay
@@ -92,6 +95,7 @@ class Scenery:
     seed: int = 0
     delay_seconds: float = 0.0
     drawn: Sequence[tuple[float, NDArray[np.uint8]]] = ()
+    knock: tuple[int, int, int] | None = None
 
     def codes(self) -> NDArray[np.uint8]:
         """Return what the projector lights now, (H, W): what its window shows, or showed."""
@@ -106,6 +110,15 @@ class Scenery:
         """Return what the window shows now, (H, W)."""
         (top, left), (height, width) = self.offset, self.path.projector_shape
         return self.display.pixels[top : top + height, left : left + width, 1].copy()
+
+    def knocked(self, codes: NDArray[np.uint8], number: int) -> NDArray[np.uint8]:
+        """Return codes as they are lit at an exposure: moved, from the knock on."""
+        if self.knock is None or number <= self.knock[0]:
+            return codes
+        moved = np.zeros_like(codes)
+        (rows, more_rows), (columns, more_columns) = map(_shifted, self.knock[1:])
+        moved[rows, columns] = codes[more_rows, more_columns]
+        return moved
 
     def radiance(self, codes: NDArray[np.uint8]) -> Float:
         """Return what the camera sees of a picture, (Hc, Wc, C)."""
@@ -126,6 +139,7 @@ class Scenery:
             "camera": numbers,
             "light_of_code": fingerprint(self.light_of_code),
             "seed": self.seed,
+            **({} if self.knock is None else {"knock": list(self.knock)}),
         }
 
 
@@ -144,7 +158,7 @@ class View:
 
     def frame(self, exposure: float) -> NDArray[np.uint16]:
         """Return the next frame, as `Scenery.frame`, of what the window shows now."""
-        codes = self.scenery.codes()
+        codes = self.scenery.knocked(self.scenery.codes(), self._number + 1)
         if self._seen is None or not np.array_equal(codes, self._seen[0]):
             self._seen = codes, self.scenery.radiance(codes)
         self._number += 1
@@ -327,6 +341,7 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
             config.seed,
             bench.display_delay_seconds,
             projector.drawn,
+            bench.knock,
         )
         projector.scenery = scenery
         camera_of = plugins.find(plugins.CAMERAS, config.camera.bench or "")
@@ -337,6 +352,13 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
     except BaseException:
         projector.close()
         raise
+
+
+def _shifted(pixels: int) -> tuple[slice, slice]:
+    """Return where moved pixels come to lie along an axis, and where they lay."""
+    if pixels > 0:
+        return slice(pixels, None), slice(None, -pixels)
+    return slice(None, pixels or None), slice(-pixels, None)
 
 
 def _display(shape: tuple[int, int]) -> AbstractContextManager[VirtualDisplay]:

@@ -104,6 +104,14 @@ class RemoteRig(Closing):
         description: dict[str, Any] = self._described["description"]
         return description
 
+    @property
+    def statistics(self) -> dict[str, dict[str, int]]:
+        """What the devices behind the server counted since its start."""
+        found: dict[str, dict[str, int]] = (
+            self._connection.send("GET", "/v1/status").json().get("devices", {})
+        )
+        return found
+
     def close(self) -> None:
         """Give the rig back to other clients; closing twice is no error."""
         if self._heart is not None:

@@ -169,6 +169,7 @@ async def status(served: Served) -> StatusAnswer:
     return StatusAnswer(
         up_seconds=time.monotonic() - served.began,
         holder=lease and lease.client,
+        devices=getattr(served.worker.rig, "statistics", None) or {},
         **served.worker.metrics.model_dump(),
     )
 

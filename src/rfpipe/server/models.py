@@ -42,6 +42,10 @@ class StatusAnswer(Metrics):
 
     up_seconds: float
     holder: str | None = Field(description="What the client that holds the rig calls itself.")
+    devices: dict[str, dict[str, int]] = Field(
+        default_factory=dict,
+        description="What the rig's devices counted, such as failed frames, of those that count.",
+    )
 
 
 class Limits(BaseModel):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,13 @@ from rfpipe.methods import Method, get_method, options_of
 from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
-from rfpipe.rigs import Rig
+from rfpipe.photometry.reciprocity import Reciprocity
+from rfpipe.rigs import DRIFT_KEY, Rig
 from rfpipe.rigs.sequences import capture_batch, sequence_patterns
+from rfpipe.stages.capturing.drift import look
+from rfpipe.stages.capturing.mutual import MutualWatch, Tally
 from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
+from rfpipe.stages.folder import name_of
 from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.stages.merging.images import (
     ImagesInMemory,
@@ -28,7 +32,10 @@ from rfpipe.stages.merging.images import (
     normalize_level,
 )
 from rfpipe.stages.merging.merger import LevelSum, Merger, runs
-from rfpipe.stages.symmetry import Asymmetry, measure
+from rfpipe.stages.symmetry import NOTICED, Asymmetry, measure
+from rfpipe.stages.unseen.comparing import Verification, compare
+from rfpipe.stages.unseen.patterns import NAMES
+from rfpipe.stages.unseen.verify import schedule_of
 from rfpipe.transport import Transport
 from rfpipe.transport.filling import fill_from_transpose
 from rfpipe.units import SATURATION_FRACTION
@@ -56,6 +63,13 @@ class AcquisitionResult:
         Samples that were saturated in every exposure; 0 in a well exposed acquisition.
     masked : ndarray of bool, shape (*camera_shape)
         Camera rays that were left out, since they are dead or hot.
+    verification : Verification or None
+        What the transport is wrong by on pictures that the method didn't see, if any were taken;
+        ``verification.table`` has a row a picture.
+    reciprocity : tuple of dict
+        For each level of a method that takes the rig for a coaxial one: pictures ``judged``,
+        largest residual in standard ``deviations`` (about 1 on a right rig), ``error`` in relit
+        pictures that it means at least, and the ``first`` picture that was wrong, None for none.
     """
 
     transport: Transport
@@ -64,6 +78,8 @@ class AcquisitionResult:
     processing_seconds: float
     saturated: int
     masked: NDArray[np.bool_]
+    verification: Verification | None = None
+    reciprocity: tuple[dict[str, Any], ...] = ()
 
     @property
     def levels(self) -> pd.DataFrame:
@@ -93,6 +109,8 @@ def acquire(
     asymmetry: float = 0.05,
     mask_defects: bool = True,
     saturation_fraction: float = SATURATION_FRACTION,
+    verification: int = 0,
+    watch: Literal["off", "warn", "refuse"] = "warn",
     **options: Any,
 ) -> AcquisitionResult:
     """Acquire the transport between a rig's projector and camera.
@@ -124,6 +142,12 @@ def acquire(
         light fills them in at the end; otherwise their rows of T are zero.
     saturation_fraction : float
         Counts from this fraction of full scale on are not used.
+    verification : int
+        Pictures that the method doesn't see, taken afterwards to compare the transport with, up to
+        10; 0 for none.
+    watch : {"off", "warn", "refuse"}
+        What to do when the pictures of a method that takes the rig for a coaxial one tell that it
+        isn't, or not any more.
     **options
         The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
         a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
@@ -151,6 +175,8 @@ def acquire(
         )
     if symmetry_frames < 0 or symmetry_frames in (1, 2):
         raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 3 or more, are needed")
+    if not 0 <= verification <= len(NAMES):
+        raise InputError(f"verification is {verification}; 0 to {len(NAMES)} pictures can be taken")
     began = perf_counter()
     camera, projector = RayDomain(rig.camera_shape), RayDomain(rig.projector_shape)
     asks_symmetry = chosen.asks_symmetry(camera, projector) and symmetry_frames > 0
@@ -168,6 +194,8 @@ def acquire(
         chosen = chosen.on_rig(coaxial=False)
     chosen = chosen.with_options(asked)
     state = chosen.start(camera, projector, rig.channels, asked)
+    if chosen.needs_coaxial_rig and watch != "off":
+        session.watch(NOTICED * asymmetry, refuse=watch == "refuse")
     shown = saturated = 0
     for _ in range(chosen.n_levels(camera, projector)):
         schedule = chosen.schedule(state)
@@ -187,10 +215,12 @@ def acquire(
             log_estimate(state.rows, asked)
     masked = masked_rays(session.merger.floodlit_variance)
     transport = fill_from_transpose(chosen.transport(state), masked)
+    verified = session.verify(transport, verification) if verification else None
     processing = perf_counter() - began - session.capture_seconds
     return AcquisitionResult(
-        transport, shown, session.capture_seconds, processing, saturated, masked
-    )
+        transport, shown, session.capture_seconds, processing, saturated, masked, verified,
+        tuple(tally.facts() for tally in session.tallies),
+    )  # fmt: skip
 
 
 class _Session:
@@ -203,6 +233,8 @@ class _Session:
         self.progress = progress
         self.capture_seconds = 0.0
         self._batch = sequence_patterns(rig) or _BATCH
+        self.tallies: list[Tally] = []
+        self._mutual: Callable[[Schedule], MutualWatch] | None = None
         off, on = references
         self.merger = Merger.from_references(
             rig.sensor, self._reference(off, 0, off), self._reference(off, off, off + on), **merging
@@ -216,6 +248,38 @@ class _Session:
 
         return measure(self.merger, self._shown(patterns, 0, count), count)
 
+    def watch(self, worth_a_word: float, *, refuse: bool) -> None:
+        """From now on hold each picture against those before it, as a coaxial rig's."""
+        if not self.merger.floodlit.any():
+            return
+        reciprocity = Reciprocity(self.merger.floodlit, self.merger.floodlit_variance)
+
+        def of_level(schedule: Schedule) -> MutualWatch:
+            tally = Tally(name_of(schedule.level), worth_a_word, refuse)
+            self.tallies.append(tally)
+            return MutualWatch(reciprocity, schedule.batch, tally)
+
+        self._mutual = of_level
+
+    def verify(self, transport: Transport, count: int) -> Verification:
+        """Take pictures that no method saw, between two looks at the lamp, and compare them."""
+        names, schedule = schedule_of(transport, count)
+        self._mutual = None
+
+        def lamp(index: int) -> NDArray[np.float64]:
+            white = np.ones((1, *self.rig.projector_shape), np.float32)
+            bracket = self._show(white, [(DRIFT_KEY, schedule.level, index)])
+            return look(self.merger, bracket, index)[0]
+
+        before = lamp(0)
+        images, _ = self.capture(schedule)
+        gain = np.mean([before, lamp(1)], axis=0)
+        scale = np.where(gain > 0, gain, 1).astype(np.float32)
+        captured = images.radiance / scale, images.variance / scale**2
+        assert schedule.weights is not None
+        relit = transport.relight_batch(schedule.weights)
+        return compare(names, schedule.weights, captured, relit, gain)
+
     def capture(self, schedule: Schedule) -> tuple[ImagesInMemory, LevelSum]:
         """Capture and merge the patterns of a level; also return their sum."""
         from tqdm import tqdm
@@ -224,9 +288,11 @@ class _Session:
         shape = (schedule.count, *image_shape)
         radiance, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         total = LevelSum.zero(image_shape)
+        is_judged = self._mutual and schedule.count and schedule.level
+        mutual = self._mutual(schedule) if self._mutual and is_judged else None
         with tqdm(
             total=schedule.count,
-            desc=f"level {schedule.level}",
+            desc=name_of(schedule.level),
             unit="pattern",
             disable=not self.progress,
         ) as bar:
@@ -238,6 +304,8 @@ class _Session:
                     frames = self._show(schedule.batch(first, last), keys)
                     merged = self.merger.merge(frames, first)
                     run.add(merged)
+                    if mutual:
+                        mutual.judge(first, merged)
                     radiance[first:last], variance[first:last] = merged.radiance, merged.variance
                     bar.update(last - first)
                 total.join(run)

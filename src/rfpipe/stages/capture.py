@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from math import prod
 from typing import Any, Literal
 
@@ -13,24 +16,51 @@ from rfpipe.photometry import ExactSensor
 from rfpipe.rigs import Rig
 from rfpipe.rigs.sequences import sequence_patterns
 from rfpipe.stages.capturing.brackets import Brackets
+from rfpipe.stages.capturing.devices import counted_by, difference
 from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run
-from rfpipe.stages.capturing.drift import DRIFT
+from rfpipe.stages.capturing.mutual import MutualCapture, mutual_watch
 from rfpipe.stages.capturing.sensors import write_sensor
 from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
 from rfpipe.stages.capturing.warm_up import seconds_since_capture, warm_up
-from rfpipe.stages.capturing.watch import watch_of
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder
+from rfpipe.stages.capturing.watch import LookWatch, Watches, drift_watch, move_watch
+from rfpipe.stages.folder import (
+    REFERENCE,
+    SYMMETRY,
+    VERIFICATION,
+    AcquisitionFolder,
+    name_of,
+)
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.results import standing_manifest
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import bytes_on_disk, write_manifest
 from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
 
-__all__ = ["brackets_of", "frame_settings", "run"]
+__all__ = ["Watching", "brackets_of", "frame_settings", "run"]
 
 _TIME = "seconds_per_pattern"
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Watching:
+    """What is looked after while patterns are shown.
+
+    Parameters
+    ----------
+    look_patterns : int
+        Patterns from one look at the rig to the next, 0 for none: whether it moved.
+    mutual_error : float
+        Error in a picture of a rig taken for a coaxial one from which on it is said; 0: not
+        watched.
+    refuse : bool
+        Whether to end the capture where either is wrong.
+    """
+
+    look_patterns: int = 0
+    mutual_error: float = 0.0
+    refuse: bool = False
 
 
 def run(
@@ -46,6 +76,7 @@ def run(
     keep_raw: bool = True,
     warm_up_minutes: float = 0.0,
     drift_patterns: int = 0,
+    watching: Watching | None = None,
     resources: Resources | None = None,
 ) -> None:
     """Capture what isn't captured yet of a level, and write its manifest.
@@ -73,6 +104,8 @@ def run(
         For how long the lamp warms up when no bracket was taken for as long.
     drift_patterns : int
         Patterns from one look at the floodlit image to the next, from level 1 on; 0 for none.
+    watching : Watching, optional
+        What else is looked after while patterns are shown.
     resources : Resources, optional
         Memory for the patterns in hand. What the rig itself takes comes on top.
 
@@ -83,7 +116,8 @@ def run(
     StoreError
         When the level doesn't fit on the disk; nothing is shown then.
     CaptureError
-        When the rig fails or returns what is no bracket; what is captured stays.
+        When the rig fails or returns what is no bracket, or moved and that is to end the capture;
+        what is captured stays.
     LockedError
         When another process captures into this folder.
     """
@@ -111,16 +145,16 @@ def run(
         if 0 < 60 * warm_up_minutes < seconds_since_capture(folder.path):
             warm_up(rig, warm_up_minutes)
     # a sequence is stored when it is complete: long ones, as loading takes most of their time
+    counted_before = counted_by(rig)
     at_a_time = sequence_patterns(rig) or batch_patterns
     in_hand = _bytes_in_hand(rig) * (2 if sequence_patterns(rig) else 1)  # with complements
     batch = (resources or Resources()).fitting(in_hand, at_a_time)
     beside: dict[str, Any] = {} if level else write_sensor(folder, rig.sensor)
     for name, part in before.items():
         beside[name] = {**part.capture(batch), **facts[name]}
-    with watch_of(of_level, folder, level, drift_patterns if level else 0) as watch:
-        captured = of_level.capture(batch, watch)
-        if watch:
-            beside[DRIFT] = watch.entry()
+    with _watches(of_level, folder, level, drift_patterns, watching) as watches:
+        captured = of_level.capture(batch, Watches(watches))
+        beside |= {watch.name: watch.entry() for watch in watches}
     is_counts = rig.sensor.frame_dtype == COUNTS
     write_manifest(
         folder.manifest(level, "capture"),
@@ -133,8 +167,35 @@ def run(
             "rig": of_level.shown["rig"],
             **captured,
             **beside,
+            "devices": difference(counted_by(rig), counted_before),
         },
     )
+
+
+@contextmanager
+def _watches(
+    of_level: Brackets,
+    folder: AcquisitionFolder,
+    level: int,
+    drift_patterns: int,
+    watching: Watching | None,
+) -> Iterator[list[LookWatch | MutualCapture]]:
+    """Provide all that watches a level."""
+    with ExitStack() as stack:
+        watches: list[LookWatch | MutualCapture | None] = [
+            stack.enter_context(
+                drift_watch(of_level, folder, level, drift_patterns if level else 0)
+            )
+        ]
+        if watching:
+            refuse = watching.refuse
+            looks = move_watch(of_level, folder, level, watching.look_patterns, refuse=refuse)
+            watches.append(stack.enter_context(looks))
+        if watching and watching.mutual_error and 0 < level < VERIFICATION:
+            watches.append(
+                mutual_watch(of_level, folder, level, watching.mutual_error, refuse=refuse)
+            )
+        yield [watch for watch in watches if watch]
 
 
 def brackets_of(
@@ -169,7 +230,7 @@ def brackets_of(
 
     shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
     path = folder.store(level, "capture")
-    of_level = Brackets(rig, path, f"level {level}", schedule.count, shown, of_schedule)
+    of_level = Brackets(rig, path, name_of(level), schedule.count, shown, of_schedule)
     before: dict[str, Brackets] = {}
     if level == 0:
         of_rig = {"black_frames": counts[0], "floodlit_frames": counts[1], "rig": described}

@@ -11,16 +11,27 @@ from typing import Any
 from numpy.typing import NDArray
 
 from rfpipe.errors import DamagedStageError, IntegrityError, StoreError
+from rfpipe.rigs import VERIFICATION_KEY
 from rfpipe.store import FrameStore, open_arrays, read_manifest
 from rfpipe.store.places import Place
 
-__all__ = ["REFERENCE", "SYMMETRY", "AcquisitionFolder", "advice_on_damage"]
+__all__ = [
+    "REFERENCE",
+    "SYMMETRY",
+    "VERIFICATION",
+    "AcquisitionFolder",
+    "advice_on_damage",
+    "name_of",
+]
 
 REFERENCE = "reference"
 """The all-off and all-on brackets, taken with level 0: their store and their manifest's key."""
 
 SYMMETRY = "symmetry"
 """Brackets of random patterns, taken with level 0: their store, their key, and a stage's name."""
+
+VERIFICATION = VERIFICATION_KEY
+"""In the place of a level's number: the pictures that verify the transport, taken after it."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +52,8 @@ class AcquisitionFolder:
 
     def manifest(self, level: int, stage: str) -> Path:
         """Manifest of a stage of a level; its existence says that the stage is complete."""
-        return self.path / f"L{level:02d}" / f"{stage}.json"
+        name = "verification" if level == VERIFICATION else f"L{level:02d}"
+        return self.path / name / f"{stage}.json"
 
     def store(self, level: int, stage: str) -> Path:
         """Store that the manifest is about."""
@@ -90,6 +102,11 @@ class AcquisitionFolder:
         with advice_on_damage(manifest), FrameStore.open(path) as frames:
             _check_digest(path, frames.digest(), expected[part] if part else expected)
             yield frames
+
+
+def name_of(level: int) -> str:
+    """Return what messages call a level."""
+    return "verification" if level == VERIFICATION else f"level {level}"
 
 
 @contextmanager

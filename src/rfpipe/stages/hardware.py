@@ -138,6 +138,7 @@ class BegunRig:
         self.projector_shape = plan.projector.shape
         self.channels = plan.channels
         self._rig: RemoteRig | None = None
+        self._before: dict[str, dict[str, int]] = {}
 
     def capture(
         self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
@@ -151,6 +152,7 @@ class BegunRig:
         """
         if self._rig is None:
             self._rig = self.connect()
+            self._before = self._rig.statistics
             described = frame_settings(self._rig)
             if described != self.described:
                 raise CaptureError(
@@ -159,6 +161,16 @@ class BegunRig:
                     "remove the acquisition's folder to begin anew"
                 )
         return self._rig.capture(patterns, keys)
+
+    @property
+    def statistics(self) -> dict[str, dict[str, int]]:
+        """What the rig's devices counted since it was connected to."""
+        if self._rig is None:
+            return {}
+        return {
+            device: {what: count - self._before.get(device, {}).get(what, 0) for what, count in of}
+            for device, of in ((name, of.items()) for name, of in self._rig.statistics.items())
+        }
 
     def describe(self) -> dict[str, Any]:
         """Return the description at the beginning."""

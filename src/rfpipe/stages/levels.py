@@ -20,15 +20,18 @@ from typing import Any
 from rfpipe.errors import DamagedStageError
 from rfpipe.photometry.normalize import Mode
 from rfpipe.stages import assemble, merge, normalize, refine, schedule, symmetry
+from rfpipe.stages.capture import Watching
+from rfpipe.stages.capturing.moves import every_of
 from rfpipe.stages.capturing.sensors import read_sensor
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.symmetry import NOTICED
 from rfpipe.store import StoreLock, restore_header
 from rfpipe.units import NumberFormat
 
-__all__ = ["run"]
+__all__ = ["run", "watching_of"]
 
 _log = logging.getLogger(__name__)
 
@@ -48,6 +51,7 @@ def run(
     normalization: Mode,
     number_format: NumberFormat,
     asymmetry: float,
+    watch: Mapping[str, Any],
     resources: Resources,
 ) -> None:
     """Acquire a scene by a method, or what is missing of it; ``transport.json`` comes last.
@@ -71,6 +75,8 @@ def run(
         Of the stored transport.
     asymmetry : float
         Error that taking the rig for a coaxial one may make, as `rfpipe.stages.symmetry.run`.
+    watch : mapping
+        Keyword arguments of `watching_of`.
     resources : Resources
 
     Raises
@@ -105,6 +111,7 @@ def run(
         "capture": lambda level: capture(
             folder, level,
             **capture_options, expected_patterns=expected, resources=resources.here,
+            watching=watching_of(plan, asymmetry, **watch),
         ),
         "merge": lambda level: merge.run(
             read_sensor(folder), folder, level,
@@ -136,6 +143,31 @@ def run(
         level, anew = 0, _Anew()
         while level is not None:
             level = anew.go_on(level, work_of(level))
+
+
+def watching_of(plan: Plan, asymmetry: float, *, mode: str, looks: int | None) -> Watching | None:
+    """Return what is looked after while an acquisition's patterns are shown.
+
+    Where a method believes in ``T = T'``, its own patterns tell whether camera and projector are
+    still aligned, and nothing else has to be shown.
+
+    Parameters
+    ----------
+    plan : Plan
+    asymmetry : float
+    mode : {"off", "warn", "refuse"}
+    looks : int or None
+        Patterns from one look at the rig to the next, 0 for none. None: eight, where the method's
+        patterns don't tell.
+    """
+    if mode == "off":
+        return None
+    tells = plan.method.needs_coaxial_rig
+    return Watching(
+        every_of(looks, tells=tells),
+        NOTICED * asymmetry if tells else 0.0,
+        refuse=mode == "refuse",
+    )
 
 
 @dataclass

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from rfpipe.errors import IntegrityError, LockedError, StoreError
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
+from rfpipe.stages.capturing import moves
 from rfpipe.stages.capturing.drift import DRIFT, measure
-from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
+from rfpipe.stages.capturing.moves import MOVES
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.merging.raw import RawFrames
@@ -111,6 +113,8 @@ def run(
     }
     if DRIFT in captured:
         made_of[DRIFT] = [captured[DRIFT]["digest"], divide_out_drift]
+    if MOVES in captured:
+        made_of[MOVES] = captured[MOVES]["digest"]
     made_from = fingerprint([made_of, code])
     store = folder.store(level, "merge")
     manifest = folder.manifest(level, "merge")
@@ -127,6 +131,7 @@ def run(
             **({REFERENCES: references} if level == 0 else {}),
             **_merge(merger, gains, folder, level, made_from, resources),
             **drift,
+            **_moves(merger, folder, level, captured),
             "made_of": made_of,
             "fingerprint": made_from,
             "versions": versions(),
@@ -198,9 +203,20 @@ def _drift(
     every = captured[DRIFT]["every"]
     with folder.frames(level, "capture", DRIFT) as frames:
         drift = measure(merger, frames)
-    drift.report(f"level {level}", divided_out=divide_out)
+    drift.report(name_of(level), divided_out=divide_out)
     gains = drift.gains_at(captured["patterns"], every) if divide_out else None
     return gains, {DRIFT: {**drift.facts(every), "divided_out": divide_out}}
+
+
+def _moves(
+    merger: Merger, folder: AcquisitionFolder, level: int, captured: dict[str, Any]
+) -> dict[str, Any]:
+    """Return what looks at the rig saw, if there were any."""
+    if MOVES not in captured:
+        return {}
+    with folder.frames(level, "capture", MOVES) as frames:
+        found = moves.measure(folder, merger, frames)
+    return {MOVES: {"every": captured[MOVES]["every"], **found}}
 
 
 def _divided(merged: Merged, gains: Double) -> Merged:
@@ -244,9 +260,9 @@ def _merge(
     samples = count * int(np.prod(image_shape))
     if total.saturated:
         _log.warning(
-            "level %d: %d of %d samples are saturated in every exposure; their radiance is a "
+            "%s: %d of %d samples are saturated in every exposure; their radiance is a "
             "lower bound. Add a shorter exposure",
-            level, total.saturated, samples,
+            name_of(level), total.saturated, samples,
         )  # fmt: skip
     sums = folder.store(level, SUMS)
     arrays = {"radiance": total.radiance, "variance": total.variance}
@@ -314,7 +330,7 @@ def _drop_raw(folder: AcquisitionFolder, level: int) -> None:
         to_disk(folder.store(level, part))
     freed = sum(drop(folder.store(level, part)) for part in raw)
     if freed:
-        _log.info("level %d: raw exposures dropped, %.3g MB", level, freed / 1e6)
+        _log.info("%s: raw exposures dropped, %.3g MB", name_of(level), freed / 1e6)
 
 
 def read_level_sum(folder: AcquisitionFolder, level: int) -> LevelSum:

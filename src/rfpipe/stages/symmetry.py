@@ -29,11 +29,17 @@ from rfpipe.store import drop, read_manifest, write_manifest
 if TYPE_CHECKING:
     from rfpipe.methods import Method, Options
 
-__all__ = ["Asymmetry", "measure", "run"]
+__all__ = ["NOTICED", "Asymmetry", "measure", "run"]
 
 # Symmetric photography is off by one and a half times the error that is predicted; what is worth a
 # word is a fifth of what is refused.
 _WORTH_A_WORD = 0.2
+
+NOTICED = 0.3
+"""Share of what is refused at which the patterns of an acquisition tell that a rig isn't coaxial.
+
+A lens that loses a tenth of the light from side to side stays below, half a pixel doesn't.
+"""
 
 # Squared error that a share of pixels which aren't known may seem to make, for that share: their
 # light as it adds up in the floodlit image, and as much again in random ones, over 16 |T p|^2.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
@@ -37,12 +37,14 @@ _log = logging.getLogger(__name__)
 class Watch(Protocol):
     """What is captured between the patterns of a level."""
 
-    @property
-    def every(self) -> int:
-        """Patterns from one time to the next."""
+    def due(self, first: int, last: int) -> Sequence[int]:
+        """Return positions after `first` and before `last` at which something is to be taken."""
 
     def before(self, position: int) -> None:
         """Take what is due before the pattern at `position`, or after the last one."""
+
+    def after(self, first: int, brackets: NDArray[Any]) -> None:
+        """Look at what was captured, from pattern `first` on."""
 
 
 @dataclass(frozen=True)
@@ -194,7 +196,9 @@ class Brackets:
                 for first, last in _cut(frames.missing(batch), watch):
                     if watch:
                         watch.before(first)
-                    self.take(frames, first, last)
+                    taken = self.take(frames, first, last)
+                    if watch:
+                        watch.after(first, taken)
                     progress.advance(last - first)
             if watch:
                 watch.before(self.count)
@@ -231,5 +235,5 @@ class Brackets:
 def _cut(runs: Iterable[tuple[int, int]], watch: Watch | None) -> Iterator[tuple[int, int]]:
     """Cut runs of items where something else is to be taken between them."""
     for first, last in runs:
-        due = range((first // watch.every + 1) * watch.every, last, watch.every) if watch else ()
+        due = watch.due(first, last) if watch else ()
         yield from pairwise([first, *due, last])

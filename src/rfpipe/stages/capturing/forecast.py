@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from rfpipe.photometry import ExactSensor, Sensor
 from rfpipe.stages.capturing.disk import DiskNeed
 from rfpipe.stages.capturing.drift import item_count
+from rfpipe.stages.capturing.moves import every_of
 from rfpipe.stages.capturing.taken import Taken, proportion
 from rfpipe.stages.plan import Plan, plan_of
 
@@ -134,6 +135,11 @@ def _need(settings: Config, sensor: Sensor, plan: Plan, patterns: int) -> Need:
         references = 2
     references += plan.asks_symmetry * capture.symmetry_frames
     looks = item_count(patterns, capture.drift_patterns) if capture.drift_patterns else 0
+    if capture.watch != "off":
+        every = every_of(capture.looks, tells=plan.method.needs_coaxial_rig)
+        looks += item_count(patterns, every) if every else 0
+    if settings.verification_pictures:
+        looks += settings.verification_pictures + 2
     brackets = patterns + references + looks
     seconds = 60 * capture.warm_up_minutes + brackets * capture.seconds_per_pattern
     kept = references + looks + capture.keep_raw * patterns

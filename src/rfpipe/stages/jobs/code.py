@@ -69,6 +69,7 @@ def acquisition_code(method: str) -> dict[str, str]:
     return {
         "merge": stage_code("stages.merge", MERGED_WITH),
         "symmetry": stage_code("stages.symmetry", MERGED_WITH),
+        "verification": stage_code("stages.unseen.comparing"),
         **{stage: stage_code(f"stages.{stage}", method) for stage in of_method},
     }
 

@@ -10,7 +10,7 @@ from rfpipe.stages.jobs.code import acquisition_code, module_of
 if TYPE_CHECKING:
     from rfpipe.config import Config
 
-__all__ = ["stages_of"]
+__all__ = ["stages_of", "verification_of"]
 
 
 def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
@@ -40,5 +40,15 @@ def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
         "normalization": settings.normalization,
         "number_format": settings.storage.number_format,
         "asymmetry": capture.asymmetry,
+        "watch": {"mode": capture.watch, "looks": capture.looks},
         "code": acquisition_code(module_of(METHODS, method)),
+    }
+
+
+def verification_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
+    """Return arguments of `rfpipe.stages.unseen.verify.run` as plain data; parameters as there."""
+    stages = stages_of(settings, scene, name)
+    return {
+        "pictures": settings.verification_pictures,
+        **{part: stages[part] for part in ("code", "capture_options", "merge_options")},
     }

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import StoreError
 from rfpipe.stages.capturing.drift import DRIFT
+from rfpipe.stages.capturing.moves import MOVES
 from rfpipe.stages.capturing.sensors import SENSOR
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder
+from rfpipe.stages.folder import REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder
 from rfpipe.stages.merge import SUMS
 from rfpipe.stages.merging.references import REFERENCES
+from rfpipe.stages.unseen.verify import MANIFEST as VERIFIED
 from rfpipe.stages.verifying.findings import Checked, Mend
 from rfpipe.stages.verifying.stores import check_bundle, check_frames, first_sentence, made_for
 from rfpipe.store import StoreLock, read_manifest
@@ -19,9 +22,10 @@ from rfpipe.store import StoreLock, read_manifest
 __all__ = ["check_acquisition", "is_acquisition"]
 
 _STAGES = ("schedule", "capture", "merge", "normalize", "refine")
-_FRAMES = ("capture", "merge", REFERENCE, SYMMETRY, DRIFT)
+_OF_VERIFICATION = ("schedule", "capture", "merge")
+_FRAMES = ("capture", "merge", REFERENCE, SYMMETRY, DRIFT, MOVES)
 _PARTS = {
-    "capture": (REFERENCE, SYMMETRY, DRIFT, SENSOR),
+    "capture": (REFERENCE, SYMMETRY, DRIFT, MOVES, SENSOR),
     "merge": (SUMS, REFERENCES),
 }
 
@@ -74,6 +78,7 @@ class _Acquisition:
         if names != (place.parent.name, place.name) and place.parents[1].name == "results":
             self._wrong(self.transport, f"is of {names[0]} by {names[1]}, not of this folder")
         self._chain(facts.get("made_of"), found)
+        self._verification(facts["digest"])
 
     def _chain(self, made_of: dict[str, Any] | None, found: dict[int, dict[str, Any]]) -> None:
         """Check that the transport was made of what the levels hold."""
@@ -93,13 +98,30 @@ class _Acquisition:
         if merged and merged["digest"] != made_of["references"]:
             self._wrong(self.transport, "was made with another floodlit image than stands there")
 
-    def _level(self, level: int) -> dict[str, Any]:
+    def _verification(self, transport: str) -> None:
+        """Check the pictures that verify the transport, if there are any."""
+        manifest = self.folder.path / VERIFIED
+        if self.folder.manifest(VERIFICATION, "schedule").exists():
+            self._level(VERIFICATION, _OF_VERIFICATION, complete=manifest.exists())
+        facts = self._manifest(manifest)
+        if facts is None:
+            return
+        wrong, digest = check_bundle(manifest.with_suffix(".zarr"), self.checked)
+        for what in wrong:
+            self._wrong(manifest.with_suffix(".zarr"), what, manifest)
+        self._is_of(manifest.with_suffix(".zarr"), digest, facts["digest"], manifest)
+        if facts["transport"] != transport:
+            self._wrong(manifest, "is of another transport than stands there")
+
+    def _level(
+        self, level: int, stages: Sequence[str] = _STAGES, *, complete: bool | None = None
+    ) -> dict[str, Any]:
         """Check a level; return the manifests of its stages that are whole."""
         found: dict[str, Any] = {}
-        for stage in _STAGES:
+        for stage in stages:
             manifest = self.folder.manifest(level, stage)
             if not manifest.exists():
-                if self.complete:
+                if self.complete if complete is None else complete:
                     self._wrong(manifest, "is missing")
                 continue
             facts = self._manifest(manifest)
@@ -161,6 +183,9 @@ class _Acquisition:
         self.checked.wrong(path, what, self._mend(path, of))
 
     def _mend(self, path: Path, manifest: Path) -> Mend:
+        verified = self.folder.path / VERIFIED
+        if manifest.parent.name == "verification" or manifest == verified:
+            return Mend("run", tuple(dict.fromkeys((manifest, verified))))
         if manifest.stem == "capture":
             cost = (
                 "what is whole stays; the damaged patterns are shown again, so the scene must "

@@ -73,6 +73,7 @@ def _acquire(path: Path, stop: str = "") -> int:
         normalization="per_channel",
         number_format="float32",
         asymmetry=0.05,
+        watch={"mode": "warn", "looks": 0},
         resources=Resources(),
     )
     return rig.shown

@@ -1,0 +1,1 @@
+"""Verification: pictures that no method saw, compared with what the transport makes of them."""

@@ -1,0 +1,115 @@
+"""Pictures that no method saw tell what a transport is wrong by."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from tests.unit.test_reciprocity import DIM, SHAPE, beside, wedge
+
+import rfpipe
+from rfpipe.config import parse_config
+from rfpipe.errors import ConfigError, InputError, VerificationError
+from rfpipe.photometry import CameraModel
+from rfpipe.provenance import generator
+from rfpipe.stages.unseen.comparing import compare
+from rfpipe.stages.unseen.patterns import NAMES, unseen_patterns
+from rfpipe.stages.unseen.verify import check_bound
+
+FEW = {"floodlit_frames": 32, "progress": False, "symmetry_frames": 0, "watch": "off"}
+
+
+@pytest.mark.parametrize("camera", [None, CameraModel(), DIM])
+@pytest.mark.parametrize("method", ["symmetric", "dual"])
+@pytest.mark.parametrize("pixels", [0.0, 0.5])
+def test_the_error_is_the_true_one_within_noise(
+    method: str, pixels: float, camera: CameraModel | None
+) -> None:
+    matrices = beside(wedge(), pixels)
+    rig = rfpipe.OperatorRig(list(matrices), SHAPE, SHAPE, camera)
+    result = rfpipe.acquire(rig, method, tolerance=1e-2, verification=len(NAMES), **FEW)
+    found = result.verification
+    assert found is not None
+    assert list(found.table["name"]) == list(NAMES)
+    lit = found.patterns.reshape(len(NAMES), -1)
+    truth = np.einsum("cmn,pn->pmc", matrices, lit)
+    relit = found.relit.reshape(truth.shape)
+    norms = [np.linalg.norm(images.reshape(len(NAMES), -1), axis=1) for images in (relit - truth,
+             truth)]  # fmt: skip
+    true = norms[0] / norms[1]
+    for one, expected in zip(found.compared, true, strict=True):
+        # the black level and the lamp's gain, which all pictures share, have noise of their own
+        assert abs(one.error - expected) < 4 * one.standard_error + 2e-3, one.name
+    assert found.mean_error == pytest.approx(true.mean(), abs=2e-3)
+    if method == "symmetric" and pixels:
+        assert found.mean_error > 0.3  # and it had no other way to know
+
+
+def test_noise_alone_is_no_error() -> None:
+    random = generator(1)
+    truth = random.random((200, 6, 7, 1)).astype(np.float32)
+    variance = (0.001 + 0.01 * truth).astype(np.float32)
+    seen = (truth + np.sqrt(variance) * random.standard_normal(truth.shape)).astype(np.float32)
+    variance[:, 0] = np.inf
+    seen[:, 0] = 1e6  # what isn't known doesn't count
+    names = [str(index) for index in range(200)]
+    found = compare(names, truth[..., 0], (seen, variance), truth, np.ones(1))
+    assert np.mean([one.error == 0 for one in found.compared]) == pytest.approx(0.5, abs=0.15)
+    assert np.mean([one.error > 3 * one.standard_error for one in found.compared]) < 0.02
+    off = compare(names, truth[..., 0], (seen, variance), truth * np.float32(1.2), np.ones(1))
+    errors = np.array([one.error for one in off.compared])
+    spread = np.array([one.standard_error for one in off.compared])
+    assert errors.mean() == pytest.approx(0.2, rel=0.02)
+    assert np.std((errors - 0.2) / spread) == pytest.approx(1, abs=0.2)
+
+
+def test_a_picture_without_light_has_no_error() -> None:
+    nothing = np.zeros((1, 3, 4, 1), np.float32)
+    found = compare(["black"], nothing[..., 0], (nothing, nothing), nothing, np.ones(1))
+    assert np.isnan(found.mean_error)
+    assert json.loads(json.dumps(found.facts()))["mean_error"] is None
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (3, 2), (32, 40), (2, 9, 11)])
+def test_patterns_of_any_shape_hold_light_and_differ(shape: tuple[int, ...]) -> None:
+    made = unseen_patterns(shape, len(NAMES))
+    again = unseen_patterns(shape, 3)
+    for name, pattern in made.items():
+        assert pattern.shape == shape, name
+        assert pattern.dtype == np.float32
+        assert pattern.min() >= 0
+        assert 0 < pattern.max() <= 1, name
+        assert name not in again or np.array_equal(pattern, again[name])
+    if min(shape) > 8:
+        distinct = {pattern.tobytes() for pattern in made.values()}
+        assert len(distinct) == len(NAMES)
+
+
+def test_the_steep_picture_lies_where_the_scene_is_steep() -> None:
+    scene = np.ones((24, 32, 1), np.float32)
+    scene[:, 20:] = 0.3
+    steep = unseen_patterns((24, 32), 3, scene)["steep"] > 0
+    columns = np.flatnonzero(steep.any(axis=0))
+    assert 18 <= columns.min() <= columns.max() <= 21
+
+
+def test_a_bound_names_what_is_above_it() -> None:
+    facts = {"mean_error": 0.03, "worst_error": 0.06, "worst_picture": "spots", "noise": 0.004}
+    check_bound({"vase by dual": facts}, 0.05, "report")
+    with pytest.raises(VerificationError, match=r"vase by dual is off by 3.00%.*'spots'.*2.00%"):
+        check_bound({"vase by dual": facts}, 0.02, "report")
+    with pytest.raises(InputError, match="verification is 11"):
+        rfpipe.acquire(rfpipe.OperatorRig(np.eye(4), (2, 2), (2, 2)), verification=11)
+
+
+def test_real_rigs_are_verified_by_default() -> None:
+    captured = {"scenes": {"vase": {"kind": "captured", "shape": [8, 8]}}, "methods": {"dual": {}}}
+    assert parse_config({}, "c").verification_pictures == 0
+    assert parse_config({**captured, "capture": {"rig": "remote"}}, "c").verification_pictures == 8
+    offline = {**captured, "capture": {"rig": "offline"}}
+    assert parse_config(offline, "c").verification_pictures == 0
+    with pytest.raises(ConfigError, match=r"verification.pictures should be 0 or null"):
+        parse_config({**offline, "verification": {"pictures": 3}}, "c")
+    with pytest.raises(ConfigError, match=r"verification.pictures should be 1 to 10"):
+        parse_config({"verification": {"fail_above": 0.1}}, "c")

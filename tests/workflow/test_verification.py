@@ -1,0 +1,170 @@
+"""A run that verifies what it acquired: resumed, remade, refused, and looked after meanwhile."""
+
+from __future__ import annotations
+
+import logging
+import re
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.unit.test_reciprocity import SHAPE, Knocked, beside, wedge
+from tests.workflow.harness import Workflow
+
+from rfpipe.errors import CaptureError
+from rfpipe.photometry import CameraModel
+from rfpipe.rigs import LOOK_KEY, VERIFICATION_KEY, OperatorRig
+from rfpipe.stages import capture, levels
+from rfpipe.stages.capturing.moves import LOOK_PATTERNS
+from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.plan import Plan
+from rfpipe.stages.unseen import verify
+from rfpipe.stages.verifying.verify import verify as verify_bytes
+from rfpipe.store import read_manifest
+
+CODE = dict.fromkeys(
+    ("schedule", "merge", "symmetry", "normalize", "refine", "assemble", "verification"), "code"
+)
+PICTURES = 4
+CAPTURE = {"references": (2, 8), "batch_patterns": 1}
+MERGE = {"saturation_fraction": 0.98, "mask_defects": True}
+
+
+def acquire(
+    path: Path, rig: Any, method: str = "dual", mode: str = "warn", looks: int | None = None
+) -> AcquisitionFolder:
+    folder = AcquisitionFolder(path, believing=True)
+    levels.run(
+        Plan(method, method, SHAPE, SHAPE, 1, {"tolerance": 1e-2}),
+        folder,
+        "matrix",
+        partial(capture.run, rig),
+        code=CODE,
+        capture_options=CAPTURE,
+        merge_options=MERGE,
+        normalization="per_channel",
+        number_format="float32",
+        asymmetry=0.05,
+        watch={"mode": mode, "looks": looks},
+        resources=Resources(),
+    )
+    return folder
+
+
+def verified(folder: AcquisitionFolder, rig: Any, code: str = "code") -> dict[str, Any]:
+    verify.run(
+        folder,
+        partial(capture.run, rig),
+        pictures=PICTURES,
+        code={**CODE, "verification": code},
+        capture_options=CAPTURE,
+        merge_options=MERGE,
+        resources=Resources(),
+    )
+    return read_manifest(folder.path / verify.MANIFEST)
+
+
+pytestmark = pytest.mark.usefixtures("closed_logs")
+
+
+class Stopping(OperatorRig):
+    """A rig that stops at a key, and counts what it shows."""
+
+    def __init__(self) -> None:
+        super().__init__(list(wedge()), SHAPE, SHAPE, CameraModel())
+        self.stops_at: tuple[int, ...] | None = None
+        self.shown: list[tuple[int, ...]] = []
+
+    def capture(self, patterns: Any, keys: Any) -> Any:
+        if self.stops_at in map(tuple, keys):
+            raise KeyboardInterrupt
+        self.shown += map(tuple, keys)
+        return super().capture(patterns, keys)
+
+
+@pytest.fixture(scope="module")
+def intact(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("intact") / "results/matrix/dual"
+    rig = Stopping()
+    return verified(acquire(folder, rig, looks=0), rig)
+
+
+def test_a_verification_that_was_stopped_ends_with_the_same_numbers(
+    tmp_path: Path, intact: dict[str, Any]
+) -> None:
+    rig = Stopping()
+    folder = acquire(tmp_path / "results/matrix/dual", rig, looks=0)
+    rig.shown.clear()
+    rig.stops_at = (VERIFICATION_KEY, 2)
+    with pytest.raises(KeyboardInterrupt):
+        verified(folder, rig)
+    rig.stops_at = None
+    facts = verified(folder, rig)
+    pictures = [key for key in rig.shown if key[0] == VERIFICATION_KEY]
+    assert pictures == [(VERIFICATION_KEY, index) for index in range(PICTURES)]  # none twice
+    assert facts == intact
+    assert verify_bytes(tmp_path / "results").findings == []
+    shown = len(rig.shown)
+    (folder.path / verify.MANIFEST).unlink()
+    assert verified(folder, rig, "other code")["pictures"] == intact["pictures"]
+    assert len(rig.shown) == shown  # the pictures are kept
+
+
+def test_what_is_damaged_of_a_verification_is_found(tmp_path: Path) -> None:
+    rig = Stopping()
+    folder = acquire(tmp_path / "results/matrix/dual", rig, looks=0)
+    verified(folder, rig)
+    store = folder.store(VERIFICATION, "capture")
+    chunk = next(path for path in store.rglob("c*") if path.is_file())
+    chunk.write_bytes(chunk.read_bytes()[:10])
+    (tmp_path / "results/matrix/dual/verification.json").write_text("{")
+    places = {finding.path.name for finding in verify_bytes(tmp_path / "results").findings}
+    assert {"capture.zarr", "verification.json"} <= places
+
+
+@pytest.mark.parametrize("at", [3, 12])
+def test_a_knock_is_noticed_within_ten_patterns_by_any_method(
+    tmp_path: Path, at: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = Knocked(wedge(), beside(wedge(), 0.5), at, CameraModel())
+    with caplog.at_level(logging.WARNING), pytest.raises(CaptureError, match=r"moved.*begin anew"):
+        acquire(tmp_path / "refused", rig, mode="refuse")
+    assert at < len(rig.keys) <= at + 10
+    rig = Knocked(wedge(), beside(wedge(), 0.5), at, CameraModel())
+    facts = verified(acquire(tmp_path / "warned", rig), rig)
+    assert facts["moved"] > 0.1
+    assert any("moved" in alarm for alarm in facts["alarms"])
+    assert facts["mean_error"] > 0.05
+    assert "the rig or the scene moved" in caplog.text
+
+
+def test_a_rig_that_stands_still_is_left_alone(tmp_path: Path) -> None:
+    rig = Stopping()
+    facts = verified(acquire(tmp_path, rig, mode="refuse"), rig)
+    assert facts["moved"] < 0.02
+    assert facts["alarms"] == []
+    looks = [key for key in rig.shown if key[0] == LOOK_KEY]
+    patterns = [key for key in rig.shown if key[0] < 1000]
+    n_levels = len({key[0] for key in patterns})
+    assert len(looks) <= len(patterns) / LOOK_PATTERNS + 2 * n_levels + 2
+
+
+def test_the_workflow_has_a_step_for_it(tmp_path: Path) -> None:
+    run = Workflow(tmp_path)
+    scene = {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [8, 8], "sweep": False}
+    verification = {"pictures": 5, "fail_above": 1e-5}
+    settings = {"scenes": {"tiny": scene}, "methods": {"symmetric": {}}}
+    run.configure(**settings, verification=verification)
+    wanted = "results/tiny/symmetric/verification.json"
+    assert "5 pictures that no method saw are relit to" in run.run(wanted)
+    facts = read_manifest(tmp_path / wanted)
+    assert np.isfinite([picture["error"] for picture in facts["pictures"]]).all()
+    planned = run.run("--dry-run")
+    # after the report it is said what is above
+    assert re.search(r"^bound +1$", planned, re.MULTILINE)
+    assert "verify_simulated" not in planned
+    run.configure(**settings, verification={**verification, "fail_above": 0.5})
+    assert "Nothing to be done" in run.run(wanted)  # another bound takes no pictures
