@@ -70,7 +70,7 @@ def test_without_faults_nothing_is_doubted(scene: str, kind: str) -> None:
     sequences = SimulatedSequences(plain)
     np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
     played = len(plain.sensor.exposures)
-    assert sequences.statistics == {
+    assert sequences.statistics["sequences"] == {
         "played": played, "lost": 0, "loaded_again": 0, "one_by_one": 0
     }  # fmt: skip
 
@@ -92,7 +92,7 @@ def test_faults_are_found_and_mended(fault: str, scene: str, kind: str) -> None:
             merged(plain, expected),
             atol=1e-3 * merged(plain, expected).max(),
         )
-        lost += sequences.statistics["lost"]
+        lost += sequences.statistics["sequences"]["lost"]
     assert (lost > 0) is (fault != "all come one late")  # which is told by the words alone
 
 
@@ -107,7 +107,7 @@ def test_what_a_sequence_never_gives_is_taken_one_by_one(caplog: pytest.LogCaptu
     for faults in (SequenceFaults(dropped=1), SequenceFaults(dropped=0.3, swapped=1)):
         sequences = SimulatedSequences(plain, faults=faults)
         np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
-        assert sequences.statistics["one_by_one"] > 0
+        assert sequences.statistics["sequences"]["one_by_one"] > 0
     assert "does each picture trigger the camera" in caplog.text
     assert "taking them one by one" in caplog.text
 
@@ -129,8 +129,8 @@ def test_only_what_is_missing_is_played_again() -> None:
     sequences._player.play = counting  # type: ignore[method-assign]
     sequences.show_sequence(*given)
     first, again = sequences.played[0], min(sequences.played)
-    assert sequences.statistics["lost"] > 0
-    assert sequences.statistics["loaded_again"] == 0
+    assert sequences.statistics["sequences"]["lost"] > 0
+    assert sequences.statistics["sequences"]["loaded_again"] == 0
     assert first == 3 * 4 + 2 * COUNT
     assert again < 2 * 4 + COUNT
 
@@ -147,7 +147,7 @@ def test_a_camera_that_bends_counts_is_straightened() -> None:
     plain, given = rig(noise=CameraModel(response_gamma=2.2)), patterns("half")
     sequences = SimulatedSequences(plain, faults=SequenceFaults(swapped=0.5, seed=2))
     frames = sequences.show_sequence(*given)
-    assert sequences.statistics["one_by_one"] == 0
+    assert sequences.statistics["sequences"]["one_by_one"] == 0
     np.testing.assert_array_equal(frames[:, :2], plain.capture(*given)[:, :2])
 
 
@@ -155,11 +155,14 @@ def test_long_lists_are_cut_and_short_ones_are_none() -> None:
     plain, given = rig(), patterns("half")
     sequences = SimulatedSequences(plain, most=5)
     np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
-    assert sequences.statistics["played"] == 3 * len(plain.sensor.exposures)
+    assert sequences.statistics["sequences"]["played"] == 3 * len(plain.sensor.exposures)
     assert sequences.show_sequence(given[0][:0], []).shape[0] == 0
     assert sequence_patterns(plain) == 0
+    # one is no list
     capture_batch(sequences, given[0][:1], given[1][:1])
-    assert sequences.statistics["played"] == 3 * len(plain.sensor.exposures)  # one is no list
+    assert sequences.statistics["sequences"]["played"] == 3 * len(
+        plain.sensor.exposures
+    )  # one is no list
     with pytest.raises(InputError, match="weights from 0 to 1"):
         sequences.show_sequence(given[0] + 1, given[1])
     with pytest.raises(InputError, match="dropped is 2"):
@@ -182,7 +185,7 @@ def test_an_acquisition_by_sequences_is_that_one_by_one() -> None:
     expected = acquire(plain, "near_far", progress=False, target_error=0.2)
     sequences = SimulatedSequences(plain, faults=SequenceFaults(dropped=0.002, late=0.2, seed=1))
     found = acquire(sequences, "near_far", progress=False, target_error=0.2)
-    assert sequences.statistics["played"] > 0
+    assert sequences.statistics["sequences"]["played"] > 0
     assert found.patterns == expected.patterns
     pattern = patterns("half")[0][0]
     np.testing.assert_array_equal(
@@ -199,7 +202,7 @@ class Stopping(SimulatedSequences):
     """Fails in the midst of its second sequence."""
 
     def show_sequence(self, shown: Float, keys: Any) -> Float:
-        if self.statistics["played"]:
+        if self.statistics["sequences"]["played"]:
             raise KeyboardInterrupt
         return super().show_sequence(shown, keys)
 
@@ -216,7 +219,7 @@ def test_a_capture_goes_on_at_the_sequence_where_it_stopped(tmp_path: Path) -> N
     assert of_level.count_missing() == COUNT - 5
     again = SimulatedSequences(plain, most=5)
     capture.run(again, folder, 1, references=(2, 2))
-    assert again.statistics["played"] == 2 * len(plain.sensor.exposures)
+    assert again.statistics["sequences"]["played"] == 2 * len(plain.sensor.exposures)
     with FrameStore.open(folder.store(1, "capture")) as frames:
         np.testing.assert_array_equal(
             frames.read(0, COUNT), plain.capture(shown, [(1, i) for i in range(COUNT)])

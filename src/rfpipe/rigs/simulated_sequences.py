@@ -63,8 +63,8 @@ class SimulatedSequences:
 
     Attributes
     ----------
-    statistics : dict
-        See `rfpipe.rigs.sequencer.Sequencer`.
+    statistics : dict of str to dict
+        Under "sequences" those of `rfpipe.rigs.sequencer.Sequencer`.
     """
 
     def __init__(self, rig: Rig, most: int = 199, faults: SequenceFaults | None = None) -> None:
@@ -79,7 +79,7 @@ class SimulatedSequences:
         self.channels = rig.channels
         self.sensor = rig.sensor
         self.seconds_per_pattern = rig.seconds_per_pattern
-        self.statistics = self._sequencer.statistics
+        self.statistics = {"sequences": self._sequencer.statistics}
 
     def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns one by one; see `rfpipe.rigs.Rig.capture`."""
