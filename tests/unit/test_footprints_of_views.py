@@ -31,6 +31,8 @@ from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
 from rfpipe.transport.multiscale.basis import MultiscaleBasis, cells, functions_over
 
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
 VIEWS, IMAGE = 3, (10, 12)
 SHAPE = (VIEWS, *IMAGE)
 
@@ -169,6 +171,18 @@ def test_colours_are_fitted_each_by_itself() -> None:
     done = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=3e-4, target_error=0.1)
     assert sum(done.patterns) == 1 + 6 + rounds_of(VIEWS, 0)
     assert errors(done.transport, matrix) < 0.04
+
+
+@pytest.mark.parametrize("black", ["both", "projector"])
+def test_a_view_that_sees_nothing(black: str) -> None:
+    matrix = room().copy()
+    matrix[:, :, 240:] = 0
+    if black == "both":
+        matrix[:, 240:] = 0
+    done = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=1e-3, target_error=0.03)
+    found, truth = dense(done.transport)[0], matrix[0]
+    shown = np.random.default_rng(0).random((360, 5)) < 0.4
+    assert relative_rms(found @ shown, truth @ shown) < 0.02
 
 
 def test_cameras_that_stand_beside_the_projectors() -> None:

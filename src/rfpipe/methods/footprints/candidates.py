@@ -226,7 +226,9 @@ def _weighed(
     """Return footprints with the non-negative weights that explain what is seen best."""
     rays = len(lit)
     least = np.square(_LEAST * floodlit[found.pixels(rays)])
-    ridge = (1 / (found.variance + least)).astype(np.float32)
+    # a black pixel's candidate, which only the other way has, has no deviation at all
+    variance = np.maximum(found.variance + least, np.finfo(np.float32).tiny)
+    ridge = (1 / variance).astype(np.float32)
     lit, certainty, seen = (np.ascontiguousarray(each) for each in (lit, certainty, seen))
     own = (found.keys % rays).astype(np.int32)
     starts = found.starts(len(seen), rays)
