@@ -1,6 +1,7 @@
 """The driver of GenICam cameras, on Aravis' fake cameras: in the process, and by GigE Vision."""
 
 import logging
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -140,6 +141,93 @@ class TestByGigeVision:
         monkeypatch.setattr(AravisNodes, "execute", forgetful)
         assert camera.expose().shape == (3, *SHAPE, 1)
         assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 1, "reconnected": 0}
+
+
+class TestTriggered:
+    """Frames of a sequence, each asked for by a trigger that comes from elsewhere."""
+
+    @pytest.fixture
+    def camera(self, request: pytest.FixtureRequest) -> Iterator[AravisCamera]:
+        with (
+            gige_camera("RFPIPE1"),
+            AravisCamera(
+                SENSOR, serial="RFPIPE1", shape=SHAPE, sequence_line=request.param, **QUICK
+            ) as camera,
+        ):
+            assert camera.can_be_triggered
+            yield camera
+
+    @staticmethod
+    def trigger(camera: AravisCamera, times: int) -> None:
+        for _ in range(times):
+            camera.nodes.execute("TriggerSoftware")
+            time.sleep(0.1)  # it looks for a trigger 25 times a second
+
+    @pytest.mark.parametrize("camera", ["Software"], indirect=True)
+    def test_each_trigger_gives_a_frame_in_order(self, camera: AravisCamera) -> None:
+        for _ in range(2):
+            camera.arm(0.02, 4)
+            self.trigger(camera, 4)
+            frames = camera.collect()
+            assert frames.shape == (4, *SHAPE, 1)
+            # its ramp moves on by as much at each frame, but for rounding
+            steps = np.diff(frames[:, 0, 0, 0].astype(int))
+            assert steps[0] > 100
+            assert np.abs(steps - steps[0]).max() <= 1
+        assert camera.statistics == {"frames": 8, "failed": 0, "timed_out": 0, "reconnected": 0}
+        assert camera.expose().shape == (3, *SHAPE, 1)
+
+    @pytest.mark.parametrize("camera", ["Software"], indirect=True)
+    def test_more_frames_than_there_is_room_for(
+        self, camera: AravisCamera, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("rfpipe.rigs.cameras.collector.QUEUE", 2)
+        camera.arm(0.1, 5)
+        self.trigger(camera, 5)
+        assert len(camera.collect()) == 5
+
+    @pytest.mark.parametrize("camera", ["Software"], indirect=True)
+    def test_a_missed_trigger_is_a_frame_less(self, camera: AravisCamera) -> None:
+        camera.arm(0.1, 3)
+        self.trigger(camera, 2)
+        assert len(camera.collect()) == 2
+        assert camera.statistics["timed_out"] == 1
+        with pytest.raises(CaptureError, match="isn't armed"):
+            camera.collect()
+
+    @pytest.mark.parametrize("camera", ["Software"], indirect=True)
+    def test_a_camera_that_waits_for_triggers_can_be_closed(self, camera: AravisCamera) -> None:
+        camera.arm(0.1, 40)
+        camera.close()
+        with pytest.raises(CaptureError, match="closed"):
+            camera.arm(0.1, 40)
+
+    @pytest.mark.parametrize("camera", ["Line0"], indirect=True)
+    def test_an_input_that_stays_silent_is_given_up(self, camera: AravisCamera) -> None:
+        camera.arm(0.1, 3)
+        source = (camera.nodes.device, b"TriggerSource")
+        feature = "arv_device_get_string_feature_value"
+        assert aravis_library.tried(feature, *source) == b"Line0"
+        assert camera.collect().shape == (0, *SHAPE, 1)
+        assert aravis_library.tried(feature, *source) == b"Software"
+        assert camera.expose().shape == (3, *SHAPE, 1)
+
+    @pytest.mark.parametrize("camera", ["Line99"], indirect=True)
+    def test_an_input_that_the_camera_lacks_is_named(self, camera: AravisCamera) -> None:
+        with pytest.raises(CaptureError, match=r"refuses TriggerSource = Line99.*Line0, Software"):
+            camera.arm(0.1, 3)
+        assert camera.expose().shape == (3, *SHAPE, 1)
+        assert camera.statistics["reconnected"] == 0
+
+    @pytest.mark.parametrize("camera", ["Software"], indirect=True)
+    def test_triggers_are_as_far_apart_as_it_can_follow(self, camera: AravisCamera) -> None:
+        assert camera.seconds_between(0.1) == pytest.approx(0.105)
+        assert camera.seconds_between(1e-5) == pytest.approx(1.05 / 1000)  # as it says of itself
+
+
+def test_without_a_line_there_are_no_sequences() -> None:
+    with FilledCamera(PICTURE, SENSOR) as camera:
+        assert not camera.can_be_triggered
 
 
 def lose(monkeypatch: pytest.MonkeyPatch, calls: int) -> None:

@@ -131,6 +131,24 @@ def test_calibrated_it_acquires_and_relights_the_scene(kind: Kind, tmp_path: Pat
         assert np.linalg.norm(relit - light) < 0.05 * np.linalg.norm(light), name
 
 
+def test_aravis_takes_sequences_as_it_takes_them_one_by_one() -> None:
+    need_aravis()
+    kind = KINDS["aravis"]
+    triggered = replace(kind, options={**kind.options, "sequence_line": "Line0"})
+    patterns = (np.random.default_rng(0).random((9, *RAYS)) < 0.5).astype(np.float32)
+    given = patterns, [(1, index) for index in range(len(patterns))]
+    with rig_from_config(parse_rig_config(settings(triggered), "rig.yaml")) as rig:  # type: ignore[attr-defined]
+        one_by_one = rig.capture(*given).astype(float)
+        frames = rig.show_sequence(*given).astype(float)
+        again = rig.capture(*given).astype(float)  # by software triggers, as before
+        assert rig.statistics["sequences"] == {
+            "played": 4, "lost": 0, "loaded_again": 0, "one_by_one": 0
+        }  # fmt: skip
+    step = np.abs(one_by_one[1:] - one_by_one[:-1]).mean()
+    assert np.abs(frames - one_by_one).mean() < 0.05 * step
+    assert np.abs(again - one_by_one).mean() < 0.05 * step
+
+
 def test_a_bench_that_its_virtual_camera_cannot_be_is_explained() -> None:
     need_aravis()
     twelve = settings(KINDS["aravis"])

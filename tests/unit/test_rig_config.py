@@ -15,8 +15,8 @@ from rfpipe.config.files import bench_yaml, rig_json_schema, rig_yaml
 from rfpipe.errors import ConfigError
 from rfpipe.rigs.cameras.aravis import AravisOptions
 from rfpipe.rigs.cameras.gphoto import PhotoOptions
+from rfpipe.rigs.cameras.options import GenicamOptions
 from rfpipe.rigs.cameras.webcam import WebcamOptions
-from rfpipe.rigs.pylon_options import PylonOptions
 from rfpipe.rigs.window_options import WindowOptions
 
 FOLDER = Path(__file__).parents[2] / "config"
@@ -53,7 +53,7 @@ def test_every_setting_has_a_description() -> None:
     models: list[type[BaseModel]] = [
         own.get(name) or getattr(rfpipe.config, name) for name in names
     ]
-    models += [WindowOptions, PylonOptions, AravisOptions, PhotoOptions, WebcamOptions]
+    models += [WindowOptions, GenicamOptions, AravisOptions, PhotoOptions, WebcamOptions]
     bare = [
         f"{model.__name__}.{name}"
         for model in models

@@ -158,11 +158,8 @@ def test_long_lists_are_cut_and_short_ones_are_none() -> None:
     assert sequences.statistics["sequences"]["played"] == 3 * len(plain.sensor.exposures)
     assert sequences.show_sequence(given[0][:0], []).shape[0] == 0
     assert sequence_patterns(plain) == 0
-    # one is no list
-    capture_batch(sequences, given[0][:1], given[1][:1])
-    assert sequences.statistics["sequences"]["played"] == 3 * len(
-        plain.sensor.exposures
-    )  # one is no list
+    capture_batch(sequences, given[0][:1], given[1][:1])  # one is no list
+    assert sequences.statistics["sequences"]["played"] == 3 * len(plain.sensor.exposures)
     with pytest.raises(InputError, match="weights from 0 to 1"):
         sequences.show_sequence(given[0] + 1, given[1])
     with pytest.raises(InputError, match="dropped is 2"):

@@ -346,8 +346,8 @@ def software_bench(config: RigConfig) -> tuple[BenchProjector, Camera]:
         projector.scenery = scenery
         camera_of = plugins.find(plugins.CAMERAS, config.camera.bench or "")
         camera = camera_of(scenery, sensor_of(config), **config.camera.arguments())
-        if isinstance(camera, BenchCamera) and camera.can_be_triggered:
-            projector.trigger = camera.trigger
+        if getattr(camera, "can_be_triggered", False):
+            projector.trigger = getattr(camera, "trigger", None)
         return projector, camera
     except BaseException:
         projector.close()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import shutil
 import tempfile
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -104,11 +105,45 @@ class AravisBenchCamera(PreparedCamera):
                 "is Aravis' fake camera, has Mono16, or a colour mosaic of 8 bits"
             )
         self._view = View(scenery)
+        self._armed_for: float | None = None
+        self._filled = threading.Event()
         super().__init__(sensor, **{**settings, "shape": scenery.path.camera_shape})
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
         return super().describe() | {"kind": "bench of aravis"} | self._view.scenery.describe()
+
+    def arm(self, exposure: float, count: int) -> None:
+        """Wait for triggers by the bench's projector; see `SequenceCamera`."""
+        self._armed_for = exposure
+        super().arm(exposure, count)
+
+    def collect(self) -> NDArray[np.uint16]:
+        """Return the frames since `arm`; see `SequenceCamera`."""
+        frames = super().collect()
+        self._armed_for = None
+        return frames
+
+    def trigger(self) -> None:
+        """Take a frame while armed, as the projector's signal would have it."""
+        if self._armed_for is None:
+            return
+        self._before_trigger(self._armed_for)
+        self._filled.clear()
+        super()._expect()
+        self._filled.wait(self._options.timeout_seconds)
+
+    def _frame(self, exposure: float) -> tuple[NDArray[np.uint16] | None, str]:
+        self._armed_for = None  # also after an `arm` that failed
+        return super()._frame(exposure)
+
+    def _expect(self) -> None:
+        if self._armed_for is None:  # the fake camera fills whatever it has, triggered or not
+            super()._expect()
+
+    def _copy(self, buffer: int, *_: Any) -> None:
+        super()._copy(buffer)
+        self._filled.set()
 
     def _before_trigger(self, exposure: float) -> None:
         self.put(self._view.frame(exposure), self._view.scenery.camera.bits)

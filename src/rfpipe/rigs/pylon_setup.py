@@ -51,11 +51,10 @@ class PylonNodes:
         node = getattr(self.camera, name)
         return node.Min, node.Max
 
-    def frame_rate(self) -> float | None:
-        """Return how many frames a second it takes as it is set up; None where it doesn't tell."""
-        for name in ("ResultingFrameRate", "ResultingFrameRateAbs"):  # SFNC 2, and before
-            with suppress(Exception):
-                return float(getattr(self.camera, name).Value)
+    def number(self, name: str) -> float | None:
+        """Return a number; None where the camera doesn't tell it."""
+        with suppress(Exception):
+            return float(getattr(self.camera, name).Value)
         return None
 
     def choices(self, name: str) -> tuple[str, ...]:

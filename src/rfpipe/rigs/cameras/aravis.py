@@ -26,8 +26,9 @@ from rfpipe.rigs.cameras.aravis_library import (
     release,
     tried,
 )
-from rfpipe.rigs.cameras.bracket import BracketCamera, chosen, options_of
-from rfpipe.rigs.cameras.genicam import CameraSetup, RefusedError
+from rfpipe.rigs.cameras.bracket import chosen, options_of
+from rfpipe.rigs.cameras.genicam import RefusedError
+from rfpipe.rigs.cameras.genicam_camera import GenicamCamera
 from rfpipe.rigs.cameras.options import GenicamOptions
 
 __all__ = ["AravisCamera", "AravisOptions"]
@@ -47,8 +48,8 @@ class AravisOptions(GenicamOptions):
     )
 
 
-class AravisCamera(BracketCamera):
-    """A GenICam camera that takes brackets by software trigger.
+class AravisCamera(GenicamCamera):
+    """A GenICam camera that takes brackets by software trigger, and sequences by a projector's.
 
     All automatic functions are off and the gain is fixed. Failed frames and a lost camera are
     treated as every `BracketCamera` does. Never tried on a camera of metal.
@@ -67,31 +68,20 @@ class AravisCamera(BracketCamera):
         When Aravis is missing, no camera answers, or it refuses a setting: says which.
     """
 
+    kind = "aravis"
     Options = AravisOptions
     bench = "rfpipe.rigs.bench_cameras:AravisBenchCamera"
     faults = AravisError, RefusedError
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
-        self._options = options_of(AravisOptions, options, "a GenICam camera")
-        super().__init__(sensor, 1 if sensor.bayer is None else 3, self._options)
-        self._setup = CameraSetup(sensor, self._options)
-        self._serial = self._options.serial
-        self._model = ""
+        own = options_of(AravisOptions, options, "a GenICam camera")
+        super().__init__(sensor, own)
+        self._fake: bool = own.fake
         load_aravis()
         self._device: int | None = None
         self._stream: int | None = None
         self._payload = 0
         self.shape = self._open()
-
-    def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
-        return {
-            "kind": "aravis",
-            "model": self._model,
-            "serial": self._serial,
-            "shape": list(self.shape),
-            **self._setup.describe(),
-        }
 
     @property
     def nodes(self) -> AravisNodes:
@@ -105,28 +95,29 @@ class AravisCamera(BracketCamera):
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
         """Take one frame; return it, or None and what is wrong."""
         self._setup.set_exposure(self.nodes, exposure)
-        patience = exposure + self._options.timeout_seconds
         self._before_trigger(exposure)
-        # one buffer at a time: what comes without being asked for finds none
-        call("arv_stream_push_buffer", self._stream, call("arv_buffer_new_allocate", self._payload))
+        self._expect()  # one at a time: what comes without being asked for finds no buffer
         self.nodes.execute("TriggerSoftware")
-        buffer = call("arv_stream_timeout_pop_buffer", self._stream, round(1e6 * patience))
+        return self._awaited(exposure + self._options.timeout_seconds)
+
+    def _expect(self) -> None:
+        call("arv_stream_push_buffer", self._stream, call("arv_buffer_new_allocate", self._payload))
+
+    def _next(self, seconds: float) -> tuple[Counts | None, str]:
+        buffer = call("arv_stream_timeout_pop_buffer", self._stream, round(1e6 * seconds))
         if not buffer:
-            return self._timed_out(f"no frame within {1000 * patience:.0f} ms")
+            return None, ""
         try:
             status = call("arv_buffer_get_status", buffer)
             if status != 0:
-                return self._failed(STATUSES.get(status, f"status {status}"))
-            frame = counts_of(buffer, self.sensor.bits, self._payload)
+                return None, STATUSES.get(status, f"status {status}")
+            return counts_of(buffer, self.sensor.bits, self._payload), ""
         finally:
             release(buffer)
-        if frame.shape != self.shape:
-            return self._failed(f"the frame has {frame.shape} pixels, expected {self.shape}")
-        return frame, ""
 
     def _open(self) -> tuple[int, int]:
         """Find the camera, set it up and start it; return the frames' shape."""
-        found = connected(fake=self._options.fake)
+        found = connected(fake=self._fake)
         camera = found[chosen((each.serial for each in found), self._serial)]
         self._serial, self._model = camera.serial, camera.model
         self._name = f"camera {self._serial}"
@@ -157,12 +148,10 @@ class AravisCamera(BracketCamera):
         self._stream = tried("arv_device_create_stream", self._device, None, None)
         self.nodes.execute("AcquisitionStart")
 
-    def _restart(self) -> None:
-        """Stop and start, so that a frame that comes late is not taken for the next one."""
+    def _stop(self) -> None:
         self.nodes.execute("AcquisitionStop")
         stream, self._stream = self._stream, None
         release(stream)
-        self._start()
 
     def _drop(self) -> None:
         """Let go of the device, whatever state it is in."""

@@ -233,6 +233,17 @@ class AravisNodes:
         """Return a whole number."""
         return int(tried("arv_device_get_integer_feature_value", self.device, name.encode()))
 
+    def number(self, name: str) -> float | None:
+        """Return a number; None where the camera doesn't tell it."""
+        kind = self._kind(name)
+        if kind not in ("float", "integer"):
+            return None
+        try:
+            taken = tried(f"arv_device_get_{kind}_feature_value", self.device, name.encode())
+        except AravisError:
+            return None
+        return float(taken)
+
     def is_writable(self, name: str) -> bool:
         """Tell whether the camera has the setting, and takes values for it now."""
         node = call("arv_device_get_feature", self.device, name.encode())

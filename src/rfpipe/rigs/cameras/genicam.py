@@ -10,7 +10,15 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.cameras.options import BAYER_NAMES, GenicamOptions
 
-__all__ = ["SOFTWARE", "CameraSetup", "Nodes", "RefusedError", "Value", "seconds_between"]
+__all__ = [
+    "SOFTWARE",
+    "CameraSetup",
+    "Nodes",
+    "RefusedError",
+    "Value",
+    "frame_rate",
+    "seconds_between",
+]
 
 Value: TypeAlias = bool | int | float | str
 """Of a camera's setting."""
@@ -28,6 +36,14 @@ TRIGGER_MARGIN = 0.05
 
 SOFTWARE = "Software"
 """Source of triggers that this program gives."""
+
+FRAME_RATES = "ResultingFrameRate", "ResultingFrameRateAbs", "AcquisitionResultingFrameRate"
+"""Names that makers give the frames a second that the camera takes as it is set up."""
+
+SET_FRAME_RATE = "AcquisitionFrameRate"
+
+NO_BOUND = 1e6
+"""Frames a second that no camera takes: its makers gave no bound."""
 
 FIXED: dict[str, Value] = {
     "GainAuto": "Off",
@@ -68,6 +84,9 @@ class Nodes(Protocol):
 
     def choices(self, name: str) -> tuple[str, ...]:
         """Return the values of an enumeration."""
+
+    def number(self, name: str) -> float | None:
+        """Return a number; None where the camera doesn't tell it."""
 
 
 @dataclass(frozen=True)
@@ -211,6 +230,17 @@ class CameraSetup:
                 "camera: has no gain in decibels; set camera.gain_db to 0 and camera.nodes to "
                 "{GainRaw: ...}"
             )
+
+
+def frame_rate(nodes: Nodes) -> float | None:
+    """Return how many frames a second a camera takes as it is set up; None: it doesn't tell."""
+    rates = (nodes.number(name) for name in FRAME_RATES)
+    if (rate := next((rate for rate in rates if rate), None)) is not None:
+        return rate
+    if nodes.number(SET_FRAME_RATE) is None:
+        return None
+    _, largest = nodes.bounds(SET_FRAME_RATE)  # what could be set, as size and format are
+    return largest if 0 < largest < NO_BOUND else None
 
 
 def seconds_between(exposure: float, frame_rate: float | None) -> float:

@@ -90,6 +90,12 @@ class GenicamOptions(Settings):
         description="Further settings of the camera, as its manual names them, such as "
         "{SensorReadoutMode: Fast}.",
     )
+    sequence_line: str | None = Field(
+        None,
+        min_length=1,
+        description="Input at which a projector with sequences triggers the camera, as its manual "
+        "names it, such as Line1; null where there is no such projector.",
+    )
 
     @property
     def bits(self) -> int:
