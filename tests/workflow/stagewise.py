@@ -15,6 +15,7 @@ from rfpipe.rigs import OperatorRig
 from rfpipe.stages import assemble, capture, merge, normalize, refine, schedule
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.levels import watching_of
 from rfpipe.stages.plan import Plan
 from rfpipe.transport import open_transport
 
@@ -48,7 +49,8 @@ class Acquisition:
         schedule.run(self.plan, self.folder, level, CODE)
 
     def capture(self, level: int, **options: Any) -> None:
-        options = {"resources": self.resources, **options}
+        watching = watching_of(self.plan, 0.05, mode="warn", looks=0)
+        options = {"resources": self.resources, "watching": watching, **options}
         capture.run(self.rig, self.folder, level, references=(2, 2), **options)
 
     def merge(self, level: int, mask_defects: bool = True, **options: Any) -> None:

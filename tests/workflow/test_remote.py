@@ -195,7 +195,7 @@ def test_a_server_that_stays_away_ends_the_run_with_advice(tmp_path: Path, serve
     server.kill()
     output = workflow.run(LONG, succeeds=False)
     assert "check that 'rfpipe serve' runs there" in output
-    assert "what is captured is kept: run again when the server is back" in output
+    assert "what is captured is kept: run again when that is mended" in output
     server.settings["scene"] = {**CONFIG["scenes"]["long"], "shape": [16, 16]}
     server.start()
     output = workflow.run(LONG, succeeds=False)

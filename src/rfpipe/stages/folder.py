@@ -11,7 +11,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from rfpipe.errors import DamagedStageError, IntegrityError, StoreError
-from rfpipe.rigs import VERIFICATION_KEY
+from rfpipe.keys import VERIFICATION_KEY
 from rfpipe.store import FrameStore, open_arrays, read_manifest
 from rfpipe.store.places import Place
 

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.photometry.symmetry import random_signs
-from rfpipe.rigs import Rig
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.store import FrameStore
 
 if TYPE_CHECKING:
     from rfpipe.photometry.sensor import Merged
+    from rfpipe.rigs import Rig
     from rfpipe.stages.merging.merger import Merger
 
 __all__ = ["MOVES", "Move", "compare", "every_of", "first_look", "measure", "move_pattern", "told"]
