@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.workflow.stagewise import CAMERA, RAYS, Acquisition, matrix_rig
 
-from rfpipe.config.model import CaptureConfig
+from rfpipe.config.capture import CaptureConfig
 from rfpipe.errors import CaptureError
 from rfpipe.rigs import DRIFT_KEY, WARM_UP_KEY, OperatorRig
 from rfpipe.stages.capturing import warm_up
