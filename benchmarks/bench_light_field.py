@@ -46,9 +46,8 @@ def main() -> None:
         for method in asked.methods:
             for target in asked.targets:
                 rows.append({"size": size, **acquired(scene, method, target, asked.seed)})
-                print(
-                    pd.DataFrame(rows[-1:]).round(3).to_string(index=False, header=len(rows) == 1)
-                )
+                print(", ".join(f"{name} {value}" for name, value in rows[-1].items()), flush=True)
+    print(pd.DataFrame(rows).round(2).to_string(index=False))
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)
     pd.DataFrame(rows).to_csv(OUTPUT, index=False)
 
