@@ -15,7 +15,6 @@ from rfpipe.rigs import OperatorRig
 from rfpipe.stages import assemble, capture, merge, normalize, refine, schedule
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.levels import watching_of
 from rfpipe.stages.plan import Plan
 from rfpipe.transport import open_transport
 
@@ -43,14 +42,14 @@ class Acquisition:
         self.plan = Plan(method, method, SHAPE, SHAPE, 1, options)
         self.resources = Resources()
         self.keep_raw = True
+        self.watching: capture.Watching | None = None
         self.code = CODE
 
     def schedule(self, level: int) -> None:
         schedule.run(self.plan, self.folder, level, CODE)
 
     def capture(self, level: int, **options: Any) -> None:
-        watching = watching_of(self.plan, 0.05, mode="warn", looks=0)
-        options = {"resources": self.resources, "watching": watching, **options}
+        options = {"resources": self.resources, "watching": self.watching, **options}
         capture.run(self.rig, self.folder, level, references=(2, 2), **options)
 
     def merge(self, level: int, mask_defects: bool = True, **options: Any) -> None:

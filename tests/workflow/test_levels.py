@@ -49,6 +49,7 @@ def test_a_job_leaves_what_its_stages_leave_one_by_one(tmp_path: Path, method: s
     acquire(tmp_path / "job", method)
     one_by_one = Acquisition(tmp_path / "stages", matrix_rig(noise=CAMERA))
     one_by_one.plan = Plan(method, method, SHAPE, SHAPE, 1)
+    one_by_one.watching = levels.watching_of(one_by_one.plan, 0.05, mode="warn", looks=0)
     for level in range(one_by_one.plan.n_levels):
         one_by_one.level(level)
     one_by_one.assemble()
