@@ -1,6 +1,6 @@
 """Rigs: a projector and a camera that show patterns and return brackets."""
 
-from rfpipe.rigs.base import (
+from rfpipe.keys import (
     BLACK_LEVEL_KEY,
     DRIFT_KEY,
     FLOODLIT_KEY,
@@ -8,8 +8,8 @@ from rfpipe.rigs.base import (
     SYMMETRY_KEY,
     VERIFICATION_KEY,
     WARM_UP_KEY,
-    Rig,
 )
+from rfpipe.rigs.base import Rig
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout

@@ -9,29 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.keys import (
-    BLACK_LEVEL_KEY,
-    DRIFT_KEY,
-    FLOODLIT_KEY,
-    LOOK_KEY,
-    SEQUENCE_KEY,
-    SYMMETRY_KEY,
-    VERIFICATION_KEY,
-    WARM_UP_KEY,
-)
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.transport.operators import PatternOperator
 from rfpipe.weights import as_weights
 
 __all__ = [
-    "BLACK_LEVEL_KEY",
-    "DRIFT_KEY",
-    "FLOODLIT_KEY",
-    "LOOK_KEY",
-    "SEQUENCE_KEY",
-    "SYMMETRY_KEY",
-    "VERIFICATION_KEY",
-    "WARM_UP_KEY",
     "PatternOperator",
     "Rig",
     "check_patterns",

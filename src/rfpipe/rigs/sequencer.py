@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
+from rfpipe.keys import SEQUENCE_KEY
 from rfpipe.photometry.sensor import Sensor
-from rfpipe.rigs.base import SEQUENCE_KEY, Key
+from rfpipe.rigs.base import Key
 from rfpipe.rigs.sequence_frames import Frames, Light, Playlist, lags_of
 from rfpipe.rigs.sequences import SequencePlayer
 

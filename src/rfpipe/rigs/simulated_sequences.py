@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.rigs.base import SEQUENCE_KEY, Key, Rig, check_patterns
+from rfpipe.keys import SEQUENCE_KEY
+from rfpipe.rigs.base import Key, Rig, check_patterns
 from rfpipe.rigs.sequencer import Sequencer
 
 __all__ = ["SequenceFaults", "SimulatedSequences"]

@@ -88,9 +88,7 @@ def reconciled(series: tuple[Series, ...], found: Footprints, indirect: list[Flo
     """Find weights anew in what indirect light leaves, near those of the other way."""
     rays, views = len(series[0].lit), len(series)
     ways = _both_ways(found, rays * views)
-    expected = split(
-        replace(found, keys=ways.keys, variance=ways.variance, weights=ways.back), views, rays
-    )
+    expected = split(Footprints(ways.keys, ways.variance, ways.back), views, rays)
     parts = []
     for each, other, light in zip(series, expected, indirect, strict=True):
         floodlit = each.floodlit[other.pixels(rays)]

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
+from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures import Header, picture_files, read_header, read_picture
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.base import BLACK_LEVEL_KEY, FLOODLIT_KEY, Key
+from rfpipe.rigs.base import Key
 from rfpipe.rigs.offline.markers import first_bracket
 from rfpipe.rigs.offline.rig import OfflineRig
 from rfpipe.rigs.offline.sheet import Sheet

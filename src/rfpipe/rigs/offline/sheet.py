@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, StoreError
+from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY
 from rfpipe.pictures import write_code_picture
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.base import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY, Key
+from rfpipe.rigs.base import Key
 from rfpipe.rigs.offline.rig import OfflineRig
 from rfpipe.store import read_manifest, write_manifest
 
