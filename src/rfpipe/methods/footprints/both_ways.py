@@ -6,7 +6,7 @@ and the two are measured in different pictures.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -91,9 +91,7 @@ def reconciled(series: tuple[Series, ...], found: Footprints, indirect: list[Flo
     expected = split(Footprints(ways.keys, ways.variance, ways.back), views, rays)
     parts = []
     for each, other, light in zip(series, expected, indirect, strict=True):
-        floodlit = each.floodlit[other.pixels(rays)]
-        apart = np.square(_APART * other.weights) + np.square(_APART_OF_ALL * floodlit)
-        near = replace(other, variance=apart.astype(np.float32))
+        near = other.uncertain(each, _APART, _APART_OF_ALL)
         parts.append(reweighted(each, near, light, near.weights))
     return joined(parts, rays)
 

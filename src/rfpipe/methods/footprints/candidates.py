@@ -75,6 +75,12 @@ class Footprints:
         starts = self.starts(pixels, rays).astype(np.int32)
         return csr_array((self.weights, columns, starts), shape=(pixels, rays))
 
+    def uncertain(self, series: Series, part: float, part_of_all: float) -> Footprints:
+        """Return them with deviations of parts of the weight and of the floodlit image, squared."""
+        floodlit = series.floodlit[self.pixels(len(series.lit))]
+        variance = np.square(part * self.weights) + np.square(part_of_all * floodlit)
+        return replace(self, variance=variance.astype(np.float32))
+
 
 @dataclass(frozen=True)
 class Precision:
@@ -158,9 +164,7 @@ def reweighted(
     seen = (series.seen - indirect).astype(np.float32)
     certainty = series.certainty(_WRONG)
     again = _weighed(found, series.floodlit, series.lit, certainty, seen, expected)
-    own = series.floodlit[again.pixels(len(series.lit))]
-    variance = np.square(again.weights) + np.square(_FOUND * own)
-    return replace(again, variance=variance.astype(np.float32))
+    return again.uncertain(series, 1.0, _FOUND)
 
 
 def found_anew(
@@ -210,9 +214,8 @@ def pruned(series: Series, found: Footprints) -> Footprints:
     """Drop candidates that turned out to give no light."""
     floodlit = series.floodlit[found.pixels(len(series.lit))]
     kept = found.weights > _SIGNIFICANT * floodlit
-    weights = found.weights[kept]
-    variance = np.square(weights) + np.square(_PRUNED * floodlit[kept])
-    return Footprints(found.keys[kept], variance.astype(np.float32), weights)
+    left = Footprints(found.keys[kept], found.variance[kept], found.weights[kept])
+    return left.uncertain(series, 1.0, _PRUNED)
 
 
 def _weighed(

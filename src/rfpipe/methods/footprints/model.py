@@ -200,9 +200,7 @@ def _nearly_known(
     series: Series, found: Footprints, looked_at: Int64 | None
 ) -> tuple[Series, Footprints]:
     """Return what a fit looks at, with footprints that have small deviations left."""
-    floodlit = series.floodlit[found.pixels(len(series.lit))]
-    apart = np.square(_LEFT * found.weights) + np.square(_LEFT_OF_ALL * floodlit)
-    return looked(series, replace(found, variance=apart.astype(np.float32)), looked_at)
+    return looked(series, found.uncertain(series, _LEFT, _LEFT_OF_ALL), looked_at)
 
 
 def _reweighted(series: tuple[Series, ...], found: Footprints, indirect: list[Float]) -> Footprints:
