@@ -35,6 +35,7 @@ include: f"workflow/rules/acquire_{SETTINGS.capture.rule}.smk"
 include: "workflow/rules/relight.smk"
 include: "workflow/rules/view.smk"
 include: "workflow/rules/report.smk"
+include: "workflow/rules/keep.smk"
 include: "workflow/rules/calibrate.smk"
 
 
@@ -44,6 +45,7 @@ rule all:
         every_acquisition("transport.json"),
         "results/report/index.html",
         ["results/verified"] if SETTINGS.verification.fail_above else [],
+        ["results/kept.json"] if SETTINGS.storage.keep_at else [],
 
 
 onstart:

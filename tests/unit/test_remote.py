@@ -1,19 +1,14 @@
 """Transports are opened from a folder, a zip file or an address, and relight bit for bit alike."""
 
-import os
-import socket
-import subprocess
 import sys
-import time
-import urllib.request
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.buckets import BUCKET, put, s3_server, use
 from tests.serving import serving
-from tests.validators import validators_python
 from typer.testing import CliRunner
 
 import rfpipe
@@ -196,39 +191,11 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch)
 @pytest.fixture(scope="module")
 def bucket(run: Path) -> Iterator[str]:
     """A bucket of a local S3 server, with the run in it; its endpoint."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    endpoint, python = f"http://127.0.0.1:{port}", validators_python()
-    process = subprocess.Popen(
-        [python, "-W", "ignore", "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": ""},
-    )
-    try:
-        _put(f"{endpoint}/lab", b"", patience=60.0)
+    with s3_server() as endpoint:
         files = [*files_of_store(run / DESK, DESK), *files_of_store(run / SHELF, SHELF)]
         for name, file in [*files, ("crate.zip", run / "crate.zip")]:
-            _put(f"{endpoint}/lab/{name}", file.read_bytes())
+            put(f"{endpoint}/{BUCKET}/{name}", file.read_bytes())
         yield endpoint
-    finally:
-        process.terminate()
-        process.wait(10)
-
-
-def _put(address: str, content: bytes, patience: float = 0.0) -> None:
-    headers = {"Content-Type": "application/octet-stream", "x-amz-acl": "public-read"}
-    asked = urllib.request.Request(address, content, headers, method="PUT")
-    end = time.monotonic() + patience
-    while True:
-        try:
-            with urllib.request.urlopen(asked, timeout=10):
-                return
-        except OSError:
-            if time.monotonic() > end:
-                raise
-            time.sleep(0.1)
 
 
 @pytest.mark.parametrize("signed", [False, True])
@@ -240,13 +207,7 @@ def test_s3_is_read_signed_or_not(
     relit: np.ndarray,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setenv("AWS_ENDPOINT_URL", bucket)
-    monkeypatch.setenv("AWS_REGION", "us-east-1")
-    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
-        if signed:
-            monkeypatch.setenv(name, "testing")
-        else:
-            monkeypatch.delenv(name, raising=False)
+    use(monkeypatch, bucket, signed=signed)
     for key in ("crate.zip", DESK, "results/desk"):
         transport = rfpipe.open_transport(f"s3://lab/{key}")
         assert np.array_equal(transport.relight(light), relit), key

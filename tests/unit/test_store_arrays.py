@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zarr
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, IntegrityError, LockedError, StoreError
@@ -48,7 +49,10 @@ def test_arrays_come_back_as_they_went_in(tmp_path: Path) -> None:
         found = bundle.read(name)
         assert found.dtype == array.dtype
         np.testing.assert_array_equal(found, array)
-    assert len(list((path / "wide").glob("c.*"))) == 3  # a row is 2 MiB
+    # of 6 MiB in chunks of 1 MiB one file; what is small is one chunk
+    assert [file.name for file in (path / "wide").glob("c*")] == ["c.0.0"]
+    assert zarr.open_array(path / "wide").chunks == (3, 2**17 * 2 // 3)
+    assert zarr.open_array(path / "zeros").shards is None
     assert [p.name for p in path.parent.iterdir()] == ["transport.zarr"]
 
 
@@ -107,7 +111,7 @@ def test_what_a_kill_left_is_cleared(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("change", [lambda content: content[:-3], lambda content: b"", None])
-@pytest.mark.parametrize("file", ["wide/c.1.0", "wide/zarr.json"])
+@pytest.mark.parametrize("file", ["wide/c.0.0", "wide/zarr.json"])
 def test_damage_is_named(tmp_path: Path, file: str, change: Any) -> None:
     arrays = example()
     write_arrays(tmp_path / "s", arrays, ATTRIBUTES)

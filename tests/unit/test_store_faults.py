@@ -23,9 +23,10 @@ from pathlib import Path
 import numpy as np
 from rfpipe.store import FrameStore
 
-path, n_items, items_per_chunk, pause = Path(sys.argv[1]), *map(float, sys.argv[2:])
+path, n_items, in_a_chunk, in_a_file, pause = Path(sys.argv[1]), *map(float, sys.argv[2:])
 shape = (int(n_items), 40, 50, 3)
-with FrameStore.create(path, shape, "u2", "abc", {}, items_per_chunk=int(items_per_chunk)) as store:
+chunks = {"items_per_chunk": int(in_a_chunk), "chunks_per_file": int(in_a_file)}
+with FrameStore.create(path, shape, "u2", "abc", {}, **chunks) as store:
     for start, stop in store.missing(longest=3):
         rows = [np.random.default_rng(i).integers(0, 4096, shape[1:]) for i in range(start, stop)]
         store.write(start, np.stack(rows).astype("u2"))
@@ -60,8 +61,8 @@ def tree(path: Path) -> dict[str, bytes]:
     return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
 
 
-def start_writer(path: Path, items_per_chunk: int, pause: float) -> subprocess.Popen[bytes]:
-    arguments = [str(path), str(N_ITEMS), str(items_per_chunk), str(pause)]
+def start_writer(path: Path, chunks: tuple[int, int], pause: float) -> subprocess.Popen[bytes]:
+    arguments = [str(path), str(N_ITEMS), *map(str, chunks), str(pause)]
     return subprocess.Popen([sys.executable, "-c", WRITER, *arguments])
 
 
@@ -69,14 +70,14 @@ def lines_of(journal: Path) -> int:
     return journal.read_bytes().count(b"\n") if journal.exists() else 0
 
 
-@pytest.mark.parametrize("items_per_chunk", [1, 3])
-def test_killed_writers_resume_to_the_same_bytes(tmp_path: Path, items_per_chunk: int) -> None:
-    assert start_writer(tmp_path / "whole", items_per_chunk, 0).wait() == 0
-    moments = np.random.default_rng(items_per_chunk).uniform(0, 0.2, 3)
+@pytest.mark.parametrize("chunks", [(1, 1), (3, 1), (1, 3)])
+def test_killed_writers_resume_to_the_same_bytes(tmp_path: Path, chunks: tuple[int, int]) -> None:
+    assert start_writer(tmp_path / "whole", chunks, 0).wait() == 0
+    moments = np.random.default_rng(chunks).uniform(0, 0.2, 3)
     path = tmp_path / "s"
     captured = 0
     for moment in moments:
-        writer = start_writer(path, items_per_chunk, 0.02)
+        writer = start_writer(path, chunks, 0.02)
         deadline = time.monotonic() + 60
         while lines_of(path / "journal.jsonl") <= captured:
             assert time.monotonic() < deadline
@@ -87,9 +88,39 @@ def test_killed_writers_resume_to_the_same_bytes(tmp_path: Path, items_per_chunk
         assert writer.wait() == -signal.SIGKILL
         before, captured = captured, int(FrameStore.open(path).done.sum())
         assert before < captured <= N_ITEMS
-    assert start_writer(path, items_per_chunk, 0).wait() == 0
+    assert start_writer(path, chunks, 0).wait() == 0
     assert tree(path) == tree(tmp_path / "whole")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["s", "whole"]
+
+
+def test_a_shard_half_written_at_a_kill_is_written_again(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    code = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from rfpipe.store import FrameStore, ItemWriter
+
+path = Path(sys.argv[1])
+with FrameStore.create(path, (8, 50, 60), "u2", "abc", {}, chunks_per_file=4) as store:
+    store.write(0, np.ones((4, 50, 60), "u2"))
+    with ItemWriter(path, "abc").adding(4) as add:
+        add(np.ones((1, 50, 60), "u2"))
+        print("half", flush=True)
+        time.sleep(60)
+"""
+    writer = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE)
+    with writer:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == b"half\n"
+        writer.kill()
+    assert len(list(path.glob(".c.1.*.partial"))) == 1
+    assert FrameStore.open(path).missing() == [(4, 8)]
+    with FrameStore.create(path, (8, 50, 60), "u2", "abc", {}) as store:
+        assert store.missing() == [(4, 8)]
+        store.write(4, np.full((4, 50, 60), 2, "u2"))
+    assert sorted(tree(path)) == ["c.0.0.0", "c.1.0.0", "journal.jsonl", "zarr.json"]
+    np.testing.assert_array_equal(FrameStore.open(path).read(3, 5)[:, 0, 0], [1, 2])
 
 
 def test_an_orphan_writer_holds_its_lock_until_it_is_killed(tmp_path: Path) -> None:
@@ -184,11 +215,11 @@ def test_an_item_is_in_the_journal_only_once_its_chunk_is_written(
     frames = np.random.default_rng(0).integers(0, 65536, (6, 3, 4)).astype("u2")
     journal, written = tmp_path / "s" / "journal.jsonl", ChunkFiles.write
 
-    def failing(files: ChunkFiles, index: int, block: np.ndarray) -> None:
+    def failing(files: ChunkFiles, first: int, block: np.ndarray) -> None:
         assert read_journal(journal, 6).keys() == {0, 1}
-        if index == 4 // items_per_chunk:
+        if first == 4:
             raise OSError(5, os.strerror(5))
-        written(files, index, block)
+        written(files, first, block)
 
     with FrameStore.create(
         tmp_path / "s", frames.shape, "u2", "abc", {}, items_per_chunk=items_per_chunk

@@ -21,9 +21,17 @@ def counts(shape: tuple[int, ...] = SHAPE, seed: int = 0) -> NDArray[np.uint16]:
     return np.random.default_rng(seed).integers(0, 4096, shape).astype(COUNTS)
 
 
-def filled(path: Path, frames: NDArray[Any], items_per_chunk: int = 1) -> str:
+def filled(
+    path: Path, frames: NDArray[Any], items_per_chunk: int = 1, chunks_per_file: int = 1
+) -> str:
     with FrameStore.create(
-        path, frames.shape, frames.dtype, "abc", {"unit": "count"}, items_per_chunk=items_per_chunk
+        path,
+        frames.shape,
+        frames.dtype,
+        "abc",
+        {"unit": "count"},
+        items_per_chunk=items_per_chunk,
+        chunks_per_file=chunks_per_file,
     ) as store:
         for start, stop in store.missing(longest=2):
             store.write(start, frames[start:stop])
@@ -34,11 +42,11 @@ def tree(path: Path) -> dict[str, bytes]:
     return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
 
 
-@pytest.mark.parametrize("items_per_chunk", [1, 3])
+@pytest.mark.parametrize(("items_per_chunk", "chunks_per_file"), [(1, 1), (3, 1), (1, 3)])
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none", None])
 @pytest.mark.parametrize("dtype", [COUNTS, RADIANCE])
 def test_frames_come_back_as_they_went_in(
-    tmp_path: Path, dtype: type, compression: Any, items_per_chunk: int
+    tmp_path: Path, dtype: type, compression: Any, items_per_chunk: int, chunks_per_file: int
 ) -> None:
     frames: NDArray[Any] = counts().astype(dtype)
     attributes = {"unit": "count", "exposures": (0.5, 1.0)}
@@ -50,6 +58,7 @@ def test_frames_come_back_as_they_went_in(
         "abc",
         attributes,
         items_per_chunk=items_per_chunk,
+        chunks_per_file=chunks_per_file,
         compression=compression,
     ) as store:
         store.write(3, frames[3:])
@@ -60,6 +69,7 @@ def test_frames_come_back_as_they_went_in(
     assert reader.attributes == {"unit": "count", "exposures": [0.5, 1.0]}
     assert (reader.fingerprint, reader.shape, reader.dtype) == ("abc", SHAPE, np.dtype(dtype))
     assert reader.items_per_chunk == items_per_chunk
+    assert reader.items_per_file == items_per_chunk * chunks_per_file
     assert bytes_on_disk(path) == sum(map(len, tree(path).values()))
     for start, stop in ((0, 7), (1, 4), (5, 5), (6, 7)):
         np.testing.assert_array_equal(reader.read(start, stop), frames[start:stop])
@@ -67,10 +77,10 @@ def test_frames_come_back_as_they_went_in(
     np.testing.assert_array_equal(zarr.open_array(path, mode="r")[...], frames)
 
 
-@pytest.mark.parametrize("items_per_chunk", [1, 3])
+@pytest.mark.parametrize(("items_per_chunk", "chunks_per_file"), [(1, 1), (3, 1), (1, 7), (2, 2)])
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_files_are_those_that_zarr_would_write(
-    tmp_path: Path, compression: Any, items_per_chunk: int
+    tmp_path: Path, compression: Any, items_per_chunk: int, chunks_per_file: int
 ) -> None:
     frames = counts()
     path = tmp_path / "s"
@@ -81,6 +91,7 @@ def test_files_are_those_that_zarr_would_write(
         "abc",
         {},
         items_per_chunk=items_per_chunk,
+        chunks_per_file=chunks_per_file,
         compression=compression,
     ) as store:
         store.write(0, frames)
@@ -106,6 +117,42 @@ def test_items_of_another_writer_count_once_they_are_entered(tmp_path: Path) -> 
         store.write(4, frames[4:6])
     assert FrameStore.open(path).digest() == filled(tmp_path / "plain", frames, 2)
     assert tree(path)["journal.jsonl"] == tree(tmp_path / "plain")["journal.jsonl"]
+
+
+def test_a_shard_is_added_to_chunk_by_chunk_and_there_once_it_is_whole(tmp_path: Path) -> None:
+    frames = counts()
+    path = tmp_path / "s"
+    with FrameStore.create(
+        path, SHAPE, COUNTS, "abc", {}, items_per_chunk=2, chunks_per_file=2
+    ) as store:
+        writer = ItemWriter(path, "abc")
+        with writer.adding(4) as add:
+            digests = add(frames[4:6])
+            assert not list(path.glob("c.*"))
+            digests += add(frames[6:])
+        store.enter(4, digests)
+        with pytest.raises(ValueError, match="1 chunks for 4 items"), writer.adding(0) as add:
+            add(frames[:2])
+        with pytest.raises(InputError, match="a block of"), writer.adding(0) as add:
+            add(frames[:2, :1])
+        assert [file.name for file in path.glob("*c.*")] == ["c.1.0.0.0.0"]
+        assert store.missing() == [(0, 4)]
+        store.write(0, frames[:4])
+        np.testing.assert_array_equal(store.read(1, 6), frames[1:6])
+    assert FrameStore.open(path).digest() == filled(tmp_path / "plain", frames)
+
+
+def test_one_item_of_a_shard_is_read_without_the_others(tmp_path: Path) -> None:
+    frames = counts()
+    path = tmp_path / "s"
+    filled(path, frames, chunks_per_file=7)
+    shard = path / "c.0.0.0.0.0"
+    content = bytearray(shard.read_bytes())
+    starts = np.frombuffer(content[-7 * 16 - 4 : -4], "<u8").reshape(7, 2)[:, 0]
+    content[: int(starts[3])] = bytes(int(starts[3]))
+    shard.write_bytes(content)
+    np.testing.assert_array_equal(FrameStore.open(path).read(3, 7), frames[3:])
+    assert FrameStore.open(path).damaged() == [0, 1, 2]
 
 
 def test_a_writer_of_a_run_that_is_over_leaves_a_new_store_alone(tmp_path: Path) -> None:
@@ -153,8 +200,9 @@ def test_digest_tells_contents_dtypes_and_shapes_apart(tmp_path: Path) -> None:
     ]
     digests = [filled(tmp_path / str(k), frames) for k, frames in enumerate(variants)]
     assert len(set(digests)) == len(variants)
-    # the chunks' size is no part of the content
+    # the sizes of chunks and files are no part of the content
     assert filled(tmp_path / "chunked", swapped, items_per_chunk=2) == digests[3]
+    assert filled(tmp_path / "sharded", swapped, chunks_per_file=2) == digests[3]
 
 
 def test_large_frames_compress_to_the_same_bytes_each_time(tmp_path: Path) -> None:
@@ -261,16 +309,21 @@ def swap(file: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [flip_a_bit, truncate, empty, remove, swap])
-@pytest.mark.parametrize("items_per_chunk", [1, 2])
+@pytest.mark.parametrize(("items_per_chunk", "chunks_per_file"), [(1, 1), (2, 1), (1, 2)])
 def test_damage_is_named_and_healed_by_the_next_writer(
-    tmp_path: Path, damage: Any, items_per_chunk: int, caplog: pytest.LogCaptureFixture
+    tmp_path: Path,
+    damage: Any,
+    items_per_chunk: int,
+    chunks_per_file: int,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     frames = counts()
     path = tmp_path / "s"
-    digest = filled(path, frames, items_per_chunk)
+    digest = filled(path, frames, items_per_chunk, chunks_per_file)
     intact = tree(path)
-    first = 4 if items_per_chunk == 2 else 5
-    chunk = path / f"c.{5 // items_per_chunk}.0.0.0.0"
+    in_a_file = items_per_chunk * chunks_per_file
+    first = 4 if in_a_file == 2 else 5
+    chunk = path / f"c.{5 // in_a_file}.0.0.0.0"
     damage(chunk)
     reader = FrameStore.open(path)
     np.testing.assert_array_equal(reader.read(0, first), frames[:first])
@@ -408,8 +461,8 @@ def test_a_stale_store_is_refused_until_discarded(
         (0, np.zeros((2, 5), COUNTS), r"expected uint16 \(items, 4\)"),
         (6, np.zeros((4, 4), COUNTS), "items 6 to 10 asked for"),
         (-2, np.zeros((2, 4), COUNTS), "items -2 to 0 asked for"),
-        (1, np.zeros((2, 4), COUNTS), "aren't whole chunks of 2"),
-        (0, np.zeros((1, 4), COUNTS), "aren't whole chunks of 2"),
+        (1, np.zeros((2, 4), COUNTS), "aren't whole files of 2"),
+        (0, np.zeros((1, 4), COUNTS), "aren't whole files of 2"),
     ],
 )
 def test_blocks_that_do_not_fit_are_refused(

@@ -2,6 +2,7 @@
 
 import rfpipe
 from rfpipe.config import load_config, parse_config, read_yaml
+from rfpipe.errors import ConfigError
 from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
 from rfpipe.provenance import fingerprint
@@ -19,6 +20,13 @@ for configfile in workflow.configfiles:
 if len(workflow.configfiles) == 1:
     load_config(workflow.configfiles[0])  # finds keys that stand twice, too
 SETTINGS = parse_config(config, "the configuration")
+
+if workflow.storage_settings.default_storage_provider:
+    raise ConfigError(
+        "--default-storage-provider: Snakemake would bring the manifests of captures and results "
+        "into a bucket, and leave their stores behind; set storage.keep_at in place of it "
+        "(docs/stores.md)"
+    )
 
 
 wildcard_constraints:

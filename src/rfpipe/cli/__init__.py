@@ -14,6 +14,7 @@ from rfpipe.cli.aim import aim
 from rfpipe.cli.calibrate import calibrate
 from rfpipe.cli.export import app as export
 from rfpipe.cli.info import info, open_checked, times
+from rfpipe.cli.keep import keep
 from rfpipe.cli.plan import plan
 from rfpipe.cli.publish import publish
 from rfpipe.cli.run import PASSED_ON, run
@@ -197,6 +198,7 @@ app.command()(offline.patterns)
 app.command("import")(offline.import_)
 app.command()(fit.fit)
 app.command()(publish)
+app.command()(keep)
 
 
 app.command()(view)

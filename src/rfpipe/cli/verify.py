@@ -21,7 +21,8 @@ def verify(
         typer.Argument(
             metavar="FOLDER",
             help="A run's folder, its results or a part of them, a calibration, or a published "
-            "folder or zip with a manifest-sha256.txt.",
+            "folder or zip with a manifest-sha256.txt; or an address (https://, s3://) of such a "
+            "folder, of what 'rfpipe keep' brought into a bucket, or of a transport.",
         ),
     ] = Path("results"),
     mend: Annotated[
@@ -71,6 +72,9 @@ def verify(
 
 
 def _print(folder: Path, checked: Checked) -> None:
+    from rfpipe.store.locating import as_address
+
+    named = as_address(folder) or folder
     for finding in checked.findings:
         typer.echo(f"{finding.path}: {finding.what}")
         for line in _advice(finding):
@@ -82,9 +86,9 @@ def _print(folder: Path, checked: Checked) -> None:
         f"{checked.bytes / 1e6:,.1f} MB"
     )
     if not checked.findings:
-        typer.echo(f"{folder}: whole. {amount}")
+        typer.echo(f"{named}: whole. {amount}")
         return
-    typer.echo(f"\n{folder}: {len(checked.findings)} findings in {amount}")
+    typer.echo(f"\n{named}: {len(checked.findings)} findings in {amount}")
     if len(checked.findings) > 1 and checked.removals():
         typer.echo(
             "All at once: rfpipe verify FOLDER --mend removes what these commands remove, and says "

@@ -5,9 +5,21 @@ from __future__ import annotations
 import re
 from urllib.parse import urlsplit
 
-__all__ = ["check_port", "check_server"]
+__all__ = ["check_bucket", "check_port", "check_server"]
 
 _HOST_NAME = re.compile(r"(?!-)[a-z0-9_-]{1,63}(?<!-)(\.(?!-)[a-z0-9_-]{1,63}(?<!-))*\.?", re.I)
+
+
+_BUCKET = re.compile(r"s3://[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/[^?#@\s]+)?/?")
+
+
+def check_bucket(address: str) -> None:
+    """Raise ValueError where an address is no folder in a bucket; says what it should be."""
+    if not _BUCKET.fullmatch(address):
+        raise ValueError(
+            "should be a bucket, or a folder in one, such as s3://lab/desk; credentials stand in "
+            "the environment, not in an address"
+        )
 
 
 def check_port(address: str) -> None:

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from rfpipe.config.addresses import check_port
+from rfpipe.config.addresses import check_bucket, check_port
 from rfpipe.config.base import (
     Extent,
     MethodSettings,
@@ -109,6 +109,19 @@ class StorageConfig(Settings):
         "round a leaf's factors, by about 1e-5 and 3e-3 of their values. uint8 takes a quarter of "
         "float32's bytes; uint16 is for tolerances below 1e-4 without noise.",
     )
+    keep_at: str | None = Field(
+        None,
+        description="Folder in a bucket of an object store, of this run alone, into which a run "
+        "brings its transports, relit pictures and report at its end, such as s3://lab/desk; "
+        "captures stay here. Credentials and endpoint come from the environment: docs/stores.md.",
+    )
+
+    @field_validator("keep_at")
+    @classmethod
+    def _is_in_a_bucket(cls, keep_at: str | None) -> str | None:
+        if keep_at is not None:
+            check_bucket(keep_at)
+        return keep_at
 
 
 class ReportConfig(Settings):
@@ -220,6 +233,7 @@ class Config(Settings):
                 "rig_file": True,
                 "capture": {"keep_raw", "url", "token_file", "patience_seconds"},
                 "offline": {"markers"},
+                "storage": {"keep_at"},
             },
         )
 

@@ -10,15 +10,18 @@ from rfpipe.publish.citation import (
 )
 from rfpipe.publish.contents import Run, find_run
 from rfpipe.publish.job import Published, publish
+from rfpipe.publish.keep import Kept, keep
 
 __all__ = [
     "CITATION_FILE",
     "Citation",
     "Creator",
+    "Kept",
     "Published",
     "Run",
     "citation_values",
     "find_run",
+    "keep",
     "parse_citation",
     "publish",
     "write_citation",

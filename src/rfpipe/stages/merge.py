@@ -158,14 +158,14 @@ class _MergeRun:
         """Merge a run; return its first pattern, and the digests and the sum of its images."""
         digests: list[str] = []
         total = LevelSum.zero(self.merger.floodlit.shape)
-        for start in range(first, last, self.chunk):
-            stop = min(start + self.chunk, last)
-            merged = self.merger.merge(self._frames.read(start, stop), start)
-            if self.gains is not None:
-                merged = _divided(merged, self.gains[start:stop])
-            total.add(merged)
-            images = np.stack([merged.radiance, merged.variance], axis=1)
-            digests += self._images.write_items(start, images)
+        with self._images.adding(first) as add:
+            for start in range(first, last, self.chunk):
+                stop = min(start + self.chunk, last)
+                merged = self.merger.merge(self._frames.read(start, stop), start)
+                if self.gains is not None:
+                    merged = _divided(merged, self.gains[start:stop])
+                total.add(merged)
+                digests += add(np.stack([merged.radiance, merged.variance], axis=1))
         return first, digests, total
 
     @property
@@ -241,6 +241,9 @@ def _merge(
     total = LevelSum.zero(image_shape)
     with folder.frames(level, "capture") as frames:
         count = frames.shape[0]
+        pieces = runs(count, image_shape)
+        # a run is a shard, so that no two workers ever write the same one
+        run_chunks = max(-(-(last - first) // chunk) for first, last in pieces or [(0, 1)])
         shape = (count, 2, *image_shape)
         about = {"axis 1": ["radiance", "variance"], "units": RADIANCE_UNIT}
         merger = replace(merger, options=replace(merger.options, brackets=count))
@@ -249,11 +252,17 @@ def _merge(
         work = _MergeRun(merger, gains, captured, merged, made_from, chunk)
         with (
             FrameStore.create(
-                store, shape, RADIANCE, made_from, about, items_per_chunk=chunk
+                store,
+                shape,
+                RADIANCE,
+                made_from,
+                about,
+                items_per_chunk=chunk,
+                chunks_per_file=run_chunks,
             ) as images,
             resources.workers(work.bytes_in_hand) as workers,
         ):
-            for first, digests, of_run in workers.results(work, runs(count, image_shape)):
+            for first, digests, of_run in workers.results(work, pieces):
                 images.enter(first, digests)
                 total.join(of_run)
             entry = images.entry()

@@ -40,7 +40,9 @@ __all__ = ["ArrayBundle", "open_arrays", "write_arrays"]
 _KIND = "arrays"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
 _DTYPE_KINDS = "buif"
-_CHUNK_BYTES = 2 * 2**20  # files are few, and yet several threads share a large array
+# Arrays of more than this are cut into chunks, several of which share a file, a shard: files are
+# few, and a part of a large array is read by itself. Before compression.
+_WHOLE_BYTES, _CHUNK_BYTES, _SHARD_BYTES = 2 * 2**20, 2**20, 64 * 2**20
 
 
 class ArrayBundle:
@@ -265,27 +267,32 @@ def _write_group(
     path: Path, arrays: Mapping[str, NDArray[Any]], header: dict[str, Any], small: bool
 ) -> None:
     import zarr
+    from zarr.codecs import Crc32cCodec
 
     group = zarr.create_group(path, attributes=header)
     for name, array in arrays.items():
+        chunks, shards = _grid(array)
+        how = small_layout(array.dtype) if small else layout(compression_for(array.dtype))
+        if shards is not None:
+            how["compressors"] = [how["compressors"], Crc32cCodec()]
         stored = group.create_array(
-            name,
-            shape=array.shape,
-            dtype=array.dtype,
-            chunks=_chunks(array),
-            **(small_layout(array.dtype) if small else layout(compression_for(array.dtype))),
+            name, shape=array.shape, dtype=array.dtype, chunks=chunks, shards=shards, **how
         )
         if array.size:
             stored[...] = array
 
 
-def _chunks(array: NDArray[Any]) -> tuple[int, ...]:
-    """Whole rows, about 2 MiB of them."""
-    if array.ndim == 0:
-        return ()
-    row = max(1, array.nbytes // max(1, len(array)))
-    rows = min(max(1, _CHUNK_BYTES // row), max(1, len(array)))
-    return (rows, *(max(1, length) for length in array.shape[1:]))
+def _grid(array: NDArray[Any]) -> tuple[tuple[int, ...], tuple[int, ...] | None]:
+    """Return the shapes of an array's chunks and of its shards, which it may have none of."""
+    shape = tuple(max(1, length) for length in array.shape)
+    if array.nbytes <= _WHOLE_BYTES:
+        return shape, None
+    axis = int(np.argmax(shape))
+    slice_bytes = array.nbytes // shape[axis]
+    step = max(1, _CHUNK_BYTES // slice_bytes)
+    held = min(-(-shape[axis] // step), max(1, _SHARD_BYTES // (step * slice_bytes)))
+    chunk, shard = ((*shape[:axis], n * step, *shape[axis + 1 :]) for n in (1, held))
+    return chunk, shard if held > 1 else None
 
 
 def _check_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:

@@ -57,7 +57,9 @@ class FrameStore:
     dtype : numpy.dtype
         Of the frames.
     items_per_chunk : int
-        Blocks are written in whole chunks of so many items.
+        Items that are compressed, and read, together.
+    items_per_file : int
+        Blocks are written in whole files of so many items: a chunk, or a shard of several.
     fingerprint : str
         The configuration that it was made with.
     attributes : dict
@@ -78,8 +80,9 @@ class FrameStore:
         self.shape = self._array.shape
         self.dtype = self._array.dtype
         self.items_per_chunk = self._array.items_per_chunk
-        # Digest by captured item; a chunk with an item that the journal lost is written again.
-        self._digests = self._array.whole_chunks(read_journal(path / _JOURNAL, self.shape[0]))
+        self.items_per_file = self._array.items_per_file
+        # Digest by captured item; a file with an item that the journal lost is written again.
+        self._digests = self._array.whole_files(read_journal(path / _JOURNAL, self.shape[0]))
         self.dropped = (path / DROPPED).exists()
         if self.dropped and not self.complete:
             raise IntegrityError(
@@ -100,6 +103,7 @@ class FrameStore:
         attributes: dict[str, Any],
         *,
         items_per_chunk: int = 1,
+        chunks_per_file: int = 1,
         compression: Compression | None = None,
     ) -> FrameStore:
         """Make a store, or resume the one that stands there; locked until `close`.
@@ -120,8 +124,12 @@ class FrameStore:
         attributes
             Plain data to keep with it: units, exposures, versions.
         items_per_chunk
-            Items in one file. One resumes at the very item where it stopped; several are quicker
+            Items in one chunk. One resumes at the very item where it stopped; several are quicker
             for small frames (a file costs about half a millisecond).
+        chunks_per_file
+            Several make shards of zarr v3: fewer files, of which each chunk can be read by itself.
+            A shard is written whole, by one writer, so that a store that grows item by item, as
+            a capture does, has one chunk a file.
         compression
             ``"zstd"``, ``"lz4"`` or ``"none"``; None chooses by dtype.
 
@@ -140,10 +148,16 @@ class FrameStore:
             When an argument is out of range, or something that is no store stands there.
         """
         wanted = np.dtype(dtype)
-        if len(shape) < 2 or shape[0] < 0 or min(shape[1:]) < 1 or items_per_chunk < 1:
+        if (
+            len(shape) < 2
+            or shape[0] < 0
+            or min(shape[1:]) < 1
+            or min(items_per_chunk, chunks_per_file) < 1
+        ):
             raise InputError(
-                f"{path}: shape {tuple(shape)} in chunks of {items_per_chunk}; expected (items, "
-                "*item shape), at least one element an item, at least one item a chunk"
+                f"{path}: shape {tuple(shape)} in chunks of {items_per_chunk}, {chunks_per_file} a "
+                "file; expected (items, *item shape), at least one element an item, at least one "
+                "item a chunk and one chunk a file"
             )
         if wanted.kind not in _DTYPE_KINDS:
             raise InputError(f"{path}: dtype {wanted}; expected an integer or float dtype")
@@ -153,7 +167,9 @@ class FrameStore:
         lock.acquire()
         try:
             if not (path / METADATA).exists():
-                make_item_array(path, shape, wanted, header, items_per_chunk, compression)
+                make_item_array(
+                    path, shape, wanted, header, items_per_chunk, compression, chunks_per_file
+                )
             store = cls(path)
             store._refuse_other(shape, wanted, fingerprint)
             if not store.dropped:
@@ -206,19 +222,19 @@ class FrameStore:
         return len(self._digests) == self.shape[0]
 
     def missing(self, longest: int | None = None) -> list[tuple[int, int]]:
-        """List the runs [start, stop) of items still to capture, in order, in whole chunks.
+        """List the runs [start, stop) of items still to capture, in order, in whole files.
 
         Parameters
         ----------
         longest
-            Cut the runs to at most so many items, rounded down to whole chunks but at least
+            Cut the runs to at most so many items, rounded down to whole files but at least
             one; None leaves them whole.
         """
         edges = np.flatnonzero(np.diff(~self.done, prepend=False, append=False))
         runs = [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
         if longest is None:
             return runs
-        step = max(1, longest // self.items_per_chunk) * self.items_per_chunk
+        step = max(1, longest // self.items_per_file) * self.items_per_file
         return [
             (first, min(first + step, stop))
             for start, stop in runs
@@ -233,7 +249,7 @@ class FrameStore:
         start
             Index of the first.
         block
-            (B, *item shape), in the store's dtype; whole chunks, none of them captured yet.
+            (B, *item shape), in the store's dtype; whole files, none of them captured yet.
 
         Raises
         ------
@@ -306,7 +322,7 @@ class FrameStore:
         block = self._array.read_items(start, stop, self._digests)
         if block is None:
             item = next(iter(self._array.damaged(start, stop, self._digests)), start)
-            file = self._array.file(item // self.items_per_chunk)
+            file = self._array.file(item)
             raise IntegrityError(
                 f"{file}: item {item} is missing, truncated or altered; expected the "
                 f"digest {self._digests[item]} of {_JOURNAL}. Run the stage that "
@@ -320,7 +336,7 @@ class FrameStore:
 
     def files_of(self, items: Sequence[int]) -> list[Path]:
         """Files in which items lie."""
-        return [self._array.file(item // self.items_per_chunk) for item in items]
+        return [self._array.file(item) for item in items]
 
     def digest(self) -> str:
         """Digest of all items in their order, whatever the order they were written in.
@@ -394,7 +410,7 @@ class FrameStore:
         damaged = self._array.damaged(0, self.shape[0], self._digests)
         for item in damaged:
             del self._digests[item]
-        self._digests = self._array.whole_chunks(self._digests)
+        self._digests = self._array.whole_files(self._digests)
         self._write_journal(self._digests)
         if damaged:
             more = ", ..." if len(damaged) > _NAMED_IN_WARNING else ""

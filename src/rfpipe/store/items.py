@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -43,23 +44,53 @@ class ItemArray(ChunkFiles):
         StoreError
             When the disk is full.
         """
-        stop, step = start + len(block), self.items_per_chunk
-        if block.shape[1:] != self.shape[1:] or block.dtype != self.dtype:
-            raise InputError(
-                f"{self.path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
-                f"(items, {', '.join(map(str, self.shape[1:]))})"
-            )
+        stop, step = start + len(block), self.items_per_file
+        self._check(block)
         if start % step or (stop % step and stop != self.shape[0]):
             raise InputError(
-                f"{self.path}: items {start} to {stop} aren't whole chunks of {step}; write the "
+                f"{self.path}: items {start} to {stop} aren't whole files of {step}; write the "
                 "runs that missing() gives"
             )
         block = np.ascontiguousarray(block)
         digests = _digests(block)
         with storage_errors(self.path, f"writing items {start} to {stop - 1}", block.nbytes):
             for first in range(0, len(block), step):
-                self.write((start + first) // step, block[first : first + step])
+                self.write(start + first, block[first : first + step])
         return digests
+
+    @contextmanager
+    def adding(self, start: int) -> Iterator[Callable[[NDArray[Any]], list[str]]]:
+        """Store the items of one file chunk by chunk, with no more than one chunk in memory.
+
+        The file is there once all of them are; a process that is killed leaves none.
+
+        Parameters
+        ----------
+        start
+            The file's first item.
+
+        Yields
+        ------
+        callable
+            Takes the items of the next chunk, and returns their digests.
+
+        Raises
+        ------
+        InputError
+            When a block doesn't fit.
+        StoreError
+            When the disk is full.
+        """
+        action = f"writing the items from {start} on"
+        with storage_errors(self.path, action), self.writing(start) as put:
+
+            def add(block: NDArray[Any]) -> list[str]:
+                self._check(block)
+                block = np.ascontiguousarray(block)
+                put(block)
+                return _digests(block)
+
+            yield add
 
     def read_items(self, start: int, stop: int, digests: Mapping[int, str]) -> NDArray[Any] | None:
         """Items [start, stop), or None when one isn't what its digest says."""
@@ -69,10 +100,10 @@ class ItemArray(ChunkFiles):
             for first in self._chunk_starts(start, stop):
                 last = min(first + step, stop)
                 if first >= start:
-                    self.read(first // step, block[first - start : last - start])
+                    self.read(first, block[first - start : last - start])
                 else:
                     part = np.empty((last - first, *self.shape[1:]), self.dtype)
-                    self.read(first // step, part)
+                    self.read(first, part)
                     block[: last - start] = part[start - first :]
         except DAMAGE:
             return None
@@ -94,16 +125,21 @@ class ItemArray(ChunkFiles):
                 damaged += [i for i in items if self.read_items(i, i + 1, digests) is None]
         return damaged
 
-    def whole_chunks(self, digests: Mapping[int, str]) -> dict[int, str]:
-        """Keep what covers chunks wholly, since they are written whole."""
-        step, n_items = self.items_per_chunk, self.shape[0]
+    def whole_files(self, digests: Mapping[int, str]) -> dict[int, str]:
+        """Keep what covers files wholly, since they are written whole."""
+        step, n_items = self.items_per_file, self.shape[0]
         if step == 1:
             return dict(digests)
         held = np.bincount([item // step for item in digests], minlength=-(-n_items // step))
-        full = {
-            chunk for chunk, n in enumerate(held) if n == min(step, n_items - int(chunk) * step)
-        }
+        full = {file for file, n in enumerate(held) if n == min(step, n_items - int(file) * step)}
         return {item: digest for item, digest in digests.items() if item // step in full}
+
+    def _check(self, block: NDArray[Any]) -> None:
+        if block.shape[1:] != self.shape[1:] or block.dtype != self.dtype:
+            raise InputError(
+                f"{self.path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
+                f"(items, {', '.join(map(str, self.shape[1:]))})"
+            )
 
     def _chunk_starts(self, start: int, stop: int) -> range:
         step = self.items_per_chunk
@@ -154,6 +190,7 @@ def make_item_array(
     attributes: dict[str, Any],
     items_per_chunk: int,
     compression: Compression | None,
+    chunks_per_file: int = 1,
 ) -> None:
     """Make an empty array, complete or absent.
 
@@ -173,11 +210,13 @@ def make_item_array(
         )
     new = hidden_sibling(path, "new")
     remove_tree(new)
+    chunks_per_file = min(chunks_per_file, -(-shape[0] // items_per_chunk))
     with storage_errors(path, "making the store"):
         zarr.create_array(
             new,
             shape=shape,
             chunks=(items_per_chunk, *shape[1:]),
+            shards=(items_per_chunk * chunks_per_file, *shape[1:]) if chunks_per_file > 1 else None,
             dtype=dtype,
             attributes=attributes,
             **layout(compression or compression_for(dtype)),

@@ -7,7 +7,7 @@ import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
 from itertools import product
-from typing import Any
+from typing import IO, Any
 
 from rfpipe.errors import IntegrityError
 
@@ -44,6 +44,10 @@ class Place(ABC):
         StoreError
             When it can't be read.
         """
+
+    @abstractmethod
+    def open(self) -> IO[bytes]:
+        """Open a file for reading; errors as `read_bytes`."""
 
     @abstractmethod
     def files(self) -> list[str]:
@@ -111,6 +115,13 @@ class ZipPlace(Place):
             return self._archive.read(info)
         except zipfile.BadZipFile as error:
             raise IntegrityError(f"{self}: damaged ({error}); fetch {self._name} anew") from error
+
+    def open(self) -> IO[bytes]:
+        """Open a file for reading; its checksum is checked at its end."""
+        try:
+            return self._archive.open(self.key)
+        except KeyError:
+            raise FileNotFoundError(str(self)) from None
 
     def files(self) -> list[str]:
         """Keys, relative to this one, of all files in this folder."""

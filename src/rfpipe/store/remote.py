@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from urllib.parse import urlsplit
 from rfpipe.errors import InputError, StoreError, without_password
 from rfpipe.store.places import Place
 
-__all__ = ["ObjectPlace", "connect", "open_ranged"]
+__all__ = ["CREDENTIALS", "ObjectPlace", "connect", "open_ranged", "reason_of"]
 
 _SCHEMES = ("http", "https", "s3")
 _AT_ONCE = 16  # requests: each waits for the way there and back, and carries little
@@ -25,13 +26,15 @@ _TAIL_BYTES = 256 * 2**10
 # A request takes as long as half a MB on a usual line, so that reading on costs little; whoever
 # goes on reading gets twice as much each time.
 _FIRST_BYTES, _MOST_BYTES = 256 * 2**10, 8 * 2**20
-# what signs requests to S3; without, they go unsigned, as public buckets take them
-_CREDENTIALS = (
+# of the answer of S3's servers
+_MESSAGE = re.compile(r"(\d{3} [A-Za-z ]+): .*<Message>(.*?)</Message>")
+CREDENTIALS = (
     "AWS_ACCESS_KEY_ID",
     "AWS_WEB_IDENTITY_TOKEN_FILE",
     "AWS_CONTAINER_CREDENTIALS_RELATIVE_URI",
     "AWS_CONTAINER_CREDENTIALS_FULL_URI",
 )
+"""What signs requests to S3; without, they go unsigned, as public buckets take them."""
 
 
 class ObjectPlace(Place):
@@ -60,6 +63,10 @@ class ObjectPlace(Place):
         """Read a file."""
         with remote_errors(str(self)):
             return bytes(self._store.get(self.key).bytes())
+
+    def open(self) -> IO[bytes]:
+        """Open a file, to be read by ranges."""
+        return open_ranged(self._store, self.key, str(self))
 
     def files(self) -> list[str]:
         """Keys of all files in this folder; a web server doesn't tell."""
@@ -181,8 +188,16 @@ def open_ranged(store: Any, key: str, address: str) -> IO[bytes]:
     return cast(IO[bytes], _Ranged(store, key, address))
 
 
-def connect(address: str) -> tuple[Any, str, str]:
+def connect(
+    address: str, *, retries: Any = None, client: dict[str, Any] | None = None
+) -> tuple[Any, str, str]:
     """Return the obstore store of an address's server or bucket, the key in it, and its root.
+
+    Parameters
+    ----------
+    address : str
+    retries, client
+        Options of obstore: when a request is repeated, and how long it may take.
 
     Raises
     ------
@@ -206,19 +221,20 @@ def connect(address: str) -> tuple[Any, str, str]:
             "'pip install rfpipe[publish]', or download it"
         ) from error
     root = f"{scheme}://{parts.netloc}"  # with a password, if the address has one
-    options: Any = {"allow_http": True}
+    options: Any = {"allow_http": True, **(client or {})}
+    retries = retries or _RETRIES
     store: Any
     if scheme == "s3":
-        signed = any(os.environ.get(name) for name in _CREDENTIALS)
+        signed = any(os.environ.get(name) for name in CREDENTIALS)
         unsigned: Any = {} if signed else {"skip_signature": True}
         store = S3Store(
             parts.netloc,
             client_options=options,
-            retry_config=_RETRIES,
+            retry_config=retries,
             **unsigned,
         )
     else:
-        store = HTTPStore.from_url(f"{root}/", client_options=options, retry_config=_RETRIES)
+        store = HTTPStore.from_url(f"{root}/", client_options=options, retry_config=retries)
     return store, parts.path.strip("/"), without_password(root)
 
 
@@ -230,8 +246,14 @@ def remote_errors(address: str) -> Iterator[None]:
     try:
         yield
     except BaseError as error:
-        reason = str(error).partition("\n\nDebug source")[0].strip().splitlines()
         raise StoreError(
-            f"{address}: can't be read: {' '.join(reason)}; check the address, the rights to read "
+            f"{address}: can't be read: {reason_of(error)}; check the address, the rights to read "
             "it and that its server answers range requests, or download it and open the file"
         ) from None  # obstore's own message shows the address as it was given
+
+
+def reason_of(error: Exception) -> str:
+    """Return what obstore or the server says is wrong, in one line."""
+    said = " ".join(str(error).partition("\n\nDebug source")[0].split())
+    message = _MESSAGE.search(said)
+    return f"{message[1]}: {message[2]}" if message else said

@@ -9,10 +9,13 @@ from rfpipe.store.chunks import METADATA
 from rfpipe.store.locating import locate
 from rfpipe.store.places import Place
 
-__all__ = ["MANIFEST", "STORE_NAME", "find_transport", "transports_in"]
+__all__ = ["MANIFEST", "STORE_NAME", "ZIP_NAME", "find_transport", "transports_in"]
 
 STORE_NAME = "transport.zarr"
 """Under which an acquisition's transport is stored."""
+
+ZIP_NAME = "transport.zip"
+"""Under which `rfpipe keep` brings it into a bucket, as one object."""
 
 MANIFEST = "manifest-sha256.txt"
 """Of a publication: the SHA-256 and the name of every file, a line each."""
@@ -31,7 +34,8 @@ def find_transport(path: str | Path) -> Path | Place:
         return place
     names = transports_in(place)
     if len(names) == 1:
-        return place / names[0]
+        found = place / names[0]
+        return find_transport(str(found)) if names[0].endswith(ZIP_NAME) else found
     if not names:
         raise StoreError(
             f"{place}: no {STORE_NAME} in here; give the {STORE_NAME} that an acquisition wrote, "
@@ -66,6 +70,6 @@ def transports_in(place: Path | Place) -> list[str]:
         files = place.files()
     else:
         files = [line[66:] for line in listed.decode(errors="replace").splitlines()]
-    end = f"{STORE_NAME}/{METADATA}"
-    stores = [name for name in files if name == end or name.endswith(f"/{end}")]
+    ends = (f"{STORE_NAME}/{METADATA}", ZIP_NAME)
+    stores = [name for name in files if f"/{name}".endswith(tuple(f"/{end}" for end in ends))]
     return sorted(name.removesuffix(f"/{METADATA}") for name in stores)

@@ -23,9 +23,10 @@ from rfpipe.units import RADIANCE, SATURATION_FRACTION
 Frames = NDArray[Any]
 Double = NDArray[np.float64]
 
-# A file of merged images; two images of 62 x 70 RGB rays make 100 kB.
+# A chunk of merged images; two images of 62 x 70 RGB rays make 100 kB.
 _CHUNK_BYTES = 2 * 2**20
-# Enough that handing a run to a thread or a cluster costs nothing beside its work.
+# Enough that handing a run to a thread or a cluster costs nothing beside its work. A run is also a
+# file, a shard of as many chunks, so that no two workers ever write the same one.
 _CHUNKS_PER_RUN = 8
 # Share of the floodlit image that may be saturated at every exposure: glints, but no surfaces.
 _MOST_SATURATED = 0.01
@@ -34,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 
 def chunk_patterns(image_shape: tuple[int, ...]) -> int:
-    """Return how many patterns' radiance and variance (*camera_shape, C) lie in one file."""
+    """Return how many patterns' radiance and variance (*camera_shape, C) make a chunk."""
     return max(1, _CHUNK_BYTES // (2 * prod(image_shape) * np.dtype(RADIANCE).itemsize))
 
 

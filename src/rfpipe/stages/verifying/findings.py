@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from rfpipe.store.places import Place
+
 __all__ = ["Checked", "Finding", "Mend"]
 
 How = Literal["run", "calibrate", "restore"]
@@ -37,12 +39,12 @@ class Finding:
 
     Attributes
     ----------
-    path : Path
+    path : Path or Place
     what : str
     mend : Mend
     """
 
-    path: Path
+    path: Path | Place
     what: str
     mend: Mend
 
@@ -73,7 +75,7 @@ class Checked:
     seen: set[Path] = field(default_factory=set)
     progress: Callable[[int], object] = lambda _: None
 
-    def wrong(self, path: Path, what: str, mend: Mend) -> None:
+    def wrong(self, path: Path | Place, what: str, mend: Mend) -> None:
         """Add a finding."""
         self.findings.append(Finding(path, what, mend))
 

@@ -14,8 +14,9 @@ from urllib.parse import unquote
 
 from rfpipe.stages.verifying.findings import Checked, Mend
 from rfpipe.store.files import storage_errors
+from rfpipe.store.places import Place
 
-__all__ = ["LIST", "check_list", "published"]
+__all__ = ["LIST", "check_list", "listed_names", "published"]
 
 LIST = "manifest-sha256.txt"
 """A line a file: 64 hexadecimal digits, spaces, its path; as BagIt (RFC 8493) has it."""
@@ -29,8 +30,13 @@ _COPY = Mend("restore")
 class Files(Protocol):
     """The files that were published, by their paths."""
 
-    path: Path
-    names: set[str]
+    @property
+    def path(self) -> Path | Place:
+        """Where they lie."""
+
+    @property
+    def names(self) -> set[str]:
+        """Of all files."""
 
     def open(self, name: str) -> IO[bytes]:
         """Open one for reading."""
@@ -98,25 +104,42 @@ def check_list(files: Files, checked: Checked) -> None:
             checked.notes.append(f"{files.path / name}: isn't in the list of files")
 
 
+def listed_names(content: bytes) -> list[str]:
+    """Return the paths that a list names."""
+    lines = content.decode("utf-8-sig", errors="replace").splitlines()
+    found = (_LINE.fullmatch(line.strip()) for line in lines)
+    return [_path_in(line) for line in found if line]
+
+
+def _path_in(line: re.Match[str]) -> str:
+    return unquote(line[2]).removeprefix("./")
+
+
 def _read(files: Files, name: str, checked: Checked) -> dict[str, str]:
     """Return digest by path of a list; lines that are none are found."""
     listed = {}
-    with storage_errors(files.path / name, "reading"), files.open(name) as file:
+    with _opened(files, name) as file:
         text = file.read().decode("utf-8-sig", errors="replace")
     for number, line in enumerate(text.splitlines(), 1):
         found = _LINE.fullmatch(line.strip())
         if found:
-            listed[unquote(found[2]).removeprefix("./")] = found[1].lower()
+            listed[_path_in(found)] = found[1].lower()
         elif line.strip():
             checked.wrong(files.path / name, f"line {number} is no SHA-256 and path", _COPY)
     return listed
+
+
+@contextmanager
+def _opened(files: Files, name: str) -> Iterator[IO[bytes]]:
+    with storage_errors(Path(str(files.path / name)), "reading"), files.open(name) as file:
+        yield file
 
 
 def _sha256(files: Files, name: str, checked: Checked) -> str | None:
     """Return a file's digest, None where a zip's own check finds it damaged."""
     digest = hashlib.sha256()
     try:
-        with storage_errors(files.path / name, "reading"), files.open(name) as file:
+        with _opened(files, name) as file:
             while block := file.read(_BLOCK):
                 digest.update(block)
                 checked.read(len(block))

@@ -10,6 +10,7 @@ from rfpipe.provenance import fingerprint
 from rfpipe.stages.verifying.findings import Checked
 from rfpipe.store import FrameStore, bytes_on_disk, header_is_whole, open_arrays
 from rfpipe.store.chunks import METADATA
+from rfpipe.store.places import Place
 
 __all__ = ["check_bundle", "check_frames", "check_store", "first_sentence", "made_for"]
 
@@ -108,10 +109,10 @@ def _items(items: list[int], count: int) -> str:
     return f"{len(items)} of {count} items are" if len(items) > 1 else f"item {named} of {count} is"
 
 
-def first_sentence(error: Exception, path: Path) -> str:
+def first_sentence(error: Exception, path: Path | Place) -> str:
     """Return what an error says is wrong, without the place and without advice."""
     text = str(error).removeprefix(f"{path}: ").removeprefix(f"{path}/")
-    for advice in (". Remove", "; remove", "; restore", "; run", ". Run", ". To do so"):
+    for advice in (". Remove", ". Fetch", "; remove", "; restore", "; run", ". Run", ". To do so"):
         text = text.partition(advice)[0]
     return text
 

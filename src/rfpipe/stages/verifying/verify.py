@@ -9,6 +9,7 @@ from typing import Any
 
 from rfpipe.errors import InputError, StoreError
 from rfpipe.stages.verifying.acquisition import check_acquisition, is_acquisition
+from rfpipe.stages.verifying.afar import check_afar
 from rfpipe.stages.verifying.again import RUN, run_again, shell_path
 from rfpipe.stages.verifying.findings import Checked, Finding, Mend
 from rfpipe.stages.verifying.published import LIST, check_list, published
@@ -16,6 +17,8 @@ from rfpipe.stages.verifying.report_files import check_report_files
 from rfpipe.stages.verifying.stores import check_store, first_sentence
 from rfpipe.store import read_manifest
 from rfpipe.store.files import digest_of
+from rfpipe.store.locating import as_address, locate
+from rfpipe.store.places import Place
 
 __all__ = ["bytes_below", "command_for", "results_of", "verify"]
 
@@ -29,7 +32,8 @@ def verify(folder: Path, progress: Callable[[int], object] | None = None) -> Che
     ----------
     folder : Path
         A run's (with ``results``), its results or one acquisition of them, a calibration, a store,
-        or a published folder or zip with a list of its files.
+        or a published folder or zip with a list of its files. Or the address of a transport, or of
+        a folder with such a list.
     progress : callable, optional
         Called with the number of bytes that were read, as they are.
 
@@ -41,8 +45,15 @@ def verify(folder: Path, progress: Callable[[int], object] | None = None) -> Che
     ------
     InputError
         When there is no such folder, or nothing in it that could be checked.
+    StoreError
+        When a server doesn't answer.
     """
     checked = Checked(progress=progress or (lambda _: None))
+    if as_address(folder) is not None:
+        place = locate(folder)
+        assert isinstance(place, Place)
+        check_afar(place, checked, locate)
+        return checked
     with published(folder) as files:
         if files is not None:
             check_list(files, checked)
@@ -77,13 +88,14 @@ def command_for(finding: Finding) -> str:
     return f"rm -rf {' '.join(map(shell_path, mend.remove))} && {again}"
 
 
-def _calibration_of(path: Path) -> Path:
+def _calibration_of(found: Path | Place) -> Path:
+    path = Path(str(found))
     return next((place.parent for place in path.parents if place.name == "steps"), path.parent)
 
 
 def results_of(finding: Finding) -> Path:
     """Return the results' folder in which a finding lies."""
-    path = finding.path.absolute()
+    path = Path(str(finding.path)).absolute()
     named = [place for place in (path, *path.parents) if place.name == "results"]
     return named[0] if named else path.parent
 

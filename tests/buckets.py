@@ -1,0 +1,160 @@
+"""A local S3 server, and a proxy in front of it that fails as networks and servers do."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import socket
+import subprocess
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+from tests.validators import validators_python
+
+BUCKET = "lab"
+_HOP = {"connection", "keep-alive", "transfer-encoding", "content-length", "date", "server"}
+
+
+@contextmanager
+def s3_server() -> Iterator[str]:
+    """Run an S3 server with one empty bucket, `BUCKET`; its endpoint."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    endpoint, python = f"http://127.0.0.1:{port}", validators_python()
+    process = subprocess.Popen(
+        [python, "-W", "ignore", "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": ""},
+    )
+    try:
+        put(f"{endpoint}/{BUCKET}", b"", patience=60.0)
+        yield endpoint
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+def put(address: str, content: bytes, patience: float = 0.0) -> None:
+    """Write an object that anybody may read, or a bucket, unsigned."""
+    headers = {"Content-Type": "application/octet-stream", "x-amz-acl": "public-read"}
+    asked = urllib.request.Request(address, content, headers, method="PUT")
+    end = time.monotonic() + patience
+    while True:
+        try:
+            with urllib.request.urlopen(asked, timeout=10):
+                return
+        except OSError:
+            if time.monotonic() > end:
+                raise
+            time.sleep(0.1)
+
+
+def use(monkeypatch: pytest.MonkeyPatch, endpoint: str, *, signed: bool = True) -> None:
+    """Set the environment as somebody does who uses a server."""
+    monkeypatch.setenv("AWS_ENDPOINT_URL", endpoint)
+    monkeypatch.setenv("AWS_REGION", "us-east-1")
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        if signed:
+            monkeypatch.setenv(name, "testing")
+        else:
+            monkeypatch.delenv(name, raising=False)
+
+
+@dataclass
+class Faults:
+    """What a proxy does to the requests that write objects, and what it saw.
+
+    Attributes
+    ----------
+    fail : int
+        That many of the next are answered by 500.
+    cut : int
+        Of that many of the next the connection is cut in the middle of the content.
+    deny : bool
+        Whether they are answered by 403.
+    seconds : float
+        That each of them takes longer.
+    requests : list of (method, path, bytes sent, bytes received)
+    """
+
+    endpoint: str = ""
+    fail: int = 0
+    cut: int = 0
+    deny: bool = False
+    seconds: float = 0.0
+    requests: list[tuple[str, str, int, int]] = field(default_factory=list)
+
+    def written(self) -> list[str]:
+        """Paths of the objects that were written, one for each request that was let pass."""
+        return [path for method, path, *_ in self.requests if method == "PUT"]
+
+
+@contextmanager
+def proxy(behind: str) -> Iterator[Faults]:
+    """Pass requests on to an S3 server."""
+    faults = Faults()
+    host = behind.removeprefix("http://")
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def pass_on(self) -> None:
+            length = int(self.headers.get("Content-Length", 0))
+            if self.command in ("PUT", "POST"):
+                time.sleep(faults.seconds)
+                if faults.cut:
+                    faults.cut -= 1
+                    self.rfile.read(length // 2)
+                    self.connection.shutdown(socket.SHUT_RDWR)
+                    self.close_connection = True
+                    return
+                if faults.deny or faults.fail:
+                    self.rfile.read(length)
+                    faults.fail -= 0 if faults.deny else 1
+                    code = "AccessDenied" if faults.deny else "InternalError"
+                    text = f"<Error><Code>{code}</Code><Message>Not now</Message></Error>"
+                    self.answer(403 if faults.deny else 500, {}, text.encode())
+                    return
+            content = self.rfile.read(length)
+            onward = http.client.HTTPConnection(host, timeout=30)
+            onward.request(self.command, self.path, content, dict(self.headers))
+            answered = onward.getresponse()
+            received = answered.read()
+            faults.requests.append((self.command, self.path, len(content), len(received)))
+            self.answer(answered.status, dict(answered.getheaders()), received)
+            onward.close()
+
+        do_GET = do_PUT = do_POST = do_HEAD = do_DELETE = pass_on  # noqa: N815
+
+        def answer(self, status: int, headers: dict[str, str], content: bytes) -> None:
+            self.send_response(status)
+            for name, value in headers.items():
+                if name.lower() not in _HOP:
+                    self.send_header(name, value)
+            self.send_header("Content-Length", headers.get("Content-Length", str(len(content))))
+            self.end_headers()
+            if self.command != "HEAD":
+                self.wfile.write(content)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    server.daemon_threads = True
+    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
+    thread.start()
+    faults.endpoint = f"http://127.0.0.1:{server.server_port}"
+    try:
+        yield faults
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()

@@ -1,0 +1,276 @@
+"""A run's results in a bucket: whole whatever breaks, sent once, read and checked from there."""
+
+import itertools
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.buckets import BUCKET, Faults, proxy, s3_server, use
+from typer.testing import CliRunner
+
+import rfpipe
+from rfpipe.cli import app
+from rfpipe.config import Config, parse_config
+from rfpipe.errors import ConfigError, InputError, IntegrityError, StoreError
+from rfpipe.publish import Kept, find_run, keep
+from rfpipe.store import bucket as bucket_module
+from rfpipe.store import open_arrays, write_arrays, write_manifest
+from rfpipe.transport import save_transport
+from rfpipe.transport.dense import DenseTransport
+
+SHAPE = (12, 14)
+N = 12 * 14
+SCENES = ("desk", "shelf", "wall")
+LIST = "manifest-sha256.txt"
+_folders = itertools.count()
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[str]:
+    with s3_server() as endpoint:
+        yield endpoint
+
+
+@pytest.fixture
+def faults(server: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Faults]:
+    """A proxy in front of the server, which the environment names."""
+    with proxy(server) as found:
+        use(monkeypatch, found.endpoint)
+        yield found
+
+
+@pytest.fixture
+def address() -> str:
+    """A folder of its own in the bucket."""
+    return f"s3://{BUCKET}/run{next(_folders)}"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of three scenes with captures and a report, as its stages leave it."""
+    folder = tmp_path_factory.mktemp("made")
+    for seed, scene in enumerate(SCENES):
+        matrix = np.random.default_rng(seed).random((3, N, N), np.float32)
+        store(folder, scene, matrix)
+        place = folder / f"results/{scene}/dual"
+        digest = write_arrays(place / "relight.zarr", {"images": matrix[0]}, {})
+        write_manifest(place / "relight.json", {"digest": digest})
+        write_manifest(place / "L00/capture.json", {"stage": "capture"})
+        (place / "L00/capture.zarr").mkdir()
+        (place / "L00/capture.zarr/c.0").write_bytes(b"a frame")
+    report = folder / "results/report"
+    report.mkdir()
+    (report / "index.html").write_text("<h1>Report</h1>")
+    settings = {"provenance": {"configuration": Config().shaping()}}
+    (report / "results.json").write_text(json.dumps(settings))
+    return folder
+
+
+def store(folder: Path, scene: str, matrix: np.ndarray) -> None:
+    place = folder / f"results/{scene}/dual"
+    rows = [{"level": 0, "patterns": 12}]
+    transport = DenseTransport(SHAPE, SHAPE, 3, rows, {"matrix": matrix})
+    digest = save_transport(transport, place / "transport.zarr")
+    write_manifest(place / "transport.json", {"digest": digest, "patterns": 12})
+
+
+@pytest.fixture
+def run(made: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(made, tmp_path / "run")
+
+
+def kept(run: Path, address: str) -> Kept:
+    found = keep(find_run(run), address)
+    assert not list(run.rglob(".keep*"))
+    return found
+
+
+def verified(address: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["verify", address], catch_exceptions=False)
+    return result.exit_code, result.output
+
+
+def listed(address: str) -> dict[str, str]:
+    content = bucket_module.Bucket(address).read(LIST) or b""
+    return {line[66:]: line[:64] for line in content.decode().splitlines()}
+
+
+def test_results_are_sent_once_and_read_from_there(run: Path, address: str, faults: Faults) -> None:
+    found = kept(run, address)
+    names = {f"results/{scene}/dual/{part}.zip" for scene in SCENES
+             for part in ("transport", "relight")}  # fmt: skip
+    names |= {"provenance.zip", "results/report/index.html", "results/report/results.json"}
+    assert set(listed(address)) == names
+    assert (found.objects, found.sent) == (len(names), len(names))
+    assert faults.written()[-1].endswith(LIST)
+    assert not any("capture" in path for path in faults.written())
+    assert verified(address)[0] == 0
+
+    before = len(faults.requests)
+    again = kept(run, address)
+    assert (again.objects, again.sent) == (len(names), 0)
+    assert len(faults.requests) - before <= 3  # two lists of the bucket, and its own list
+
+    store(run, "shelf", np.ones((3, N, N), np.float32))
+    (run / "results/report/index.html").write_text("<h1>Another</h1>")
+    third = kept(run, address)
+    assert third.sent == 2
+    shelf = rfpipe.open_transport(f"{address}/results/shelf/dual/transport.zip")
+    assert np.allclose(shelf.relight(np.ones(SHAPE)), N)
+    with pytest.raises(StoreError, match="has 3 transports"):
+        rfpipe.open_transport(address)
+    light = np.random.default_rng(3).random(SHAPE)
+    there = rfpipe.open_transport(f"{address}/results/desk")
+    here = rfpipe.open_transport(run / "results/desk")
+    assert np.array_equal(there.relight(light), here.relight(light))
+
+
+def test_what_the_network_and_the_server_break_is_sent_again(
+    run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bucket_module, "_SECONDS_BETWEEN", 0.01)
+    faults.fail, faults.cut, faults.seconds = 2, 2, 0.02
+    assert kept(run, address).sent == 9
+    assert (faults.fail, faults.cut) == (0, 0)
+    assert verified(address)[0] == 0
+
+
+@pytest.mark.parametrize("fault", ["fail", "cut"])
+def test_a_server_that_stays_broken_is_said_and_the_next_run_goes_on(
+    fault: str, run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bucket_module, "_SECONDS_BETWEEN", 0.0)
+    monkeypatch.setattr(bucket_module, "_RETRIES", {"max_retries": 1})
+    send, sent = bucket_module.Bucket.put, []
+
+    def breaking(bucket: bucket_module.Bucket, name: str, content: Path | bytes) -> None:
+        if len(sent) == 2:
+            setattr(faults, fault, 1000)
+        sent.append(name)
+        send(bucket, name, content)
+
+    monkeypatch.setattr(bucket_module.Bucket, "put", breaking)
+    with pytest.raises(StoreError, match="goes on where it stopped") as caught:
+        kept(run, address)
+    assert "\n" not in str(caught.value)
+    setattr(faults, fault, 0)
+    monkeypatch.undo()
+    use(monkeypatch, faults.endpoint)
+    assert kept(run, address).sent == 9
+    assert verified(address)[0] == 0
+
+
+def test_missing_buckets_rights_and_credentials_are_said(
+    run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(StoreError, match="no such bucket; make it"):
+        kept(run, "s3://nobody/run")
+    faults.deny = True
+    with pytest.raises(StoreError, match="Not now; check the credentials"):
+        kept(run, address)
+    assert listed(address) == {}
+    monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    with pytest.raises(InputError, match="AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"):
+        kept(run, address)
+    with pytest.raises(InputError, match="s3://bucket/folder"):
+        kept(run, "https://host/run")
+    for wrong in ("lab/run", "s3://", "s3://key:secret@lab/run", "s3://Lab/run"):
+        with pytest.raises(ConfigError, match=r"keep_at.*should be a bucket") as refused:
+            parse_config({"storage": {"keep_at": wrong}}, "test")
+    assert "secret" not in str(refused.value)
+
+
+def test_an_uploader_that_is_killed_leaves_nothing_half_and_goes_on(
+    run: Path, address: str, faults: Faults
+) -> None:
+    faults.seconds = 0.15
+    command = [sys.executable, "-m", "rfpipe.cli", "keep", str(run), address]
+    for least in (1, 4):
+        uploader = subprocess.Popen(command, env=os.environ, stderr=subprocess.DEVNULL)
+        end = time.monotonic() + 60
+        while len(faults.written()) < least:
+            assert time.monotonic() < end
+            assert uploader.poll() is None
+            time.sleep(0.01)
+        time.sleep(0.1)  # in the middle of the next
+        uploader.send_signal(signal.SIGKILL)
+        assert uploader.wait() == -signal.SIGKILL
+        time.sleep(0.3)  # what was under way
+        bucket = bucket_module.Bucket(address)
+        assert len(bucket.sizes()) < 9
+        for name in bucket.sizes():
+            if name.endswith("transport.zip"):
+                transport = rfpipe.open_transport(f"{address}/{name}")
+                assert transport.relight(np.ones(SHAPE)).shape == (*SHAPE, 3)
+        for name in listed(address):
+            assert name in bucket.sizes()
+    faults.seconds = 0.0
+    assert kept(run, address).objects == 9
+    assert verified(address)[0] == 0
+    assert len(listed(address)) == 9
+
+
+def test_damage_there_is_found_and_sent_again(run: Path, address: str, faults: Faults) -> None:
+    kept(run, address)
+    bucket = bucket_module.Bucket(address)
+    name = "results/desk/dual/transport.zip"
+    bucket.put(name, b"half of it")
+    bucket.put("results/strange.txt", b"of somebody else")
+    status, output = verified(address)
+    assert status == 1
+    assert f"{address}/{name}: is altered" in output
+    assert "strange.txt: isn't in the list" in output
+    assert kept(run, address).sent == 1
+    assert verified(address)[0] == 0
+    for place in (f"{address}/{name}", f"{address}/results/desk"):
+        status, output = verified(place)
+        assert (status, "1 stores" in output) == (0, True), output
+
+
+def test_what_is_damaged_here_is_not_sent(run: Path, address: str, faults: Faults) -> None:
+    chunk = run / "results/shelf/dual/transport.zarr/matrix/c.0.0.0"
+    content = bytearray(chunk.read_bytes())
+    content[200] ^= 1
+    chunk.write_bytes(content)
+    with pytest.raises(IntegrityError, match="altered"):
+        kept(run, address)
+    assert not any("shelf" in name for name in listed(address))
+
+
+def test_a_store_of_shards_is_read_and_checked_from_a_bucket(
+    run: Path, address: str, faults: Faults
+) -> None:
+    store = run / "results/desk/dual/transport.zarr"
+    large = np.random.default_rng(0).random((3, 400_000), np.float32)
+    write_arrays(store, {"large": large}, {"kind": "test"})
+    bucket = bucket_module.Bucket(address)
+    for file in store.rglob("*"):
+        if file.is_file():
+            bucket.put(file.relative_to(store).as_posix(), file)
+    from rfpipe.store.locating import locate
+
+    bundle = open_arrays(locate(f"{address}"))
+    assert np.array_equal(bundle.read("large"), large)
+    faults.requests.clear()
+    assert verified(address)[0] == 0
+    shard = bucket.read("large/c.0.0")
+    assert shard is not None
+    bucket.put("large/c.0.0", shard[:-1])
+    status, output = verified(address)
+    assert (status, "'large' is missing, truncated or altered" in output) == (1, True), output
+
+
+def test_verify_tells_its_findings_as_json(run: Path, address: str, faults: Faults) -> None:
+    kept(run, address)
+    result = CliRunner().invoke(app, ["verify", "--json", address], catch_exceptions=False)
+    assert json.loads(result.output)["whole"] is True
+    with pytest.raises(InputError, match=r"has no manifest-sha256\.txt and no transport"):
+        CliRunner().invoke(app, ["verify", f"s3://{BUCKET}/none"], catch_exceptions=False)

@@ -1,0 +1,10 @@
+from dataclasses import asdict
+from pathlib import Path
+
+from rfpipe.publish import find_run, keep
+from rfpipe.stages.jobs.job import start
+from rfpipe.store import write_manifest
+
+start(snakemake.log[0])
+output = Path(snakemake.output[0])
+write_manifest(output, asdict(keep(find_run(output.parent), snakemake.params.address)))
