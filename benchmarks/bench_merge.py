@@ -94,7 +94,7 @@ def main() -> None:
         ways = {
             "one by one": Resources(),
             f"{cores} threads": Resources(threads=cores),
-            f"dask, {cores} workers": Resources(cluster=cluster.scheduler_address),
+            f"dask, {cores} workers": Resources(where=cluster.scheduler_address),
         }
         seconds = dict.fromkeys([*ways, "floor"], np.inf)
         # brackets and their merge: four times 2 bytes, twice 4 bytes a sample; beyond any cache

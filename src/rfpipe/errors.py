@@ -91,6 +91,10 @@ class DamagedStageError(IntegrityError):
         super().__init__(message)
         self.manifest = manifest
 
+    def __reduce__(self) -> tuple[type[DamagedStageError], tuple[str, Path]]:
+        """Let another process have it."""
+        return type(self), (str(self), self.manifest)
+
 
 class StaleStoreError(StoreError):
     """A store was made with another configuration than the one in force."""

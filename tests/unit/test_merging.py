@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -176,7 +177,7 @@ def test_a_camera_with_no_good_pixel_is_refused() -> None:
         Merger.from_references(camera, [off], [on])
 
 
-def test_workers_keep_the_order_and_hold_few_results() -> None:
+def test_workers_keep_the_order_and_hold_few_results(tmp_path: Path) -> None:
     lock = threading.Lock()
     begun: list[int] = []
 
@@ -187,7 +188,7 @@ def test_workers_keep_the_order_and_hold_few_results() -> None:
         return first * 100 + last
 
     pieces = [(index, index + 1) for index in range(20)]
-    with Resources(threads=3).workers(1) as workers:
+    with Resources(threads=3).workers(1, tmp_path) as workers:
         assert workers.in_flight == 6
         results = workers.results(work, pieces)
         assert next(results) == 1
@@ -195,7 +196,7 @@ def test_workers_keep_the_order_and_hold_few_results() -> None:
         assert list(results) == [100 * first + last for first, last in pieces[1:]]
 
 
-def test_workers_stop_at_the_first_error_in_order() -> None:
+def test_workers_stop_at_the_first_error_in_order(tmp_path: Path) -> None:
     begun: list[int] = []
 
     def work(first: int, _last: int) -> int:
@@ -208,18 +209,18 @@ def test_workers_stop_at_the_first_error_in_order() -> None:
     pieces = [(index, index + 1) for index in range(100)]
     with (
         pytest.raises(CaptureError, match="pattern 2"),
-        Resources(threads=2).workers(1) as workers,
+        Resources(threads=2).workers(1, tmp_path) as workers,
     ):
         list(workers.results(work, pieces))
     assert len(begun) < 10
 
 
-def test_resources_use_fewer_threads_where_memory_is_short() -> None:
+def test_resources_use_fewer_threads_where_memory_is_short(tmp_path: Path) -> None:
     few = Resources(memory_gib=1.0, threads=4)
     assert few.fitting(few.data_bytes // 3, 16) == 3
     assert few.fitting(2 * few.data_bytes, 16) == 1
     for size, in_flight in ((1, 8), (few.data_bytes // 4, 4), (few.data_bytes, 1)):
-        with few.workers(size) as workers:
+        with few.workers(size, tmp_path) as workers:
             assert workers.in_flight == in_flight
     assert list(Workers(None, 1).results(lambda a, b: (a, b), [(1, 2), (2, 3)])) == [(1, 2), (2, 3)]
 

@@ -1,4 +1,4 @@
-"""The merge on a real cluster of two worker processes: the same bytes as by threads."""
+"""The merge on processes and on a real cluster of two workers: the same bytes as by threads."""
 
 from __future__ import annotations
 
@@ -53,15 +53,17 @@ def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Acquisition:
 def test_a_cluster_leaves_the_bytes_that_threads_leave(captured: Acquisition, address: str) -> None:
     level = captured.folder.path / "L00"
     left = []
-    for resources in (Resources(), Resources(threads=2), Resources(cluster=address)):
+    ways = [(1, "threads"), (2, "threads"), (2, "processes"), (2, address)]
+    for resources in [Resources(threads=count, where=where) for count, where in ways]:
         captured.resources = resources
         captured.merge(0)
         left.append({name: contents(level / name) for name in ("merge.zarr", "sums.zarr")})
         left[-1]["manifest"] = contents(level / "merge.json")
         merged = captured.folder.store(0, "merge")
         merged.rename(level / f"of {len(left)}")  # or it would be kept
-    assert left[0] == left[1] == left[2]
+    assert left[0] == left[1] == left[2] == left[3]
     assert len(left[0]["merge.zarr"]) == 10 + 3  # a file a run
+    assert not list(level.glob(".work*"))
 
 
 @pytest.fixture(scope="module")
@@ -78,31 +80,31 @@ ROLES = ("client", "scheduler", "worker")
 
 
 def test_a_cluster_over_tls_with_the_certificates_of_dasks_settings(
-    certificates: dict[str, str], caplog: pytest.LogCaptureFixture
+    certificates: dict[str, str], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with dask.config.set(certificates):
         security = Security(require_encryption=True)
         with (
             LocalCluster(1, threads_per_worker=1, processes=False, protocol="tls://",
                          security=security, dashboard_address=None) as cluster,
-            connected(cluster.scheduler_address) as there,
+            connected(cluster.scheduler_address, tmp_path) as there,
         ):  # fmt: skip
             assert cluster.scheduler_address.startswith("tls://")
             assert there.hand_out(lambda first, last: first + last)(2, 3).result() == 5
             address = cluster.scheduler_address
     assert "not encrypted" not in caplog.text
-    with pytest.raises(ClusterError, match=r"no ca-file and no client.cert.*docs/performance"):
-        connected(address).__enter__()
+    with pytest.raises(ClusterError, match=r"no ca-file and no client.cert.*docs/parallel"):
+        connected(address, tmp_path).__enter__()
 
 
 def test_plain_tcp_to_another_machine_is_warned_of(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(cluster_module, "_PATIENCE_SECONDS", 0.1)
     for host, is_warned in (("192.0.2.1", True), ("127.0.0.1", False), ("localhost", False)):
         caplog.clear()
         with pytest.raises(ClusterError, match="no scheduler answers"):
-            connected(f"tcp://{host}:9").__enter__()
+            connected(f"tcp://{host}:9", tmp_path).__enter__()
         assert ("dask unpickles what it gets" in caplog.text) == is_warned, host
 
 
@@ -121,15 +123,15 @@ def test_workers_can_pass_the_work_on(captured: Acquisition, monkeypatch: Any) -
     assert runs == list(range(0, 20, 2))
 
 
-def test_few_pieces_are_handed_out_at_a_time(address: str) -> None:
-    with Resources(cluster=address).workers(1) as workers:
+def test_few_pieces_are_handed_out_at_a_time(address: str, tmp_path: Path) -> None:
+    with Resources(where=address).workers(1, tmp_path) as workers:
         assert workers.in_flight == 4
         results = workers.results(lambda first, last: (os.getpid(), first, last), PIECES)
         found = list(results)
     assert [result[1:] for result in found] == PIECES
     assert os.getpid() not in {result[0] for result in found}
-    small = Resources(memory_gib=1e-6, cluster=address)
-    with small.workers(small.data_bytes) as workers:
+    small = Resources(memory_gib=1e-6, where=address)
+    with small.workers(small.data_bytes, tmp_path) as workers:
         assert workers.in_flight == 1
         assert len(list(workers.results(lambda first, last: first, PIECES))) == 30
 
@@ -137,8 +139,10 @@ def test_few_pieces_are_handed_out_at_a_time(address: str) -> None:
 PIECES = [(index, index + 1) for index in range(30)]
 
 
-def test_errors_come_back_from_the_workers(captured: Acquisition, address: str) -> None:
-    captured.resources = Resources(cluster=address)
+def test_errors_come_back_from_the_workers(
+    captured: Acquisition, address: str, tmp_path: Path
+) -> None:
+    captured.resources = Resources(where=address)
     chunk = damage(captured.folder.store(0, "capture"))
     manifest = captured.folder.manifest(0, "capture")
     with pytest.raises(IntegrityError, match=f"{chunk}.*remove {manifest} and run again"):
@@ -152,51 +156,47 @@ def test_errors_come_back_from_the_workers(captured: Acquisition, address: str) 
 
     with (
         pytest.raises(CaptureError, match="pattern 5 is no picture"),
-        Resources(cluster=address).workers(1) as workers,
+        Resources(where=address).workers(1, tmp_path) as workers,
     ):
         list(workers.results(fails, PIECES))
 
 
-def test_a_cluster_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cluster_module, "_PATIENCE_SECONDS", 1)
     with (
         pytest.raises(ClusterError, match=r"no scheduler answers there.*dask scheduler"),
-        Resources(cluster="tcp://127.0.0.1:9").workers(1),
+        Resources(where="tcp://127.0.0.1:9").workers(1, tmp_path),
     ):
         pass
 
 
-def test_a_cluster_that_is_not_fit(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_without_workers(tmp_path: Path) -> None:
     with (
         local_cluster(0) as empty,
         pytest.raises(ClusterError, match="has no workers"),
-        connected(empty.scheduler_address),
-    ):
-        pass
-    monkeypatch.setattr(cluster_module, "code_fingerprint", lambda _name: str(os.getpid()))
-    with (
-        pytest.raises(ClusterError, match="run another version of rfpipe"),
-        connected(address),
+        connected(empty.scheduler_address, tmp_path),
     ):
         pass
 
 
-def test_work_that_kills_its_worker(address: str) -> None:
+def test_work_that_kills_its_worker(address: str, tmp_path: Path) -> None:
     with (
         pytest.raises(ClusterError, match=r"the work was lost.*too little memory"),
-        Resources(cluster=address).workers(1) as workers,
+        Resources(where=address).workers(1, tmp_path) as workers,
     ):
         list(workers.results(lambda _first, _last: os._exit(1), PIECES))
 
 
-@pytest.mark.parametrize("wrong", ["localhost", "tcp://host", "http://host:8786", "tcp://a b:1"])
+@pytest.mark.parametrize(
+    "wrong", ["localhost", "thread", "tcp://host", "http://host:8786", "tcp://a b:1"]
+)
 def test_an_address_that_is_none(wrong: str) -> None:
-    with pytest.raises(ConfigError, match=r"resources\.cluster is"):
-        parse_config({"resources": {"cluster": wrong}}, "mine")
+    with pytest.raises(ConfigError, match=r"resources\.workers"):
+        parse_config({"resources": {"workers": wrong}}, "mine")
 
 
 def test_a_run_with_a_cluster(copy: Workflow, undisturbed: Workflow, address: str) -> None:
     undo(copy, 3, "merge")
-    copy.configure(resources={"cluster": address})
+    copy.configure(resources={"workers": address})
     copy.run(TINY)
     assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")

@@ -16,7 +16,7 @@ rule acquire_hardware:
     resources:
         rig=1,
         mem_mib=MEMORY_MIB,
-        cluster=SETTINGS.resources.cluster or "",
+        workers=SETTINGS.resources.workers,
         # where the rig is, and how long to wait for it, shapes no result
         rig_url=SETTINGS.capture.url,
         rig_token_file=SETTINGS.capture.token_file or "",
@@ -44,7 +44,7 @@ rule verify_hardware:
     resources:
         rig=1,
         mem_mib=MEMORY_MIB,
-        cluster=SETTINGS.resources.cluster or "",
+        workers=SETTINGS.resources.workers,
         # where the rig is, and how long to wait for it, shapes no result
         rig_url=SETTINGS.capture.url,
         rig_token_file=SETTINGS.capture.token_file or "",

@@ -15,7 +15,7 @@ rule acquire_offline:
     threads: threads
     resources:
         mem_mib=MEMORY_MIB,
-        cluster=SETTINGS.resources.cluster or "",
+        workers=SETTINGS.resources.workers,
     params:
         plan=plan,
         stages=stages,

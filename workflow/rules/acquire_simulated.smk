@@ -11,7 +11,7 @@ rule acquire_simulated:
     threads: threads
     resources:
         mem_mib=MEMORY_MIB,
-        cluster=SETTINGS.resources.cluster or "",
+        workers=SETTINGS.resources.workers,
     params:
         plan=plan,
         stages=stages,
@@ -40,7 +40,7 @@ rule verify_simulated:
     threads: threads
     resources:
         mem_mib=MEMORY_MIB,
-        cluster=SETTINGS.resources.cluster or "",
+        workers=SETTINGS.resources.workers,
     params:
         plan=plan,
         stages=verification,

@@ -48,6 +48,10 @@ rule evaluate:
         "results/report/evaluate.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
+    threads: workflow.cores or 1
+    resources:
+        mem_mib=MEMORY_MIB,
+        workers=SETTINGS.resources.workers,
     params:
         seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
         code=stage_code("stages.evaluating.evaluate"),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rfpipe.cli import fit, offline
+from rfpipe.cli.acquire import acquire
 from rfpipe.cli.aim import aim
 from rfpipe.cli.calibrate import calibrate
 from rfpipe.cli.export import app as export
@@ -125,6 +126,7 @@ def schema() -> None:
 
 
 app.command()(info)
+app.command()(acquire)
 app.command(context_settings=PASSED_ON)(run)
 app.command()(verify)
 

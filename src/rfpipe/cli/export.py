@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from rfpipe.cli.parallel import THREADS, WorkersOption, resources_of
 from rfpipe.errors import InputError
 
 if TYPE_CHECKING:
@@ -192,32 +194,23 @@ def relit(
     view: View = None,
     dual: Dual = False,
     level: Level = None,
+    workers: WorkersOption = THREADS,
 ) -> None:
     """Relight with many patterns, a picture each, named as its pattern.
 
     All .png have one white, so that they can be compared; without --white it is found by relighting
     twice.
     """
-    import numpy as np
+    from rfpipe.export import Scale, open_light, relit_files
 
-    from rfpipe.export import Scale, relit_pictures
-
-    light, size = _opened(path, dual, level), Scale.parse(scale)
-    if white is None and form == "png":
-        white = max(
-            float(np.percentile(next(relit_pictures(light, [weights], view=view)), 99.9))
-            for _, weights in _patterns(patterns, light)
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    written: set[str] = set()
-    for name, weights in _patterns(patterns, light):
-        if name in written:
-            raise InputError(f"two patterns are named {name}; rename one, or export them apart")
-        written.add(name)
-        (picture,) = relit_pictures(light, [weights], size, view)
-        _write(folder / f"{name}.{form}", picture, white or None, {"rfpipe:pattern": name})
-    shown = f", white is {white:.4g}" if form == "png" else ""
-    typer.echo(f"{folder}: {len(written)} pictures{shown}")
+    light, size = open_light(path, level, dual), Scale.parse(scale)
+    lights = list(_lightings(patterns, light))
+    used = relit_files(
+        path, lights, folder, form=form, scale=size, white=white, view=view, level=level,
+        dual=dual, resources=resources_of(workers),
+    )  # fmt: skip
+    shown = f", white is {used:.4g}" if form == "png" else ""
+    typer.echo(f"{folder}: {len(lights)} pictures{shown}")
 
 
 @app.command()
@@ -269,12 +262,9 @@ def movie(
 
 
 def _opened(path: Path, dual: bool, level: int | None) -> Light:
-    from rfpipe.transport import open_transport
+    from rfpipe.export import open_light
 
-    transport = open_transport(path)
-    if level is not None:
-        transport = transport.truncate(level)
-    return transport.T if dual else transport
+    return open_light(path, level, dual)
 
 
 def _rays(places: Sequence[str] | None, shape: tuple[int, ...]) -> NDArray[np.int64] | None:
@@ -301,28 +291,52 @@ def _colour(text: str | None, channels: int) -> tuple[float, ...]:
     return weights
 
 
-def _patterns(sources: Sequence[str], light: Light) -> Iterator[tuple[str, NDArray[np.float32]]]:
-    """Yield names and weights of all patterns, each read when it is its turn."""
-    import numpy as np
+@dataclass(frozen=True)
+class _Lighting:
+    """A pattern by where it comes from: of a stack of weights in a file the one at `index`."""
 
-    from rfpipe.cli import _pattern
+    name: str
+    source: str
+    index: int | None
+    shape: tuple[int, ...]
+    channels: int
 
+    def weights(self) -> NDArray[np.float32]:
+        """Make or read the weights."""
+        from rfpipe.cli import _pattern
+
+        if self.index is None:
+            return _pattern(self.source, self.shape, self.channels)
+        weights: NDArray[np.float32] = _stack(Path(self.source))[self.index]
+        return weights
+
+
+def _lightings(sources: Sequence[str], light: Light) -> Iterator[_Lighting]:
+    """Yield all patterns, none of them read yet."""
+    rays = (light.projector_shape, light.channels)
     for source in sources:
         file = Path(source)
         if file.is_dir():
             pictures = sorted(part for part in file.iterdir() if part.is_file())
             if not pictures:
                 raise InputError(f"{file}: holds no pictures")
-            yield from _patterns([str(part) for part in pictures], light)
+            yield from _lightings([str(part) for part in pictures], light)
         elif file.suffix.lower() == ".npy":
-            try:
-                stack = np.load(file, mmap_mode="r", allow_pickle=False)
-            except (OSError, ValueError) as error:
-                raise InputError(f"{file}: can't be read as .npy: {error}") from error
-            for index in range(len(stack)):
-                yield f"{file.stem}_{index:04d}", stack[index]
-        else:
-            yield file.stem, _pattern(source, light.projector_shape, light.channels)
+            for index in range(len(_stack(file))):
+                yield _Lighting(f"{file.stem}_{index:04d}", str(file.absolute()), index, *rays)
+        else:  # a picture, or a name
+            place = str(file.absolute()) if file.is_file() else source
+            yield _Lighting(file.stem, place, None, *rays)
+
+
+def _stack(file: Path) -> NDArray[np.float32]:
+    import numpy as np
+
+    try:
+        stack: NDArray[np.float32] = np.load(file, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: can't be read as .npy: {error}") from error
+    return stack
 
 
 def _write(

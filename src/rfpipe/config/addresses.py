@@ -5,7 +5,12 @@ from __future__ import annotations
 import re
 from urllib.parse import urlsplit
 
-__all__ = ["check_bucket", "check_port", "check_server"]
+__all__ = ["PROCESSES", "THREADS", "check_bucket", "check_port", "check_server", "check_workers"]
+
+THREADS, PROCESSES = "threads", "processes"
+"""Where work is done, if not by the workers of a scheduler at an address."""
+
+_SCHEDULER = re.compile(r"(tcp|tls|ucx)://\S+:\d+")
 
 _HOST_NAME = re.compile(r"(?!-)[a-z0-9_-]{1,63}(?<!-)(\.(?!-)[a-z0-9_-]{1,63}(?<!-))*\.?", re.I)
 
@@ -32,6 +37,18 @@ def check_port(address: str) -> None:
         raise ValueError("should have a port from 1 to 65535")
     if "@" in address:
         raise ValueError("should name no user and no password: nobody asks for them there")
+
+
+def check_workers(where: str) -> None:
+    """Raise ValueError where work can't be done, says where it can."""
+    if where in (THREADS, PROCESSES):
+        return
+    if not _SCHEDULER.fullmatch(where):
+        raise ValueError(
+            f"should be {THREADS}, {PROCESSES}, or the address of a dask scheduler, such as "
+            "tls://host:8786"
+        )
+    check_port(where)
 
 
 def check_server(url: str) -> None:

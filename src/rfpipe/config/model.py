@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from rfpipe.config.addresses import check_bucket, check_port
+from rfpipe.config.addresses import THREADS, check_bucket, check_workers
 from rfpipe.config.base import (
     Extent,
     MethodSettings,
@@ -83,21 +83,20 @@ class ResourcesConfig(Settings):
         description="Memory that a job may take, in GiB, 0.5 to 1024. As many jobs as there are "
         "cores run side by side.",
     )
-    cluster: str | None = Field(
-        None,
-        pattern=r"^(tcp|tls|ucx)://\S+:\d+$",
-        description="Address of a dask scheduler whose workers merge brackets, such as "
-        "tls://host:8786, or null to work here. They must see the results' folder under the same "
-        "path. Over plain tcp:// whoever reaches the scheduler can run programs on all of these "
-        "machines: docs/performance.md tells how to set up TLS.",
+    workers: str = Field(
+        THREADS,
+        description="Where a job's work is done: threads of the job; processes of its machine; or "
+        "the workers of a dask scheduler, by its address, such as tls://host:8786, which must see "
+        "the results' folder under the same path. The environment variable RFPIPE_WORKERS goes "
+        "before it. docs/parallel.md tells what pays. Over plain tcp:// whoever reaches the "
+        "scheduler can run programs on all of these machines.",
     )
 
-    @field_validator("cluster")
+    @field_validator("workers")
     @classmethod
-    def _cluster_has_a_port(cls, address: str | None) -> str | None:
-        if address is not None:
-            check_port(address)
-        return address
+    def _workers_are_somewhere(cls, where: str) -> str:
+        check_workers(where)
+        return where
 
 
 class StorageConfig(Settings):

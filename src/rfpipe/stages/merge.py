@@ -18,6 +18,7 @@ from rfpipe.stages.capturing import moves
 from rfpipe.stages.capturing.drift import DRIFT, measure
 from rfpipe.stages.capturing.moves import MOVES
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, name_of
+from rfpipe.stages.jobs.progress import Progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.merging.raw import RawFrames
@@ -260,11 +261,13 @@ def _merge(
                 items_per_chunk=chunk,
                 chunks_per_file=run_chunks,
             ) as images,
-            resources.workers(work.bytes_in_hand) as workers,
+            resources.workers(work.bytes_in_hand, store.parent) as workers,
         ):
-            for first, digests, of_run in workers.results(work, pieces):
-                images.enter(first, digests)
-                total.join(of_run)
+            with Progress(f"{name_of(level)} merge", count, quick=True) as progress:
+                for first, digests, of_run in workers.results(work, pieces):
+                    images.enter(first, digests)
+                    total.join(of_run)
+                    progress.advance(of_run.count)
             entry = images.entry()
     samples = count * int(np.prod(image_shape))
     if total.saturated:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.stages.evaluating.metrics import colour_difference, psnr, relative_rms, unlit_rms
+from rfpipe.stages.jobs.progress import Progress
+from rfpipe.stages.jobs.workers import Resources
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 from rfpipe.store.files import write_atomically
 
@@ -17,6 +21,11 @@ if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["ERROR_COLUMNS", "error_rows", "errors_table", "run", "speed_error_table", "write_table"]
+
+Rows = list[Any]
+
+# Of a run's images in memory: as read, as float64, and as colours.
+_COPIES = 6
 
 ERROR_COLUMNS = ("pattern", "rms_total", "rms_unlit", "psnr_db", "ciede2000")
 """Relighting pattern; relative RMS error in total and on the pixels that it leaves dark; PSNR in
@@ -55,7 +64,9 @@ def error_rows(
         }
 
 
-def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
+def errors_table(
+    relight_manifests: Iterable[Path], resources: Resources | None = None
+) -> pd.DataFrame:
     """Return the errors of each run's own transport: scene, method and `ERROR_COLUMNS`.
 
     A captured scene has none: its truth is unknown.
@@ -64,16 +75,12 @@ def errors_table(relight_manifests: Iterable[Path]) -> pd.DataFrame:
     ----------
     relight_manifests : iterable of Path
         ``relight.json`` beside ``relight.zarr``.
+    resources : Resources, optional
     """
     import pandas as pd
 
-    rows = []
-    for path in relight_manifests:
-        run, images = _opened(path)
-        if "truth" not in images.names:
-            continue
-        errors = error_rows(images.read("relit"), *_truth(run, images))
-        rows += [{"scene": run["scene"], "method": run["method"], **row} for row in errors]
+    found = _each(_errors_of, [(path,) for path in relight_manifests], resources)
+    rows = [row for of_run in found for row in of_run]
     return pd.DataFrame(rows, columns=["scene", "method", *ERROR_COLUMNS])
 
 
@@ -81,6 +88,7 @@ def speed_error_table(
     relight_manifests: Iterable[Path],
     sweep_manifests: Iterable[Path],
     seconds_per_pattern: float,
+    resources: Resources | None = None,
 ) -> pd.DataFrame:
     """Return cost and errors at every value of the sweeps.
 
@@ -90,6 +98,7 @@ def speed_error_table(
         ``relight.json`` and ``sweep.json`` of each run; stores and ``sweep.csv`` lie beside them.
     seconds_per_pattern : float
         Of a real rig.
+    resources : Resources, optional
 
     Returns
     -------
@@ -104,19 +113,68 @@ def speed_error_table(
     for path in relight_manifests:
         run, images = _opened(path)
         if "truth" in images.names:
-            truths[run["scene"]] = _truth(run, images)
+            truths[run["scene"]] = path
     columns = ["scene", "method", "option", "value", "patterns", "capture_s"]
     columns += ["processing_s", "simulation_s", "bytes", *ERROR_COLUMNS]
+    swept = [(path, truths[read_manifest(path)["scene"]]) for path in sweep_manifests]
     rows = []
-    for path in sweep_manifests:
-        run, images = _opened(path)
+    for (path, _), of_sweep in zip(swept, _each(_errors_of_sweep, swept, resources), strict=True):
+        run = read_manifest(path)
         times = pd.read_csv(path.with_suffix(".csv")).to_dict("records")
-        for relit, cost, seconds in zip(images.read("relit"), run["rows"], times, strict=True):
-            for row in error_rows(relit, *truths[run["scene"]]):
-                capture = {"capture_s": cost["patterns"] * seconds_per_pattern}
-                names = {"scene": run["scene"], "method": run["method"]}
-                rows.append({**names, **cost, **seconds, **capture, **row})
+        for cost, seconds, errors in zip(run["rows"], times, of_sweep, strict=True):
+            capture = {"capture_s": cost["patterns"] * seconds_per_pattern}
+            names = {"scene": run["scene"], "method": run["method"]}
+            rows += [{**names, **cost, **seconds, **capture, **row} for row in errors]
     return pd.DataFrame(rows, columns=columns)
+
+
+def _each(
+    errors: Callable[..., Rows], runs: Sequence[tuple[Path, ...]], resources: Resources | None
+) -> Iterator[Rows]:
+    """Yield the errors of each run, in their order, wherever they are worked out."""
+    if not runs:
+        return
+    absolute = [tuple(path.absolute() for path in paths) for paths in runs]
+    # one is opened to know what all are about as large as
+    _, images = _opened(absolute[0][0])
+    in_hand = _COPIES * images.nbytes("relit")
+    # what is common to all lies where all workers must see it
+    folder = Path(os.path.commonpath([paths[0].parent for paths in absolute]))
+    with (
+        (resources or Resources()).workers(in_hand, folder) as workers,
+        Progress("errors", len(runs), unit="run", quick=True) as progress,
+    ):
+        work = _Errors(errors, tuple(absolute))
+        for found in workers.results(work, [(i, i + 1) for i in range(len(runs))]):
+            yield found
+            progress.advance(1)
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Works out the errors of runs from what lies on the disk; any thread or process may."""
+
+    errors: Callable[..., Rows]
+    runs: tuple[tuple[Path, ...], ...]
+
+    def __call__(self, first: int, last: int) -> Rows:
+        return [row for paths in self.runs[first:last] for row in self.errors(*paths)]
+
+
+def _errors_of(path: Path) -> Rows:
+    """Return the rows of `errors_table` of a run; none where its truth is unknown."""
+    run, images = _opened(path)
+    if "truth" not in images.names:
+        return []
+    errors = error_rows(images.read("relit"), *_truth(run, images))
+    return [{"scene": run["scene"], "method": run["method"], **row} for row in errors]
+
+
+def _errors_of_sweep(path: Path, truth: Path) -> list[Rows]:
+    """Return the errors of a sweep, a list for each value of its option."""
+    _, images = _opened(path)
+    known = _truth(*_opened(truth))
+    return [list(error_rows(relit, *known)) for relit in images.read("relit")]
 
 
 def run(
@@ -125,11 +183,14 @@ def run(
     errors: Path,
     speed_error: Path,
     seconds_per_pattern: float,
+    resources: Resources | None = None,
 ) -> None:
     """Write `errors_table` and `speed_error_table` as CSV; a figure that isn't defined is blank."""
     tables = {
-        errors: errors_table(relight_manifests),
-        speed_error: speed_error_table(relight_manifests, sweep_manifests, seconds_per_pattern),
+        errors: errors_table(relight_manifests, resources),
+        speed_error: speed_error_table(
+            relight_manifests, sweep_manifests, seconds_per_pattern, resources
+        ),
     }
     for path, table in tables.items():
         write_table(path, table)

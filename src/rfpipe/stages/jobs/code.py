@@ -24,11 +24,15 @@ SHAPELESS = (
     "rfpipe.config",
     "rfpipe.errors",
     "rfpipe.plugins",
+    "rfpipe.stages.jobs.cluster",
     "rfpipe.stages.jobs.job",
+    "rfpipe.stages.jobs.processes",
     "rfpipe.stages.jobs.progress",
+    "rfpipe.stages.jobs.sent",
+    "rfpipe.stages.jobs.workers",
 )
-"""Modules that shape no result: they say what happens, check settings whose values a stage is given
-and made from, or find what is named, which counts itself."""
+"""Modules that shape no result: they say what happens and where, check settings whose values a
+stage is given and made from, or find what is named, which counts itself."""
 
 MERGED_WITH = "rfpipe.stages.capturing.sensors"
 """What finds the sensor, with which `rfpipe.stages.merge.run` is called."""

@@ -29,10 +29,18 @@ class Progress:
         What is in progress.
     total, done : int
         Patterns in all, and those done before.
+    unit : str
+        What is counted, if no patterns; its plural has an s.
+    quick : bool
+        Whether it is nothing to speak of where it takes seconds.
     """
 
-    def __init__(self, name: str, total: int, done: int = 0) -> None:
+    def __init__(
+        self, name: str, total: int, done: int = 0, *, unit: str = "pattern", quick: bool = False
+    ) -> None:
         self._name = name
+        self._unit = unit
+        self._quick = quick
         self._total = total
         self._before = self._done = done
         self._began = self._said = monotonic()
@@ -40,10 +48,10 @@ class Progress:
         if done < total and sys.stderr.isatty():
             from tqdm import tqdm
 
-            self._bar = tqdm(total=total, initial=done, desc=name, unit="pattern", leave=False)
+            self._bar = tqdm(total=total, initial=done, desc=name, unit=unit, leave=False)
 
     def advance(self, patterns: int) -> None:
-        """Count patterns as done."""
+        """Count so many as done."""
         self._done += patterns
         now = monotonic()
         if self._bar is not None:
@@ -52,8 +60,9 @@ class Progress:
             self._said = now
             rest = (now - self._began) / (self._done - self._before) * (self._total - self._done)
             _log.info(
-                "%s: %d of %d patterns, %s to go", self._name, self._done, self._total, _time(rest)
-            )
+                "%s: %d of %d %ss, %s to go",
+                self._name, self._done, self._total, self._unit, _time(rest),
+            )  # fmt: skip
 
     def __enter__(self) -> Progress:
         return self
@@ -62,8 +71,8 @@ class Progress:
         if self._bar is not None:
             self._bar.close()
         patterns, seconds = self._done - self._before, monotonic() - self._began
-        if patterns:
-            _log.info("%s: %d patterns in %s", self._name, patterns, _time(seconds))
+        if patterns and not (self._quick and seconds < _SECONDS_BETWEEN_LINES):
+            _log.info("%s: %d %ss in %s", self._name, patterns, self._unit, _time(seconds))
 
 
 def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> None:

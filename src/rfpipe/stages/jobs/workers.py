@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-__all__ = ["Resources", "Workers"]
+from rfpipe.config.addresses import PROCESSES, THREADS, check_workers
+from rfpipe.errors import ConfigError
+
+__all__ = ["VARIABLE", "Resources", "Workers", "workers_from_environment"]
+
+VARIABLE = "RFPIPE_WORKERS"
+"""Environment variable that says where to work, whatever the settings say."""
 
 Result = TypeVar("Result")
 Result_co = TypeVar("Result_co", covariant=True)
@@ -30,21 +38,28 @@ class Resources:
     memory_gib : float
         Peak memory of the job in GiB, above 0.
     threads : int
-        Threads to work with, at least 1.
-    cluster : str or None
-        Address of a dask scheduler, such as ``tcp://host:8786``, whose workers then do what they
-        can in the threads' place.
+        Threads, or processes, to work with, at least 1.
+    where : str
+        "threads" of this process, "processes" of this machine, or the address of a dask scheduler,
+        such as ``tls://host:8786``, whose workers then do what they can.
     """
 
     memory_gib: float = 4.0
     threads: int = 1
-    cluster: str | None = None
+    where: str = THREADS
 
     @classmethod
     def of_job(cls, snakemake: Any) -> Resources:
-        """Return those of a job of the workflow, as Snakemake tells its script."""
+        """Return those of a job of the workflow, as Snakemake tells its script.
+
+        Raises
+        ------
+        ConfigError
+            When the environment variable `VARIABLE` says where to work, but no place.
+        """
         resources = snakemake.resources
-        return cls(resources.mem_mib / 1024, snakemake.threads, resources.get("cluster") or None)
+        where = workers_from_environment() or resources.get("workers") or THREADS
+        return cls(resources.mem_mib / 1024, snakemake.threads, where)
 
     @property
     def data_bytes(self) -> int:
@@ -53,42 +68,75 @@ class Resources:
 
     @property
     def here(self) -> Resources:
-        """The same without the cluster."""
-        return replace(self, cluster=None)
+        """The same in this process."""
+        return replace(self, where=THREADS)
 
     def fitting(self, bytes_each: int, most: int) -> int:
         """Return how many things of a size fit, from 1 to `most`."""
         return max(1, min(most, self.data_bytes // max(1, bytes_each)))
 
     @contextmanager
-    def workers(self, bytes_each: int) -> Iterator[Workers]:
+    def workers(self, bytes_each: int, folder: Path) -> Iterator[Workers]:
         """Provide workers for pieces of work that need `bytes_each` while they are in hand.
+
+        Parameters
+        ----------
+        bytes_each : int
+        folder : Path
+            One that the work reads from or writes to. Workers that don't see it are refused.
 
         Raises
         ------
         ClusterError
-            When the cluster doesn't answer, has no workers, or runs another rfpipe.
+            When the cluster doesn't answer, has no workers, runs another rfpipe, or doesn't see
+            the folder.
         """
-        if self.cluster is not None:
+        if self.where not in (THREADS, PROCESSES):
             from rfpipe.stages.jobs.cluster import connected
 
-            with connected(self.cluster) as cluster:
+            with connected(self.where, folder) as cluster:
                 in_flight = self.fitting(bytes_each, _AHEAD * cluster.threads)
                 yield Workers(cluster.hand_out, in_flight)
             return
         count = self.fitting(_AHEAD * bytes_each, self.threads)
         if count == 1:
             yield Workers(None, 1)
-            return
-        with ThreadPoolExecutor(count) as pool:
-            try:
-                yield Workers(
-                    lambda work: lambda first, last: pool.submit(work, first, last),
-                    _AHEAD * count,
-                )
-            except BaseException:
-                pool.shutdown(cancel_futures=True)
-                raise
+        elif self.where == PROCESSES:
+            from rfpipe.stages.jobs.processes import started
+
+            with started(count, folder) as hand_out:
+                yield Workers(hand_out, _AHEAD * count)
+        else:
+            with _threads(count) as hand_out:
+                yield Workers(hand_out, _AHEAD * count)
+
+
+@contextmanager
+def _threads(count: int) -> Iterator[HandOut]:
+    with ThreadPoolExecutor(count) as pool:
+        try:
+            yield lambda work: lambda first, last: pool.submit(work, first, last)
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def workers_from_environment() -> str | None:
+    """Return where the environment says to work, None where it says nothing.
+
+    Raises
+    ------
+    ConfigError
+        When that is no place.
+    """
+    where = os.environ.get(VARIABLE, "").strip()
+    if not where:
+        return None
+    try:
+        check_workers(where)
+    except ValueError as error:
+        raise ConfigError(f"environment variable {VARIABLE} is {where!r}; it {error}") from None
+    return where
 
 
 class Promise(Protocol[Result_co]):
@@ -96,6 +144,9 @@ class Promise(Protocol[Result_co]):
 
     def result(self) -> Result_co:
         """Wait for the result, or raise what the work raised."""
+
+
+HandOut = Callable[[Work[Any]], Callable[[int, int], Promise[Any]]]
 
 
 @dataclass(frozen=True)
@@ -111,7 +162,7 @@ class Workers:
         Pieces handed out at a time: with their results, all that is in memory.
     """
 
-    hand_out: Callable[[Work[Any]], Callable[[int, int], Promise[Any]]] | None
+    hand_out: HandOut | None
     in_flight: int
 
     def results(self, work: Work[Result], runs: Iterable[tuple[int, int]]) -> Iterator[Result]:

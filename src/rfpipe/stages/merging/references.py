@@ -101,7 +101,7 @@ def _learn(
     off, on = counted.values()
     with folder.frames(0, "capture", REFERENCE) as frames:
         bracket = prod(frames.shape[1:]) * frames.dtype.itemsize
-        with resources.here.workers(bracket) as workers:
+        with resources.here.workers(bracket, folder.path) as workers:
 
             def read(first: int, last: int) -> Iterator[NDArray[Any]]:
                 return workers.results(frames.read, [(i, i + 1) for i in range(first, last)])

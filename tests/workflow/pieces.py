@@ -1,0 +1,75 @@
+"""Work that any process can load, since this module imports next to nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rfpipe.errors import DamagedStageError
+
+SHAPE = (8, 10)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """A pattern of noise."""
+
+    seed: int
+    shape: tuple[int, ...] = SHAPE
+
+    @property
+    def name(self) -> str:
+        return f"noise_{self.seed:02d}"
+
+    def weights(self) -> np.ndarray:
+        return np.random.default_rng(self.seed).random(self.shape, np.float32)
+
+
+@dataclass(frozen=True)
+class Dying:
+    """Kills its process, as -9 does, the first time that it comes to a piece."""
+
+    work: Any
+    at: int
+    flag: Path
+
+    def __call__(self, first: int, last: int) -> Any:
+        if first == self.at and not self.flag.exists():
+            self.flag.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return self.work(first, last)
+
+
+class LocalError(Exception):
+    """An error that can't be made of its message."""
+
+    def __init__(self, one: str, other: str) -> None:
+        super().__init__(f"{one} and {other}")
+
+
+def identity(first: int, last: int) -> tuple[int, int, int]:
+    return os.getpid(), first, last
+
+
+def slow(first: int, last: int) -> int:
+    time.sleep(30)
+    return first
+
+
+def fails(first: int, _last: int) -> None:
+    if first == 1:
+        raise DamagedStageError("a stage is damaged", Path("L01/merge.json"))
+    if first == 2:
+        raise LocalError("this", "that")
+
+
+def deadly(first: int, _last: int) -> int:
+    if first == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return first

@@ -1,0 +1,359 @@
+"""Work by threads, processes and dask's workers: the same bytes, whoever dies meanwhile."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from distributed import Client, LocalCluster
+from tests.workflow.pieces import SHAPE, Dying, LocalError, Noise, deadly, fails, identity, slow
+from tests.workflow.stagewise import contents
+
+from rfpipe import OperatorRig, acquire
+from rfpipe.config import parse_config
+from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, InputError
+from rfpipe.export import relit_files
+from rfpipe.provenance import generator
+from rfpipe.stages.acquisitions import acquire_all
+from rfpipe.stages.evaluating.evaluate import errors_table, speed_error_table
+from rfpipe.stages.jobs import cluster as cluster_module
+from rfpipe.stages.jobs import sent as sent_module
+from rfpipe.stages.jobs import workers as workers_module
+from rfpipe.stages.jobs.workers import Resources, Workers
+from rfpipe.stages.results import write_bundle
+from rfpipe.transport import save_transport
+
+PIECES = [(index, index + 1) for index in range(6)]
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    with LocalCluster(2, threads_per_worker=1, dashboard_address=":0") as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture(params=["processes", "dask"])
+def elsewhere(request: pytest.FixtureRequest, address: str) -> Resources:
+    where = address if request.param == "dask" else request.param
+    return Resources(threads=2, where=where)
+
+
+def all_ways(address: str) -> list[Resources]:
+    places = [(1, "threads"), (2, "threads"), (2, "processes"), (2, address)]
+    return [Resources(threads=count, where=where) for count, where in places]
+
+
+def dying_once(monkeypatch: pytest.MonkeyPatch, at: int, flag: Path) -> None:
+    """Let whoever comes to a piece first die there."""
+    results = Workers.results
+
+    def dying(self: Workers, work: Any, pieces: Any) -> Any:
+        return results(self, Dying(work, at, flag), pieces)
+
+    monkeypatch.setattr(workers_module.Workers, "results", dying)
+
+
+@pytest.fixture(scope="module")
+def transport(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    matrix = generator(3).random((80, 80))
+    rig = OperatorRig(matrix + matrix.T, camera_shape=SHAPE, projector_shape=SHAPE)
+    path = tmp_path_factory.mktemp("transport") / "transport.zarr"
+    save_transport(acquire(rig, "symmetric", progress=False).transport, path, "uint8")
+    return path
+
+
+# one more than two batches; white light, then coloured
+LIGHTS = [*(Noise(n) for n in range(20)), *(Noise(n, (*SHAPE, 1)) for n in range(20, 33))]
+
+
+def relit(transport: Path, folder: Path, resources: Resources) -> dict[str, bytes]:
+    relit_files(transport, LIGHTS, folder, form="png", resources=resources)
+    return contents(folder)
+
+
+def test_pictures_are_relit_to_the_same_bytes(
+    transport: Path, tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ways = all_ways(address)
+    left = [relit(transport, tmp_path / str(n), way) for n, way in enumerate(ways)]
+    assert len(left[0]) == 33
+    assert left[0] == left[1] == left[2] == left[3]
+    dying_once(monkeypatch, 16, tmp_path / "died")
+    assert relit(transport, tmp_path / "again", ways[-1]) == left[0]
+    assert (tmp_path / "died").exists()
+
+
+def test_two_patterns_of_one_name_are_refused(transport: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="two patterns are named noise_01"):
+        relit_files(transport, [Noise(1), Noise(1)], tmp_path / "pictures")
+    assert not (tmp_path / "pictures").exists()
+
+
+def test_errors_are_the_same_numbers(
+    tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    manifests, sweeps = [], []
+    for n in range(3):
+        images = generator(n).random((2, *SHAPE, 3), np.float32)
+        facts = {"scene": f"s{n}", "method": "m", "names": ["a", "b"], "coaxial": True}
+        manifests.append(tmp_path / str(n) / "relight.json")
+        arrays = {"relit": images * np.float32(1.1), "truth": images, "patterns": images[..., 0]}
+        write_bundle(manifests[-1], "", {**arrays, "floodlit_truth": images[0]}, facts)
+        sweeps.append(tmp_path / str(n) / "sweep.json")
+        rows = [{"option": "o", "value": 1, "patterns": 9, "bytes": 5}]
+        write_bundle(sweeps[-1], "", {"relit": images[None]}, {**facts, "rows": rows})
+        sweeps[-1].with_suffix(".csv").write_text("value,processing_s,simulation_s\n1,2,3\n")
+
+    def tables(way: Resources) -> str:
+        errors = errors_table(manifests, way).to_csv()
+        return errors + speed_error_table(manifests, sweeps, 2.0, way).to_csv()
+
+    found = [tables(way) for way in all_ways(address)]
+    assert found[0].count("\n") == 6 + 6 + 2
+    assert found[0] == found[1] == found[2] == found[3]
+    dying_once(monkeypatch, 1, tmp_path / "died")
+    assert tables(Resources(where=address)) == found[0]
+    assert (tmp_path / "died").exists()
+
+
+SCENES = parse_config(
+    {
+        "scenes": {
+            name: {"kind": "plane", "surfaces": [name], "shape": [6, 8], "channels": 1}
+            for name in ("white", "texture")
+        },
+        "methods": {"near_far": {}},
+    },
+    "the test",
+)
+
+
+def acquired(path: Path, way: Resources) -> dict[str, bytes]:
+    assert [one.error for one in acquire_all(SCENES, path, way)] == [None, None]
+    files = contents(path)
+    return {name: files[name] for name in files if not name.endswith((".log", ".tsv"))}
+
+
+def test_scenes_are_acquired_to_the_same_bytes(
+    tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = [acquired(tmp_path / str(n), way) for n, way in enumerate(all_ways(address)[1:])]
+    assert sum(name.endswith("transport.json") for name in left[0]) == 2
+    assert left[0] == left[1] == left[2]
+    dying_once(monkeypatch, 1, tmp_path / "died")
+    assert acquired(tmp_path / "again", Resources(where=address)) == left[0]
+    assert (tmp_path / "died").exists()
+
+
+def test_a_scene_that_fails_does_not_end_the_others(tmp_path: Path) -> None:
+    (tmp_path / "white").mkdir()
+    (tmp_path / "white" / "near_far").write_text("stands in the way")
+    found = acquire_all(SCENES, tmp_path, Resources())
+    assert [one.scene for one in found if one.error] == ["white"]
+    assert (tmp_path / "texture/near_far/transport.json").exists()
+
+
+def test_a_rig_is_where_it_is(tmp_path: Path) -> None:
+    settings = SCENES.model_copy(
+        update={"capture": SCENES.capture.model_copy(update={"rig": "hardware"})}
+    )
+    with pytest.raises(InputError, match=r"capture.rig is hardware.*where the rig is"):
+        acquire_all(settings, tmp_path, Resources())
+
+
+def test_a_process_that_dies_costs_its_piece(elsewhere: Resources, tmp_path: Path) -> None:
+    with elsewhere.workers(1, tmp_path) as workers:
+        found = list(workers.results(Dying(identity, 3, tmp_path / "died"), PIECES))
+    assert [part[1:] for part in found] == PIECES
+    assert os.getpid() not in {part[0] for part in found}
+    assert [path.name for path in tmp_path.iterdir()] == ["died"]  # no work is left
+
+
+def test_a_piece_that_kills_every_process_is_given_up(tmp_path: Path) -> None:
+    with (
+        pytest.raises(ClusterError, match=r"processes died 4 times.* 3 to 3.*too little memory"),
+        Resources(threads=2, where="processes").workers(1, tmp_path) as workers,
+    ):
+        list(workers.results(deadly, PIECES))
+
+
+def test_errors_come_back_as_they_are(elsewhere: Resources, tmp_path: Path) -> None:
+    with (
+        pytest.raises(DamagedStageError, match="a stage is damaged") as damaged,
+        elsewhere.workers(1, tmp_path) as workers,
+    ):
+        list(workers.results(fails, PIECES))
+    assert damaged.value.manifest == Path("L01/merge.json")
+    with (
+        pytest.raises(RuntimeError, match=f"{LocalError.__name__}: this and that"),
+        elsewhere.workers(1, tmp_path) as workers,
+    ):
+        list(workers.results(fails, PIECES[2:]))
+
+
+def test_processes_end_with_an_interrupt(tmp_path: Path) -> None:
+    before = set(psutil.Process().children())
+    began = time.monotonic()
+    with (
+        pytest.raises(KeyboardInterrupt),
+        Resources(threads=2, where="processes").workers(1, tmp_path) as workers,
+    ):
+        assert workers.hand_out is not None
+        workers.hand_out(slow)(0, 1)
+        raise KeyboardInterrupt
+    _, alive = psutil.wait_procs(set(psutil.Process().children()) - before, timeout=10)
+    running = [child for child in alive if "resource_tracker" not in " ".join(child.cmdline())]
+    assert not running
+    assert time.monotonic() - began < 25
+
+
+def test_a_script_without_a_guard_has_processes_and_takes_them_along(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import os, sys, time\n"
+        "from pathlib import Path\n"
+        "from rfpipe.stages.jobs.workers import Resources\n"
+        "from tests.workflow.pieces import identity\n"
+        "with Resources(threads=2, where='processes').workers(1, Path('.')) as workers:\n"
+        "    found = list(workers.results(identity, [(0, 1), (1, 2)]))\n"
+        "    print(*{pid for pid, _, _ in found}, flush=True)\n"
+        "    os.kill(os.getpid(), 9)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    deadline = time.monotonic() + 10
+    pids = [int(pid) for pid in done.stdout.split()]
+    assert pids
+    while any(psutil.pid_exists(pid) for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(psutil.pid_exists(pid) for pid in pids)
+
+
+def test_workers_that_do_not_see_the_folder_are_refused(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lost(path: Path, content: bytes) -> None:
+        """Write where nobody else sees it."""
+
+    monkeypatch.setattr(sent_module, "write_atomically", lost)
+    with (
+        pytest.raises(ClusterError, match=rf"tcp://.*, tcp://.* does not see {tmp_path}.*Mount"),
+        Resources(where=address).workers(1, tmp_path) as workers,
+    ):
+        list(workers.results(identity, PIECES))
+
+
+def test_workers_with_another_rfpipe_or_none_are_refused(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def handed_out() -> None:
+        with Resources(where=address).workers(1, tmp_path) as workers:
+            list(workers.results(identity, PIECES))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sent_module, "_our_code", lambda: "another")
+        with pytest.raises(ClusterError, match="runs another version of rfpipe"):
+            handed_out()
+    name = "rfpipe.stages.jobs.sent"
+
+    def hide() -> None:
+        sys.modules["hidden"], sys.modules[name] = sys.modules[name], None  # type: ignore[assignment]
+
+    def show() -> None:
+        sys.modules[name] = sys.modules.pop("hidden")
+
+    handed_out()
+    with Client(address, set_as_default=False) as client:
+        client.run(hide)
+        with pytest.raises(ClusterError, match="can't load this version of rfpipe"):
+            handed_out()
+        client.run(show)
+    handed_out()
+
+
+def test_without_workers_it_does_not_wait_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster_module, "_LOOK_SECONDS", 0.1)
+    monkeypatch.setattr(cluster_module, "_WITHOUT_WORKERS_SECONDS", 0.5)
+    with (
+        LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,
+        pytest.raises(ClusterError, match=r"all workers are gone.*dask worker tcp"),
+        Resources(where=cluster.scheduler_address).workers(1, tmp_path) as workers,
+    ):
+        results = workers.results(identity, PIECES[:1] * 20)
+        next(results)
+        cluster.scale(0)
+        list(results)
+        list(workers.results(identity, PIECES))
+
+
+@pytest.fixture
+def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """A scheduler and a worker, as a user starts them."""
+    file = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "distributed.cli"]
+    options = ["--scheduler-file", str(file), "--no-dashboard"]
+    serves = subprocess.Popen([f"{dask[0]}", "-m", "distributed.cli.dask_scheduler", "--port", "0",
+                               "--host", "127.0.0.1", *options])  # fmt: skip
+    works = subprocess.Popen([dask[0], "-m", "distributed.cli.dask_worker", "--nthreads", "1",
+                              "--death-timeout", "20", *options])  # fmt: skip
+    try:
+        deadline = time.monotonic() + 60
+        while not file.exists() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        with Client(scheduler_file=str(file), set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=60)
+            address = client.scheduler.address
+        yield serves, address
+    finally:
+        for process in (serves, works):
+            process.kill()
+            process.wait()
+
+
+def test_a_scheduler_that_dies_ends_the_job_and_the_next_goes_on(
+    scheduler: tuple[subprocess.Popen[bytes], str], tmp_path: Path
+) -> None:
+    process, address = scheduler
+    results = tmp_path / "results"
+    with (
+        pytest.raises(ClusterError, match=r"the scheduler is gone.*What is done is kept"),
+        Resources(where=address).workers(1, tmp_path) as workers,
+    ):
+        assert workers.hand_out is not None
+        promise = workers.hand_out(slow)(0, 1)
+        process.kill()
+        promise.result()
+    assert acquired(results, Resources()) == acquired(results, Resources())
+
+
+def job(**resources: Any) -> Any:
+    return SimpleNamespace(resources=SimpleNamespace(get=resources.get, **resources), threads=3)
+
+
+def test_a_job_works_where_settings_or_the_environment_say(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("RFPIPE_WORKERS", raising=False)
+    assert Resources.of_job(job(mem_mib=512)) == Resources(0.5, 3, "threads")
+    asked = job(mem_mib=512, workers="processes")
+    assert Resources.of_job(asked) == Resources(0.5, 3, "processes")
+    monkeypatch.setenv("RFPIPE_WORKERS", "tcp://host:8786")
+    assert Resources.of_job(asked) == Resources(0.5, 3, "tcp://host:8786")
+    assert Resources.of_job(asked).here == Resources(0.5, 3)
+    monkeypatch.setenv("RFPIPE_WORKERS", "everywhere")
+    with pytest.raises(ConfigError, match=r"RFPIPE_WORKERS is 'everywhere'.*tls://host:8786"):
+        Resources.of_job(asked)
