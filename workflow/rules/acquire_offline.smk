@@ -14,8 +14,11 @@ rule acquire_offline:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        mem_mib=MEMORY_MIB,
-        cluster=SETTINGS.resources.cluster or "",
+        mem_mb=memory("acquire"),
+        runtime=runtime("acquire"),
+        disk_mb=disk,
+        memory_gib=str(SETTINGS.resources.memory_gib),
+        dask=SETTINGS.resources.cluster or "",
     params:
         plan=plan,
         stages=stages,

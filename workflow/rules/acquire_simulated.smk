@@ -1,5 +1,7 @@
 rule acquire_simulated:
     """A scene's transport, from patterns shown to a simulated rig, level by level."""
+    input:
+        levels_before,
     output:
         "results/{scene}/{method}/transport.json",
     log:
@@ -10,8 +12,11 @@ rule acquire_simulated:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        mem_mib=MEMORY_MIB,
-        cluster=SETTINGS.resources.cluster or "",
+        mem_mb=memory("acquire"),
+        runtime=runtime("acquire"),
+        disk_mb=disk,
+        memory_gib=str(SETTINGS.resources.memory_gib),
+        dask=SETTINGS.resources.cluster or "",
     params:
         plan=plan,
         stages=stages,
@@ -39,8 +44,10 @@ rule verify_simulated:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        mem_mib=MEMORY_MIB,
-        cluster=SETTINGS.resources.cluster or "",
+        mem_mb=memory("verification"),
+        runtime=runtime("verification"),
+        memory_gib=str(SETTINGS.resources.memory_gib),
+        dask=SETTINGS.resources.cluster or "",
     params:
         plan=plan,
         stages=verification,

@@ -44,7 +44,8 @@ class Resources:
     def of_job(cls, snakemake: Any) -> Resources:
         """Return those of a job of the workflow, as Snakemake tells its script."""
         resources = snakemake.resources
-        return cls(resources.mem_mib / 1024, snakemake.threads, resources.get("cluster") or None)
+        memory_gib = min(resources.mem_mib / 1024, float(resources.memory_gib))
+        return cls(memory_gib, snakemake.threads, resources.get("dask") or None)
 
     @property
     def data_bytes(self) -> int:
