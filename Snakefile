@@ -6,8 +6,10 @@ decide on the patterns of a level (schedule), the rig shows them (capture), brac
 transport is assembled from all levels, verified by pictures that no method saw (verify), relit,
 compared with the truth, put on a page on which one paints with light (view), and reported.
 
-An acquisition is one job, since a level is little work beside a job's start, and how many levels
-have patterns to show turns out on the way. Each of its stages leaves a store and, written last, a
+An acquisition is one job, since a level is little work beside a job's start. Where a cluster ends
+long jobs, or a rig shall be free while pictures are processed, the setting resources.jobs makes each
+level a job of its own before it (docs/clusters.md): a checkpoint, since how many levels have
+patterns to show turns out on the way. Each of its stages leaves a store and, written last, a
 small manifest beside it, in results/{scene}/{method}/L{level}. Stores know what they were made
 from: a job that was stopped goes on where it stopped, and one that runs again does only what
 changed settings or code change.
@@ -32,6 +34,13 @@ if not workflow.overwrite_configfiles:
 
 include: "workflow/rules/common.smk"
 include: f"workflow/rules/acquire_{SETTINGS.capture.rule}.smk"
+
+
+if SETTINGS.resources.jobs == "level":
+
+    include: f"workflow/rules/levels_{SETTINGS.capture.rule}.smk"
+
+
 include: "workflow/rules/relight.smk"
 include: "workflow/rules/view.smk"
 include: "workflow/rules/report.smk"

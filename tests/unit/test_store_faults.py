@@ -1,7 +1,10 @@
 """What kills, full disks and forbidden folders leave behind."""
 
+import errno
+import fcntl
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -11,7 +14,7 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import LockedError, StoreError
-from rfpipe.store import FrameStore, StoreLock, open_arrays, write_arrays
+from rfpipe.store import FrameStore, StoreLock, lock, open_arrays, write_arrays
 from rfpipe.store.codec import ChunkFiles
 from rfpipe.store.journal import JournalWriter, read_journal
 
@@ -138,16 +141,50 @@ def test_an_orphan_writer_holds_its_lock_until_it_is_killed(tmp_path: Path) -> N
             StoreLock(tmp_path / "s").acquire()
         orphan.kill()
     with StoreLock(tmp_path / "s"):
-        assert (tmp_path / ".s.lock").read_text() == f"{os.getpid()}\n"
+        assert (tmp_path / ".s.lock").read_text() == f"{os.getpid()} {socket.gethostname()}\n"
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_lock_of_a_machine_that_died_is_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, waits = tmp_path / "s", []
+    with StoreLock(store) as held:
+        (tmp_path / ".s.lock").write_text("4711 node7\n")
+        assert StoreLock.holder(store) == "4711 on node7"
+
+        def served(seconds: float) -> None:
+            waits.append(seconds)
+            if len(waits) == 3:  # the file server gives up the dead machine's lock
+                held.release()
+
+        monkeypatch.setattr(lock.time, "sleep", served)
+        with StoreLock(store):
+            assert len(waits) == 3
+            assert StoreLock.holder(store) == str(os.getpid())
+
+    with StoreLock(store):
+        (tmp_path / ".s.lock").write_text("4711 node7\n")
+        monkeypatch.setattr(lock, "_LEASE_SECONDS", -1.0)
+        with pytest.raises(LockedError, match="process 4711 on node7 is writing this store"):
+            StoreLock(store).acquire()
+
+
+def test_a_file_system_without_locks_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(_descriptor: int, _operation: int) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", missing)
+    with pytest.raises(StoreError, match=r"has no locks.*Lustre with -o flock"):
+        StoreLock(tmp_path / "s").acquire()
 
 
 def test_a_lock_file_removed_by_its_last_holder_is_made_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # the last holder removes the file between the newcomer's open and its lock
-    import fcntl
-
     lock_file, flock = tmp_path / ".s.lock", fcntl.flock
     calls: list[int] = []
 

@@ -152,7 +152,7 @@ def freeze_writer(store: Path, items: int) -> int:
     def writer() -> int | None:
         if len(journal(store)) < items:
             return None
-        return int(lock.read_text())
+        return int(lock.read_text().split()[0])
 
     process = int(wait_until(writer, f"{items} items in {store}"))
     os.kill(process, signal.SIGSTOP)

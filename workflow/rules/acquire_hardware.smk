@@ -1,21 +1,33 @@
+# Such jobs run beside Snakemake, on the rig's host, also when others go to a cluster.
+CAPTURED_HERE = SETTINGS.resources.captures == "here"
+# Levels that are jobs of their own have taken all pictures before.
+RIG_HELD = SETTINGS.resources.jobs == "acquisition"
+
+
 rule acquire_hardware:
     """A scene's transport, from patterns shown by the rig behind an acquisition server.
 
     One acquisition at a time has the rig. What it does between two levels' captures takes a
     twentieth of their time (docs/performance.md).
     """
+    input:
+        levels_before,
     output:
         "results/{scene}/{method}/transport.json",
     log:
         "results/{scene}/{method}/acquire.log",
     benchmark:
         "results/{scene}/{method}/acquire.benchmark.tsv"
+    localrule: CAPTURED_HERE and RIG_HELD
     conda:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        rig=1,
-        mem_mib=MEMORY_MIB,
+        rig=int(RIG_HELD),
+        mem_mb=memory("acquire"),
+        runtime=runtime("acquire"),
+        disk_mb=disk,
+        memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
         # where the rig is, and how long to wait for it, shapes no result
         rig_url=SETTINGS.capture.url,
@@ -38,12 +50,15 @@ rule verify_hardware:
         "results/{scene}/{method}/verification.log",
     benchmark:
         "results/{scene}/{method}/verification.benchmark.tsv"
+    localrule: CAPTURED_HERE
     conda:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
         rig=1,
-        mem_mib=MEMORY_MIB,
+        mem_mb=memory("verification"),
+        runtime=runtime("verification"),
+        memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
         # where the rig is, and how long to wait for it, shapes no result
         rig_url=SETTINGS.capture.url,

@@ -14,7 +14,10 @@ rule acquire_offline:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        mem_mib=MEMORY_MIB,
+        mem_mb=memory("acquire"),
+        runtime=runtime("acquire"),
+        disk_mb=disk,
+        memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
     params:
         plan=plan,

@@ -1,5 +1,7 @@
 rule acquire_simulated:
     """A scene's transport, from patterns shown to a simulated rig, level by level."""
+    input:
+        levels_before,
     output:
         "results/{scene}/{method}/transport.json",
     log:
@@ -10,7 +12,10 @@ rule acquire_simulated:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        mem_mib=MEMORY_MIB,
+        mem_mb=memory("acquire"),
+        runtime=runtime("acquire"),
+        disk_mb=disk,
+        memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
     params:
         plan=plan,
@@ -39,7 +44,9 @@ rule verify_simulated:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        mem_mib=MEMORY_MIB,
+        mem_mb=memory("verification"),
+        runtime=runtime("verification"),
+        memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
     params:
         plan=plan,

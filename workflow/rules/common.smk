@@ -2,15 +2,18 @@
 
 import rfpipe
 from rfpipe.config import load_config, parse_config, read_yaml
+from rfpipe.costs import JobCosts
 from rfpipe.errors import ConfigError
 from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.studies import FIGURES
 from rfpipe.stages.evaluating.sweep import is_swept
+from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.code import module_of, stage_code
 from rfpipe.stages.jobs.notify import notify
 from rfpipe.stages.jobs.settings import stages_of, verification_of
+from rfpipe.stages.levels import level_after, level_before
 from rfpipe.stages.plan import plan_of
 from rfpipe.stages.verifying.again import write_run
 from rfpipe.store.files import digest_of
@@ -32,6 +35,7 @@ if workflow.storage_settings.default_storage_provider:
 wildcard_constraints:
     scene="|".join(SETTINGS.scenes),
     method="|".join(sorted({method for _, method in SETTINGS.acquisitions})),
+    level=r"\d+",
 
 
 def plain(settings):
@@ -50,12 +54,39 @@ VIEWER_WEB = fingerprint(
     ]
 )
 
+# What a job may take of which nothing else is known, and what those of an acquisition plan with.
 MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
+# And the minutes of such a job: of the studies, and of the report on many scenes.
+LONG_MINUTES = 240
+COSTS = JobCosts(SETTINGS, Path("results"))
+
+
+def memory(job):
+    """Memory to ask for, for a job of an acquisition: as predicted, more after a failure."""
+    return lambda wildcards, attempt: COSTS.memory_mb(
+        job, wildcards.scene, wildcards.method, attempt
+    )
+
+
+def runtime(job):
+    """Minutes to ask for, for a job of an acquisition: as predicted, more after a failure."""
+    return lambda wildcards, attempt: COSTS.runtime(
+        job, wildcards.scene, wildcards.method, attempt
+    )
+
+
+def disk(wildcards):
+    """Disk that an acquisition takes at most, in MB."""
+    return COSTS.disk_mb(wildcards.scene, wildcards.method)
 
 
 def threads(wildcards):
-    """A job's share of the cores: as many acquisitions as there are run side by side."""
-    return max(1, (workflow.cores or 1) // len(SETTINGS.acquisitions))
+    """A job's share of the cores: as many acquisitions as there are run side by side.
+
+    One on a cluster, unless the profile sets more.
+    """
+    cores = 1 if workflow.remote_exec else workflow.cores or 1
+    return max(1, cores // len(SETTINGS.acquisitions))
 
 
 def scene_settings(wildcards):
@@ -99,6 +130,31 @@ def every_view(wildcards):
         f"results/report/view/{scene}_{method}.html"
         for scene, method in SETTINGS.acquisitions
     ]
+
+
+def level_manifest(wildcards, level):
+    """What says that a level of an acquisition is done."""
+    return f"results/{wildcards.scene}/{wildcards.method}/L{int(level):02d}/refine.json"
+
+
+def levels_before(wildcards):
+    """Levels that are jobs of their own: each tells whether there is another one."""
+    if SETTINGS.resources.jobs == "acquisition":
+        return []
+    folder = AcquisitionFolder(Path("results", wildcards.scene, wildcards.method))
+    found, level = [], 0
+    while level is not None:
+        done = checkpoints.level.get(**wildcards, level=f"{level:02d}")
+        found.append(done.output[0])
+        level = level_after(folder, level)
+    return found
+
+
+def previous_level(wildcards):
+    """The level that a level's schedule follows from; none for the first."""
+    folder = AcquisitionFolder(Path("results", wildcards.scene, wildcards.method))
+    before = level_before(folder, int(wildcards.level))
+    return [] if before is None else level_manifest(wildcards, before)
 
 
 def other_acquisitions(wildcards):

@@ -11,7 +11,8 @@ rule relight:
     conda:
         "../envs/rfpipe.yaml"
     resources:
-        mem_mib=MEMORY_MIB,
+        mem_mb=memory("relight"),
+        runtime=runtime("relight"),
     params:
         scene=scene_settings,
         code=relight_code,
@@ -30,7 +31,8 @@ rule sweep:
     conda:
         "../envs/rfpipe.yaml"
     resources:
-        mem_mib=MEMORY_MIB,
+        mem_mb=memory("sweep"),
+        runtime=runtime("sweep"),
     params:
         settings=sweep_settings,
         code=sweep_code,

@@ -22,6 +22,7 @@ rule studies:
         "../envs/rfpipe.yaml"
     resources:
         mem_mib=MEMORY_MIB,
+        runtime=LONG_MINUTES,
     params:
         settings=study_settings,
         code=study_code,
@@ -81,6 +82,7 @@ rule report:
         "../envs/rfpipe.yaml"
     resources:
         mem_mib=MEMORY_MIB,
+        runtime=LONG_MINUTES,
     params:
         settings=SHAPING,
         code=report_code,

@@ -12,7 +12,8 @@ rule view:
     conda:
         "../envs/rfpipe.yaml"
     resources:
-        mem_mib=MEMORY_MIB,
+        mem_mb=memory("view"),
+        runtime=runtime("view"),
     params:
         code=stage_code("viewer"),
         web=VIEWER_WEB,

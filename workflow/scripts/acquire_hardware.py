@@ -6,14 +6,15 @@ from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 
-params = snakemake.params
+params, wildcards = snakemake.params, snakemake.wildcards
 start(snakemake.log[0])
 plan = Plan(**params.plan)
 levels.run(
     plan,
-    AcquisitionFolder(Path(snakemake.output[0]).parent, believing=True),
-    snakemake.wildcards.scene,
+    AcquisitionFolder(Path("results", wildcards.scene, wildcards.method), believing=True),
+    wildcards.scene,
     captures.by_server(plan, snakemake.resources),
     **params.stages,
     resources=Resources.of_job(snakemake),
+    until=levels.Until.of_job(snakemake),
 )

@@ -92,6 +92,20 @@ class ResourcesConfig(Settings):
         "scheduler can run programs on all of these machines.",
     )
 
+    jobs: Literal["acquisition", "level"] = Field(
+        "acquisition",
+        description="What a job of the workflow is: acquisition, a scene by a method from its first "
+        "pattern to its transport; or level, one level of it, for clusters that end long jobs, and "
+        "rigs that shall be free while pictures are processed. The same bytes either way "
+        "(docs/clusters.md).",
+    )
+    captures: Literal["here", "job"] = Field(
+        "here",
+        description="Where jobs that need a real rig run when others go to a cluster: here, beside "
+        "Snakemake, which then is started on the rig's host; or job, as jobs of the cluster that the "
+        "profile sends to the rig's host (docs/clusters.md).",
+    )
+
     @field_validator("workers")
     @classmethod
     def _workers_are_somewhere(cls, where: str) -> str:
@@ -331,6 +345,11 @@ class Config(Settings):
             raise ValueError(
                 "verification.pictures should be 0 or null with capture.rig offline, whose "
                 "pictures are taken level by level by hand"
+            )
+        if self.resources.jobs == "level":
+            raise ValueError(
+                "resources.jobs should be acquisition with capture.rig offline, whose pictures are "
+                "taken level by level by hand"
             )
         if self.offline.camera_corners is not None and self.camera is None:
             raise ValueError(

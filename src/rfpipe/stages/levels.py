@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 from rfpipe.errors import DamagedStageError
 from rfpipe.photometry.normalize import Mode
@@ -31,7 +31,7 @@ from rfpipe.stages.symmetry import NOTICED
 from rfpipe.store import StoreLock, restore_header
 from rfpipe.units import NumberFormat
 
-__all__ = ["run", "watching_of"]
+__all__ = ["Until", "level_after", "level_before", "run", "watching_of"]
 
 _log = logging.getLogger(__name__)
 
@@ -53,6 +53,7 @@ def run(
     asymmetry: float,
     watch: Mapping[str, Any],
     resources: Resources,
+    until: Until | None = None,
 ) -> None:
     """Acquire a scene by a method, or what is missing of it; ``transport.json`` comes last.
 
@@ -78,6 +79,8 @@ def run(
     watch : mapping
         Keyword arguments of `watching_of`.
     resources : Resources
+    until : Until, optional
+        Where to end before the transport; the next job goes on from there.
 
     Raises
     ------
@@ -125,6 +128,8 @@ def run(
 
     def work_of(level: int) -> Iterator[_Work]:
         if level == plan.n_levels:
+            if until is not None:
+                return
             manifest = folder.path / "transport.json"
             yield (
                 manifest,
@@ -140,9 +145,64 @@ def run(
 
     with StoreLock(folder.path):
         level: int | None
-        level, anew = 0, _Anew()
-        while level is not None:
+        level, anew = 0, _Anew(folder, until)
+        while level is not None and level <= plan.n_levels:
             level = anew.go_on(level, work_of(level))
+
+
+@dataclass(frozen=True)
+class Until:
+    """Where a job of one level ends.
+
+    Parameters
+    ----------
+    level : int
+    stage : {"capture", "refine"}
+        After "refine", levels that ask nothing are done on the way and the next one that asks is
+        scheduled, so that it is known whether there is one: see `level_after`.
+    """
+
+    level: int
+    stage: Literal["capture", "refine"] = "refine"
+
+    @classmethod
+    def of_job(cls, snakemake: Any) -> Until | None:
+        """Return that of a job of the workflow, as Snakemake tells its script; None for none."""
+        level = snakemake.wildcards.get("level")
+        return None if level is None else cls(int(level), snakemake.params.until)
+
+    def is_at(self, folder: AcquisitionFolder, level: int, manifest: Path) -> bool:
+        """Whether a stage of a level, which is done, was the last one."""
+        if self.stage == "capture":
+            return manifest == folder.manifest(self.level, "capture")
+        return manifest.stem == "schedule" and level > self.level and _asks(folder, level)
+
+
+def level_after(folder: AcquisitionFolder, level: int) -> int | None:
+    """Return the level that asks something after one that is refined; None for none.
+
+    Parameters
+    ----------
+    folder : AcquisitionFolder
+        What a job until `level` left.
+    level : int
+    """
+    following = level + 1
+    while folder.manifest(following, "schedule").exists():
+        if _asks(folder, following):
+            return following
+        following += 1
+    return None
+
+
+def level_before(folder: AcquisitionFolder, level: int) -> int | None:
+    """Return the level that asked something before another; None for none."""
+    asking = (above for above in reversed(range(level)) if _asks(folder, above))
+    return next(asking, None)
+
+
+def _asks(folder: AcquisitionFolder, level: int) -> bool:
+    return bool(folder.read_manifest(level, "schedule")["patterns"])
 
 
 def watching_of(plan: Plan, asymmetry: float, *, mode: str, looks: int | None) -> Watching | None:
@@ -174,12 +234,15 @@ def watching_of(plan: Plan, asymmetry: float, *, mode: str, looks: int | None) -
 class _Anew:
     """Does the stages of one level after the other; damaged ones anew, none more than once."""
 
+    folder: AcquisitionFolder
+    until: Until | None
     made: set[Path] = field(default_factory=set)
 
     def go_on(self, level: int, work: Iterable[_Work]) -> int | None:
         """Do a level's work, or the transport's, which comes last; return the level that follows.
 
-        That is an earlier one where a stage found something damaged. None: all is done.
+        That is an earlier one where a stage found something damaged. None: all that is to be done
+        is done.
         """
         for manifest, stage in work:
             with _stage(manifest):
@@ -187,7 +250,7 @@ class _Anew:
                     stage()
                 except DamagedStageError as error:
                     return self._level_of(error)
-            if manifest.stem == "transport":
+            if self.until is not None and self.until.is_at(self.folder, level, manifest):
                 return None
         return level + 1
 

@@ -2,21 +2,31 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
+import socket
+import time
 from pathlib import Path
 
-from rfpipe.errors import LockedError
+from rfpipe.errors import LockedError, StoreError
 from rfpipe.store.files import hidden_sibling, storage_errors
 
 __all__ = ["StoreLock"]
+
+# A file server frees the locks of a machine that died when its lease has run out: 90 s by NFS.
+_LEASE_SECONDS = 120.0
+_POLL_SECONDS = 2.0
 
 
 class StoreLock:
     """Exclusive lock on a store, held by an open file beside it.
 
     The system releases it when the process ends, however it ends. A workflow killed alone leaves
-    its stage running; that orphan still holds its locks and so keeps a second writer out.
+    its stage running; that orphan still holds its locks and so keeps a second writer out. On a
+    file system that machines share, the lock holds for all of them, and that of a machine that died
+    ends when the file server gives it up: two minutes are waited for that where the holder is on
+    another machine.
 
     Parameters
     ----------
@@ -29,7 +39,7 @@ class StoreLock:
     LockedError
         From `acquire`, when another process, or another lock in this one, holds it.
     StoreError
-        From `acquire`, when the folder isn't writable.
+        From `acquire`, when the folder isn't writable, or its file system has no locks.
 
     Examples
     --------
@@ -52,13 +62,14 @@ class StoreLock:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            return os.read(descriptor, 32).decode(errors="replace").strip() or "unknown"
+            return _shown(*_read(descriptor))
         finally:
             os.close(descriptor)
         return None
 
     def acquire(self) -> None:
-        """Take the lock, or raise at once."""
+        """Take the lock, or raise: at once where another process of this machine holds it."""
+        end = time.monotonic() + _LEASE_SECONDS
         with storage_errors(self._lock_file, "locking"):
             self._lock_file.parent.mkdir(parents=True, exist_ok=True)
             while self._descriptor is None:
@@ -66,22 +77,38 @@ class StoreLock:
                 try:
                     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 except BlockingIOError:
-                    holder = os.read(descriptor, 32).decode(errors="replace").strip()
+                    holder = _read(descriptor)
                     os.close(descriptor)
-                    raise LockedError(
-                        f"{self._path}: process {holder or 'unknown'} is writing this store; wait "
-                        "until it ends, or end it, then run again"
-                    ) from None
-                except OSError:
+                    self._wait_for(*holder, end)
+                    continue
+                except OSError as error:
                     os.close(descriptor)
+                    if error.errno in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
+                        raise StoreError(
+                            f"{self._path}: its file system has no locks ({error.strerror}), so two "
+                            "machines could write it at the same time. Mount it with them (NFS 4, "
+                            "Lustre with -o flock), or put the results elsewhere"
+                        ) from error
                     raise
                 # Its last holder may have removed the file between our open and our lock.
                 if self._is_in_place(descriptor):
                     os.ftruncate(descriptor, 0)
-                    os.write(descriptor, f"{os.getpid()}\n".encode())
+                    os.write(descriptor, f"{os.getpid()} {socket.gethostname()}\n".encode())
                     self._descriptor = descriptor
                 else:
                     os.close(descriptor)
+
+    def _wait_for(self, process: str, machine: str, end: float) -> None:
+        """Let some time pass where the holder may be on a machine that died, or raise."""
+        is_elsewhere = machine not in ("", socket.gethostname())
+        if is_elsewhere and time.monotonic() < end:
+            time.sleep(_POLL_SECONDS)
+            return
+        waited = f" after {_LEASE_SECONDS:.0f} s" if is_elsewhere else ""
+        raise LockedError(
+            f"{self._path}: process {_shown(process, machine)} is writing this store{waited}; wait "
+            "until it ends, or end it, then run again"
+        )
 
     def release(self) -> None:
         """Give the lock back; does nothing when it isn't held."""
@@ -104,3 +131,14 @@ class StoreLock:
             return False
         ours = os.fstat(descriptor)
         return (found.st_dev, found.st_ino) == (ours.st_dev, ours.st_ino)
+
+
+def _read(descriptor: int) -> tuple[str, str]:
+    """Return process and machine of a lock's holder, empty where it hasn't said so yet."""
+    process, _, machine = os.read(descriptor, 256).decode(errors="replace").strip().partition(" ")
+    return process, machine
+
+
+def _shown(process: str, machine: str) -> str:
+    where = "" if machine in ("", socket.gethostname()) else f" on {machine}"
+    return f"{process or 'unknown'}{where}"

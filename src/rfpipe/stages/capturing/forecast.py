@@ -16,7 +16,7 @@ from rfpipe.stages.plan import Plan, plan_of
 if TYPE_CHECKING:
     from rfpipe.config import Config
 
-__all__ = ["Forecast", "Need", "forecast"]
+__all__ = ["Forecast", "Need", "forecast", "forecast_of"]
 
 # Rays to which the seconds of an acquisition, for each pattern and ray, are those of another.
 _LIKE_SECONDS = 4.0
@@ -86,17 +86,21 @@ def forecast(settings: Config, sensor: Sensor, taken: Sequence[Taken] = ()) -> l
     InputError
         When a method doesn't fit a scene's rays.
     """
-    found = []
-    for scene, name in settings.acquisitions:
-        plan = Plan(**plan_of(settings, scene, name))
-        rays = plan.camera, plan.projector, plan.options
-        most = plan.method.most_patterns(*rays)
-        patterns, known = _expected(plan, scene, taken, most)
-        expected, at_most = (_need(settings, sensor, plan, count) for count in (patterns, most))
-        here = _here(plan, scene, patterns, taken) if settings.capture.rig == "simulated" else None
-        about = scene, name, plan.projector.size, plan.n_levels
-        found.append(Forecast(*about, expected, at_most, known, here))
-    return found
+    return [forecast_of(settings, sensor, *one, taken) for one in settings.acquisitions]
+
+
+def forecast_of(
+    settings: Config, sensor: Sensor, scene: str, name: str, taken: Sequence[Taken] = ()
+) -> Forecast:
+    """Tell what one acquisition, a scene by a method's section, will take; as `forecast`."""
+    plan = Plan(**plan_of(settings, scene, name))
+    rays = plan.camera, plan.projector, plan.options
+    most = plan.method.most_patterns(*rays)
+    patterns, known = _expected(plan, scene, taken, most)
+    expected, at_most = (_need(settings, sensor, plan, count) for count in (patterns, most))
+    here = _here(plan, scene, patterns, taken) if settings.capture.rig == "simulated" else None
+    about = scene, name, plan.projector.size, plan.n_levels
+    return Forecast(*about, expected, at_most, known, here)
 
 
 def _expected(

@@ -58,8 +58,9 @@ class Resources:
             When the environment variable `VARIABLE` says where to work, but no place.
         """
         resources = snakemake.resources
+        memory_gib = min(resources.mem_mib / 1024, float(resources.memory_gib))
         where = workers_from_environment() or resources.get("workers") or THREADS
-        return cls(resources.mem_mib / 1024, snakemake.threads, where)
+        return cls(memory_gib, snakemake.threads, where)
 
     @property
     def data_bytes(self) -> int:

@@ -1,0 +1,16 @@
+"""What jobs take: memory, time and disk, predicted before they run from those that have run."""
+
+from rfpipe.costs.jobs import JobCosts
+from rfpipe.costs.model import Law, Laws, fit_laws
+from rfpipe.costs.records import Record, read_shipped, records_in, write_records
+
+__all__ = [
+    "JobCosts",
+    "Law",
+    "Laws",
+    "Record",
+    "fit_laws",
+    "read_shipped",
+    "records_in",
+    "write_records",
+]

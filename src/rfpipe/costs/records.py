@@ -1,0 +1,156 @@
+"""What jobs took: the benchmark files of a run, and the table that is shipped with rfpipe."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, fields
+from math import prod
+from pathlib import Path
+from typing import Any
+
+from rfpipe.errors import StoreError
+from rfpipe.store import read_manifest
+
+__all__ = ["JOBS", "Record", "read_shipped", "records_in", "write_records"]
+
+JOBS = ("acquire", "relight", "verification", "view", "sweep")
+"""Jobs of an acquisition, each with its benchmark file beside the transport."""
+
+_SHIPPED = Path(__file__).with_name("measured.csv")
+
+# Of a job that went on where another was stopped, its benchmark file has the last part alone.
+_WHOLE = 0.8
+
+
+@dataclass(frozen=True)
+class Record:
+    """What one job took.
+
+    Attributes
+    ----------
+    job : str
+        One of `JOBS`.
+    scene, name : str
+        The acquisition: its scene, and its method's section.
+    method : str
+        What it was acquired by, after any choice.
+    camera_rays, projector_rays, views, channels : int
+        Views of the projector.
+    patterns : int
+    cpu_seconds : float
+        Of the processor, whoever else used it; what a rig waits for isn't in it.
+    seconds : float
+        Wall time.
+    memory_mb : float
+        Largest resident set of the job and its children, in MB (10^6 bytes).
+    """
+
+    job: str
+    scene: str
+    name: str
+    method: str
+    camera_rays: int
+    projector_rays: int
+    views: int
+    channels: int
+    patterns: int
+    cpu_seconds: float
+    seconds: float
+    memory_mb: float
+
+    @property
+    def samples(self) -> int:
+        """Numbers in a picture of the camera's."""
+        return self.camera_rays * self.channels
+
+
+def records_in(results: Path, most: int | None = None) -> list[Record]:
+    """Return what the jobs of a results' folder took, as far as their files tell.
+
+    Parameters
+    ----------
+    results : Path
+    most : int, optional
+        Acquisitions to look at, evenly among all; None for all.
+    """
+    found: list[Record] = []
+    manifests = sorted(results.glob("*/*/transport.json"))
+    for manifest in manifests[:: 1 if most is None else -(-len(manifests) // most) or 1]:
+        try:
+            about = _about(read_manifest(manifest))
+        except (StoreError, KeyError):
+            continue
+        for job in JOBS:
+            took = _took(manifest.parent, job)
+            if took is not None:
+                found.append(Record(job=job, **about, **took))
+    return found
+
+
+def read_shipped() -> list[Record]:
+    """Return what ``benchmarks/measure_costs.py`` measured."""
+    with _SHIPPED.open(encoding="utf-8", newline="") as file:
+        return [
+            Record(**{field.name: _parsed(row[field.name], field.type) for field in fields(Record)})
+            for row in csv.DictReader(file)
+        ]
+
+
+def write_records(records: Iterable[Record], path: Path) -> None:
+    """Write records as a table."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        names = [field.name for field in fields(Record)]
+        writer = csv.DictWriter(file, names, lineterminator="\n")
+        writer.writeheader()
+        for record in records:
+            shown = {
+                name: f"{value:.4g}" if isinstance(value, float) else value
+                for name, value in asdict(record).items()
+            }
+            writer.writerow(shown)
+
+
+def _about(facts: dict[str, Any]) -> dict[str, Any]:
+    shape = tuple(facts["projector_shape"])
+    return {
+        "scene": facts["scene"],
+        "name": facts["method"],
+        "method": facts["acquired_by"],
+        "camera_rays": prod(facts["camera_shape"]),
+        "projector_rays": prod(shape),
+        "views": shape[0] if len(shape) > 2 else 1,
+        "channels": facts["channels"],
+        "patterns": facts["patterns"],
+    }
+
+
+def _took(folder: Path, job: str) -> dict[str, float] | None:
+    """Return what Snakemake measured of a job, None where that isn't all of it."""
+    row = _benchmark(folder / f"{job}.benchmark.tsv")
+    try:
+        took = {
+            "cpu_seconds": float(row["cpu_time"]),
+            "seconds": float(row["s"]),
+            # Snakemake's are 2^20 bytes
+            "memory_mb": float(row["max_rss"]) * 2**20 / 1e6,
+        }
+    except (KeyError, ValueError):  # a job too short to be looked at has NA
+        return None
+    if job == "acquire":
+        stages = [_benchmark(path) for path in folder.glob("L*/*.benchmark.tsv")]
+        if took["seconds"] < _WHOLE * sum(float(stage.get("s", 0)) for stage in stages):
+            return None
+    return took if took["memory_mb"] > 0 else None
+
+
+def _benchmark(path: Path) -> dict[str, str]:
+    try:
+        lines = path.read_text(encoding="ascii").splitlines()
+        return dict(zip(lines[0].split("\t"), lines[-1].split("\t"), strict=True))
+    except (OSError, ValueError, IndexError):
+        return {}
+
+
+def _parsed(text: str, kind: Any) -> Any:
+    return {"int": int, "float": float}.get(kind, str)(text)

@@ -1,0 +1,185 @@
+"""A Slurm cluster in a folder: its own daemons, of two nodes on this machine, one CPU each."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+import pytest
+
+_PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
+_PACKAGES = "apt-get install slurmctld slurmd slurm-client munge, and be root"
+_PATIENCE_SECONDS = 60.0
+
+NODES = ("one", "two")
+
+CONFIGURATION = """
+ClusterName=rfpipe
+SlurmctldHost={host}(127.0.0.1)
+SlurmctldPort={controller}
+SlurmUser=root
+SlurmdUser=root
+AuthType=auth/munge
+AuthInfo=socket={folder}/munge.socket
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={folder}/%n
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/%n.pid
+SlurmctldLogFile={folder}/slurmctld.log
+SlurmdLogFile={folder}/%n.log
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+MpiDefault=none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_CPU_Memory
+SchedulerType=sched/builtin
+SlurmdTimeout=4
+ReturnToService=2
+InactiveLimit=0
+KillWait=2
+MinJobAge=300
+AccountingStorageType=accounting_storage/none
+JobAcctGatherType=jobacct_gather/none
+NodeName=one NodeHostname={host} NodeAddr=127.0.0.1 Port={one} CPUs=1 RealMemory=4000
+NodeName=two NodeHostname={host} NodeAddr=127.0.0.1 Port={two} CPUs=1 RealMemory=4000
+PartitionName=work Nodes=one,two Default=YES MaxTime=INFINITE State=UP
+"""
+# No node has an accounting database: squeue and scontrol ask the scheduler itself. It looks for
+# nodes that don't answer every SlurmdTimeout / 3.
+
+
+def need_slurm() -> None:
+    """Skip a test where Slurm's daemons can't be run, or fail where they are required."""
+    if os.geteuid() != 0 or any(shutil.which(program) is None for program in _PROGRAMS):
+        if os.environ.get("RFPIPE_REQUIRE_SLURM"):
+            pytest.fail(f"RFPIPE_REQUIRE_SLURM is set, but there is no Slurm: {_PACKAGES}")
+        pytest.skip(f"a test of a real Slurm cluster; to run it: {_PACKAGES}")
+
+
+class Slurm:
+    """The daemons; a context manager that ends them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.environment = {**os.environ, "SLURM_CONF": str(folder / "slurm.conf")}
+
+    def __enter__(self) -> Slurm:
+        folder = self.folder
+        for name in ("state", *NODES):
+            (folder / name).mkdir(parents=True)
+        folder.chmod(0o755)
+        key = folder / "munge.key"
+        key.write_bytes(secrets.token_bytes(128))
+        key.chmod(0o600)
+        ports = dict(zip(("controller", *NODES), _free_ports(3), strict=True))
+        settings = CONFIGURATION.format(
+            host=socket.gethostname().partition(".")[0], folder=folder, **ports
+        )
+        (folder / "slurm.conf").write_text(settings)
+        try:
+            files = {"socket": "socket", "pid-file": "pid", "log-file": "log", "seed-file": "seed"}
+            self._do(
+                "munged", "--force", f"--key-file={key}",
+                *(f"--{option}={folder}/munge.{end}" for option, end in files.items()),
+            )  # fmt: skip
+            self._do("slurmctld")
+            for node in NODES:
+                self.start_node(node)
+            self.wait_for_nodes("idle")
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for node in NODES:
+            self.kill_node(node)
+        for name in ("slurmctld", "munge"):
+            daemon = self._daemon(name)
+            if daemon is not None:
+                daemon.kill()
+
+    def start_node(self, node: str) -> None:
+        """Start the daemon of a node, a new one or one that was killed."""
+        self._do("slurmd", "-N", node)
+
+    def kill_node(self, node: str) -> int:
+        """End a node as a power cut does: its daemon, and all that it has started; how many."""
+        daemon = self._daemon(node)
+        found = {process for process in psutil.process_iter() if self._is_of(process, node)}
+        # that of a job looks after it, and would tell of its end
+        found |= {parent for one in found if (parent := one.parent()) and _looks_after_jobs(parent)}
+        found |= {daemon} if daemon is not None else set()
+        for number in (signal.SIGSTOP, signal.SIGKILL):
+            for process in found:
+                with suppress(psutil.NoSuchProcess):
+                    process.send_signal(number)
+        (self.folder / f"{node}.pid").unlink(missing_ok=True)
+        return len(found)
+
+    def jobs(self, *states: str) -> dict[str, str]:
+        """Return numbers of the jobs in some states, or in any, each with its node."""
+        asked = ",".join(states) or "all"
+        told = self._do("squeue", "--noheader", "--format=%i %N", f"--states={asked}")
+        return {number: node for number, _, node in (it.partition(" ") for it in told)}
+
+    def wait_for_nodes(self, state: str, *nodes: str) -> None:
+        """Wait until nodes, all if none are named, are in a state."""
+
+        def are() -> bool:
+            options = ("--noheader", "--Node", "--format=%t", f"--nodes={','.join(nodes or NODES)}")
+            return {line.strip("*") for line in self._do("sinfo", *options)} == {state}
+
+        _wait_until(are, f"{nodes} {state}")
+
+    def _do(self, *command: str) -> list[str]:
+        done = subprocess.run(
+            command, env=self.environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{command}: {done.stderr}"
+        return done.stdout.splitlines()
+
+    def _daemon(self, name: str) -> psutil.Process | None:
+        try:
+            return psutil.Process(int((self.folder / f"{name}.pid").read_text()))
+        except (OSError, ValueError, psutil.NoSuchProcess):
+            return None
+
+    def _is_of(self, process: psutil.Process, node: str) -> bool:
+        try:
+            environment = process.environ()
+        except psutil.Error:
+            return False
+        is_ours = environment.get("SLURM_CONF") == self.environment["SLURM_CONF"]
+        return is_ours and environment.get("SLURMD_NODENAME") == node
+
+
+def _looks_after_jobs(process: psutil.Process) -> bool:
+    return "slurmstepd:" in " ".join(process.cmdline())
+
+
+def _free_ports(count: int) -> list[int]:
+    sockets = [socket.socket() for _ in range(count)]
+    try:
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return [one.getsockname()[1] for one in sockets]
+    finally:
+        for one in sockets:
+            one.close()
+
+
+def _wait_until(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + _PATIENCE_SECONDS
+    while not condition():
+        assert time.monotonic() < end, f"{what}: not within {_PATIENCE_SECONDS} s"
+        time.sleep(0.2)

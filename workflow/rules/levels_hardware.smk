@@ -1,0 +1,67 @@
+rule capture_level:
+    """The pictures of one level, from the rig behind an acquisition server.
+
+    The rig is free for another acquisition while they are processed, anywhere.
+    """
+    input:
+        previous_level,
+    output:
+        "results/{scene}/{method}/L{level}/capture.json",
+    log:
+        "results/{scene}/{method}/capture_{level}.log",
+    benchmark:
+        "results/{scene}/{method}/capture_{level}.benchmark.tsv"
+    localrule: CAPTURED_HERE
+    conda:
+        "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        rig=1,
+        mem_mb=memory("acquire"),
+        runtime=runtime("acquire"),
+        disk_mb=disk,
+        memory_gib=str(SETTINGS.resources.memory_gib),
+        workers=SETTINGS.resources.workers,
+        # where the rig is, and how long to wait for it, shapes no result
+        rig_url=SETTINGS.capture.url,
+        rig_token_file=SETTINGS.capture.token_file or "",
+        rig_patience=str(SETTINGS.capture.patience_seconds),
+    params:
+        plan=plan,
+        stages=stages,
+        until="capture",
+    script:
+        "../scripts/acquire_hardware.py"
+
+
+checkpoint level:
+    """One level of a scene's acquisition, after its pictures are taken: no rig is needed.
+
+    What it leaves tells whether there is another one.
+    """
+    input:
+        "results/{scene}/{method}/L{level}/capture.json",
+    output:
+        "results/{scene}/{method}/L{level}/refine.json",
+    log:
+        "results/{scene}/{method}/level_{level}.log",
+    benchmark:
+        "results/{scene}/{method}/level_{level}.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        mem_mb=memory("acquire"),
+        runtime=runtime("acquire"),
+        disk_mb=disk,
+        memory_gib=str(SETTINGS.resources.memory_gib),
+        workers=SETTINGS.resources.workers,
+        rig_url=SETTINGS.capture.url,
+        rig_token_file=SETTINGS.capture.token_file or "",
+        rig_patience=str(SETTINGS.capture.patience_seconds),
+    params:
+        plan=plan,
+        stages=stages,
+        until="refine",
+    script:
+        "../scripts/acquire_hardware.py"
