@@ -42,7 +42,7 @@ rule all:
     default_target: True
     input:
         every_acquisition("transport.json"),
-        "results/report/index.html",
+        ["results/report/index.html"] if SETTINGS.has_report else every_item,
         ["results/verified"] if SETTINGS.verification.fail_above else [],
 
 

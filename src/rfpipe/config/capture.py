@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from rfpipe.config.addresses import check_server
-from rfpipe.config.base import Fraction, Settings, Text
+from rfpipe.config.base import Fraction, Settings, Text, check_command
 
 __all__ = ["Batch", "CaptureConfig"]
 
@@ -38,6 +38,12 @@ class CaptureConfig(Settings):
         le=604_800,
         description="How long to wait for a server that doesn't answer, or for a rig that fails, "
         "before the run ends, in seconds, 0 to 604800, a week.",
+    )
+    placing: Text | None = Field(
+        None,
+        description="Command that puts a scene before the rig, such as one that moves a gantry or "
+        "waits until somebody says that the object stands there; it finds the scene's name in "
+        "RFPIPE_SCENE, and runs again when an acquisition goes on. null: the scene stands there.",
     )
     seconds_per_pattern: float = Field(
         2.0,
@@ -112,6 +118,11 @@ class CaptureConfig(Settings):
     def _is_of_a_server(cls, url: str) -> str:
         check_server(url)
         return url
+
+    @field_validator("placing")
+    @classmethod
+    def _places_by_a_command(cls, command: str | None) -> str | None:
+        return check_command(command)
 
     @field_validator("symmetry_frames")
     @classmethod

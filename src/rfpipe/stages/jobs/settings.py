@@ -24,6 +24,7 @@ def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
     scene, name : str
         The acquisition: a scene and a method's section.
     """
+    settings = settings.of_scene(scene)
     capture = settings.capture
     method = settings.methods_of(scene)[name].method or name
     return {
@@ -49,6 +50,6 @@ def verification_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
     """Return arguments of `rfpipe.stages.unseen.verify.run` as plain data; parameters as there."""
     stages = stages_of(settings, scene, name)
     return {
-        "pictures": settings.verification_pictures,
+        "pictures": settings.of_scene(scene).verification_pictures,
         **{part: stages[part] for part in ("code", "capture_options", "merge_options")},
     }
