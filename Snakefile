@@ -53,10 +53,12 @@ onstart:
         workflow.overwrite_configfiles,
         workflow.config_settings.config,
     )
+    list_collection()
 
 
 onsuccess:
     print("rfpipe: done.")
+    list_collection()
     notify(SETTINGS.notify, "done", log[0])
 
 
@@ -66,4 +68,5 @@ onerror:
         "detail, in the .log file beside its results. What was captured is kept: the next run goes "
         "on from there."
     )
+    list_collection()
     notify(SETTINGS.notify, "failed", log[0])

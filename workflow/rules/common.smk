@@ -5,6 +5,7 @@ from rfpipe.config import load_config, parse_config, read_yaml
 from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
 from rfpipe.provenance import fingerprint
+from rfpipe.report.catalogue import write_catalogue
 from rfpipe.stages.evaluating.studies import FIGURES
 from rfpipe.stages.evaluating.sweep import is_swept
 from rfpipe.stages.jobs.code import module_of, stage_code
@@ -115,6 +116,14 @@ def every_view(wildcards):
         f"results/report/view/{scene}_{method}.html"
         for scene, method in SETTINGS.acquisitions
     ]
+
+
+def list_collection():
+    """Write the catalogue of a collection, whatever became of it until now."""
+    if SETTINGS.collection is not None:
+        counts = write_catalogue(SETTINGS, Path("results"))
+        said = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+        print(f"rfpipe: results/catalogue/index.html: {said}")
 
 
 def every_item(wildcards):

@@ -12,6 +12,8 @@ import typer
 from rfpipe.cli import fit, offline
 from rfpipe.cli.aim import aim
 from rfpipe.cli.calibrate import calibrate
+from rfpipe.cli.catalogue import catalogue
+from rfpipe.cli.collection import app as collection
 from rfpipe.cli.export import app as export
 from rfpipe.cli.info import info, open_checked, times
 from rfpipe.cli.plan import plan
@@ -113,6 +115,8 @@ def scenes() -> None:
 
 
 app.command()(plan)
+app.command()(catalogue)
+app.add_typer(collection, name="collection")
 
 
 @app.command()

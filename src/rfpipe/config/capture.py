@@ -60,6 +60,12 @@ class CaptureConfig(Settings):
         description="Brackets of the all-on pattern, averaged: 1 to 1024. A level's images are "
         "scaled to them, so that they set the noise of the direct light.",
     )
+    share_references: Literal["none", "black", "all"] | None = Field(
+        None,
+        description="Which of these are taken once for many: black (all-off ones, once for all "
+        "acquisitions by a rig), all (the all-on ones of a scene as well, once for all its "
+        "methods) or none; null: black with a collection, else none.",
+    )
     symmetry_frames: int = Field(
         6,
         ge=0,

@@ -24,9 +24,11 @@ def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
     scene, name : str
         The acquisition: a scene and a method's section.
     """
+    method = settings.methods_of(scene)[name].method or name
+    in_collection = settings.collection is not None
     settings = settings.of_scene(scene)
     capture = settings.capture
-    method = settings.methods_of(scene)[name].method or name
+    share = capture.share_references or ("black" if in_collection else "none")
     return {
         "capture_options": {
             "references": [capture.black_frames, capture.floodlit_frames],
@@ -36,6 +38,7 @@ def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
             "keep_raw": capture.keep_raw,
             "warm_up_minutes": capture.warm_up_minutes,
             "when_patterns_change": capture.when_patterns_change,
+            **({} if share == "none" else {"share": share}),
         },
         "merge_options": {**settings.merge.model_dump(mode="json"), "keep_raw": capture.keep_raw},
         "normalization": settings.normalization,
