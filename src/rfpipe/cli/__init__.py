@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["app", "main"]
 
+_LISTED = 20
+
 app = typer.Typer(
     name="rfpipe",
     help="Serve a rig; inspect and relight the light transport between a projector and a camera.",
@@ -87,6 +89,8 @@ def validate(config: ConfigPath) -> None:
         return
     settings = load_config(config)
     lines = [f"{scene} by {', '.join(settings.methods_of(scene))}" for scene in settings.scenes]
+    if len(lines) > _LISTED:
+        lines[_LISTED:] = [f"and {len(lines) - _LISTED} more"]
     typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions: {'; '.join(lines)}")
 
 
