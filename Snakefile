@@ -52,7 +52,7 @@ rule all:
     default_target: True
     input:
         every_acquisition("transport.json"),
-        "results/report/index.html",
+        ["results/report/index.html"] if SETTINGS.has_report else every_item,
         ["results/verified"] if SETTINGS.verification.fail_above else [],
         ["results/kept.json"] if SETTINGS.storage.keep_at else [],
 
@@ -64,10 +64,12 @@ onstart:
         workflow.overwrite_configfiles,
         workflow.config_settings.config,
     )
+    list_collection()
 
 
 onsuccess:
     print("rfpipe: done.")
+    list_collection()
     notify(SETTINGS.notify, "done", log[0])
 
 
@@ -77,4 +79,5 @@ onerror:
         "detail, in the .log file beside its results. What was captured is kept: the next run goes "
         "on from there."
     )
+    list_collection()
     notify(SETTINGS.notify, "failed", log[0])

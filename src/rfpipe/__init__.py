@@ -1,10 +1,10 @@
 """Acquire, store and relight the light transport between a projector and a camera.
 
-``open_transport`` opens what a run stored, ``coarser`` lowers its resolution, ``picture_weights``
-makes a pattern of a picture; ``acquire`` runs a whole acquisition in this process; ``OperatorRig``
-is a rig made from a matrix or linear operator, which ``read_matrix`` finds in files of other
-programs, and ``CameraModel`` the camera that it may be given. Each is imported when it is first
-used, so that ``import rfpipe`` stays quick.
+``open_transport`` opens what a run stored, ``open_collection`` that of all its scenes, ``coarser``
+lowers a transport's resolution, ``picture_weights`` makes a pattern of a picture; ``acquire`` runs
+a whole acquisition in this process; ``OperatorRig`` is a rig made from a matrix or linear operator,
+which ``read_matrix`` finds in files of other programs, and ``CameraModel`` the camera that it may
+be given. Each is imported when it is first used, so that ``import rfpipe`` stays quick.
 """
 
 from importlib import import_module
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rfpipe.rigs import OperatorRig
     from rfpipe.stages.acquire import acquire
     from rfpipe.transport import coarser, open_transport
+    from rfpipe.transport.collection import Collection, open_collection
     from rfpipe.transport.matrix_files import read_matrix
     from rfpipe.weights import picture_weights
 
@@ -22,10 +23,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CameraModel",
+    "Collection",
     "OperatorRig",
     "__version__",
     "acquire",
     "coarser",
+    "open_collection",
     "open_transport",
     "picture_weights",
     "read_matrix",
@@ -33,9 +36,11 @@ __all__ = [
 
 _HOMES = {
     "CameraModel": "rfpipe.photometry",
+    "Collection": "rfpipe.transport.collection",
     "OperatorRig": "rfpipe.rigs",
     "acquire": "rfpipe.stages.acquire",
     "coarser": "rfpipe.transport",
+    "open_collection": "rfpipe.transport.collection",
     "open_transport": "rfpipe.transport",
     "picture_weights": "rfpipe.weights",
     "read_matrix": "rfpipe.transport.matrix_files",

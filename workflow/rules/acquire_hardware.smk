@@ -30,9 +30,10 @@ rule acquire_hardware:
         memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
         # where the rig is, and how long to wait for it, shapes no result
-        rig_url=SETTINGS.capture.url,
-        rig_token_file=SETTINGS.capture.token_file or "",
-        rig_patience=str(SETTINGS.capture.patience_seconds),
+        rig_url=lambda wildcards: capture(wildcards).url,
+        rig_token_file=lambda wildcards: capture(wildcards).token_file or "",
+        rig_patience=lambda wildcards: str(capture(wildcards).patience_seconds),
+        rig_placing=lambda wildcards: capture(wildcards).placing or "",
     params:
         plan=plan,
         stages=stages,
@@ -61,9 +62,10 @@ rule verify_hardware:
         memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
         # where the rig is, and how long to wait for it, shapes no result
-        rig_url=SETTINGS.capture.url,
-        rig_token_file=SETTINGS.capture.token_file or "",
-        rig_patience=str(SETTINGS.capture.patience_seconds),
+        rig_url=lambda wildcards: capture(wildcards).url,
+        rig_token_file=lambda wildcards: capture(wildcards).token_file or "",
+        rig_patience=lambda wildcards: str(capture(wildcards).patience_seconds),
+        rig_placing=lambda wildcards: capture(wildcards).placing or "",
     params:
         plan=plan,
         stages=verification,

@@ -21,11 +21,8 @@ rule acquire_simulated:
         plan=plan,
         stages=stages,
         scene=scene_settings,
-        camera=SETTINGS.camera and plain(SETTINGS.camera),
-        rig={
-            "seed": SETTINGS.seed,
-            "seconds_per_pattern": SETTINGS.capture.seconds_per_pattern,
-        },
+        camera=camera,
+        rig=simulated_rig,
     script:
         "../scripts/acquire_simulated.py"
 
@@ -52,10 +49,7 @@ rule verify_simulated:
         plan=plan,
         stages=verification,
         scene=scene_settings,
-        camera=SETTINGS.camera and plain(SETTINGS.camera),
-        rig={
-            "seed": SETTINGS.seed,
-            "seconds_per_pattern": SETTINGS.capture.seconds_per_pattern,
-        },
+        camera=camera,
+        rig=simulated_rig,
     script:
         "../scripts/verify_simulated.py"

@@ -7,6 +7,7 @@ from rfpipe.errors import ConfigError
 from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
 from rfpipe.provenance import fingerprint
+from rfpipe.report.catalogue import write_catalogue
 from rfpipe.stages.evaluating.studies import FIGURES
 from rfpipe.stages.evaluating.sweep import is_swept
 from rfpipe.stages.folder import AcquisitionFolder
@@ -22,7 +23,9 @@ for configfile in workflow.configfiles:
     read_yaml(configfile)  # finds what Snakemake reads otherwise than it was meant
 if len(workflow.configfiles) == 1:
     load_config(workflow.configfiles[0])  # finds keys that stand twice, too
-SETTINGS = parse_config(config, "the configuration")
+SETTINGS = parse_config(
+    config, "the configuration", [Path(file).parent for file in workflow.configfiles]
+)
 
 if workflow.storage_settings.default_storage_provider:
     raise ConfigError(
@@ -92,7 +95,27 @@ def threads(wildcards):
 def scene_settings(wildcards):
     """What is true of a scene, however often and by whatever method it is acquired."""
     scene = SETTINGS.scenes[wildcards.scene]
-    return scene.model_dump(mode="json", exclude={"methods", "sweep"})
+    other = {"methods", "sweep", "rig", "settings", "about"}
+    return scene.model_dump(mode="json", exclude=other)
+
+
+def capture(wildcards):
+    """How the pictures of a scene are taken."""
+    return SETTINGS.of_scene(wildcards.scene).capture
+
+
+def camera(wildcards):
+    """The simulated camera before a scene, None for exact radiance."""
+    camera = SETTINGS.of_scene(wildcards.scene).camera
+    return camera and plain(camera)
+
+
+def simulated_rig(wildcards):
+    """What else shapes the frames of a simulated rig."""
+    return {
+        "seed": SETTINGS.of_scene(wildcards.scene).seed,
+        "seconds_per_pattern": capture(wildcards).seconds_per_pattern,
+    }
 
 
 def plan(wildcards):
@@ -119,9 +142,11 @@ def every_acquisition(name):
 
 def every_verification(wildcards):
     """The verification of each scene and method, if there are to be any."""
-    return (
-        every_acquisition("verification.json") if SETTINGS.verification_pictures else []
-    )
+    return [
+        f"results/{scene}/{method}/verification.json"
+        for scene, method in SETTINGS.acquisitions
+        if SETTINGS.of_scene(scene).verification_pictures
+    ]
 
 
 def every_view(wildcards):
@@ -157,12 +182,30 @@ def previous_level(wildcards):
     return [] if before is None else level_manifest(wildcards, before)
 
 
+def list_collection():
+    """Write the catalogue of a collection, whatever became of it until now."""
+    if SETTINGS.collection is not None:
+        counts = write_catalogue(SETTINGS, Path("results"))
+        said = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+        print(f"rfpipe: results/catalogue/index.html: {said}")
+
+
+def every_item(wildcards):
+    """What the catalogue tells of each scene and method beside its transport."""
+    relit = [
+        f"results/{scene}/{method}/relight.json"
+        for scene, method in SETTINGS.acquisitions
+        if SETTINGS.scenes[scene].has_truth
+    ]
+    return [*relit, *every_verification(wildcards), *every_view(wildcards)]
+
+
 def other_acquisitions(wildcards):
     """The transports of a scene by its other methods."""
     return [
-        f"results/{scene}/{method}/transport.json"
-        for scene, method in SETTINGS.acquisitions
-        if scene == wildcards.scene and method != wildcards.method
+        f"results/{wildcards.scene}/{method}/transport.json"
+        for method in SETTINGS.methods_of(wildcards.scene)
+        if method != wildcards.method
     ]
 
 
@@ -178,8 +221,9 @@ def every_sweep(name):
 def sweep_settings(wildcards):
     """The settings of one scene and method's sweep."""
     section = SETTINGS.methods_of(wildcards.scene)[wildcards.method]
+    shaping = SETTINGS.of_scene(wildcards.scene).shaping()
     return {
-        **{name: part for name, part in SHAPING.items() if name != "verification"},
+        **{name: part for name, part in shaping.items() if name != "verification"},
         "scenes": {wildcards.scene: scene_settings(wildcards)},
         "methods": {wildcards.method: plain(section)},
         "report": {"trials": SHAPING["report"]["trials"]},

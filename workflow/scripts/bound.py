@@ -9,5 +9,5 @@ paths = [Path(path) for path in snakemake.input.verified]
 check_bound(
     {f"{path.parent.parent.name} by {path.parent.name}": read_manifest(path) for path in paths},
     snakemake.params.bound,
-    f"{snakemake.input.page}#verification",
+    f"{snakemake.input.get('page') or 'results/catalogue/index.html'}#verification",
 )

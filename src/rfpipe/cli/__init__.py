@@ -13,6 +13,8 @@ from rfpipe.cli import fit, offline
 from rfpipe.cli.acquire import acquire
 from rfpipe.cli.aim import aim
 from rfpipe.cli.calibrate import calibrate
+from rfpipe.cli.catalogue import catalogue
+from rfpipe.cli.collection import app as collection
 from rfpipe.cli.export import app as export
 from rfpipe.cli.info import info, open_checked, times
 from rfpipe.cli.keep import keep
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from rfpipe.config.base import Described
 
 __all__ = ["app", "main"]
+
+_LISTED = 20
 
 app = typer.Typer(
     name="rfpipe",
@@ -87,6 +91,8 @@ def validate(config: ConfigPath) -> None:
         return
     settings = load_config(config)
     lines = [f"{scene} by {', '.join(settings.methods_of(scene))}" for scene in settings.scenes]
+    if len(lines) > _LISTED:
+        lines[_LISTED:] = [f"and {len(lines) - _LISTED} more"]
     typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions: {'; '.join(lines)}")
 
 
@@ -115,6 +121,8 @@ def scenes() -> None:
 
 
 app.command()(plan)
+app.command()(catalogue)
+app.add_typer(collection, name="collection")
 
 
 @app.command()

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = ["plan", "table"]
 
+_SHOWN = 30
 _FROM = {"taken": "as taken", "alike": "as others", "thesis": "thesis"}
 
 
@@ -74,7 +75,7 @@ def table(forecasts: Sequence[Forecast], free: int, *, simulated: bool = False) 
             "in": _duration(one.most.seconds),
             "with": shown_bytes(one.most.disk.total),
         }
-        for one in forecasts
+        for one in forecasts[: _SHOWN if len(forecasts) > _SHOWN + 1 else None]
     ]
     seconds = sum(one.expected.seconds for one in forecasts)
     disk = sum(one.expected.disk.total for one in forecasts)
@@ -82,7 +83,9 @@ def table(forecasts: Sequence[Forecast], free: int, *, simulated: bool = False) 
         f"One after the other: {_duration(seconds)} of capture{' on a rig' if simulated else ''}, "
         f"{shown_bytes(disk)} of disk before compression; {shown_bytes(free)} are free."
     )
-    lines = [pd.DataFrame(rows).to_string(index=False), "", sums]
+    unseen = len(forecasts) - len(rows)
+    rest = [f"... and {unseen} more, which the sums take in."] if unseen else []
+    lines = [pd.DataFrame(rows).to_string(index=False), *rest, "", sums]
     if simulated:
         lines.append(_here(forecasts))
     if disk > free:

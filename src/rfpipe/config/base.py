@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Self, get_args
@@ -17,20 +18,38 @@ __all__ = [
     "Fraction",
     "Gamma",
     "MethodSettings",
+    "SectionName",
     "SectionsOf",
     "Settings",
     "Share",
     "Text",
     "ViewCount",
+    "check_command",
     "group_of",
 ]
 
 Extent = Annotated[int, Field(ge=1, le=4096)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Gamma = Annotated[float, Field(gt=0, le=5)]
+SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 Share = Annotated[float, Field(ge=0, lt=1)]
 Text = Annotated[str, Field(min_length=1)]
 ViewCount = Annotated[int, Field(ge=1, le=16)]
+
+
+def check_command(command: str | None) -> str | None:
+    """Return a command as it is; raise ValueError where it is none."""
+    if command is None:
+        return None
+    try:
+        words = shlex.split(command)
+    except ValueError as error:  # a quotation mark without its other one
+        raise ValueError(
+            f"should be a program and its arguments, quoted as for a shell: {error}"
+        ) from None
+    if not words:
+        raise ValueError("should name a program, or be null")
+    return command
 
 
 class Settings(BaseModel):

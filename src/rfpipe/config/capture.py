@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator
 
 from rfpipe.config.addresses import check_server
-from rfpipe.config.base import Fraction, Settings, Text
+from rfpipe.config.base import Fraction, Settings, Text, check_command
 
 __all__ = ["Batch", "CaptureConfig"]
 
@@ -39,6 +39,12 @@ class CaptureConfig(Settings):
         description="How long to wait for a server that doesn't answer, or for a rig that fails, "
         "before the run ends, in seconds, 0 to 604800, a week.",
     )
+    placing: Text | None = Field(
+        None,
+        description="Command that puts a scene before the rig, such as one that moves a gantry or "
+        "waits until somebody says that the object stands there; it finds the scene's name in "
+        "RFPIPE_SCENE, and runs again when an acquisition goes on. null: the scene stands there.",
+    )
     seconds_per_pattern: float = Field(
         2.0,
         gt=0,
@@ -53,6 +59,12 @@ class CaptureConfig(Settings):
         64,
         description="Brackets of the all-on pattern, averaged: 1 to 1024. A level's images are "
         "scaled to them, so that they set the noise of the direct light.",
+    )
+    share_references: Literal["none", "black", "all"] | None = Field(
+        None,
+        description="Which of these are taken once for many: black (all-off ones, once for all "
+        "acquisitions by a rig), all (the all-on ones of a scene as well, once for all its "
+        "methods) or none; null: black with a collection, else none.",
     )
     symmetry_frames: int = Field(
         6,
@@ -112,6 +124,11 @@ class CaptureConfig(Settings):
     def _is_of_a_server(cls, url: str) -> str:
         check_server(url)
         return url
+
+    @field_validator("placing")
+    @classmethod
+    def _places_by_a_command(cls, command: str | None) -> str | None:
+        return check_command(command)
 
     @field_validator("symmetry_frames")
     @classmethod

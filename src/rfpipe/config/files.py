@@ -11,6 +11,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from rfpipe.config.base import Described, Settings
+from rfpipe.config.collection import Gathered, check_files, gather
 from rfpipe.config.devices import BenchConfig, RigConfig
 from rfpipe.config.drivers import ProjectorDriver
 from rfpipe.config.model import Config
@@ -54,10 +55,10 @@ def load_config(path: str | Path) -> Config:
         When the file can't be read or isn't YAML, and for every unknown key, wrong type and
         value out of range: with the file, the key, the value and what was expected.
     """
-    return parse_config(read_yaml(path), str(path))
+    return parse_config(read_yaml(path), str(path), [Path(path).parent])
 
 
-def parse_config(data: object, source: str) -> Config:
+def parse_config(data: object, source: str, folders: Sequence[Path] = ()) -> Config:
     """Check settings that are already in memory.
 
     Parameters
@@ -66,13 +67,21 @@ def parse_config(data: object, source: str) -> Config:
         A mapping as YAML gives it.
     source
         Where the settings came from, for messages.
+    folders
+        Where else to look for a collection than where rfpipe runs.
 
     Raises
     ------
     ConfigError
         As for `load_config`.
     """
-    return _parsed(Config, data, source)
+    if not isinstance(data, Mapping):
+        return _parsed(Config, data, source)
+    gathered = gather(data, folders)
+    settings = _parsed(Config, gathered.data, source, gathered)
+    if gathered.file is not None:
+        check_files(settings, gathered)
+    return settings
 
 
 def load_rig_config(path: str | Path) -> RigConfig:
@@ -139,7 +148,7 @@ def bench_yaml() -> str:
     return _file_of(bench_rig, RIG_SCHEMA_NAME, head)
 
 
-def _parsed(kind: type[_S], data: object, source: str) -> _S:
+def _parsed(kind: type[_S], data: object, source: str, gathered: Gathered | None = None) -> _S:
     """Check settings, and say every mistake in them."""
     if not isinstance(data, Mapping):
         raise ConfigError(
@@ -149,8 +158,10 @@ def _parsed(kind: type[_S], data: object, source: str) -> _S:
     try:
         return kind.model_validate(dict(data))
     except ValidationError as error:
-        lines = [f"{source}: {line}" for line in explained(kind, error, data)]
-        raise ConfigError("\n".join(lines)) from None
+        told = explained(kind, error, data)
+        if gathered is not None and gathered.file is not None:
+            raise ConfigError("\n".join(gathered.said(told, source))) from None
+        raise ConfigError("\n".join(f"{source}: {line}" for _, line in told)) from None
 
 
 def _file_of(settings: Settings, schema: str, head: Sequence[str]) -> str:

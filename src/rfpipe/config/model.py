@@ -5,8 +5,8 @@ Plain data only: the layers above build cameras, scenes and methods from it.
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
@@ -15,21 +15,32 @@ from rfpipe.config.addresses import THREADS, check_bucket, check_workers
 from rfpipe.config.base import (
     Extent,
     MethodSettings,
+    SectionName,
     SectionsOf,
     Settings,
     Text,
+    check_command,
     group_of,
 )
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.capture import CaptureConfig
 from rfpipe.config.figures import FiguresConfig
 from rfpipe.config.offline import OfflineConfig
+from rfpipe.config.own import OWN_TO_SCENES, check_own, merged
 from rfpipe.config.scenes import SceneSettings
-from rfpipe.config.sections import check_methods_of_scenes, method_sections, methods_of_scene
+from rfpipe.config.sections import (
+    check_methods_of_scenes,
+    method_sections,
+    methods_of_scene,
+    parse_sections,
+)
 from rfpipe.config.verification import VerificationConfig
+from rfpipe.provenance import fingerprint
 from rfpipe.units import SATURATION_FRACTION
 
 __all__ = [
+    "DEFAULT_METHODS",
+    "OWN_TO_SCENES",
     "Config",
     "MergeConfig",
     "Normalization",
@@ -42,13 +53,14 @@ __all__ = [
 Normalization = Literal["none", "per_channel", "total_energy"]
 NumberFormat = Literal["float32", "uint16", "uint8"]
 
-SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+# Folders of a run's results that are no scene's.
+_OTHER_FOLDERS = {"bench", "catalogue", "recorded", "references", "report", "studies", "verified"}
 
 # That verify what a real rig acquires.
 _VERIFICATION_PICTURES = 8
 
 # Those of the default run, in the order of its report.
-_DEFAULT_METHODS = ("near_far", "symmetric", "dual")
+DEFAULT_METHODS = ("near_far", "symmetric", "dual")
 
 
 class MergeConfig(Settings):
@@ -140,6 +152,12 @@ class StorageConfig(Settings):
 class ReportConfig(Settings):
     """What the report shows."""
 
+    page: bool | None = Field(
+        None,
+        description="Whether a run ends with the report on each scene: true or false; null: unless "
+        "it has a collection, whose catalogue (results/catalogue/index.html) lists them.",
+    )
+
     title: Text = Field("Light transport of five scenes", description="The report's title.")
     trials: dict[SectionName, tuple[float, ...]] = Field(
         default_factory=dict,
@@ -188,10 +206,20 @@ class Config(Settings):
         description="The scenes by name: lower-case letters, digits and _. The default are "
         "scenes I to IV of Fig. 2.1, and one whose projector stands aside.",
     )
+    collection: Text | None = Field(
+        None,
+        description="A CSV or YAML file whose rows are scenes, too (docs/collections.md), found "
+        "from where rfpipe runs or from the settings' own folder; or null.",
+    )
+    rigs: dict[SectionName, dict[str, Any]] = Field(
+        default_factory=dict,
+        description="Settings that the scenes before one rig share, by a name that scenes call "
+        "their rig, such as {studio: {camera: {bits: 14}, capture: {black_frames: 16}}}.",
+    )
     methods: Annotated[
         dict[SectionName, SerializeAsAny[MethodSettings]], SectionsOf(MethodSettings)
     ] = Field(
-        default_factory=lambda: method_sections(dict.fromkeys(_DEFAULT_METHODS)),
+        default_factory=lambda: method_sections(dict.fromkeys(DEFAULT_METHODS)),
         min_length=1,
         description="Methods to acquire each scene with, each with options of its own; what is "
         "left out has its default, as in {symmetric: {}}. 'rfpipe methods' lists them all.",
@@ -228,13 +256,63 @@ class Config(Settings):
 
     def methods_of(self, scene: str) -> dict[str, MethodSettings]:
         """Methods to acquire a scene with, and their options: its own, or those of the run."""
-        return methods_of_scene(self.methods, self.scenes[scene].methods)
+        return self._methods_by_scene[scene]
+
+    @cached_property
+    def _methods_by_scene(self) -> dict[str, dict[str, MethodSettings]]:
+        return {
+            name: methods_of_scene(self.methods, scene.methods)
+            for name, scene in self.scenes.items()
+        }
+
+    @cached_property
+    def _base(self) -> dict[str, Any]:
+        """All settings but the scenes, to be put others over."""
+        return self.model_dump(exclude={"scenes", "collection", "rigs"})
+
+    @cached_property
+    def _by_overrides(self) -> dict[str, Config]:
+        return {}
+
+    def of_scene(self, scene: str) -> Config:
+        """Return the settings that hold for a scene alone: its own over its rig's over the run's.
+
+        Raises
+        ------
+        ValidationError
+            When these are wrong.
+        """
+        about = self.scenes[scene]
+        rig = self.rigs[about.rig] if about.rig else {}
+        if not rig and not about.settings:
+            return self
+        own = merged(rig, about.settings)
+        # scenes that share these settings share what is checked of them
+        key, known = fingerprint(own), self._by_overrides
+        if key not in known:
+            known[key] = self._with(scene, own)
+        found = known[key].model_copy(update={"scenes": {scene: about}})
+        for kept in ("_methods_by_scene", "acquisitions"):  # of the scene that was checked
+            found.__dict__.pop(kept, None)
+        return found
+
+    def _with(self, scene: str, own: Mapping[str, Any]) -> Config:
+        """Return settings of one scene, with others put over those of the run."""
+        check_own(own)
+        alone = self.scenes[scene].model_copy(update={"settings": {}, "rig": None})
+        return Config.model_validate(merged({**self._base, "scenes": {scene: alone}}, own))
 
     @property
     def verification_pictures(self) -> int:
         """Pictures that verify each acquisition, 0 for none."""
         asked = self.verification.pictures
         return _VERIFICATION_PICTURES * (self.capture.rig == "remote") if asked is None else asked
+
+    @property
+    def has_report(self) -> bool:
+        """Whether the run ends with a report."""
+        asked = self.report.page
+        return self.collection is None if asked is None else asked
 
     def shaping(self) -> dict[str, Any]:
         """Return all settings as plain data but those that shape no result."""
@@ -244,13 +322,15 @@ class Config(Settings):
                 "resources": True,
                 "notify": True,
                 "rig_file": True,
-                "capture": {"keep_raw", "url", "token_file", "patience_seconds"},
+                "collection": True,
+                "scenes": {"__all__": {"about"}},
+                "capture": {"keep_raw", "url", "token_file", "patience_seconds", "placing"},
                 "offline": {"markers"},
                 "storage": {"keep_at"},
             },
         )
 
-    @property
+    @cached_property
     def acquisitions(self) -> list[tuple[str, str]]:
         """Scene and method of every acquisition."""
         return [(scene, method) for scene in self.scenes for method in self.methods_of(scene)]
@@ -275,22 +355,58 @@ class Config(Settings):
     @field_validator("notify")
     @classmethod
     def _notify_is_a_command(cls, command: str | None) -> str | None:
-        if command is None:
-            return None
-        try:
-            words = shlex.split(command)
-        except ValueError as error:  # a quotation mark without its other one
-            raise ValueError(
-                f"should be a program and its arguments, quoted as for a shell: {error}"
-            ) from None
-        if not words:
-            raise ValueError("should name a program, or be null")
-        return command
+        return check_command(command)
 
     @model_validator(mode="after")
     def _scenes_have_methods(self) -> Self:
         check_methods_of_scenes(
             self.methods, {name: scene.methods for name, scene in self.scenes.items()}
+        )
+        return self
+
+    @model_validator(mode="before")
+    @classmethod
+    def _collection_is_read(cls, settings: object) -> object:
+        given = settings if isinstance(settings, Mapping) else {}
+        if given.get("collection") and "scenes" not in given:
+            raise ValueError("collection is read by load_config and parse_config alone")
+        return settings
+
+    @model_validator(mode="after")
+    def _scenes_have_folders(self) -> Self:
+        for name in self.scenes:
+            if name in _OTHER_FOLDERS:
+                raise ValueError(
+                    f"scenes.{name} should be called otherwise: results/{name} is the folder of "
+                    "something else"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _scenes_have_rigs(self) -> Self:
+        for name, scene in self.scenes.items():
+            if scene.rig is not None and scene.rig not in self.rigs:
+                known = ", ".join(self.rigs) or "none"
+                raise ValueError(
+                    f"scenes.{name}.rig is {scene.rig!r}; the settings' rigs are: {known}. Add it "
+                    "to rigs, or leave it out"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _own_settings_are_settings(self) -> Self:
+        if not self.rigs and not any(scene.settings for scene in self.scenes.values()):
+            return self
+        first = next(iter(self.scenes))
+        parse_sections(
+            {"rigs": self.rigs},
+            lambda _, rigs: parse_sections(rigs, lambda _, rig: self._with(first, rig)),
+        )
+        parse_sections(
+            {"scenes": {name: {"settings": name} for name in self.scenes}},
+            lambda _, scenes: parse_sections(
+                scenes, lambda _, parts: parse_sections(parts, lambda _, name: self.of_scene(name))
+            ),
         )
         return self
 
@@ -303,11 +419,15 @@ class Config(Settings):
                 "real scene, not a simulated one"
             )
         if self.capture.rig != "simulated" and len(self.scenes) > 1:
-            raise ValueError(
-                f"scenes should be one with capture.rig {self.capture.rig}, not "
-                f"{', '.join(self.scenes)}: a "
-                "rig sees one at a time; give each settings of its own"
-            )
+            unplaced = [name for name in self.scenes if not self.of_scene(name).capture.placing]
+            if self.capture.rig == "offline" or len(unplaced) > 1:
+                placed = " or set capture.placing, a command that puts each in its place"
+                raise ValueError(
+                    f"scenes should be one with capture.rig {self.capture.rig}, not "
+                    f"{', '.join([*self.scenes][:5])}{' ...' * (len(self.scenes) > 5)}: a rig sees "
+                    "one at a time; give each settings of its own"
+                    f"{placed * (self.capture.rig == 'remote')}"
+                )
         for name, method in self.acquisitions:
             scene = self.scenes[name]
             about = self.methods_of(name)[method].subject(method)
@@ -360,11 +480,12 @@ class Config(Settings):
 
     @model_validator(mode="after")
     def _mosaic_has_colour(self) -> Self:
-        if self.camera is not None and self.camera.bayer is not None:
-            for name, scene in self.scenes.items():
-                if scene.channels != 3 and not scene.is_captured:
-                    raise ValueError(
-                        f"camera.bayer {self.camera.bayer} needs scenes of 3 channels, but "
-                        f"scenes.{name}.channels is {scene.channels}; set it to 3, or bayer to null"
-                    )
+        for name, scene in self.scenes.items():
+            camera = self.of_scene(name).camera
+            bayer = None if camera is None else camera.bayer
+            if bayer is not None and scene.channels != 3 and not scene.is_captured:
+                raise ValueError(
+                    f"camera.bayer {bayer} needs scenes of 3 channels, but "
+                    f"scenes.{name}.channels is {scene.channels}; set it to 3, or bayer to null"
+                )
         return self

@@ -14,11 +14,16 @@ from rfpipe.config.base import Described, SectionsOf, Settings
 from rfpipe.config.drivers import DeviceDriver
 from rfpipe.errors import InputError
 
-__all__ = ["explained", "model_within", "shown"]
+__all__ = ["explained", "field_at", "model_within", "shown"]
 
 
-def explained(kind: type[Settings], error: ValidationError, data: object) -> list[str]:
-    """Say every mistake in settings, a line each.
+Location = tuple[str | int, ...]
+
+
+def explained(
+    kind: type[Settings], error: ValidationError, data: object
+) -> list[tuple[Location, str]]:
+    """Say every mistake in settings, a line each, with the location of the setting.
 
     Parameters
     ----------
@@ -31,7 +36,11 @@ def explained(kind: type[Settings], error: ValidationError, data: object) -> lis
     problems = error.errors(include_url=False, include_context=False)
     # a list with a wrong item is reported as wrong itself, too: keep the innermost
     outer = {problem["loc"][:n] for problem in problems for n in range(len(problem["loc"]))}
-    return [_explained(kind, problem, data) for problem in problems if problem["loc"] not in outer]
+    return [
+        (problem["loc"], _explained(kind, problem, data))
+        for problem in problems
+        if problem["loc"] not in outer
+    ]
 
 
 def shown(value: object) -> str:
@@ -45,9 +54,16 @@ def shown(value: object) -> str:
 
 def _explained(kind: type[Settings], problem: Mapping[str, Any], data: object) -> str:
     """Say one of pydantic's problems as: key, value, what was expected, what the key means."""
-    location: tuple[str | int, ...] = tuple(part for part in problem["loc"] if part != "[key]")
+    location: Location = tuple(part for part in problem["loc"] if part != "[key]")
+    own = 2 * (location[:1] == ("rigs",)) or 3 * (location[2:3] == ("settings",))
+    if 0 < own < len(location):
+        # settings of the run under a rig or a scene: of them is known what is known of the run's
+        said = _explained(
+            kind, {**problem, "loc": location[own:]}, _within_of(data, location[:own])
+        )
+        return f"{_dotted(location[:own])}.{said}"
     key = _dotted(location)
-    model, field = _at(kind, location, data)
+    model, field = field_at(kind, location, data)
     if problem["type"] == "unknown_name":
         return f"{key}: {problem['msg']}"
     if problem["type"] == "extra_forbidden":
@@ -66,6 +82,12 @@ def _explained(kind: type[Settings], problem: Mapping[str, Any], data: object) -
     return f"{key} is {shown(problem['input'])}; it {expected}.{meaning}"
 
 
+def _within_of(data: object, location: Location) -> object:
+    for part in location:
+        data = data.get(part) if isinstance(data, Mapping) else None
+    return data
+
+
 def _unknown_key(location: tuple[str | int, ...], model: type[BaseModel]) -> str:
     unknown = str(location[-1])
     known = list(model.model_fields)
@@ -80,7 +102,7 @@ def _dotted(location: Sequence[str | int]) -> str:
     return text.removeprefix(".")
 
 
-def _at(
+def field_at(
     kind: type[Settings], location: Sequence[str | int], data: object
 ) -> tuple[type[BaseModel], FieldInfo | None]:
     """Find the innermost model that a location passes through, and the last field in it."""

@@ -10,7 +10,7 @@ import yaml
 
 from rfpipe.errors import ConfigError
 
-__all__ = ["read_yaml"]
+__all__ = ["parse_yaml", "read_yaml"]
 
 _DEEPEST = 100
 _LONGEST_NUMBER = 400
@@ -40,11 +40,16 @@ def read_yaml(path: str | Path) -> object:
             f"0x{content[error.start]:02x} is no UTF-8; save the file in the encoding UTF-8"
         ) from None
     try:
-        data = yaml.load(text, Loader=_Loader)
+        data = parse_yaml(text)
     except yaml.YAMLError as error:
         said = str(error).replace('"<unicode string>"', f'"{path}"')
         raise ConfigError(f"{path}: is not valid YAML: {said}") from error
     return {} if data is None else data
+
+
+def parse_yaml(text: str) -> Any:
+    """Read YAML as settings files have it; raises yaml.YAMLError with the place."""
+    return yaml.load(text, Loader=_Loader)
 
 
 class _Loader(yaml.SafeLoader):

@@ -8,7 +8,14 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import Field, ModelWrapValidatorHandler, field_validator, model_validator
 
 from rfpipe import plugins
-from rfpipe.config.base import Described, Extent, MethodSettings, SectionsOf, Text
+from rfpipe.config.base import (
+    Described,
+    Extent,
+    MethodSettings,
+    SectionName,
+    SectionsOf,
+    Text,
+)
 from rfpipe.config.sections import no_list, parse_described
 
 __all__ = ["SceneSettings"]
@@ -21,11 +28,14 @@ class SceneSettings(Described):
     ----------
     is_captured : bool
         Whether it is a real scene, before a real rig, without ground truth.
+    files : tuple of str
+        Options that name a file or folder which must be there before a run begins.
     """
 
     group: ClassVar[str] = plugins.SCENES
     key: ClassVar[str] = "kind"
     is_captured: ClassVar[bool] = False
+    files: ClassVar[tuple[str, ...]] = ()
 
     kind: Text = Field(
         description="What kind of scene it is: one that 'rfpipe scenes' lists with its options, or "
@@ -45,6 +55,20 @@ class SceneSettings(Described):
         description="Methods to acquire this scene with, each with the options that differ from "
         "its section among the run's methods, such as {symmetric: {tolerance: 2.0e-3}}; null for "
         "all methods of the run as they are.",
+    )
+    rig: SectionName | None = Field(
+        None,
+        description="Which of the settings' rigs it stands before; null for that of the run.",
+    )
+    settings: dict[str, Any] = Field(
+        default_factory=dict,
+        description="Settings of the run that are others for this scene, such as {seed: 7, camera: "
+        "{exposures: [0.1, 1.0]}}; they win over those of its rig.",
+    )
+    about: dict[str, Any] = Field(
+        default_factory=dict,
+        description="What else is to be known of it, such as {number: 1992.14.3}, for the "
+        "catalogue; it shapes nothing.",
     )
     sweep: bool = Field(
         True,

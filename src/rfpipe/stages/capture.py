@@ -20,6 +20,7 @@ from rfpipe.stages.capturing.devices import counted_by, difference
 from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run
 from rfpipe.stages.capturing.mutual import MutualCapture, mutual_watch
 from rfpipe.stages.capturing.sensors import write_sensor
+from rfpipe.stages.capturing.shared import Shared, take_shared
 from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
 from rfpipe.stages.capturing.warm_up import seconds_since_capture, warm_up
 from rfpipe.stages.capturing.watch import LookWatch, Watches, drift_watch, move_watch
@@ -77,6 +78,7 @@ def run(
     warm_up_minutes: float = 0.0,
     drift_patterns: int = 0,
     watching: Watching | None = None,
+    share: Shared = "none",
     resources: Resources | None = None,
 ) -> None:
     """Capture what isn't captured yet of a level, and write its manifest.
@@ -106,6 +108,8 @@ def run(
         Patterns from one look at the floodlit image to the next, from level 1 on; 0 for none.
     watching : Watching, optional
         What else is looked after while patterns are shown.
+    share : {"none", "black", "all"}
+        Reference brackets to share, see `rfpipe.stages.capturing.shared.take_shared`.
     resources : Resources, optional
         Memory for the patterns in hand. What the rig itself takes comes on top.
 
@@ -131,6 +135,8 @@ def run(
         return
     for part in parts:
         part.settle(when_patterns_change)
+    if level == 0:
+        take_shared(share, folder, before[REFERENCE], counts[0], batch_patterns)
     to_capture = sum(part.count_missing() for part in parts)
     if to_capture:
         camera = rig.sensor, tuple(rig.camera_shape), rig.channels

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 from rfpipe.stages import capture, hardware
+from rfpipe.stages.capturing.placing import Placing
 from rfpipe.stages.plan import Plan
 
 __all__ = ["by_server", "by_simulation"]
@@ -42,7 +43,7 @@ def by_server(plan: Plan, resources: Any) -> Callable[..., None]:
     ----------
     plan : Plan
     resources : snakemake.io.Resources
-        With ``rig_url``, ``rig_token_file`` and ``rig_patience``.
+        With ``rig_url``, ``rig_token_file``, ``rig_patience`` and ``rig_placing``.
     """
     return partial(
         hardware.run,
@@ -50,4 +51,5 @@ def by_server(plan: Plan, resources: Any) -> Callable[..., None]:
         url=resources.rig_url,
         token_file=resources.rig_token_file or None,
         patience_seconds=float(resources.rig_patience),
+        placing=Placing(resources.rig_placing or None),
     )

@@ -18,6 +18,7 @@ from rfpipe.rigs.verdicts import warn_of
 from rfpipe.stages import capture
 from rfpipe.stages.aside import differing
 from rfpipe.stages.capture import frame_settings
+from rfpipe.stages.capturing.placing import Placing
 from rfpipe.stages.capturing.sensors import SENSOR
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
 from rfpipe.stages.plan import Plan
@@ -34,6 +35,7 @@ def run(
     url: str,
     token_file: str | None,
     patience_seconds: float,
+    placing: Placing | None = None,
     **options: Any,
 ) -> None:
     """Capture what isn't captured yet of a level; see `rfpipe.stages.capture.run`.
@@ -51,6 +53,8 @@ def run(
     token_file : str or None
         None takes the token from the environment.
     patience_seconds : float
+    placing : Placing, optional
+        Puts the scene before the rig, when patterns are to be shown.
     **options
         Of `rfpipe.stages.capture.run`.
 
@@ -64,6 +68,8 @@ def run(
     """
 
     def connected() -> RemoteRig:
+        if placing is not None:
+            placing.place(folder.path.parent.name)
         file = None if token_file is None else Path(token_file)
         rig = RemoteRig(url, read_token(file), patience_seconds)
         try:

@@ -35,6 +35,8 @@ _ROUNDING = 1e-10
 class RecordedOptions(AnyRig):
     """Which recording."""
 
+    files: ClassVar[tuple[str, ...]] = ("folder",)
+
     folder: Text = Field(
         description="Folder of the recorded acquisition, such as results/desk/brute_force, "
         "relative to where rfpipe runs; its shape and channels are this scene's.",

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from rfpipe.errors import StoreError
+from rfpipe.store.packed import INDEX, packed_in
 from rfpipe.store.places import Place, ZipPlace
 
 __all__ = ["as_address", "locate"]
@@ -37,7 +38,7 @@ def locate(path: str | Path) -> Path | Place:
     Raises
     ------
     StoreError
-        When a zip file is damaged, or a server doesn't answer.
+        When a zip file or a packed folder is damaged, or a server doesn't answer.
     """
     address = as_address(path)
     if address is not None:
@@ -52,6 +53,9 @@ def locate(path: str | Path) -> Path | Place:
     for outer in (Path(path), *Path(path).parents):
         if outer.suffix.lower() == ".zip" and outer.is_file():
             return _in_zip(outer, str(outer), Path(path).relative_to(outer).as_posix())
+        packed = packed_in(outer) if (outer / INDEX).is_file() else None
+        if packed is not None and outer != Path(path):
+            return packed / Path(path).relative_to(outer).as_posix()
     return Path(path)
 
 

@@ -88,9 +88,13 @@ def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Tran
     IntegrityError
         When an array that is read does not match its digest.
     """
+    return open_transport_at(find_transport(path), memory_budget)
+
+
+def open_transport_at(place: Path | Place, memory_budget: int) -> Transport:
+    """Open the transport that is stored at a place; errors as `open_transport`."""
     from rfpipe.store.arrays import open_arrays
 
-    place = find_transport(path)
     if isinstance(place, Place):
         place.announce()
     return unpack_transport(open_arrays(place), memory_budget)

@@ -20,6 +20,8 @@ __all__ = ["Matrix", "MatrixOptions"]
 class MatrixOptions(AnyRig):
     """What is to be known of a matrix in a file."""
 
+    files: ClassVar[tuple[str, ...]] = ("file",)
+
     file: Text = Field(
         description="File of the matrix, relative to where rfpipe runs: .npy, .npz (arrays, or a "
         "scipy sparse matrix), .mat of any version, .h5 or .hdf5, a zarr folder, or the "

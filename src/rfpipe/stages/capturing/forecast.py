@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from rfpipe.photometry import ExactSensor, Sensor
+from rfpipe.photometry import ExactSensor, Sensor, sensor_from_config
 from rfpipe.stages.capturing.disk import DiskNeed
 from rfpipe.stages.capturing.drift import item_count
 from rfpipe.stages.capturing.moves import every_of
@@ -77,7 +77,7 @@ def forecast(settings: Config, sensor: Sensor, taken: Sequence[Taken] = ()) -> l
     ----------
     settings : Config
     sensor : Sensor
-        The camera's.
+        The run's camera's; scenes may have another.
     taken : sequence of Taken
         Acquisitions to learn from.
 
@@ -97,7 +97,9 @@ def forecast_of(
     rays = plan.camera, plan.projector, plan.options
     most = plan.method.most_patterns(*rays)
     patterns, known = _expected(plan, scene, taken, most)
-    expected, at_most = (_need(settings, sensor, plan, count) for count in (patterns, most))
+    own = settings.of_scene(scene)
+    camera = sensor if own.camera == settings.camera else sensor_from_config(own.camera)
+    expected, at_most = (_need(own, camera, plan, count) for count in (patterns, most))
     here = _here(plan, scene, patterns, taken) if settings.capture.rig == "simulated" else None
     about = scene, name, plan.projector.size, plan.n_levels
     return Forecast(*about, expected, at_most, known, here)

@@ -24,8 +24,11 @@ def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
     scene, name : str
         The acquisition: a scene and a method's section.
     """
-    capture = settings.capture
     method = settings.methods_of(scene)[name].method or name
+    in_collection = settings.collection is not None
+    settings = settings.of_scene(scene)
+    capture = settings.capture
+    share = capture.share_references or ("black" if in_collection else "none")
     return {
         "capture_options": {
             "references": [capture.black_frames, capture.floodlit_frames],
@@ -35,6 +38,7 @@ def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
             "keep_raw": capture.keep_raw,
             "warm_up_minutes": capture.warm_up_minutes,
             "when_patterns_change": capture.when_patterns_change,
+            **({} if share == "none" else {"share": share}),
         },
         "merge_options": {**settings.merge.model_dump(mode="json"), "keep_raw": capture.keep_raw},
         "normalization": settings.normalization,
@@ -49,6 +53,6 @@ def verification_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
     """Return arguments of `rfpipe.stages.unseen.verify.run` as plain data; parameters as there."""
     stages = stages_of(settings, scene, name)
     return {
-        "pictures": settings.verification_pictures,
+        "pictures": settings.of_scene(scene).verification_pictures,
         **{part: stages[part] for part in ("code", "capture_options", "merge_options")},
     }

@@ -1,0 +1,186 @@
+"""What an acquisition's folder tells of it, however far it came."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from rfpipe.errors import RfpipeError
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.store import StoreLock, open_arrays, read_manifest
+
+__all__ = ["Item", "item_of", "stamp_of"]
+
+State = Literal["waiting", "running", "stopped", "failed", "done"]
+
+_ERROR = re.compile(r"^\d{4}-\d\d-\d\d [\d:,]+ ERROR (.*)$", re.MULTILINE)
+_STOPPED = "stopped; what is done is kept"
+_LONGEST_WHY = 400
+_TAIL_BYTES = 65_536
+_READ = ("transport.json", "relight.json", "verification.json", "L00/merge.json")
+"""Manifests that an item's figures and picture come from."""
+
+
+@dataclass
+class Item:
+    """A row of the catalogue.
+
+    Attributes
+    ----------
+    scene, method : str
+    state : {"waiting", "running", "stopped", "failed", "done"}
+    why : str
+        Of one that failed, the message; of one that runs or was stopped, how far it came.
+    patterns, levels : int or None
+        Shown, and of the transport.
+    error : float or None
+        Mean relative error of relit pictures against the truth, where that is known.
+    estimate : float or None
+        The method's own estimate of that error, if it has one.
+    verified : float or None
+        Mean relative error against pictures that no method saw, taken after the acquisition.
+    seconds : float or None
+        Of the acquisition's job.
+    nbytes : int or None
+        Of the stored transport.
+    """
+
+    scene: str
+    method: str
+    state: State = "waiting"
+    why: str = ""
+    patterns: int | None = None
+    levels: int | None = None
+    error: float | None = None
+    estimate: float | None = None
+    verified: float | None = None
+    seconds: float | None = None
+    nbytes: int | None = None
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return asdict(self)
+
+
+def stamp_of(folder: Path) -> list[int]:
+    """Return what changes when any of the manifests that an item is made of does."""
+    return [_modified(folder / name) for name in _READ]
+
+
+def item_of(folder: Path, known: dict[str, Any] | None = None) -> Item:
+    """Read what there is of an acquisition.
+
+    Parameters
+    ----------
+    folder : Path
+        ``results/{scene}/{method}``; it needn't exist.
+    known : dict, optional
+        `Item.plain` of the same manifests: their figures aren't read again.
+    """
+    item = Item(folder.parent.name, folder.name)
+    if not folder.exists():
+        return item
+    if StoreLock.holder(folder) is not None:
+        item.state, item.why = "running", _reached(folder)
+    elif (folder / "transport.json").exists():
+        item.state = "done"
+        if known and known["state"] == "done":
+            return Item(**known)
+        _read_figures(item, folder)
+    else:
+        item.state, item.why = _ended(folder)
+    return item
+
+
+def _modified(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _reached(folder: Path) -> str:
+    """Say to what level captures are complete."""
+    done = sorted(folder.glob("L[0-9][0-9]/capture.json"))
+    return f"level {int(done[-1].parent.name[1:])} is captured" if done else "nothing captured yet"
+
+
+def _ended(folder: Path) -> tuple[State, str]:
+    """Tell how an acquisition without a transport ended, by its log."""
+    try:
+        with (folder / "acquire.log").open("rb") as file:
+            file.seek(0, 2)
+            file.seek(max(0, file.tell() - _TAIL_BYTES))
+            log = file.read().decode(errors="replace")
+    except OSError:
+        begun = any(folder.iterdir())
+        return ("stopped", _reached(folder)) if begun else ("waiting", "")
+    errors = _ERROR.findall(log)
+    if not errors or errors[-1].startswith(_STOPPED):
+        return "stopped", _reached(folder)
+    return "failed", errors[-1][:_LONGEST_WHY]
+
+
+def _read_figures(item: Item, folder: Path) -> None:
+    """Read what the stages left; what is missing or damaged stays unknown."""
+    acquired = _manifest(folder / "transport.json")
+    item.patterns = acquired.get("patterns")
+    item.nbytes = acquired.get("bytes")
+    item.levels = len(acquired.get("levels", ())) or None
+    item.verified = _manifest(folder / "verification.json").get("mean_error")
+    item.error = _mean_error(folder / "relight.json")
+    item.estimate = _estimate(folder / "transport.zarr")
+    item.seconds = _seconds(folder / "acquire.benchmark.tsv")
+
+
+def _manifest(path: Path) -> dict[str, Any]:
+    try:
+        return read_manifest(path)
+    except RfpipeError:
+        return {}
+
+
+def _mean_error(manifest: Path) -> float | None:
+    from rfpipe.stages.evaluating.metrics import relative_rms
+
+    if not _manifest(manifest):
+        return None
+    try:
+        images = open_arrays(manifest.with_suffix(".zarr"))
+        if "truth" not in images.names:
+            return None
+        pairs = list(zip(images.read("relit"), images.read("truth"), strict=True))
+    except RfpipeError:
+        return None
+    return sum(relative_rms(relit, truth) for relit, truth in pairs) / len(pairs)
+
+
+def _estimate(store: Path) -> float | None:
+    from rfpipe.transport import open_transport
+    from rfpipe.transport.history import estimates
+
+    try:
+        steps = estimates(open_transport(store).level_rows)
+    except RfpipeError:
+        return None
+    return float(steps[-1]["estimated_error"]) if steps else None
+
+
+def _seconds(benchmark: Path) -> float | None:
+    try:
+        names, values, *_ = benchmark.read_text(encoding="utf-8").splitlines()
+        return float(dict(zip(names.split("\t"), values.split("\t"), strict=True))["s"])
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def floodlit_of(folder: Path) -> Any:
+    """Return the floodlit image of an acquisition, None where it isn't merged, or damaged."""
+    from rfpipe.stages.merging.references import read_floodlit
+
+    try:
+        return read_floodlit(AcquisitionFolder(folder))[0]
+    except (RfpipeError, KeyError):
+        return None

@@ -1,0 +1,107 @@
+"""Writing the catalogue: at any time, also while acquisitions run."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rfpipe.report.catalogue.items import Item, item_of, stamp_of
+from rfpipe.report.catalogue.thumbnails import write_thumbnail
+from rfpipe.store.files import write_atomically
+
+if TYPE_CHECKING:
+    from rfpipe.config import Config
+
+__all__ = ["CATALOGUE", "write_catalogue"]
+
+CATALOGUE = Path("catalogue") / "index.html"
+"""In the folder of results."""
+
+_KNOWN = "items.json"
+_STATES = ("failed", "running", "stopped", "waiting", "done")
+
+
+def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
+    """Write the page that lists every acquisition of a run.
+
+    What was read of finished acquisitions is kept beside it, so that a page of a thousand takes
+    seconds once it was written.
+
+    Parameters
+    ----------
+    settings : Config
+    results : Path
+        The run's folder of results; the page is its ``catalogue/index.html``.
+
+    Returns
+    -------
+    dict
+        Acquisitions by state.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    folder = (results / CATALOGUE).parent
+    kept, known = _known(folder / _KNOWN), {}
+    rows: list[dict[str, Any]] = []
+    for scene, method in settings.acquisitions:
+        name, place = f"{scene}/{method}", results / scene / method
+        stamp, before = stamp_of(place), kept.get(name, {})
+        same = before.get("stamp") == stamp
+        item = item_of(place, before["item"] if same else None)
+        picture = before.get("picture", False) if same else False
+        if not picture and stamp[-1]:
+            picture = write_thumbnail(place, folder / f"{scene}_{method}.png")
+        known[name] = {"stamp": stamp, "item": item.plain(), "picture": picture}
+        rows.append(_row(settings, results, item, picture=picture))
+    counts = Counter(row["item"].state for row in rows)
+    environment = Environment(
+        loader=PackageLoader("rfpipe.report.catalogue", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    about = list(dict.fromkeys(key for row in rows for key in row["about"]))
+    page = environment.get_template("catalogue.html.j2").render(
+        title=Path(settings.collection).stem if settings.collection else settings.report.title,
+        rows=rows,
+        about=about,
+        states=[(state, counts[state]) for state in _STATES if counts[state]],
+        written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        seconds=sum(row["item"].seconds or 0 for row in rows),
+        patterns=sum(row["item"].patterns or 0 for row in rows),
+    )
+    write_atomically(results / CATALOGUE, page.encode())
+    write_atomically(folder / _KNOWN, json.dumps(known).encode())
+    return {state: counts[state] for state in _STATES}
+
+
+def _row(settings: Config, results: Path, item: Item, *, picture: bool) -> dict[str, Any]:
+    scene = settings.scenes[item.scene]
+    view = f"report/view/{item.scene}_{item.method}.html"
+    return {
+        "item": item,
+        "kind": scene.kind,
+        "rays": " x ".join(map(str, scene.ray_shape)),
+        "rig": scene.rig or "",
+        "about": scene.about,
+        "picture": f"{item.scene}_{item.method}.png" if picture else None,
+        "view": f"../{view}" if (results / view).exists() else None,
+        "log": f"../{item.scene}/{item.method}/acquire.log"
+        if (results / item.scene / item.method / "acquire.log").exists()
+        else None,
+        "order": _STATES.index(item.state),
+    }
+
+
+def _known(path: Path) -> dict[str, Any]:
+    """Read what was kept; nothing where it can't be read, as after an update."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        fields = set(Item("", "").plain())
+        return {name: it for name, it in found.items() if set(it["item"]) == fields}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}

@@ -1,0 +1,164 @@
+"""The transports of a collection as one field: positions x camera x projector."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rfpipe.errors import InputError, StoreError
+from rfpipe.store.locating import locate
+from rfpipe.store.packed import packed_in
+from rfpipe.store.places import Place
+from rfpipe.transport.algebra import MEMORY_BUDGET
+from rfpipe.transport.base import Transport
+from rfpipe.transport.places import STORE_NAME, transports_in
+from rfpipe.transport.storage import open_transport_at
+
+__all__ = ["Collection", "open_collection"]
+
+
+class Collection(Mapping[str, Transport]):
+    """Transports by the names of their scenes, such as the positions of a camera or a lamp.
+
+    Opened one at a time, when they are asked for, and not kept. Made by `open_collection`.
+
+    Parameters
+    ----------
+    places : mapping of str to Path or Place
+        Where each one's store lies.
+    memory_budget : int
+        Of `rfpipe.open_transport`.
+    """
+
+    def __init__(self, places: Mapping[str, Path | Place], memory_budget: int) -> None:
+        self._places = dict(places)
+        self._memory_budget = memory_budget
+
+    def __getitem__(self, name: str) -> Transport:
+        if name not in self._places:
+            raise KeyError(name)
+        return open_transport_at(self._places[name], self._memory_budget)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __repr__(self) -> str:
+        return f"Collection({', '.join([*self._places][:4])}{', ...' * (len(self) > 4)})"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Positions, then the camera's rays, then the projector's: the axes of the field.
+
+        Raises
+        ------
+        InputError
+            When transports have different rays, and make up no field.
+        """
+        shapes = {(it.camera_shape, it.projector_shape): name for name, it in self.items()}
+        if len(shapes) > 1:
+            said = "; ".join(f"{name}: {camera}, {lit}" for (camera, lit), name in shapes.items())
+            raise InputError(f"the transports' rays differ, so that they are no field: {said}")
+        (camera, projector), *_ = shapes
+        return (len(self), *camera, *projector)
+
+    def relight(self, pattern: ArrayLike) -> Iterator[tuple[str, NDArray[np.float32]]]:
+        """Yield name and picture of every position under one pattern, as `Transport.relight`.
+
+        One transport is open at a time, so that any number of positions fits in memory.
+
+        Parameters
+        ----------
+        pattern : array_like
+            ``(*projector_shape)`` or ``(*projector_shape, C)``.
+        """
+        for name, transport in self.items():
+            yield name, transport.relight(np.asarray(pattern))
+
+    def light_from(self, lights: Mapping[str, ArrayLike]) -> NDArray[np.float32]:
+        """Return the picture that the projector would see, lit from several positions at once.
+
+        By reciprocity a camera's position is that of a lamp [2.12]: what its picture shows is what
+        it would light. Together they are a large lamp, which casts soft shadows [Fig. 3.9].
+
+        Parameters
+        ----------
+        lights : mapping of str to array_like
+            By position what stands before the lamp there: ``(*camera_shape)`` or
+            ``(*camera_shape, C)``; ones for a lamp of its own, a picture for a slide.
+
+        Returns
+        -------
+        ndarray of float32, shape (*projector_shape, C)
+
+        Raises
+        ------
+        InputError
+            When there is no light, no such position, or their pictures differ in shape.
+        """
+        total: NDArray[np.float32] | None = None
+        for name, light in lights.items():
+            if name not in self:
+                raise InputError(f"{name!r} is no position; there are {', '.join([*self][:8])} ...")
+            picture = self[name].T.relight(np.asarray(light))
+            if total is not None and picture.shape != total.shape:
+                raise InputError(
+                    f"{name}: its picture has the shape {picture.shape}, those before "
+                    f"{total.shape}; they can't be added"
+                )
+            total = picture if total is None else total + picture
+        if total is None:
+            raise InputError("no lights are given; expected pictures by the names of positions")
+        return total
+
+
+def open_collection(
+    path: str | Path, method: str | None = None, memory_budget: int = MEMORY_BUDGET
+) -> Collection:
+    """Open the transports that a run left, one for each scene, by the scenes' names.
+
+    Parameters
+    ----------
+    path : path or address
+        A run's ``results``; what ``rfpipe collection pack`` made of them; or a zip file of either,
+        here or on a server.
+    method : str, optional
+        By which the scenes were acquired; needed where there are several.
+    memory_budget : int
+        Bytes, of each transport: see `rfpipe.open_transport`.
+
+    Raises
+    ------
+    StoreError
+        When there is no transport, or none by this method, or a scene has several.
+    """
+    base = locate(path)
+    place: Path | Place = packed_in(base) or base
+    names = transports_in(place)
+    by_scene: dict[str, dict[str, str]] = {}
+    for name in names:
+        *_, scene, made_by = ["", "", *name.removesuffix(STORE_NAME).strip("/").split("/")]
+        by_scene.setdefault(scene, {})[made_by] = name
+    methods = sorted({made_by for found in by_scene.values() for made_by in found})
+    if method is None and len(methods) == 1:
+        method = methods[0]
+    if not names or (method is not None and method not in methods):
+        what = f"has no transports{f' by {method}' if method else ''}"
+        advice = f"there are some by {', '.join(methods)}" if names else "give the results of a run"
+        raise StoreError(f"{place}: {what}; {advice}")
+    if method is None and any(len(found) > 1 for found in by_scene.values()):
+        raise StoreError(
+            f"{place}: scenes have transports by {', '.join(methods)}; say which, as in "
+            f"open_collection(..., method={methods[0]!r})"
+        )
+    chosen = {
+        scene: found[method or next(iter(found))]
+        for scene, found in sorted(by_scene.items())
+        if method is None or method in found
+    }
+    return Collection({scene: place / name for scene, name in chosen.items()}, memory_budget)

@@ -1,0 +1,116 @@
+"""The catalogue: what became of each acquisition, on a page for any browser."""
+
+from __future__ import annotations
+
+import fcntl
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.browsers import browser
+from tests.collections_ import acquire_item
+from typer.testing import CliRunner
+
+from rfpipe.cli import app
+from rfpipe.config import load_config
+from rfpipe.report.catalogue import CATALOGUE, write_catalogue
+from rfpipe.store.files import hidden_sibling
+
+HEADER = "name,kind,surfaces,shape,channels,about.title\n"
+STATES = ("done", "failed", "running", "stopped", "waiting")
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def listed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A run with a scene in each state, and its page."""
+    folder = tmp_path_factory.mktemp("catalogue")
+    rows = [f"{name},plane,texture,6 x 8,3,<{name}> & co\n" for name in STATES]
+    (folder / "scenes.csv").write_text(HEADER + "".join(rows))
+    run = "collection: scenes.csv\nmethods: {hadamard: {}}\n"
+    (folder / "run.yaml").write_text(run)
+    results = folder / "results"
+    acquire_item(load_config(folder / "run.yaml"), "done", "hadamard", results)
+    for name in ("failed", "running", "stopped"):
+        (results / name / "hadamard/L00").mkdir(parents=True)
+    log = results / "failed/hadamard/acquire.log"
+    log.write_text(
+        "2026-01-01 00:00:00,000 INFO level 0\n"
+        "2026-01-01 00:00:01,000 ERROR the lamp <went> out; mend it\nTraceback\n  ...\n"
+    )
+    log = results / "stopped/hadamard/acquire.log"
+    log.write_text("2026-01-01 00:00:01,000 ERROR stopped; what is done is kept, and the next\n")
+    (results / "stopped/hadamard/L00/capture.json").write_text("{}")
+    (results / "report/view").mkdir(parents=True)
+    (results / "report/view/done_hadamard.html").write_text("a viewer")
+    with hidden_sibling(results / "running/hadamard", "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        told = CliRunner().invoke(
+            app, ["catalogue", str(folder / "run.yaml"), "--folder", str(results)]
+        )
+    assert told.exit_code == 0
+    for name in STATES:
+        assert f"1 {name}" in told.output
+    return results / CATALOGUE
+
+
+def cells(page: Any, column: int) -> list[str]:
+    """Texts of a column's cells in the rows that are shown."""
+    shown = "[...document.querySelectorAll('tbody tr:not([hidden])')]"
+    return list(page.evaluate(f"{shown}.map(row => row.cells[{column}].innerText)"))
+
+
+def test_the_page_tells_states_sorts_and_filters(chromium: Any, listed: Path) -> None:
+    page = chromium.new_context(viewport={"width": 1280, "height": 700}).new_page()
+    said: list[str] = []
+    asked: list[str] = []
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(f"file://{listed}")
+    assert [it.splitlines()[0] for it in cells(page, 1)] == list(STATES)
+    assert cells(page, 2)[0] == "<done> & co"
+    states = cells(page, 5)
+    assert [it.splitlines()[0] for it in states] == list(STATES)
+    assert "the lamp <went> out; mend it" in states[1]
+    assert "level 0 is captured" in states[3]
+    assert cells(page, 6) == ["59", "", "", "", ""]
+    assert page.evaluate("document.querySelector('img').naturalWidth") == 8
+    link = page.evaluate("document.querySelector('tbody a').href")
+    assert link == f"file://{listed.parents[1]}/report/view/done_hadamard.html"
+    page.click("th:nth-child(2) button")
+    page.click("th:nth-child(2) button")
+    assert [it.splitlines()[0] for it in cells(page, 1)] == sorted(STATES, reverse=True)
+    page.click("th:nth-child(7) button")  # what isn't known comes last
+    page.click("th:nth-child(7) button")
+    assert cells(page, 6)[0] == "59"
+    page.uncheck("input[value=waiting]")
+    page.fill("#text", "lamp <went>")
+    assert cells(page, 3) == ["hadamard"]
+    assert page.inner_text("#shown") == "1 shown"
+    assert not said
+    assert all(url.startswith("file:") for url in asked)
+
+
+def test_what_is_done_isn_t_read_again_until_it_changes(
+    listed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rfpipe.report.catalogue import items, page
+
+    settings = load_config(listed.parents[2] / "run.yaml")
+    results = listed.parents[1]
+    read: list[Path] = []
+    monkeypatch.setattr(items, "_read_figures", lambda _, folder: read.append(folder))
+    monkeypatch.setattr(page, "write_thumbnail", lambda *_: pytest.fail("is there"))
+    write_catalogue(settings, results)
+    assert not read
+    transport = results / "done/hadamard/transport.json"
+    transport.touch()
+    monkeypatch.setattr(page, "write_thumbnail", lambda *_: True)
+    write_catalogue(settings, results)
+    assert read == [transport.parent]

@@ -1,0 +1,186 @@
+"""Collections: what their rows mean, and what is wrong with them, by file, line and column."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from rfpipe.config import Config, load_config
+from rfpipe.errors import ConfigError
+
+METHODS = {"near_far": {}}
+
+
+def settings(folder: Path, rows: str | bytes, name: str = "scenes.csv", **more: Any) -> Path:
+    """A settings file beside a collection."""
+    content = rows if isinstance(rows, bytes) else rows.encode()
+    (folder / name).write_bytes(content)
+    path = folder / "run.yaml"
+    path.write_text(yaml.safe_dump({"collection": name, "methods": METHODS, **more}))
+    return path
+
+
+def refusal(folder: Path, rows: str | bytes, name: str = "scenes.csv", **more: Any) -> list[str]:
+    """What is said of a collection, without the folder's name."""
+    with pytest.raises(ConfigError) as told:
+        load_config(settings(folder, rows, name, **more))
+    return str(told.value).replace(f"{folder}/", "").splitlines()
+
+
+def test_rows_are_scenes_with_settings_of_their_own(tmp_path: Path) -> None:
+    rows = (
+        "name,kind,surfaces,shape,channels,camera.exposures,rig.camera.bits,settings.seed,"
+        "methods,methods.near_far.target_error,about.number\n"
+        "# a comment, then nothing\n\n,,,\n"
+        "jug,wedge,white texture,12 x 16,1,0.1 0.5,,7,,,007\n"
+        'bowl,plane,white,"[8, 9]",3,,14,,"near_far, dual",0.05,\n'
+    )
+    run = load_config(settings(tmp_path, rows))
+    assert run.acquisitions == [("jug", "near_far"), ("bowl", "near_far"), ("bowl", "dual")]
+    jug, bowl = run.of_scene("jug"), run.of_scene("bowl")
+    assert run.scenes["jug"].shape == (12, 16)
+    assert run.scenes["jug"].about == {"number": "007"}
+    assert jug.camera is not None
+    assert bowl.camera is not None
+    assert (jug.camera.exposures, jug.seed, jug.camera.bits) == ((0.1, 0.5), 7, 12)
+    assert (bowl.camera.exposures, bowl.seed, bowl.camera.bits) == (
+        Config().camera.exposures,  # type: ignore[union-attr]
+        1,
+        14,
+    )
+    assert bowl.methods_of("bowl")["near_far"].options()["target_error"] == 0.05
+    assert list(bowl.scenes) == ["bowl"]
+
+
+def test_rigs_are_shared_and_a_scene_s_own_settings_win(tmp_path: Path) -> None:
+    rows = "name,kind,surfaces,rig,camera.bits\na,plane,white,studio,\nb,plane,white,studio,10\n"
+    rigs = {"studio": {"camera": {"bits": 14, "black_level_counts": 32}}}
+    run = load_config(settings(tmp_path, rows, rigs=rigs))
+    cameras = [run.of_scene(name).camera for name in "ab"]
+    assert [(it.bits, it.black_level_counts) for it in cameras if it] == [(14, 32), (10, 32)]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xef\xbb\xbfname,kind,surfaces,merge.saturation_fraction\r\na,plane,white,0.5\r\n",
+        b"name;kind;surfaces;merge.saturation_fraction\r\na;plane;white;0,5\r\n",
+        b"sep=;\r\nname;kind;surfaces;merge.saturation_fraction\r\na;plane;white;0,5\r\n",
+        "name\tkind\tsurfaces\tmerge.saturation_fraction\na\tplane\twhite\t0.5\n".encode("utf-16"),
+        b"name,kind,surfaces,merge.saturation_fraction\ra,plane,white,5e-1",
+    ],
+    ids=["byte order mark, CRLF", "semicolons", "sep=", "UTF-16, tabs", "CR, exponent"],
+)
+def test_tables_are_read_as_spreadsheets_write_them(tmp_path: Path, content: bytes) -> None:
+    run = load_config(settings(tmp_path, content))
+    assert list(run.scenes) == ["a"]
+    assert run.of_scene("a").merge.saturation_fraction == 0.5
+
+
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        ("name,kind\na,plane\na,plane\n", ["line 3, column A (name): the name a stands in line 2"]),
+        (
+            "name,kind\nVase-3,plane\n1992.3,plane\n,plane\nnul,plane\n",
+            [
+                "line 2, column A (name): the name 'Vase-3' is not fit for a folder; expected a ",
+                "line 3, column A (name): the name '1992.3'",
+                "line 4: the scene has no name",
+                "line 5, column A (name): the name 'nul'",
+            ],
+        ),
+        (
+            "name,kind,surfaces,shapee\na,plane,white,3\nb,plane,white,3\n",
+            ["line 2, column D (shapee): scenes.a.shapee is unknown; did you mean shape?"],
+        ),
+        (
+            "name,kind,surfaces,camera.exposure\na,plane,white,3\n",
+            [
+                "line 2, column D (camera.exposure): scenes.a.settings.camera.exposure is unknown;"
+            ],
+        ),
+        (
+            "name,kind,surfaces,shape\na,plane,white,0 x 3\nb,plane,white,2 x 2\n",
+            ["line 2, column D (shape): scenes.a.shape[0] is 0; it should be greater"],
+        ),
+        ("name,kind\na,pla\n", ["line 2, column B (kind): scenes.a: 'pla' is unknown"]),
+        ('name,note\na,"two\nlines"\nb,1,2\n', ["line 4, column C: '2' stands in a column"]),
+        ("name,kind,name\n", ["line 1, column C: name stands in column A as well"]),
+        ("name,a b\n", ["line 1, column B: 'a b' is no name of a setting"]),
+        ("kind\nplane\n", ["line 1: the header has no column 'name'"]),
+        ('name,kind\na,"pla\n', ["line 2: is no row of cells"]),
+        (b"name,kind,about.x\na,plane,caf\xe9\n", ["line 2, column C: byte 0xe9 is no UTF-8"]),
+        ("", ["is empty; expected a header"]),
+        ("name,kind\n", ["has no scenes; expected a row for each"]),
+        (
+            "name,kind,folder\na,recorded,nowhere\n",
+            ["line 2, column C (folder): scenes.a.folder is 'nowhere', which isn't there"],
+        ),
+        (
+            "name,kind,surfaces,capture.rig\na,plane,white,remote\n",
+            ["line 2, column D (capture.rig): scenes.a.settings.capture.rig: can't be set for a"],
+        ),
+        (
+            "name,kind,surfaces,shape\na,plane,white,[3\n",
+            ["line 2, column D (shape): shape: [3 is not valid YAML"],
+        ),
+        ("name,kind,surfaces\nreport,plane,white\n", ["line 2: scenes.report should be called"]),
+        ("name,kind,surfaces,rig\na,plane,white,b\n", ["line 2: scenes.a.rig is 'b'; the"]),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_told_with_line_and_column(
+    tmp_path: Path, rows: str | bytes, expected: list[str]
+) -> None:
+    told = refusal(tmp_path, rows)
+    assert len(told) == len(expected)
+    for line, start in zip(told, expected, strict=True):
+        assert line.startswith(f"scenes.csv: {start}")
+
+
+def test_what_is_wrong_in_a_whole_column_is_told_once(tmp_path: Path) -> None:
+    rows = "name,kind,surfaces,shapee\n" + "".join(f"a{n},plane,white,3\n" for n in range(1000))
+    (told,) = refusal(tmp_path, rows)
+    assert told.endswith("[and in 999 more rows]")
+
+
+def test_yaml_has_defaults_and_groups(tmp_path: Path) -> None:
+    rows = """
+defaults: {kind: plane, surfaces: [white], camera: {bits: 14}}
+scenes:
+  - {name: a, camera.exposures: [0.5]}
+  - name: b
+    kind: wedge
+    surfaces: [white, texture]
+    methods: {dual: {tolerance: 0.01}}
+"""
+    run = load_config(settings(tmp_path, rows, "scenes.yaml"))
+    camera = run.of_scene("a").camera
+    assert camera is not None
+    assert (camera.bits, camera.exposures) == (14, (0.5,))
+    assert run.scenes["b"].kind == "wedge"
+    assert list(run.methods_of("b")) == ["dual"]
+    told = refusal(tmp_path, rows.replace("bits", "bit"), "scenes.yaml")
+    start = "scenes.yaml: line 2, column 53 (camera.bit): scenes.a.settings.camera.bit is unknown"
+    assert told[0].startswith(start)
+
+
+def test_a_wrong_rig_is_told_where_it_stands(tmp_path: Path) -> None:
+    rows = "name,kind,surfaces,rig\na,plane,white,studio\n"
+    (told,) = refusal(tmp_path, rows, rigs={"studio": {"camera": {"bits": 40}}})
+    assert told.startswith("run.yaml: rigs.studio.camera.bits is 40; it should be less than or")
+
+
+def test_a_missing_file_is_told_with_where_it_was_looked_for(tmp_path: Path) -> None:
+    path = tmp_path / "run.yaml"
+    path.write_text("collection: gone.csv\n")
+    with pytest.raises(ConfigError, match=f"no file gone.csv nor {tmp_path}/gone.csv"):
+        load_config(path)
+
+
+def test_settings_of_a_run_are_those_of_its_scenes_without_own_ones() -> None:
+    run = Config()
+    assert run.of_scene("planes_i") is run
