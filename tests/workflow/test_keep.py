@@ -40,7 +40,6 @@ def test_a_run_keeps_its_results_in_a_bucket(
         seen.deny = True
         said = workflow.run(succeeds=False)
         assert "check the credentials of the environment" in said
-        assert "localrule keep" in said or "rule keep" in said
         seen.deny = False
         workflow.run()
         kept = read_manifest(workflow.path("kept.json"))
@@ -56,7 +55,6 @@ def test_a_run_keeps_its_results_in_a_bucket(
         assert there.nbytes <= here.nbytes
         light = np.random.default_rng(0).random(there.projector_shape)
         assert np.array_equal(there.relight(light), here.relight(light))
-        assert "Nothing to be done" in workflow.run()
         # a workflow of somebody else's fetches it, by Snakemake's plugin
         seen.requests.clear()
         other = tmp_path / "other"
