@@ -180,8 +180,10 @@ def test_missing_buckets_rights_and_credentials_are_said(
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
     with pytest.raises(InputError, match="AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"):
         kept(run, address)
-    with pytest.raises(InputError, match="s3://bucket/folder"):
-        kept(run, "https://host/run")
+    for wrong in ("https://host/run", "s3://key:secret@lab/run"):
+        with pytest.raises(InputError, match="should be a bucket") as refused_here:
+            kept(run, wrong)
+        assert "secret" not in str(refused_here.value)
     for wrong in ("lab/run", "s3://", "s3://key:secret@lab/run", "s3://Lab/run"):
         with pytest.raises(ConfigError, match=r"keep_at.*should be a bucket") as refused:
             parse_config({"storage": {"keep_at": wrong}}, "test")

@@ -13,9 +13,9 @@ rule keep:
         "results/kept.json",
     log:
         "results/kept.log",
+    localrule: True
     conda:
         "../envs/rfpipe.yaml"
-    localrule: True
     params:
         address=SETTINGS.storage.keep_at or "",
     script:

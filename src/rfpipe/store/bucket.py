@@ -12,14 +12,15 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+from rfpipe.config.addresses import check_bucket
 from rfpipe.errors import InputError, StoreError
 from rfpipe.store.remote import CREDENTIALS, connect, reason_of
 
 __all__ = ["Bucket"]
 
 # How long a request that fails is repeated by obstore, and how often a whole upload is begun anew.
-_RETRIES: dict[str, Any] = {"max_retries": 8, "retry_timeout": timedelta(seconds=120)}
-_ATTEMPTS, _SECONDS_BETWEEN = 3, 2.0
+_RETRIES: dict[str, Any] = {"max_retries": 5, "retry_timeout": timedelta(seconds=60)}
+_ATTEMPTS, _SECONDS_BETWEEN = 3, 5.0
 # A part of a large object is sent in one request; two at once within the time that one may take
 # need 90 kB/s.
 _PART_BYTES, _PARTS_AT_ONCE = 5 * 2**20, 2
@@ -48,8 +49,10 @@ class Bucket:
     """
 
     def __init__(self, address: str) -> None:
-        if not address.lower().startswith("s3://"):
-            raise InputError(f"{address}: expected a folder in a bucket, s3://bucket/folder")
+        try:
+            check_bucket(address)
+        except ValueError as error:
+            raise InputError(f"{address}: {error}") from None
         if not any(os.environ.get(name) for name in CREDENTIALS):
             raise InputError(
                 f"{address}: the environment has no credentials to write there; set "

@@ -1,0 +1,68 @@
+"""A run brings its results into a bucket at its end, and the captures stay here."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from tests.buckets import BUCKET, proxy, s3_server, use
+from tests.workflow.harness import Workflow
+
+import rfpipe
+from rfpipe.store import read_manifest
+
+ADDRESS = f"s3://{BUCKET}/run"
+OTHER = """
+rule relit:
+    input: storage.s3("s3:/{name}")
+    output: "relit.exr"
+    shell:
+        "cp {{input}} fetched.zip && "
+        "{python} -m rfpipe.cli relight {{input}} --pattern white --output {{output}}"
+"""
+
+
+def test_a_run_keeps_its_results_in_a_bucket(
+    of_ones_own: Workflow, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workflow = of_ones_own.copy_to(tmp_path / "run")
+    settings = yaml.safe_load((of_ones_own.config).read_text())
+    settings["storage"] = {"keep_at": ADDRESS}
+    workflow.config.write_text(yaml.safe_dump(settings))
+    said = workflow.run("--default-storage-provider", "s3", "--dry-run", succeeds=False)
+    assert "set storage.keep_at in place of it" in said
+    with s3_server() as server, proxy(server) as seen:
+        use(monkeypatch, seen.endpoint)
+        seen.deny = True
+        said = workflow.run(succeeds=False)
+        assert "check the credentials of the environment" in said
+        seen.deny = False
+        workflow.run()
+        kept = read_manifest(workflow.path("kept.json"))
+        assert kept["address"] == ADDRESS
+        assert kept["sent"] == kept["objects"] > 10
+        assert not any("capture" in path for path in seen.written())
+        names = [path for path in seen.written() if path.endswith("/transport.zip")]
+        assert len(names) == 6  # two scenes by three methods
+        there = rfpipe.open_transport(f"s3:/{names[0]}")
+        here = rfpipe.open_transport(
+            tmp_path / names[0].removeprefix(f"/{BUCKET}/").replace(".zip", ".zarr")
+        )
+        assert there.nbytes <= here.nbytes
+        light = np.random.default_rng(0).random(there.projector_shape)
+        assert np.array_equal(there.relight(light), here.relight(light))
+        # a workflow of somebody else's fetches it, by Snakemake's plugin
+        seen.requests.clear()
+        other = tmp_path / "other"
+        other.mkdir()
+        (other / "Snakefile").write_text(OTHER.format(name=names[0], python=sys.executable))
+        snakemake = Path(sys.executable).with_name("snakemake")
+        subprocess.run([snakemake, "--cores", "1", "--quiet", "all"], cwd=other, check=True)
+        assert (other / "relit.exr").is_file()
+        fetched = rfpipe.open_transport(other / "fetched.zip")
+        assert np.array_equal(fetched.relight(light), here.relight(light))
+        assert not seen.written()
