@@ -47,8 +47,9 @@ def main() -> None:
         for scene, method in load_config(config).acquisitions
     ]
     command = [
-        str(Path(sys.executable).with_name("snakemake")), "--snakefile", str(ROOT / "Snakefile"),
-        "--directory", str(folder), "--configfile", str(config), *targets,
+        str(Path(sys.executable).with_name("snakemake")), *targets,
+        "--snakefile", str(ROOT / "Snakefile"),
+        "--directory", str(folder), "--configfile", str(config),
     ]  # fmt: skip
     began = time.perf_counter()
     cores = 2 * asked.cpus

@@ -1,8 +1,8 @@
 """How well jobs' memory and time are predicted: each kind of record from those without it.
 
 Usage: ``python benchmarks/validate_costs.py [FOLDER ...]``. Prints, for the shipped table, ratios
-of what was predicted to what was measured where the law was fitted without all records of a size, or
-without a method; then, for each folder of results given, what the shipped table says of its jobs,
+of what was predicted to what was measured where laws were fitted without all records of a size, or
+of a method; then, for each folder of results given, what the shipped table says of its jobs,
 none of which it has. No part of `make bench`.
 """
 
