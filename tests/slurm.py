@@ -1,4 +1,4 @@
-"""A Slurm cluster in a folder: its own daemons, of two nodes on this machine, one CPU each."""
+"""A Slurm cluster in a folder: its own daemons, of two nodes on this machine."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ KillWait=2
 MinJobAge=300
 AccountingStorageType=accounting_storage/none
 JobAcctGatherType=jobacct_gather/none
-NodeName=one NodeHostname={host} NodeAddr=127.0.0.1 Port={one} CPUs=1 RealMemory=4000
-NodeName=two NodeHostname={host} NodeAddr=127.0.0.1 Port={two} CPUs=1 RealMemory=4000
+NodeName=one NodeHostname={host} NodeAddr=127.0.0.1 Port={one} CPUs={cpus} RealMemory=8000
+NodeName=two NodeHostname={host} NodeAddr=127.0.0.1 Port={two} CPUs={cpus} RealMemory=8000
 PartitionName=work Nodes=one,two Default=YES MaxTime=INFINITE State=UP
 """
 # No node has an accounting database: squeue and scontrol ask the scheduler itself. It looks for
@@ -66,23 +66,40 @@ def need_slurm() -> None:
 
 
 class Slurm:
-    """The daemons; a context manager that ends them."""
+    """The daemons; a context manager that ends them.
 
-    def __init__(self, folder: Path) -> None:
+    Parameters
+    ----------
+    folder : Path
+    cpus : int
+        Of each node.
+    """
+
+    def __init__(self, folder: Path, cpus: int = 1) -> None:
         self.folder = folder
-        self.environment = {**os.environ, "SLURM_CONF": str(folder / "slurm.conf")}
+        self.cpus = cpus
+        self.environment = {
+            **os.environ,
+            "SLURM_CONF": str(folder / "slurm.conf"),
+            "PATH": f"{folder / 'bin'}:{os.environ['PATH']}",
+        }
 
     def __enter__(self) -> Slurm:
         folder = self.folder
-        for name in ("state", *NODES):
+        for name in ("state", "bin", *NODES):
             (folder / name).mkdir(parents=True)
         folder.chmod(0o755)
+        # Snakemake's plugin takes SLURM_CONF away from it
+        srun = folder / "bin" / "srun"
+        program = f'SLURM_CONF={folder}/slurm.conf exec {shutil.which("srun")} "$@"'
+        srun.write_text(f"#!/bin/sh\n{program}\n")
+        srun.chmod(0o755)
         key = folder / "munge.key"
         key.write_bytes(secrets.token_bytes(128))
         key.chmod(0o600)
         ports = dict(zip(("controller", *NODES), _free_ports(3), strict=True))
         settings = CONFIGURATION.format(
-            host=socket.gethostname().partition(".")[0], folder=folder, **ports
+            host=socket.gethostname().partition(".")[0], folder=folder, cpus=self.cpus, **ports
         )
         (folder / "slurm.conf").write_text(settings)
         try:

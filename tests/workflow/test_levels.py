@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from tests.workflow.harness import TINY, Workflow
 from tests.workflow.stagewise import CAMERA, CODE, SHAPE, Acquisition, contents, matrix_rig
 
 from rfpipe.errors import LockedError
@@ -18,7 +19,9 @@ from rfpipe.store import StoreLock
 STAGES = ("schedule", "merge", "normalize", "refine", "assemble")
 
 
-def acquire(path: Path, method: str = "symmetric") -> AcquisitionFolder:
+def acquire(
+    path: Path, method: str = "symmetric", until: levels.Until | None = None
+) -> AcquisitionFolder:
     """Do what the workflow's job does."""
     folder = AcquisitionFolder(path, believing=True)
     levels.run(
@@ -34,6 +37,7 @@ def acquire(path: Path, method: str = "symmetric") -> AcquisitionFolder:
         asymmetry=0.05,
         watch={"mode": "warn", "looks": 0},
         resources=Resources(),
+        until=until,
     )
     return folder
 
@@ -54,6 +58,38 @@ def test_a_job_leaves_what_its_stages_leave_one_by_one(tmp_path: Path, method: s
         one_by_one.level(level)
     one_by_one.assemble()
     assert left(tmp_path / "job") == left(tmp_path / "stages")
+
+
+@pytest.mark.parametrize("method", ["symmetric", "near_far"])
+def test_jobs_of_one_level_each_leave_what_one_job_leaves(tmp_path: Path, method: str) -> None:
+    whole = acquire(tmp_path / "one", method)
+    folder, level, asked = AcquisitionFolder(tmp_path / "each"), 0, []
+    while level is not None:
+        acquire(folder.path, method, levels.Until(level, "capture"))
+        assert not folder.manifest(level, "merge").exists()
+        acquire(folder.path, method, levels.Until(level))
+        assert levels.level_before(folder, level) == (asked[-1] if asked else None)
+        asked.append(level)
+        level = levels.level_after(folder, level)
+        if level is not None:
+            assert not folder.manifest(level, "capture").exists()
+    assert asked == [
+        level
+        for level in range(len(list(whole.path.glob("L*"))))
+        if whole.read_manifest(level, "schedule")["patterns"]
+    ]
+    assert not (folder.path / "transport.json").exists()
+    acquire(folder.path, method)
+    assert left(folder.path) == left(whole.path)
+
+
+def test_a_run_of_a_job_a_level(undisturbed: Workflow, tmp_path: Path) -> None:
+    workflow = Workflow(tmp_path / "run")
+    workflow.configure(resources={"jobs": "level"})
+    said = workflow.run(TINY)
+    assert said.count("(Rule: level)") == 4
+    assert workflow.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")
+    assert "Nothing to be done" in workflow.run(TINY)
 
 
 def test_a_job_that_runs_again_does_nothing_again(tmp_path: Path) -> None:

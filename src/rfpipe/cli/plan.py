@@ -27,13 +27,15 @@ def plan(
         ),
     ] = Path("results"),
 ) -> None:
-    """Tell what a run will take, before the lamp is switched on: patterns, time and disk.
+    """Tell what a run will take, before the lamp is switched on: patterns, time, memory and disk.
 
     Expected are the counts of the same acquisitions in the results' folder; else those of the
     thesis for scenes of as many levels, in the proportion in which others by the same method came
-    out. At most are those of a scene without any structure.
+    out. At most are those of a scene without any structure. Memory is that of one acquisition at a
+    time, as jobs on a cluster ask for it with a margin.
     """
     from rfpipe.config import load_config
+    from rfpipe.costs import JobCosts
     from rfpipe.photometry import sensor_from_config
     from rfpipe.stages.capturing.forecast import forecast
     from rfpipe.stages.capturing.taken import taken_in
@@ -42,10 +44,18 @@ def plan(
     settings = load_config(config)
     found = forecast(settings, sensor_from_config(settings.camera), taken_in(folder))
     simulated = settings.capture.rig == "simulated"
-    typer.echo(table(found, free_bytes(folder), simulated=simulated))
+    costs = JobCosts(settings, folder)
+    memory = [costs.predict("memory_mb", "acquire", one.scene, one.method) for one in found]
+    typer.echo(table(found, free_bytes(folder), simulated=simulated, memory_mb=memory))
 
 
-def table(forecasts: Sequence[Forecast], free: int, *, simulated: bool = False) -> str:
+def table(
+    forecasts: Sequence[Forecast],
+    free: int,
+    *,
+    simulated: bool = False,
+    memory_mb: Sequence[float | None] = (),
+) -> str:
     """Return a run's acquisitions, their sum, and what to make of it.
 
     Parameters
@@ -55,6 +65,8 @@ def table(forecasts: Sequence[Forecast], free: int, *, simulated: bool = False) 
         Bytes free where the results are to lie.
     simulated : bool
         Whether the rig is simulated, and doesn't wait for a lamp.
+    memory_mb : sequence of float or None
+        Memory that each is likely to take, None where that isn't known; nothing to leave it out.
     """
     import pandas as pd
 
@@ -77,6 +89,8 @@ def table(forecasts: Sequence[Forecast], free: int, *, simulated: bool = False) 
         }
         for one in forecasts[: _SHOWN if len(forecasts) > _SHOWN + 1 else None]
     ]
+    for row, memory in zip(rows, memory_mb, strict=False):
+        row["memory"] = "?" if memory is None else shown_bytes(round(memory * 1e6))
     seconds = sum(one.expected.seconds for one in forecasts)
     disk = sum(one.expected.disk.total for one in forecasts)
     sums = (

@@ -106,16 +106,16 @@ class ResourcesConfig(Settings):
 
     jobs: Literal["acquisition", "level"] = Field(
         "acquisition",
-        description="What a job of the workflow is: acquisition, a scene by a method from its first "
-        "pattern to its transport; or level, one level of it, for clusters that end long jobs, and "
-        "rigs that shall be free while pictures are processed. The same bytes either way "
-        "(docs/clusters.md).",
+        description="What a job of the workflow is: acquisition, a scene by a method from its "
+        "first pattern to its transport; or level, one level of it, for clusters that end long "
+        "jobs, and rigs that shall be free while pictures are processed. The same bytes either "
+        "way (docs/clusters.md).",
     )
     captures: Literal["here", "job"] = Field(
         "here",
         description="Where jobs that need a real rig run when others go to a cluster: here, beside "
-        "Snakemake, which then is started on the rig's host; or job, as jobs of the cluster that the "
-        "profile sends to the rig's host (docs/clusters.md).",
+        "Snakemake, which then is started on the rig's host; or job, as jobs of the cluster that "
+        "the profile sends to the rig's host (docs/clusters.md).",
     )
 
     @field_validator("workers")

@@ -67,7 +67,7 @@ class JobCosts:
     def runtime(self, job: str, scene: str, name: str, attempt: int = 1) -> int:
         """Return the minutes to ask for, more with each attempt; what a rig takes is among them."""
         seconds = _TIME_MARGIN * (self.predict("cpu_seconds", job, scene, name) or 0.0)
-        if job in ("acquire", "verification"):
+        if self._settings.capture.rig == "remote" and job in ("acquire", "verification"):
             seconds += 2 * self._forecast(scene, name).expected.seconds
         return max(_LEAST_MINUTES, ceil(seconds / 60)) * _MORE_TIME ** (attempt - 1)
 

@@ -50,6 +50,7 @@ class Law:
     largest: int
 
     def __call__(self, samples: float) -> float:
+        """Return what a job of pictures of so many samples takes."""
         return self.constant + self.slope * samples**self.power
 
 

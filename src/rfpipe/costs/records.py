@@ -1,8 +1,9 @@
-"""What jobs took: the benchmark files of a run, and the table that is shipped with rfpipe."""
+"""What jobs took: logs and benchmark files of a run, and the table that is shipped with rfpipe."""
 
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from math import prod
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import StoreError
+from rfpipe.stages.jobs.job import USAGE
 from rfpipe.store import read_manifest
 
 __all__ = ["JOBS", "Record", "read_shipped", "records_in", "write_records"]
@@ -18,6 +20,8 @@ JOBS = ("acquire", "relight", "verification", "view", "sweep")
 """Jobs of an acquisition, each with its benchmark file beside the transport."""
 
 _SHIPPED = Path(__file__).with_name("measured.csv")
+
+_USAGE = re.compile(USAGE.replace("%.1f", r"([0-9.]+)").replace("%.2f", r"([0-9.]+)"))
 
 # Of a job that went on where another was stopped, its benchmark file has the last part alone.
 _WHOLE = 0.8
@@ -43,7 +47,8 @@ class Record:
     seconds : float
         Wall time.
     memory_mb : float
-        Largest resident set of the job and its children, in MB (10^6 bytes).
+        Largest resident set of the job, in MB (10^6 bytes), as the job itself knows it: what
+        Snakemake measures it sees now and then, and of a job of seconds it sees the beginning.
     """
 
     job: str
@@ -126,22 +131,21 @@ def _about(facts: dict[str, Any]) -> dict[str, Any]:
 
 
 def _took(folder: Path, job: str) -> dict[str, float] | None:
-    """Return what Snakemake measured of a job, None where that isn't all of it."""
-    row = _benchmark(folder / f"{job}.benchmark.tsv")
+    """Return what a job took in all; None where it went on from another, or isn't known."""
     try:
-        took = {
-            "cpu_seconds": float(row["cpu_time"]),
-            "seconds": float(row["s"]),
-            # Snakemake's are 2^20 bytes
-            "memory_mb": float(row["max_rss"]) * 2**20 / 1e6,
-        }
-    except (KeyError, ValueError):  # a job too short to be looked at has NA
+        last = (folder / f"{job}.log").read_text(encoding="utf-8").splitlines()[-1]
+        seconds = float(_benchmark(folder / f"{job}.benchmark.tsv")["s"])
+    except (OSError, UnicodeDecodeError, IndexError, KeyError, ValueError):
         return None
+    usage = _USAGE.search(last)
+    if usage is None:
+        return None
+    memory, cpu = map(float, usage.groups())
     if job == "acquire":
         stages = [_benchmark(path) for path in folder.glob("L*/*.benchmark.tsv")]
-        if took["seconds"] < _WHOLE * sum(float(stage.get("s", 0)) for stage in stages):
+        if seconds < _WHOLE * sum(float(stage.get("s", 0)) for stage in stages):
             return None
-    return took if took["memory_mb"] > 0 else None
+    return {"cpu_seconds": cpu, "seconds": seconds, "memory_mb": memory}
 
 
 def _benchmark(path: Path) -> dict[str, str]:

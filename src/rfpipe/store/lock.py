@@ -85,9 +85,9 @@ class StoreLock:
                     os.close(descriptor)
                     if error.errno in (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP):
                         raise StoreError(
-                            f"{self._path}: its file system has no locks ({error.strerror}), so two "
-                            "machines could write it at the same time. Mount it with them (NFS 4, "
-                            "Lustre with -o flock), or put the results elsewhere"
+                            f"{self._path}: its file system has no locks ({error.strerror}), so "
+                            "two machines could write it at the same time. Mount it with them "
+                            "(NFS 4, Lustre with -o flock), or put the results elsewhere"
                         ) from error
                     raise
                 # Its last holder may have removed the file between our open and our lock.

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
+import resource
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
 
 from rfpipe.errors import RfpipeError
 
-__all__ = ["stage_log", "start"]
+__all__ = ["USAGE", "stage_log", "start"]
+
+USAGE = "took at most %.1f MB of memory, %.2f s of processor time"
+"""The last line of a job's log, in MB of 10^6 bytes."""
 
 _log = logging.getLogger("rfpipe")
 
@@ -42,6 +47,7 @@ def start(log_file: str) -> None:
     logging.captureWarnings(True)
     logging.getLogger("py.warnings").addHandler(to_file)
     sys.excepthook = _report
+    atexit.register(_log_usage)
     signal.signal(signal.SIGTERM, _interrupt)
 
 
@@ -80,6 +86,17 @@ class _Brief(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
         brief = logging.makeLogRecord({**record.__dict__, "exc_info": None, "exc_text": None})
         return super().format(brief)
+
+
+def _log_usage() -> None:
+    """Say what the job took: Snakemake looks at a job now and then, and misses peaks."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    peak_kib = float(usage.ru_maxrss)
+    with suppress(OSError, IndexError, ValueError):  # where there is a better one: what was before
+        # the program began, such as Snakemake, isn't in it
+        status = Path("/proc/self/status").read_text(encoding="ascii")
+        peak_kib = float(status.partition("VmHWM:")[2].split()[0])
+    _log.info(USAGE, peak_kib * 1024 / 1e6, usage.ru_utime + usage.ru_stime)
 
 
 def _report(
