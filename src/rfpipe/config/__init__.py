@@ -15,8 +15,9 @@ from rfpipe.config.files import (
     parse_config,
     parse_rig_config,
 )
-from rfpipe.config.model import Config, NumberFormat, StorageConfig
+from rfpipe.config.model import Config
 from rfpipe.config.offline import OfflineConfig
+from rfpipe.config.processing import NumberFormat, StorageConfig
 from rfpipe.config.reading import read_yaml
 from rfpipe.config.scenes import SceneSettings
 
