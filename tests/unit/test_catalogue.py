@@ -80,6 +80,7 @@ def test_the_page_tells_states_sorts_and_filters(chromium: Any, listed: Path) ->
     assert "the lamp <went> out; mend it" in states[1]
     assert "level 0 is captured" in states[3]
     assert cells(page, 5) == ["59", "", "", "", ""]
+    assert float(cells(page, 7)[0]) > 0  # MB
     assert page.evaluate("document.querySelector('img').naturalWidth") == 8
     link = page.evaluate("document.querySelector('tbody a').href")
     assert link == f"file://{listed.parents[1]}/report/view/done_hadamard.html"
