@@ -69,8 +69,8 @@ onstart:
 
 onsuccess:
     print("rfpipe: done.")
-    list_collection()
     notify(SETTINGS.notify, "done", log[0])
+    list_collection()
 
 
 onerror:
@@ -79,5 +79,5 @@ onerror:
         "detail, in the .log file beside its results. What was captured is kept: the next run goes "
         "on from there."
     )
-    list_collection()
     notify(SETTINGS.notify, "failed", log[0])
+    list_collection()

@@ -33,8 +33,8 @@ class Item:
     state : {"waiting", "running", "stopped", "failed", "done"}
     why : str
         Of one that failed, the message; of one that runs or was stopped, how far it came.
-    patterns, levels : int or None
-        Shown, and of the transport.
+    patterns : int or None
+        Shown.
     error : float or None
         Mean relative error of relit pictures against the truth, where that is known.
     estimate : float or None
@@ -52,7 +52,6 @@ class Item:
     state: State = "waiting"
     why: str = ""
     patterns: int | None = None
-    levels: int | None = None
     error: float | None = None
     estimate: float | None = None
     verified: float | None = None
@@ -127,11 +126,9 @@ def _read_figures(item: Item, folder: Path) -> None:
     """Read what the stages left; what is missing or damaged stays unknown."""
     acquired = _manifest(folder / "transport.json")
     item.patterns = acquired.get("patterns")
-    item.nbytes = acquired.get("bytes")
-    item.levels = len(acquired.get("levels", ())) or None
     item.verified = _manifest(folder / "verification.json").get("mean_error")
     item.error = _mean_error(folder / "relight.json")
-    item.estimate = _estimate(folder / "transport.zarr")
+    _read_transport(item, folder / "transport.zarr")
     item.seconds = _seconds(folder / "acquire.benchmark.tsv")
 
 
@@ -157,15 +154,17 @@ def _mean_error(manifest: Path) -> float | None:
     return sum(relative_rms(relit, truth) for relit, truth in pairs) / len(pairs)
 
 
-def _estimate(store: Path) -> float | None:
+def _read_transport(item: Item, store: Path) -> None:
     from rfpipe.transport import open_transport
     from rfpipe.transport.history import estimates
 
     try:
-        steps = estimates(open_transport(store).level_rows)
+        transport = open_transport(store)
+        item.nbytes, rows = transport.nbytes, transport.level_rows
     except RfpipeError:
-        return None
-    return float(steps[-1]["estimated_error"]) if steps else None
+        return
+    steps = estimates(rows)
+    item.estimate = float(steps[-1]["estimated_error"]) if steps else None
 
 
 def _seconds(benchmark: Path) -> float | None:

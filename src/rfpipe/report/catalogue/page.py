@@ -69,6 +69,7 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
         title=Path(settings.collection).stem if settings.collection else settings.report.title,
         rows=rows,
         about=about,
+        shown=_told(rows),
         states=[(state, counts[state]) for state in _STATES if counts[state]],
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         seconds=sum(row["item"].seconds or 0 for row in rows),
@@ -95,6 +96,15 @@ def _row(settings: Config, results: Path, item: Item, *, picture: bool) -> dict[
         else None,
         "order": _STATES.index(item.state),
     }
+
+
+def _told(rows: list[dict[str, Any]]) -> dict[str, bool]:
+    """Return which columns have anything to tell."""
+    figures = {
+        name: any(getattr(row["item"], name) is not None for row in rows)
+        for name in ("error", "estimate", "verified")
+    }
+    return {**figures, "rig": any(row["rig"] for row in rows)}
 
 
 def _known(path: Path) -> dict[str, Any]:
