@@ -186,6 +186,9 @@ def main() -> None:
 
     given = sys.argv[1:]
     rounds, folders = (given[0], given[1:]) if given and given[0].isdigit() else ("3", given)
+    if not folders:  # as `make bench` calls it
+        print("name acquisitions by symmetric with raw exposures: results/SCENE/symmetric")
+        return
     rows: list[dict[str, Any]] = []
     with LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster:
         ways = {
