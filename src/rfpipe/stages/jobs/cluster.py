@@ -107,8 +107,8 @@ class _Promise:
             try:
                 return self.future.result(timeout=_LOOK_SECONDS)
             except TimeoutError:
-                if self.future.done():  # the work's own
-                    raise
+                if self.future.done():  # meanwhile; what it raises is the work's own
+                    return self.future.result()
             except (KilledWorker, CancelledError) as error:
                 self.cluster.must_be_there(monotonic())
                 raise ClusterError(

@@ -31,7 +31,7 @@ SHAPELESS = (
     "rfpipe.stages.jobs.sent",
     "rfpipe.stages.jobs.workers",
 )
-"""Modules that shape no result: they say what happens and where, check settings whose values a
+"""Modules that shape no result: they say what happens, or where, check settings whose values a
 stage is given and made from, or find what is named, which counts itself."""
 
 MERGED_WITH = "rfpipe.stages.capturing.sensors"
