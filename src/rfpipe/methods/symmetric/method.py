@@ -12,7 +12,7 @@ from pydantic import Field
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
-from rfpipe.conflicts import colour, conflict_graph
+from rfpipe.conflicts import colour_apart, conflict_graph
 from rfpipe.methods.base import (
     MEMORY_BYTES,
     TOLERANCES,
@@ -141,7 +141,7 @@ class Symmetric(Descent[SymmetricState]):
         pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
         if len(blocks):
             graph = conflict_graph(len(blocks), index[: len(first)], index[len(first) :])
-            pattern_of_block[blocks] = colour(graph, apart=2)
+            pattern_of_block[blocks] = colour_apart(graph)
         lit = pattern_of_block[tree.block_of_position(level)] >= 0
         return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | state.dark).all()))
 
