@@ -13,7 +13,7 @@ _NONE = -1
 
 
 @numba.njit(cache=True, nogil=True)
-def by_saturation(row_starts, blocks, block_starts, rows, others):  # type: ignore[no-untyped-def]
+def by_saturation(row_starts, blocks, block_starts, rows):  # type: ignore[no-untyped-def]
     """Colour blocks one by one, always one next to which most colours stand already [DSATUR].
 
     Of those with equally many, the one whose rows see most others; it gets the first colour that
@@ -25,8 +25,6 @@ def by_saturation(row_starts, blocks, block_starts, rows, others):  # type: igno
         The blocks that each row sees.
     block_starts, rows : int32 (n + 1,), (nnz,)
         The rows that see each block.
-    others : float64 (n,)
-        How many blocks each block's rows see.
 
     Returns
     -------
@@ -34,12 +32,13 @@ def by_saturation(row_starts, blocks, block_starts, rows, others):  # type: igno
         Colours 0, 1, ...
     """
     n = len(block_starts) - 1
+    others = _seen_beside(row_starts, block_starts, rows)
     colours = np.full(n, _NONE, np.int32)
     beside = np.zeros((n, 1), np.uint64)  # one bit a colour that stands next to a block
     saturation = np.zeros(n, np.int64)
     # blocks of one saturation form a list; those of none are taken by `others`
     latest, after, before = np.full(n + 1, _NONE), np.full(n, _NONE), np.full(n, _NONE)
-    unsaturated, taken, most = np.argsort(-others), 0, 0
+    unsaturated, taken, most = np.argsort(-others, kind="mergesort"), 0, 0
     for _ in range(n):
         while most > 0 and latest[most] == _NONE:
             most -= 1
@@ -71,6 +70,16 @@ def by_saturation(row_starts, blocks, block_starts, rows, others):  # type: igno
                 latest[level] = other
                 most = max(most, level)
     return colours
+
+
+@numba.njit(cache=True)
+def _seen_beside(row_starts, block_starts, rows):  # type: ignore[no-untyped-def]
+    """Count the other blocks that each block's rows see."""
+    others = np.zeros(len(block_starts) - 1, np.int64)
+    for block in range(len(others)):
+        for row in rows[block_starts[block] : block_starts[block + 1]]:
+            others[block] += row_starts[row + 1] - row_starts[row] - 1
+    return others
 
 
 @numba.njit(cache=True)

@@ -176,17 +176,19 @@ def _by_rows(sees: csc_array) -> Colours:
     # first fit over the columns of a sparse matrix, for groups of columns of a Jacobian; it has
     # no public name
     from scipy.optimize._numdiff import group_columns
+    from scipy.sparse import csc_array
 
     from rfpipe.colouring_kernels import by_saturation
 
+    # which blocks are seen is all that counts: their values take a byte each
+    sees = csc_array((np.ones(sees.nnz, np.int8), sees.indices, sees.indptr), shape=sees.shape)
     by_row = sees.tocsr()
-    seen_by_row = np.diff(by_row.indptr)
-    column = np.repeat(np.arange(sees.shape[1]), np.diff(sees.indptr))
-    others = np.bincount(column, seen_by_row[sees.indices] - 1, sees.shape[1])
-    colours = by_saturation(by_row.indptr, by_row.indices, sees.indptr, sees.indices, others)
+    largest = np.diff(by_row.indptr).max()
+    colours = by_saturation(by_row.indptr, by_row.indices, sees.indptr, sees.indices)
+    del by_row
     fewest, in_vain, random = int(colours.max()) + 1, 0, generator(0)
     for order in cycle(("last", "largest", "any")):
-        if fewest <= seen_by_row.max() or in_vain == _IN_VAIN:
+        if fewest <= largest or in_vain == _IN_VAIN:
             break
         if order == "last":
             rank = np.arange(fewest)[::-1]

@@ -124,6 +124,9 @@ class _Opened(Mapping[str, NDArray[Any]]):
         with advice_on_damage(self.manifest):
             return self.bundle.read(name)
 
+    def __contains__(self, name: object) -> bool:
+        return name in self.bundle.names  # whether there is one is known without reading it
+
     def __iter__(self) -> Iterator[str]:
         return iter(self.bundle.names)
 
