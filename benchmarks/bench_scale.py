@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -58,17 +59,18 @@ def fits(measured: pd.DataFrame) -> pd.DataFrame:
 
 def _power(some: pd.DataFrame, quantity: str) -> dict[str, float]:
     """Fit a power of the rays, each group with a factor of its own; nothing of single sizes."""
-    x, y = np.log(some["rays"].astype(float)), np.log(some[quantity].astype(float))
+    logs: Any = np.log(some[["rays", quantity]].astype(float))
+    x, y = logs["rays"], logs[quantity]
     dx, dy = (v - v.groupby(some["group"]).transform("mean") for v in (x, y))
     if not (dx**2).sum() > 0:
         return {}
     power = float((dx * dy).sum() / (dx**2).sum())
     alone = [
         float((dx[part] * dy[part]).sum() / (dx[part] ** 2).sum())
-        for part in some.groupby("group").groups.values()
+        for part in (some["group"] == group for group in some["group"].unique())
         if (dx[part] ** 2).sum() > 0
     ]
-    last = some["group"] == some.loc[some["rays"].idxmax(), "group"]
+    last = some["group"] == some["group"].iloc[int(np.argmax(some["rays"]))]
     factor = float(np.exp((y - power * x)[last].mean()))
     return {"power": power, "factor": factor, "low": min(alone), "high": max(alone)}
 
@@ -89,7 +91,7 @@ def predicted(found: pd.DataFrame, method: str, quantity: str, rays: float) -> f
     rows = found[found["method"] == method].set_index("quantity")
     if quantity not in rows.index:
         return float("nan")
-    row = rows.loc[quantity]
+    row: Any = rows.loc[quantity]
     value = float(row["factor"] * rays ** row["power"])
     if quantity == "processing_s":
         return value * predicted(found, method, "patterns", rays)
@@ -101,6 +103,7 @@ def table(found: pd.DataFrame, rays: list[float], scenes: float) -> str:
     head = [f"{each:,.0f} rays" for each in rays] + [f"{scenes:,.0f} scenes of {rays[0]:,.0f}"]
     titles = ["method", "quantity", "fit (range)", "measured up to", *head]
     lines = [f"| {' | '.join(titles)} |", "|" + "---|" * len(titles)]
+    row: Any
     for row in found.itertuples():
         values = [predicted(found, row.method, row.quantity, each) for each in rays]
         # scenes come one after the other: their memory doesn't add up
@@ -130,6 +133,7 @@ def draw(measured: pd.DataFrame, found: pd.DataFrame, most: float) -> None:
 
     from rfpipe.methods import get_method
 
+    row: Any
     figure, axes = plt.subplots(2, 2, figsize=(10, 7), layout="constrained")
     for axis, quantity, name in zip(axes.ravel(), QUANTITIES, NAMES, strict=True):
         for row in found[found["quantity"] == quantity].itertuples():
