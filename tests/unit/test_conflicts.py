@@ -2,13 +2,30 @@
 
 import numpy as np
 import pytest
+from scipy.sparse import coo_array
 
-from rfpipe.conflicts import colour, conflict_graph, square
+from rfpipe import conflicts
+from rfpipe.conflicts import colour_apart, colour_seen, conflict_graph, square
 
 
 def graph_of(n_blocks: int, *edges: tuple[int, int]):
     first, second = np.array(edges, np.int64).reshape(-1, 2).T
     return conflict_graph(n_blocks, first, second)
+
+
+def seen_in_pairs(n_blocks: int, *edges: tuple[int, int]):
+    """Return who sees which blocks: each edge's two ends are seen by one row."""
+    first, second = np.array(edges, np.int64).reshape(-1, 2).T
+    rows = np.tile(np.arange(len(first)), 2)
+    ones = np.ones(2 * len(first), np.bool_)
+    both = (rows, np.concatenate([first, second]))
+    return coo_array((ones, both), shape=(len(first), n_blocks)).tocsr()
+
+
+@pytest.fixture(params=[2**22, 0], ids=["edges", "no edges"])
+def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Colour small graphs, too, as those are coloured whose edges are never written out."""
+    monkeypatch.setattr(conflicts, "_MOST_EDGES", request.param)
 
 
 def test_repeats_and_self_conflicts_drop_out() -> None:
@@ -24,25 +41,54 @@ def test_square_of_a_path_joins_next_neighbours_but_one() -> None:
     np.testing.assert_array_equal(squared, ((distance > 0) & (distance <= 2)).astype(np.int32))
 
 
+@pytest.mark.usefixtures("either_way")
 def test_a_complete_graph_takes_as_many_colours_as_blocks() -> None:
     edges = [(i, j) for i in range(7) for j in range(i)]
-    assert sorted(colour(graph_of(7, *edges)).tolist()) == list(range(7))
+    assert sorted(colour_seen(seen_in_pairs(7, *edges)).tolist()) == list(range(7))
+    assert sorted(colour_apart(graph_of(7, *edges)).tolist()) == list(range(7))
 
 
+@pytest.mark.usefixtures("either_way")
 @pytest.mark.parametrize(("n_blocks", "colours"), [(0, []), (1, [0]), (3, [0, 0, 0])])
 def test_blocks_without_conflicts_share_one_colour(n_blocks: int, colours: list[int]) -> None:
-    assert colour(graph_of(n_blocks)).tolist() == colours
+    assert colour_seen(seen_in_pairs(n_blocks)).tolist() == colours
+    assert colour_apart(graph_of(n_blocks)).tolist() == colours
 
 
+@pytest.mark.usefixtures("either_way")
 def test_an_even_ring_takes_two_colours_and_an_odd_one_three() -> None:
     for length, expected in ((8, 2), (9, 3)):
         ring = [(block, (block + 1) % length) for block in range(length)]
-        assert colour(graph_of(length, *ring)).max() + 1 == expected
+        assert colour_seen(seen_in_pairs(length, *ring)).max() + 1 == expected
 
 
+@pytest.mark.usefixtures("either_way")
+def test_a_star_takes_a_colour_for_each_of_its_blocks() -> None:
+    """Its middle sees them all."""
+    star = [(0, block) for block in range(1, 6)]
+    assert sorted(colour_apart(graph_of(6, *star)).tolist()) == list(range(6))
+    assert colour_seen(seen_in_pairs(6, *star)).max() + 1 == 2
+
+
+@pytest.mark.usefixtures("either_way")
 def test_colouring_is_the_same_every_time() -> None:
     random = np.random.default_rng(0)
     edges = random.integers(0, 60, (400, 2))
-    first = colour(conflict_graph(60, *edges.T))
-    np.testing.assert_array_equal(first, colour(conflict_graph(60, *edges.T)))
-    np.testing.assert_array_equal(first, colour(conflict_graph(60, *edges[::-1].T)))
+    first = colour_apart(conflict_graph(60, *edges.T))
+    np.testing.assert_array_equal(first, colour_apart(conflict_graph(60, *edges.T)))
+    np.testing.assert_array_equal(first, colour_apart(conflict_graph(60, *edges[::-1].T)))
+
+
+def test_colours_of_large_graphs_are_near_those_of_small_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A plane's blocks that see their neighbours at most four away, as inter-reflection joins."""
+    at = np.indices((24, 24)).reshape(2, -1)
+    near = np.hypot(*(at[:, :, None] - at[:, None])) <= 4
+    graph = conflict_graph(len(near), *np.nonzero(near))
+    by_library = colour_apart(graph)
+    monkeypatch.setattr(conflicts, "_MOST_EDGES", 0)
+    found = colour_apart(graph)
+    row, column = square(graph).nonzero()
+    assert (found[row] != found[column]).all()
+    assert found.max() <= 1.02 * by_library.max()

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
-from rfpipe.conflicts import colour, conflict_graph
+from rfpipe.conflicts import colour_seen
 from rfpipe.methods.base import (
     MEMORY_BYTES,
     TOLERANCES,
@@ -333,11 +333,10 @@ def coloured_blocks(frontier: PairSet, pixels: int) -> tuple[Index, NDArray[np.i
         The frontier's blocks, ascending.
     colours : ndarray of int32, shape (n,)
     """
-    from scipy.sparse import coo_array, triu
+    from scipy.sparse import coo_array
 
     blocks, column = np.unique(frontier.block, return_inverse=True)
     sees = coo_array(
         (np.ones(len(column), np.bool_), (frontier.pixel, column)), shape=(pixels, len(blocks))
     ).tocsr()
-    shared = triu(sees.T @ sees, k=1).tocoo()
-    return blocks.astype(np.int64), colour(conflict_graph(len(blocks), shared.row, shared.col))
+    return blocks.astype(np.int64), colour_seen(sees)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -180,13 +180,33 @@ def appended(before: S | None, more: S) -> S:
     return more if before is None else joined([before, more], axis=0)
 
 
-def unprefixed(prefix: str, arrays: Arrays) -> dict[str, NDArray[Any]]:
-    """Return the arrays whose names begin with a prefix, by the rest of their names."""
-    return {
-        name.removeprefix(prefix): array
-        for name, array in arrays.items()
-        if name.startswith(prefix)
-    }
+def unprefixed(prefix: str, arrays: Arrays) -> Arrays:
+    """Return the arrays whose names begin with a prefix, by the rest of their names.
+
+    Those of a store are read only where they are asked for.
+    """
+    names = {name.removeprefix(prefix): name for name in arrays if name.startswith(prefix)}
+    return _Renamed(names, arrays)
+
+
+@dataclass(frozen=True)
+class _Renamed(Mapping[str, NDArray[Any]]):
+    """Some of the arrays of a mapping, by other names."""
+
+    names: Mapping[str, str]
+    arrays: Arrays
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self.arrays[self.names[name]]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
 
 
 def _held(group: Any) -> dict[str, NDArray[Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import DamagedStageError, IntegrityError, StoreError
 from rfpipe.keys import VERIFICATION_KEY
-from rfpipe.store import FrameStore, open_arrays, read_manifest
+from rfpipe.store import ArrayBundle, FrameStore, open_arrays, read_manifest
 from rfpipe.store.places import Place
 
 __all__ = [
@@ -86,12 +86,19 @@ class AcquisitionFolder:
         DamagedStageError
             When the store is damaged or missing, or isn't the manifest's.
         """
+        arrays, attributes = self.open(level, stage, part)
+        return dict(arrays), attributes
+
+    def open(
+        self, level: int, stage: str, part: str | None = None
+    ) -> tuple[Mapping[str, NDArray[Any]], dict[str, Any]]:
+        """Return what `read` does, with each array read, and checked, when it is asked for."""
         manifest = self.manifest(level, stage)
         expected = read_manifest(manifest)
         with advice_on_damage(manifest):
             bundle = open_arrays(self.store(level, part or stage))
             _check_digest(bundle.path, bundle.digest, expected[part] if part else expected)
-            return bundle.read_all(), bundle.attributes
+        return _Opened(bundle, manifest), bundle.attributes
 
     @contextmanager
     def frames(self, level: int, stage: str, part: str | None = None) -> Iterator[FrameStore]:
@@ -102,6 +109,29 @@ class AcquisitionFolder:
         with advice_on_damage(manifest), FrameStore.open(path) as frames:
             _check_digest(path, frames.digest(), expected[part] if part else expected)
             yield frames
+
+
+@dataclass(frozen=True)
+class _Opened(Mapping[str, NDArray[Any]]):
+    """The arrays of a store, by name; whoever asks for a damaged one is told how to mend it."""
+
+    bundle: ArrayBundle
+    manifest: Path
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self.bundle.names:
+            raise KeyError(name)
+        with advice_on_damage(self.manifest):
+            return self.bundle.read(name)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.bundle.names  # whether there is one is known without reading it
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.bundle.names)
+
+    def __len__(self) -> int:
+        return len(self.bundle.names)
 
 
 def name_of(level: int) -> str:

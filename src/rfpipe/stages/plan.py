@@ -54,6 +54,7 @@ class Plan:
         self.options = options_of(named, **(options or {}))
         self.method: Method[Any] = named.with_options(self.options)
         self._carried: tuple[int, Any] | None = None
+        self._restored: tuple[list[str], Any] | None = None
 
     @property
     def n_levels(self) -> int:
@@ -67,14 +68,18 @@ class Plan:
 
     def settle(self, method: Method[Any]) -> None:
         """Go on by the method that a choice has come to, which takes the same options."""
-        self.method, self._carried = method.with_options(self.options), None
+        self.method = method.with_options(self.options)
+        self._carried = self._restored = None
 
     def carry(self, level: int, state: Any) -> None:
         """Keep the method's state before a level for `state_before`; None for one to restore."""
         self._carried = None if state is None else (level, state)
+        self._restored = None
 
     def state_before(self, folder: AcquisitionFolder, level: int) -> Any:
         """Return the method's state before a level: carried from the one above, or what all left.
+
+        It is restored once, and of what levels left only that is read which the state consists of.
 
         Raises
         ------
@@ -83,12 +88,15 @@ class Plan:
         """
         if self._carried and self._carried[0] == level:
             return self._carried[1]
-        packs = []
-        for above in range(level):
-            arrays, attributes = folder.read(above, "refine")
-            packs.append(Pack(arrays, attributes["state"]))
-        start = self.method.start(self.camera, self.projector, self.channels, self.options)
-        return self.method.restore(start, packs)
+        refined = [str(folder.path), *folder.refined_above(level)]
+        if self._restored is None or self._restored[0] != refined:
+            packs = []
+            for above in range(level):
+                arrays, attributes = folder.open(above, "refine")
+                packs.append(Pack(arrays, attributes["state"]))
+            start = self.method.start(self.camera, self.projector, self.channels, self.options)
+            self._restored = refined, self.method.restore(start, packs)
+        return self._restored[1]
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints."""

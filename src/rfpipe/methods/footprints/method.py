@@ -122,7 +122,7 @@ class Footprints(HeldOutMethod[FootprintState]):
         return replace(
             super()._restored(start, packs),
             pictures=Pictures.restored(packs),
-            model=unprefixed("model_", fitted[-1]) if fitted else None,
+            model=dict(unprefixed("model_", fitted[-1])) if fitted else None,
             found=candidates.Footprints(**unprefixed("found_", fitted[-1])) if fitted else None,
             dual=handover.restored(start, packs),
         )

@@ -34,19 +34,19 @@ class Evidence:
 
     Attributes
     ----------
-    light : ndarray of float32, shape (N, M + 1)
-        ``F p`` of each pattern, and of full light.
-    dark, lit, seen_dark, seen_lit : ndarray of float32, shape (N, M)
-        As `Observations` has them of patches.
+    factor : ndarray of float32, shape (N,)
+        F, the floodlit image.
+    pattern : ndarray of bool, shape (M, N)
+    weight, shown : ndarray of float32, shape (M, N)
+        Weights of pixels, and weighted sums of what they show, divided by F.
     indirect, floodlit : float
         See `Observations`.
     """
 
-    light: Float
-    dark: Float
-    lit: Float
-    seen_dark: Float
-    seen_lit: Float
+    factor: Float
+    pattern: NDArray[np.bool_]
+    weight: Float
+    shown: Float
     indirect: float
     floodlit: float
 
@@ -60,29 +60,27 @@ class Evidence:
         share : float
             Error of the model that is expected on a pixel, as a fraction of the floodlit image.
         """
-        factor = pictures.floodlit[0]
-        pattern = pictures.lit.T.astype(np.float32)
-        known = pictures.known
+        factor, known = pictures.floodlit[0], pictures.known
         direct = np.where(known, pictures.floodlit_variance[0], 0)  # else 0 times infinity
-        spread = pictures.variance[:, 0].T + pattern * direct[:, None]
-        spread = spread + np.square(share * factor)[:, None]
-        certainty = np.divide(1, spread, where=spread > 0, out=np.zeros_like(spread))
-        weight = certainty * np.square(factor)[:, None]
-        shown = (
-            certainty * factor[:, None] * (pictures.radiance[:, 0].T - pattern * factor[:, None])
-        )
-        dark = 1 - pattern
-        light = np.concatenate([pattern, np.ones_like(pattern[:, :1])], axis=1) * factor[:, None]
-        seen = pictures.radiance[:, 0].T * dark
+        wrong, squared = np.square(share * factor), np.square(factor)
+        weight, shown = (np.empty(pictures.lit.shape, np.float32) for _ in range(2))
+        # one picture at a time: all together take as much memory as all else
+        for index, (lit, variance, radiance) in enumerate(
+            zip(pictures.lit, pictures.variance[:, 0], pictures.radiance[:, 0], strict=True)
+        ):
+            spread = variance + lit * direct + wrong
+            certainty = np.divide(1, spread, where=spread > 0, out=np.zeros_like(spread))
+            weight[index] = certainty * squared
+            shown[index] = certainty * factor * (radiance - lit * factor)
         mean = float(factor.mean(dtype=np.float64))
-        pixels_dark = max(float(dark[known].sum(dtype=np.float64)), 1.0)
+        seen = pictures.radiance[:, 0].T * ~pictures.lit.T
+        pixels_dark = max(float(np.count_nonzero(~pictures.lit[:, known])), 1.0)
         indirect = 2 * float(seen.sum(dtype=np.float64)) / pixels_dark
         return cls(
-            light,
-            weight * dark,
-            weight * pattern,
-            shown * dark,
-            shown * pattern,
+            factor,
+            pictures.lit,
+            weight,
+            shown,
             max(indirect, 0.0) / mean if mean else 0.0,
             mean,
         )
@@ -148,17 +146,22 @@ class Observations:
 
     @classmethod
     def of(cls, patches: Patches, evidence: Evidence) -> Observations:
-        """Sum evidence over patches."""
-        together = patches.together
+        """Sum evidence over patches, one picture at a time."""
+        count = len(evidence.pattern)
+        light = np.empty((len(patches.basis), count + 1), np.float32)
+        dark, lit, seen_dark, seen_lit = (
+            np.empty((patches.together.shape[0], count), np.float32) for _ in range(4)
+        )
+        for index, pattern in enumerate(evidence.pattern):
+            light[:, index] = patches.basis.sums @ (pattern * evidence.factor)
+            weight, shown = evidence.weight[index], evidence.shown[index]
+            dark[:, index] = patches.together @ (weight * ~pattern)
+            lit[:, index] = patches.together @ (weight * pattern)
+            seen_dark[:, index] = patches.together @ (shown * ~pattern)
+            seen_lit[:, index] = patches.together @ (shown * pattern)
+        light[:, count] = patches.basis.sums @ evidence.factor
         return cls(
-            patches,
-            np.ascontiguousarray(patches.basis.sums @ evidence.light),
-            together @ evidence.dark,
-            together @ evidence.lit,
-            together @ evidence.seen_dark,
-            together @ evidence.seen_lit,
-            evidence.indirect,
-            evidence.floodlit,
+            patches, light, dark, lit, seen_dark, seen_lit, evidence.indirect, evidence.floodlit
         )
 
     @property

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
-from rfpipe.conflicts import colour, conflict_graph
+from rfpipe.conflicts import colour_apart, conflict_graph
 from rfpipe.methods.base import (
     MEMORY_BYTES,
     TOLERANCES,
@@ -137,11 +137,15 @@ class Symmetric(Descent[SymmetricState]):
             return Schedule.floodlit(state.tree.domain.shape)
         tree, level = state.tree, state.level
         _, first, second = child_pairs(tree, level - 1, state.frontier)
-        blocks, index = np.unique(np.concatenate([first, second]), return_inverse=True)
+        asked = np.zeros(tree.n_blocks(level), np.bool_)
+        asked[first] = asked[second] = True
         pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
-        if len(blocks):
-            graph = conflict_graph(len(blocks), index[: len(first)], index[len(first) :])
-            pattern_of_block[blocks] = colour(graph, apart=2)
+        if asked.any():
+            number = np.cumsum(asked, dtype=np.int32) - 1
+            first, second = number[first], number[second]
+            pattern_of_block[asked] = colour_apart(
+                conflict_graph(int(number[-1]) + 1, first, second)
+            )
         lit = pattern_of_block[tree.block_of_position(level)] >= 0
         return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | state.dark).all()))
 
