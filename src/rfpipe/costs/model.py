@@ -51,7 +51,7 @@ class Law:
 
     def __call__(self, samples: float) -> float:
         """Return what a job of pictures of so many samples takes."""
-        return self.constant + self.slope * samples**self.power
+        return self.constant + self.slope * float(samples**self.power)
 
 
 @dataclass(frozen=True)

@@ -130,7 +130,7 @@ def _about(facts: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _took(folder: Path, job: str) -> dict[str, float] | None:
+def _took(folder: Path, job: str) -> dict[str, Any] | None:
     """Return what a job took in all; None where it went on from another, or isn't known."""
     try:
         last = (folder / f"{job}.log").read_text(encoding="utf-8").splitlines()[-1]
