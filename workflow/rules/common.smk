@@ -188,7 +188,9 @@ def list_collection():
         return
     try:
         counts = write_catalogue(SETTINGS, Path("results"))
-    except RfpipeError as error:  # a page more or less changes nothing of how a run ended
+    except (
+        RfpipeError
+    ) as error:  # a page more or less changes nothing of how a run ended
         print(f"rfpipe: no catalogue: {error}")
         return
     said = ", ".join(f"{count} {state}" for state, count in counts.items() if count)

@@ -69,7 +69,7 @@ class JobCosts:
         seconds = _TIME_MARGIN * (self.predict("cpu_seconds", job, scene, name) or 0.0)
         if self._settings.capture.rig == "remote" and job in ("acquire", "verification"):
             seconds += 2 * self._forecast(scene, name).expected.seconds
-        return max(_LEAST_MINUTES, ceil(seconds / 60)) * _MORE_TIME ** (attempt - 1)
+        return int(max(_LEAST_MINUTES, ceil(seconds / 60)) * _MORE_TIME ** (attempt - 1))
 
     def disk_mb(self, scene: str, name: str) -> int:
         """Return what an acquisition leaves on the disk in MB, before compression."""

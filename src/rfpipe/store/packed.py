@@ -7,11 +7,12 @@ once; and unlike links, it stays so when the folder is copied, zipped or publish
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import IO, Any
 
 from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.store.files import storage_errors, write_atomically
@@ -179,6 +180,10 @@ class PackedPlace(Place):
                 f"{stored}: damaged, of {self.key}; copy or fetch {self.base} anew"
             )
         return content
+
+    def open(self) -> IO[bytes]:
+        """Open a file for reading, after its check."""
+        return io.BytesIO(self.read_bytes())
 
     def files(self) -> list[str]:
         """Keys, relative to this one, of all files in this folder."""
