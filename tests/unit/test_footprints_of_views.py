@@ -94,6 +94,32 @@ def test_parts_and_both_ways_of_footprints() -> None:
     assert not is_symmetric(Found(keys[3:], found.variance[3:], found.weights[3:]), 6)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_parts_and_both_ways_are_those_of_matrices(seed: int) -> None:
+    random, views, rays = np.random.default_rng(seed), 3, 4
+    known = random.random((views * rays,) * 2) < 0.3
+    known[-rays:] &= seed > 0  # a view that sees nothing
+    weights = known * random.integers(0, 3, known.shape).astype(np.float32)
+    variance = known * random.random(known.shape, np.float32)
+    keys = np.flatnonzero(known)
+    found = Found(keys, variance.ravel()[keys], weights.ravel()[keys])
+    parts = split(found, views, rays)
+    for view, part in enumerate(parts):
+        own = np.s_[:, view * rays : (view + 1) * rays]
+        np.testing.assert_array_equal(part.keys, np.flatnonzero(known[own]))
+        np.testing.assert_array_equal(part.variance, variance[own][known[own]])
+    again = joined(parts, rays)
+    for name in ("keys", "variance", "weights"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
+    wider, either = with_other_way(found, views * rays), known | (weights.T > 0)
+    np.testing.assert_array_equal(wider.keys, np.flatnonzero(either))
+    np.testing.assert_array_equal(wider.weights, weights[either])
+    np.testing.assert_array_equal(wider.variance, np.maximum(variance, variance.T)[either])
+    np.testing.assert_array_equal(
+        averaged(found, views * rays).weights, ((weights + weights.T) / 2)[either]
+    )
+
+
 def test_functions_on_a_chart_are_those_of_an_image_where_rays_are_its_pixels() -> None:
     shape = (12, 20)
     functions = np.concatenate(

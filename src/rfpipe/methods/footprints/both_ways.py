@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpipe.methods.footprints.candidates import Footprints, reweighted
+from rfpipe.methods.footprints.kernels import united
 from rfpipe.methods.footprints.series import Series
-from rfpipe.methods.footprints.typed import Float, Int64, distinct
+from rfpipe.methods.footprints.typed import Float, Int64
 
 __all__ = ["averaged", "is_symmetric", "joined", "reconciled", "split", "with_other_way"]
 
@@ -38,28 +39,30 @@ def joined(parts: list[Footprints], rays: int) -> Footprints:
     views = len(parts)
     if views == 1:
         return parts[0]
-    keys = [
-        part.keys // rays * (rays * views) + view * rays + part.keys % rays
-        for view, part in enumerate(parts)
-    ]
-    together = np.concatenate(keys)
-    order = np.argsort(together)
-    variance, weights = (
-        np.concatenate([getattr(part, name) for part in parts])[order]
-        for name in ("variance", "weights")
-    )
-    return Footprints(together[order], variance, weights)
+    pixels = 1 + max((int(part.keys[-1]) // rays for part in parts if len(part.keys)), default=-1)
+    starts = [part.starts(pixels, rays) for part in parts]
+    begins = np.sum(starts, axis=0)[:-1]
+    keys = np.empty(sum(len(part.keys) for part in parts), np.int64)
+    variance, weights = np.empty(len(keys), np.float32), np.empty(len(keys), np.float32)
+    for view, (part, first) in enumerate(zip(parts, starts, strict=True)):
+        pixel = part.keys // rays
+        place = np.arange(len(pixel)) + (begins - first[:-1])[pixel]
+        keys[place] = part.keys + (pixel * (views - 1) + view) * rays
+        variance[place], weights[place] = part.variance, part.weights
+        begins = begins + np.diff(first)
+    return Footprints(keys, variance, weights)
 
 
 def split(found: Footprints, views: int, rays: int) -> list[Footprints]:
     """Return the footprints on each of a projector's views, of so many rays each."""
     if views == 1:
         return [found]
-    pixel, ray = np.divmod(found.keys, views * rays)
+    of_view = (found.keys % (views * rays) // rays).astype(np.int16)
     parts = []
     for view in range(views):
-        own = ray // rays == view
-        keys = pixel[own] * rays + ray[own] % rays
+        own = of_view == view
+        keys = found.keys[own]
+        keys -= (keys // (views * rays) * (views - 1) + view) * rays
         parts.append(Footprints(keys, found.variance[own], found.weights[own]))
     return parts
 
@@ -97,19 +100,9 @@ def reconciled(series: tuple[Series, ...], found: Footprints, indirect: list[Flo
 
 
 def _both_ways(found: Footprints, rays: int) -> _Ways:
-    pixel, ray = np.divmod(found.keys, rays)
-    back = ray * rays + pixel
+    back = found.keys % rays
+    back *= rays
+    back += found.keys // rays
     order = np.argsort(back)
-    back = back[order]
-    keys = distinct(np.concatenate([found.keys, back[found.weights[order] > 0]]))
-
-    def looked_up(own: Int64, values: Float) -> Float:
-        found = np.zeros(len(keys), np.float32)
-        place = np.searchsorted(keys, own)
-        there = (place < len(keys)) & (keys[np.minimum(place, len(keys) - 1)] == own)
-        found[place[there]] = values[there]
-        return found
-
-    there, other = looked_up(found.keys, found.weights), looked_up(back, found.weights[order])
-    variance = looked_up(found.keys, found.variance), looked_up(back, found.variance[order])
-    return _Ways(keys, there, other, np.maximum(*variance))
+    own, other = (found.keys, found.weights, found.variance), (found.weights, found.variance)
+    return _Ways(*united(*own, back[order], *(each[order] for each in other)))

@@ -250,3 +250,51 @@ def correlate_one_way(first: Int32, second: Int32, seen: Float, light: Float, ou
         for m in range(light.shape[1]):
             total += seen[first[pair], m] * light[second[pair], m]
         out[pair] = total
+
+
+@njit(cache=True, nogil=True)
+def united(
+    own: Int64, weights: Float, variance: Float, back: Int64, other: Float, spread: Float
+) -> tuple[Int64, Float, Float, Float]:
+    """Return candidates of two lists of ascending keys, and what each list has of them.
+
+    Parameters
+    ----------
+    own, weights, variance : ndarray, shape (n,)
+        The first list; all of its candidates count.
+    back, other, spread : ndarray, shape (m,)
+        The second; those that only it has count where their weight is above 0.
+
+    Returns
+    -------
+    keys : ndarray of int64, ascending
+    first, second : ndarray of float32
+        Weights of either list, 0 where it lacks the candidate.
+    largest : ndarray of float32
+        The larger variance.
+    """
+    count = len(own)
+    place = 0
+    for index in range(len(back)):
+        while place < len(own) and own[place] < back[index]:
+            place += 1
+        if other[index] > 0 and (place == len(own) or own[place] != back[index]):
+            count += 1
+    keys = np.empty(count, np.int64)
+    first, second = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    largest = np.zeros(count, np.float32)
+    a, b, at = 0, 0, 0
+    while at < count:
+        ahead = a < len(own) and (b == len(back) or own[a] <= back[b])
+        if not ahead and other[b] <= 0:
+            b += 1
+            continue
+        keys[at] = own[a] if ahead else back[b]
+        if b < len(back) and back[b] == keys[at]:
+            second[at], largest[at] = other[b], spread[b]
+            b += 1
+        if ahead:
+            first[at], largest[at] = weights[a], max(largest[at], variance[a])
+            a += 1
+        at += 1
+    return keys, first, second, largest

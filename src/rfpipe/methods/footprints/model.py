@@ -10,6 +10,7 @@ footprints on each. Where cameras share these rays, both ways are one and the sa
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -108,7 +109,7 @@ def find(
     camera: RayDomain,
     projector: RayDomain,
     grey: tuple[Series, ...],
-    channels: list[tuple[Series, ...]],
+    channels: Iterable[tuple[Series, ...]],
     before: Footprints | None,
     passes: int,
 ) -> Model:
@@ -119,7 +120,8 @@ def find(
     camera, projector : RayDomain
     grey : tuple of Series
         The sum of the channels: pictures of patterns on each of the projector's views.
-    channels : list of tuple of Series
+    channels : iterable of tuple of Series
+        Each is fitted before the next is asked for; empty where the sum is the only channel.
     before : Footprints or None
         As an earlier model's `Model.grey`; None at first.
     passes : int
@@ -147,9 +149,8 @@ def find(
         if number or not fresh:
             parts = [pruned(each, part) for each, part in zip(grey, parts, strict=True)]
     found, exchange = _settled(grey, joined(parts, rays), exchange)
-    if len(channels) == 1:
-        return Model(found, (Channel(found, exchange),))
-    return Model(found, tuple(_of_channel(each, grey, found, exchange) for each in channels))
+    fitted = tuple(_of_channel(each, grey, found, exchange) for each in channels)
+    return Model(found, fitted or (Channel(found, exchange),))
 
 
 def _density(camera: RayDomain, rays: int, series: Series) -> float:

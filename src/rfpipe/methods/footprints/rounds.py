@@ -99,8 +99,9 @@ def refine(state: FootprintState, images: LevelImages) -> FootprintState:
     pictures = state.pictures.extended(lit[first:], radiance[first:], variance[first:])
     unit = _unit(pictures)
     views = state.projector.views
-    channels = [_series(pictures.channel(index), unit, views) for index in range(state.channels)]
-    grey = channels[0] if len(channels) == 1 else _series(pictures.grey(), unit, views)
+    own = range(state.channels if state.channels > 1 else 0)
+    channels = (_series(pictures.channel(index), unit, views) for index in own)
+    grey = _series(pictures.grey() if own else pictures.channel(0), unit, views)
     passes = _PASSES if state.found else _FIRST_PASSES
     model = find(state.camera, state.projector, grey, channels, state.found, passes)
     arrays = arrays_of_model(model, state.camera, state.projector, unit)

@@ -14,4 +14,6 @@ Int64 = NDArray[np.int64]
 def distinct(keys: Int64) -> Int64:
     """Return the distinct keys, ascending: of many, much faster than a table of hashes."""
     ordered = np.sort(keys)
-    return ordered[np.diff(ordered, prepend=-1) > 0]
+    is_new = np.ones(len(ordered), np.bool_)
+    np.not_equal(ordered[1:], ordered[:-1], out=is_new[1:])
+    return ordered[is_new]
