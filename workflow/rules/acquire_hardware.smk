@@ -23,17 +23,13 @@ rule acquire_hardware:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
+        **WHERE_THE_RIG_IS,
         rig=int(RIG_HELD),
         mem_mb=memory("acquire"),
         runtime=runtime("acquire"),
         disk_mb=disk,
         memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
-        # where the rig is, and how long to wait for it, shapes no result
-        rig_url=lambda wildcards: capture(wildcards).url,
-        rig_token_file=lambda wildcards: capture(wildcards).token_file or "",
-        rig_patience=lambda wildcards: str(capture(wildcards).patience_seconds),
-        rig_placing=lambda wildcards: capture(wildcards).placing or "",
     params:
         plan=plan,
         stages=stages,
@@ -56,16 +52,12 @@ rule verify_hardware:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
+        **WHERE_THE_RIG_IS,
         rig=1,
         mem_mb=memory("verification"),
         runtime=runtime("verification"),
         memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
-        # where the rig is, and how long to wait for it, shapes no result
-        rig_url=lambda wildcards: capture(wildcards).url,
-        rig_token_file=lambda wildcards: capture(wildcards).token_file or "",
-        rig_patience=lambda wildcards: str(capture(wildcards).patience_seconds),
-        rig_placing=lambda wildcards: capture(wildcards).placing or "",
     params:
         plan=plan,
         stages=verification,

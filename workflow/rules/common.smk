@@ -110,6 +110,16 @@ def camera(wildcards):
     return camera and plain(camera)
 
 
+# Where a real rig is, how long to wait for it and what puts a scene before it: resources, since it
+# shapes no result.
+WHERE_THE_RIG_IS = {
+    "rig_url": lambda wildcards: capture(wildcards).url,
+    "rig_token_file": lambda wildcards: capture(wildcards).token_file or "",
+    "rig_patience": lambda wildcards: str(capture(wildcards).patience_seconds),
+    "rig_placing": lambda wildcards: capture(wildcards).placing or "",
+}
+
+
 def simulated_rig(wildcards):
     """What else shapes the frames of a simulated rig."""
     return {

@@ -16,16 +16,13 @@ rule capture_level:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
+        **WHERE_THE_RIG_IS,
         rig=1,
         mem_mb=memory("acquire"),
         runtime=runtime("acquire"),
         disk_mb=disk,
         memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
-        # where the rig is, and how long to wait for it, shapes no result
-        rig_url=SETTINGS.capture.url,
-        rig_token_file=SETTINGS.capture.token_file or "",
-        rig_patience=str(SETTINGS.capture.patience_seconds),
     params:
         plan=plan,
         stages=stages,
@@ -51,14 +48,12 @@ checkpoint level:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
+        **WHERE_THE_RIG_IS,
         mem_mb=memory("acquire"),
         runtime=runtime("acquire"),
         disk_mb=disk,
         memory_gib=str(SETTINGS.resources.memory_gib),
         workers=SETTINGS.resources.workers,
-        rig_url=SETTINGS.capture.url,
-        rig_token_file=SETTINGS.capture.token_file or "",
-        rig_patience=str(SETTINGS.capture.patience_seconds),
     params:
         plan=plan,
         stages=stages,

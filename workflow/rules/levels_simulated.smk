@@ -24,11 +24,8 @@ checkpoint level:
         plan=plan,
         stages=stages,
         scene=scene_settings,
-        camera=SETTINGS.camera and plain(SETTINGS.camera),
-        rig={
-            "seed": SETTINGS.seed,
-            "seconds_per_pattern": SETTINGS.capture.seconds_per_pattern,
-        },
+        camera=camera,
+        rig=simulated_rig,
         until="refine",
     script:
         "../scripts/acquire_simulated.py"
