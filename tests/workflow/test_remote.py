@@ -127,6 +127,16 @@ def test_a_server_killed_in_the_middle_of_a_level_is_waited_for(
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
 
+def test_levels_that_are_jobs_leave_the_rig_once_their_pictures_are_taken(
+    tmp_path: Path, server: Server, undisturbed: Workflow
+) -> None:
+    workflow = server.workflow(tmp_path / "run", resources={"jobs": "level"})
+    said = workflow.run(LONG)
+    assert [said.count(f"(Rule: {rule})") for rule in ("capture_level", "level")] == [1, 1]
+    assert server.status()["holder"] is None
+    assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
+
+
 def test_a_client_killed_in_the_middle_of_a_level_goes_on(
     tmp_path: Path, server: Server, undisturbed: Workflow
 ) -> None:
