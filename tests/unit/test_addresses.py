@@ -60,7 +60,10 @@ def test_no_error_shows_the_password_of_an_address() -> None:
         assert str(pickle.loads(pickle.dumps(error))) == str(error)
         assert "rig" in str(error)
     assert str(RfpipeError("https://host/a@b.zip: so it is")) == "https://host/a@b.zip: so it is"
-    with pytest.raises(RfpipeError) as caught, connected(f"tcp://otto:{SECRET}@127.0.0.1:9"):
+    with (
+        pytest.raises(RfpipeError) as caught,
+        connected(f"tcp://otto:{SECRET}@127.0.0.1:9", Path()),
+    ):
         pass
     assert "tcp://127.0.0.1:9; it should name no user" in str(caught.value)
     assert SECRET not in str(caught.value)

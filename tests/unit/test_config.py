@@ -381,7 +381,7 @@ def test_a_text_of_digits_stays_one(tmp_path: Path) -> None:
         ({"notify": "  "}, "notify is .*should name a program"),
         ({"capture": {"url": "http://host:99999"}}, "capture.url is .*port from 1 to 65535"),
         ({"capture": {"url": "http://host:0"}}, "capture.url is .*port from 1 to 65535"),
-        ({"resources": {"cluster": "tcp://host:70000"}}, "port from 1 to 65535"),
+        ({"resources": {"workers": "tcp://host:70000"}}, "port from 1 to 65535"),
     ],
 )
 def test_what_can_not_work_after_hours_is_found_before(data: object, expected: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -324,7 +325,9 @@ def test_a_job_says_why_it_ends_early(
     assert ("Traceback" in ended.stderr) == shows_where
     assert said in log.read_text()
     if "CaptureError" in failure:
-        assert ended.stderr == f"planes_i/dual/L02/merge: {said}\n"
+        first, usage = ended.stderr.splitlines()
+        assert first == f"planes_i/dual/L02/merge: {said}"
+        assert re.search(r": took at most [\d.]+ MB of memory, [\d.]+ s", usage)
         assert "Traceback" in log.read_text()
 
 

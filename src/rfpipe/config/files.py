@@ -15,7 +15,7 @@ from rfpipe.config.collection import Gathered, check_files, gather
 from rfpipe.config.devices import BenchConfig, RigConfig
 from rfpipe.config.drivers import ProjectorDriver
 from rfpipe.config.model import Config
-from rfpipe.config.problems import explained, shown
+from rfpipe.config.problems import located, shown
 from rfpipe.config.reading import read_yaml
 from rfpipe.config.schema import schema_of
 from rfpipe.errors import ConfigError
@@ -158,7 +158,7 @@ def _parsed(kind: type[_S], data: object, source: str, gathered: Gathered | None
     try:
         return kind.model_validate(dict(data))
     except ValidationError as error:
-        told = explained(kind, error, data)
+        told = located(kind, error, data)
         if gathered is not None and gathered.file is not None:
             raise ConfigError("\n".join(gathered.said(told, source))) from None
         raise ConfigError("\n".join(f"{source}: {line}" for _, line in told)) from None

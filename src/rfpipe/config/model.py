@@ -45,7 +45,7 @@ __all__ = [
 ]
 
 # Folders of a run's results that are no scene's.
-_OTHER_FOLDERS = {"bench", "catalogue", "recorded", "references", "report", "studies", "verified"}
+_OTHER_FOLDERS = {"catalogue", "references", "report", "studies", "verified"}
 
 # That verify what a real rig acquires.
 _VERIFICATION_PICTURES = 8
@@ -178,6 +178,13 @@ class Config(Settings):
     @cached_property
     def _by_overrides(self) -> dict[str, Config]:
         return {}
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy, which finds anew what is derived from the settings."""
+        copied = super().model_copy(update=update, deep=deep)
+        for name in ("_methods_by_scene", "_base", "_by_overrides", "acquisitions"):
+            copied.__dict__.pop(name, None)
+        return copied
 
     def of_scene(self, scene: str) -> Config:
         """Return the settings that hold for a scene alone: its own over its rig's over the run's.

@@ -14,13 +14,18 @@ from rfpipe.config.base import Described, SectionsOf, Settings
 from rfpipe.config.drivers import DeviceDriver
 from rfpipe.errors import InputError
 
-__all__ = ["explained", "field_at", "model_within", "shown"]
+__all__ = ["explained", "field_at", "located", "model_within", "shown"]
 
 
 Location = tuple[str | int, ...]
 
 
-def explained(
+def explained(kind: type[Settings], error: ValidationError, data: object) -> list[str]:
+    """Say every mistake in settings, a line each; parameters as of `located`."""
+    return [line for _, line in located(kind, error, data)]
+
+
+def located(
     kind: type[Settings], error: ValidationError, data: object
 ) -> list[tuple[Location, str]]:
     """Say every mistake in settings, a line each, with the location of the setting.

@@ -8,8 +8,6 @@ from collections.abc import Mapping, Sequence
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.transport.history import estimates
-
 if TYPE_CHECKING:
     from tqdm import tqdm
 
@@ -85,6 +83,9 @@ def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> No
     options : Options
         The method's; its ``target_error``, where it has one, is the error asked for.
     """
+    # the merge has progress, too, and nothing to do with transports
+    from rfpipe.transport.history import estimates
+
     found = estimates(level_rows)
     if found and found[-1]["level"] == level_rows[-1]["level"]:
         last = found[-1]

@@ -58,7 +58,9 @@ class Resources:
             When the environment variable `VARIABLE` says where to work, but no place.
         """
         resources = snakemake.resources
-        memory_gib = min(resources.mem_mib / 1024, float(resources.memory_gib))
+        memory_gib = resources.mem_mib / 1024
+        if "memory_gib" in resources.keys():  # noqa: SIM118 - Snakemake's resources are no mapping
+            memory_gib = min(memory_gib, float(resources.memory_gib))
         where = workers_from_environment() or resources.get("workers") or THREADS
         return cls(memory_gib, snakemake.threads, where)
 
