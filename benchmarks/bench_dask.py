@@ -1,12 +1,10 @@
-"""Measure where work inside a job is best done: threads, processes, or workers of dask.
+"""Measure where work inside a job is best done: threads, or workers of dask.
 
 Usage: ``python benchmarks/bench_dask.py [ROUNDS] FOLDER...``, each folder an acquisition by
-``symmetric`` that a run left with its raw exposures, ``results/{scene}/symmetric``. Four uses, each
-by two threads, two processes and two local dask workers, one after the other in each round; what
-a job pays, the start of processes and the connection to the scheduler, is in. ``nodes`` is a
-prototype of refine's node passes, which no stage offers: each worker takes half of a level's
-unknown nodes, its state restored beforehand. Writes results/bench/dask.csv: seconds of wall and
-processor of all processes, and their ratio to the threads of the same round, median and least.
+``symmetric`` that a run left with its raw exposures, ``results/{scene}/symmetric``. Each use by two
+threads and two local dask workers, one after the other in each round; what a job pays, the
+connection to the scheduler, is in. Writes results/bench/dask.csv: seconds of wall and processor of
+all processes, and their ratio to the threads of the same round, median and least.
 """
 
 from __future__ import annotations
@@ -16,8 +14,8 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
-from functools import cached_property, partial
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -27,18 +25,12 @@ import pandas as pd
 import psutil
 
 from rfpipe.export import relit_files
-from rfpipe.methods.symmetric.method import _limits, _refine_nodes
-from rfpipe.methods.symmetric.nodes import child_pairs, select
 from rfpipe.provenance import generator
 from rfpipe.stages import merge
 from rfpipe.stages.capturing.sensors import read_sensor
 from rfpipe.stages.evaluating.evaluate import errors_table
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.merge import MergedFrames
-from rfpipe.stages.merging.images import NormalizedImages
-from rfpipe.stages.normalize import read_normalization
-from rfpipe.stages.plan import Plan
 from rfpipe.stages.results import write_bundle
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import FrameStore, read_manifest
@@ -67,45 +59,6 @@ def nothing(first: int, _last: int) -> int:
     return first
 
 
-@dataclass(frozen=True)
-class NodePasses:
-    """Tests some of a level's unknown nodes: what `Symmetric.refine` does with all of them."""
-
-    folder: Path
-    level: int
-    shape: tuple[int, ...]
-    channels: int
-
-    def __call__(self, first: int, last: int) -> tuple[Any, ...]:
-        """Return what became of them."""
-        state, (schedule, normalization) = self.state, self.light
-        tree, level, nodes = state.tree, state.level, state.frontier
-        if last < 0:  # warm up
-            return ()
-        limits = _limits(state, tests=len(child_pairs(tree, level - 1, nodes)[0]))
-        with AcquisitionFolder(self.folder).frames(level, "merge") as merged:
-            images = NormalizedImages(schedule, MergedFrames(merged), normalization)
-            some = select(tree, level - 1, nodes, slice(first, last))
-            found = _refine_nodes(state, some, images, limits, 2**31)
-        return found.kept, found.found, found.children, found.smooth, found.subdivided
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out the state: each worker restores its own."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-    @cached_property
-    def state(self) -> Any:
-        """The method's state before the level."""
-        plan = Plan("symmetric", "symmetric", self.shape, self.shape, self.channels)
-        return plan.state_before(AcquisitionFolder(self.folder), self.level)
-
-    @cached_property
-    def light(self) -> tuple[Any, Any]:
-        """The level's schedule and its normalization."""
-        folder = AcquisitionFolder(self.folder)
-        return read_schedule(folder, self.level), read_normalization(folder, self.level)
-
-
 def merged_anew(folder: AcquisitionFolder, level: int, resources: Resources) -> None:
     """Merge a level's brackets."""
     FrameStore.discard(folder.store(level, "merge"))
@@ -113,19 +66,6 @@ def merged_anew(folder: AcquisitionFolder, level: int, resources: Resources) -> 
         read_sensor(folder), folder, level,
         saturation_fraction=0.98, mask_defects=True, code="", resources=resources,
     )  # fmt: skip
-
-
-def nodes_refined(work: NodePasses, resources: Resources) -> list[Any]:
-    """Refine a level's nodes: by threads in one pass, which has threads of its own."""
-    count = len(work.state.frontier)
-    halves = [(0, count // 2), (count // 2, count)]
-    if resources.where == "threads":
-        return [work(0, count)]
-    with resources.workers(1, work.folder) as workers:
-        list(workers.results(work, [(-1, -1)] * 4))
-        began = perf_counter(), cpu_seconds()
-        found = list(workers.results(work, halves))
-        return [perf_counter() - began[0], cpu_seconds() - began[1], found]
 
 
 def idle(folder: Path, resources: Resources) -> None:
@@ -164,7 +104,6 @@ def uses(source: Path, place: Path) -> Iterator[tuple[str, Use]]:
     relit = place / "errors" / "relight.json"
     write_bundle(relit, "", {**arrays, "floodlit_truth": images[0]}, facts)
     yield f"evaluate, {RUNS} runs", lambda resources: errors_table([relit] * RUNS, resources)
-    yield "nodes", partial(nodes_refined, NodePasses(place, level, shape, 3))
 
 
 def cpu_seconds() -> float:
@@ -193,7 +132,6 @@ def main() -> None:
     with LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster:
         ways = {
             "2 threads": Resources(threads=2),
-            "2 processes": Resources(threads=2, where="processes"),
             "2 dask workers": Resources(threads=2, where=cluster.scheduler_address),
         }
         for source in folders:
@@ -211,10 +149,8 @@ def measured(use: str, work: Use, ways: dict[str, Resources], rounds: int) -> li
     for turn in range(rounds + 1):
         for name, resources in ways.items():
             began = perf_counter(), cpu_seconds()
-            found = work(resources)
+            work(resources)
             took = perf_counter() - began[0], cpu_seconds() - began[1]
-            if use == "nodes" and isinstance(found, list) and len(found) == 3:
-                took = found[0], found[1]
             if turn:
                 seconds[name].append(took)
     reference = np.array(seconds["2 threads"])

@@ -50,11 +50,12 @@ class ResourcesConfig(Settings):
     )
     workers: str = Field(
         THREADS,
-        description="Where a job's work is done: threads of the job; processes of its machine; or "
-        "the workers of a dask scheduler, by its address, such as tls://host:8786, which must see "
-        "the results' folder under the same path. The environment variable RFPIPE_WORKERS goes "
-        "before it. docs/parallel.md tells what pays. Over plain tcp:// whoever reaches the "
-        "scheduler can run programs on all of these machines.",
+        description="Where work is done: threads of the job; processes of its machine, for whole "
+        "acquisitions by 'rfpipe acquire' alone, since they start for seconds; or the workers of "
+        "a dask scheduler, by its address, such as tls://host:8786, which must see the results' "
+        "folder under the same path. The environment variable RFPIPE_WORKERS goes before it. "
+        "docs/parallel.md tells what pays. Over plain tcp:// whoever reaches the scheduler can "
+        "run programs on all of these machines.",
     )
 
     jobs: Literal["acquisition", "level"] = Field(

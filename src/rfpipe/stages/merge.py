@@ -261,7 +261,7 @@ def _merge(
                 items_per_chunk=chunk,
                 chunks_per_file=run_chunks,
             ) as images,
-            resources.workers(work.bytes_in_hand, store.parent) as workers,
+            resources.within.workers(work.bytes_in_hand, store.parent) as workers,
         ):
             with Progress(f"{name_of(level)} merge", count, quick=True) as progress:
                 for first, digests, of_run in workers.results(work, pieces):

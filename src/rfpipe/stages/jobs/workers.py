@@ -74,6 +74,14 @@ class Resources:
         """The same in this process."""
         return replace(self, where=THREADS)
 
+    @property
+    def within(self) -> Resources:
+        """The same for work inside a job, which processes take ten times as long for as threads.
+
+        They load libraries and kernels first, for seconds (docs/parallel.md).
+        """
+        return self.here if self.where == PROCESSES else self
+
     def fitting(self, bytes_each: int, most: int) -> int:
         """Return how many things of a size fit, from 1 to `most`."""
         return max(1, min(most, self.data_bytes // max(1, bytes_each)))
