@@ -6,15 +6,15 @@ import http.client
 import os
 import socket
 import subprocess
-import threading
 import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 
 import pytest
+from tests.serving import listening
 from tests.validators import validators_python
 
 BUCKET = "lab"
@@ -147,14 +147,5 @@ def proxy(behind: str) -> Iterator[Faults]:
         def log_message(self, *_: object) -> None:
             pass
 
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    server.daemon_threads = True
-    thread = threading.Thread(target=server.serve_forever, args=(0.05,))
-    thread.start()
-    faults.endpoint = f"http://127.0.0.1:{server.server_port}"
-    try:
+    with listening(Handler) as faults.endpoint:
         yield faults
-    finally:
-        server.shutdown()
-        server.server_close()
-        thread.join()

@@ -131,11 +131,13 @@ def colour_seen(sees: csr_array) -> Colours:
 def _coloured(sees: csc_array, joined: Callable[[slice], csr_array]) -> Colours:
     """Colour the columns; `joined` gives rows of the adjacency, of which the diagonal is left."""
     n_blocks, left = sees.shape[1], _MOST_EDGES
-    for first, _ in _edges(n_blocks, joined):
-        left -= len(first)
+    edges = []
+    for some in _edges(n_blocks, joined):
+        left -= len(some[0])
         if left < 0:
             return _by_rows(sees)
-    return _by_heuristics(n_blocks, _edges(n_blocks, joined))
+        edges.append(some)
+    return _by_heuristics(n_blocks, edges)
 
 
 def _edges(n_blocks: int, joined: Callable[[slice], csr_array]) -> Iterator[_Edges]:

@@ -21,9 +21,9 @@ WorkersOption = Annotated[
         "--workers",
         envvar="RFPIPE_WORKERS",
         metavar="WHERE",
-        help="Where to work: threads; processes; or the workers of a dask scheduler, by its "
-        "address, as tcp://localhost:8786. Files have the same bytes; docs/parallel.md tells what "
-        "pays.",
+        help="Where to work: threads; processes, for whole acquisitions alone; or the workers of "
+        "a dask scheduler, by its address, as tcp://localhost:8786. Files have the same bytes; "
+        "docs/parallel.md tells what pays.",
     ),
 ]
 
