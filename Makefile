@@ -8,8 +8,8 @@ PIP := $(VENV)/bin/python -m pip
 RIG ?= config/bench.yaml
 # the settings of the thesis' figures; at full size config/figures_full.yaml
 FIGURES ?= config/figures.yaml
-LOCK_OPTIONS := --upgrade --universal --python-version 3.11 --generate-hashes --no-emit-index-url \
-  --no-emit-find-links --no-header --no-annotate --quiet
+LOCK_OPTIONS := --upgrade --universal --python-version 3.11 --generate-hashes --no-header \
+  --no-annotate --quiet
 # more options for snakemake, as in: make run ARGS="--dry-run"
 ARGS ?=
 
@@ -70,7 +70,8 @@ unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock r
 	  snakemake --directory figures --configfile $(FIGURES) --unlock; fi
 
 test: lint ## check everything: lint, types, layers, workflow, tests
-	pytest -n 2 --dist worksteal
+	@# whole files to each, and one more than cores: much of the workflow's tests is waiting
+	pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 validators: $(INSTALLED) ## install what some tests check published runs by, into .venv-validators
 	uv venv --quiet --allow-existing --python $(VENV)/bin/python .venv-validators

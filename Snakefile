@@ -58,6 +58,9 @@ rule all:
 
 
 onstart:
+    if workflow.non_local_exec:
+        check_groups(workflow.group_settings.group_components, workflow.cores)
+        logger.addHandler(FailedJobs(logger.error))
     write_run(
         Path("results"),
         Path(workflow.main_snakefile),

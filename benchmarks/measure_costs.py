@@ -16,6 +16,7 @@ from typing import Any
 
 import yaml
 
+from rfpipe.config import parse_config
 from rfpipe.costs.records import records_in, write_records
 
 ROOT = Path(__file__).parents[1]
@@ -29,8 +30,10 @@ SMALL = (*ANY, "hadamard", "brute_force", "compressive")
 SIZES = (
     (12, 16, 3, SMALL),
     (18, 24, 3, SMALL),
+    (24, 28, 1, SMALL),
     (32, 36, 3, SMALL),
-    (48, 56, 1, ANY),
+    (48, 56, 1, SMALL),
+    (62, 70, 1, ANY),
     (62, 70, 3, ANY),
     (96, 108, 3, COAXIAL),
     (155, 175, 3, ("near_far", "symmetric")),
@@ -65,22 +68,26 @@ def main() -> None:
     asked = arguments.parse_args()
     if not asked.table_only:
         _run(asked.folder, asked.only)
-    records = records_in(asked.folder / "results")
+    known = parse_config(_settings(scenes()), "the scenes of all sizes").scenes
+    records = records_in(asked.folder / "results", known)
     write_records(records, OUTPUT)
     print(f"{OUTPUT}: {len(records)} jobs")
 
 
-def _run(folder: Path, only: list[str] | None) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    chosen = {name: scene for name, scene in scenes().items() if not only or name in only}
-    settings = {
+def _settings(chosen: dict[str, Any]) -> dict[str, Any]:
+    return {
         "scenes": chosen,
         "methods": {method: {} for method in SMALL},
         "verification": {"pictures": 2},
         "capture": {"keep_raw": False},
     }
+
+
+def _run(folder: Path, only: list[str] | None) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    chosen = {name: scene for name, scene in scenes().items() if not only or name in only}
     config = folder / "config.yaml"
-    config.write_text(yaml.safe_dump(settings, sort_keys=False), encoding="utf-8")
+    config.write_text(yaml.safe_dump(_settings(chosen), sort_keys=False), encoding="utf-8")
     targets = [
         f"results/{scene}/{method}/{job}.json"
         for scene, about in chosen.items()

@@ -2,8 +2,8 @@
 
 Usage: ``python benchmarks/validate_costs.py [FOLDER ...]``. Prints, for the shipped table, ratios
 of what was predicted to what was measured where laws were fitted without all records of a size, or
-of a method; then, for each folder of results given, what the shipped table says of its jobs,
-none of which it has. No part of `make bench`.
+of a method; then, for each folder given, with ``config.yaml`` and ``results``, what the shipped
+table says of its jobs, none of which it has. No part of `make bench`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from rfpipe.config import load_config
 from rfpipe.costs import Record, fit_laws, read_shipped, records_in
 from rfpipe.costs.model import Quantity
 
@@ -23,7 +24,7 @@ def main() -> None:
     shipped = read_shipped()
     quantities: tuple[Quantity, ...] = ("memory_mb", "cpu_seconds")
     kinds: dict[str, Callable[[Record], object]] = {
-        "without its size": lambda one: one.samples,
+        "without its size": lambda one: one.subject.size,
         "without its method": lambda one: one.method,
     }
     rows = []
@@ -36,7 +37,8 @@ def main() -> None:
                 found += _ratios(quantity, rest, tried)
             rows.append(_row(quantity, kind, found))
         for folder in sys.argv[1:]:
-            tried = records_in(Path(folder) / "results")
+            scenes = load_config(Path(folder) / "config.yaml").scenes
+            tried = records_in(Path(folder) / "results", scenes)
             rows.append(_row(quantity, folder, _ratios(quantity, shipped, tried)))
     print(pd.DataFrame(rows).to_string(index=False))
 
@@ -47,7 +49,7 @@ def _ratios(
     laws = fit_laws(known)
     found = []
     for one in tried:
-        predicted = laws.predict(quantity, one.job, one.method, one.samples, views=one.views)
+        predicted = laws.predict(quantity, one.job, one.subject)
         if predicted is not None:
             found.append((predicted / getattr(one, quantity), one))
     return found

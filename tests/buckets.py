@@ -6,6 +6,7 @@ import http.client
 import os
 import socket
 import subprocess
+import threading
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -39,7 +40,7 @@ def s3_server() -> Iterator[str]:
         yield endpoint
     finally:
         process.terminate()
-        process.wait(10)
+        process.wait(60)
 
 
 def put(address: str, content: bytes, patience: float = 0.0) -> None:
@@ -82,6 +83,10 @@ class Faults:
         Whether they are answered by 403.
     seconds : float
         That each of them takes longer.
+    most : int or None
+        Writes to let pass; others wait until this changes.
+    under_way : set of int
+        Threads that have a request in hand.
     requests : list of (method, path, bytes sent, bytes received)
     """
 
@@ -90,6 +95,8 @@ class Faults:
     cut: int = 0
     deny: bool = False
     seconds: float = 0.0
+    most: int | None = None
+    under_way: set[int] = field(default_factory=set)
     requests: list[tuple[str, str, int, int]] = field(default_factory=list)
 
     def written(self) -> list[str]:
@@ -106,10 +113,19 @@ def proxy(behind: str) -> Iterator[Faults]:
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
 
+        def in_hand(self) -> None:
+            faults.under_way.add(threading.get_ident())
+            try:
+                self.pass_on()
+            finally:
+                faults.under_way.remove(threading.get_ident())
+
         def pass_on(self) -> None:
             length = int(self.headers.get("Content-Length", 0))
             if self.command in ("PUT", "POST"):
                 time.sleep(faults.seconds)
+                while faults.most is not None and len(faults.written()) >= faults.most:
+                    time.sleep(0.01)
                 if faults.cut:
                     faults.cut -= 1
                     self.rfile.read(length // 2)
@@ -132,7 +148,7 @@ def proxy(behind: str) -> Iterator[Faults]:
             self.answer(answered.status, dict(answered.getheaders()), received)
             onward.close()
 
-        do_GET = do_PUT = do_POST = do_HEAD = do_DELETE = pass_on  # noqa: N815
+        do_GET = do_PUT = do_POST = do_HEAD = do_DELETE = in_hand  # noqa: N815
 
         def answer(self, status: int, headers: dict[str, str], content: bytes) -> None:
             self.send_response(status)

@@ -1,8 +1,11 @@
 """Virtual cameras of the drivers' libraries, for their tests."""
 
+import fcntl
 import os
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,9 +47,15 @@ class FilledCamera(PreparedCamera):
 
 @contextmanager
 def gige_camera(serial: str) -> Iterator[None]:
-    """Run Aravis' fake GigE Vision camera on the loopback."""
-    camera = call("arv_gv_fake_camera_new", b"127.0.0.1", serial.encode())
-    try:
-        yield
-    finally:
-        release(camera)
+    """Run Aravis' fake GigE Vision camera on the loopback.
+
+    Its port is the standard's, and of two on a machine either gets the other's packets: one at a
+    time, whichever worker, or other run of the tests, has it.
+    """
+    with (Path(tempfile.gettempdir()) / "rfpipe-gige-vision.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        camera = call("arv_gv_fake_camera_new", b"127.0.0.1", serial.encode())
+        try:
+            yield
+        finally:
+            release(camera)

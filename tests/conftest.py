@@ -20,7 +20,8 @@ settings.load_profile("rfpipe")
 
 _HERE = Path(__file__).parent
 
-# These need none of the large kernels: one worker does them while the other compiles.
+# The longest by far: with it one worker compiles the kernels while others do what needs none.
+_FIRST = _HERE / "workflow" / "test_figures.py"
 _WITHOUT_KERNELS = (_HERE / "server", _HERE / "device")
 _WORKFLOW = _HERE / "workflow"
 
@@ -30,19 +31,21 @@ _LOGGERS = (logging.getLogger(), logging.getLogger("rfpipe"), logging.getLogger(
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Whole runs come early: they are the longest, and what comes last can be shared out finely.
 
-    All but what needs no kernels comes after these are compiled: each of a run's jobs would
-    compile its own.
+    But for one, all come after what needs no kernels, while these are compiled: each of a run's
+    jobs would compile its own.
     """
     items.sort(key=_place)
     for item in items:
-        if _place(item) and isinstance(item, pytest.Function):
+        if item.path.parent not in _WITHOUT_KERNELS and isinstance(item, pytest.Function):
             item.fixturenames.insert(0, "kernels")
 
 
 def _place(item: pytest.Item) -> int:
-    """Tell when a test is due: 0 for those without kernels, 1 for whole runs, 2 for others."""
+    """Tell when a test is due; workers take whole files, whose tests share what is made once."""
+    if item.path == _FIRST:
+        return 0
     folder = item.path.parent
-    return 0 if folder in _WITHOUT_KERNELS else 1 if folder == _WORKFLOW else 2
+    return 1 if folder in _WITHOUT_KERNELS else 2 if folder == _WORKFLOW else 3
 
 
 @pytest.fixture(scope="session")

@@ -56,7 +56,10 @@ def serving(folder: Path, *, ranges: bool = True) -> Iterator[Served]:
             if of:
                 self.send_header("Content-Range", of)
             self.end_headers()
-            self.wfile.write(content)
+            if self.command != "HEAD":
+                self.wfile.write(content)
+
+        do_HEAD = do_GET  # noqa: N815
 
         def log_message(self, *_: object) -> None:
             pass

@@ -8,17 +8,15 @@ import shutil
 import signal
 import socket
 import subprocess
-import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import psutil
 import pytest
+from tests.waiting import wait_until
 
 _PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
 _PACKAGES = "apt-get install slurmctld slurmd slurm-client munge, and be root"
-_PATIENCE_SECONDS = 60.0
 
 NODES = ("one", "two")
 
@@ -156,7 +154,7 @@ class Slurm:
             options = ("--noheader", "--Node", "--format=%t", f"--nodes={','.join(nodes or NODES)}")
             return {line.strip("*") for line in self._do("sinfo", *options)} == {state}
 
-        _wait_until(are, f"{nodes} {state}")
+        wait_until(are, f"{nodes} {state}", every=0.2)
 
     def _do(self, *command: str) -> list[str]:
         done = subprocess.run(
@@ -193,10 +191,3 @@ def _free_ports(count: int) -> list[int]:
     finally:
         for one in sockets:
             one.close()
-
-
-def _wait_until(condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + _PATIENCE_SECONDS
-    while not condition():
-        assert time.monotonic() < end, f"{what}: not within {_PATIENCE_SECONDS} s"
-        time.sleep(0.2)

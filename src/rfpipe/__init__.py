@@ -1,10 +1,11 @@
 """Acquire, store and relight the light transport between a projector and a camera.
 
 ``open_transport`` opens what a run stored, ``open_collection`` that of all its scenes, ``coarser``
-lowers a transport's resolution, ``picture_weights`` makes a pattern of a picture; ``acquire`` runs
-a whole acquisition in this process; ``OperatorRig`` is a rig made from a matrix or linear operator,
-which ``read_matrix`` finds in files of other programs, and ``CameraModel`` the camera that it may
-be given. Each is imported when it is first used, so that ``import rfpipe`` stays quick.
+lowers a transport's resolution, ``crop`` takes a view or a part of one, ``picture_weights`` makes a
+pattern of a picture; ``acquire`` runs a whole acquisition in this process; ``OperatorRig`` is a rig
+made from a matrix or linear operator, which ``read_matrix`` finds in files of other programs, and
+``CameraModel`` the camera that it may be given. Each is imported when it is first used, so that
+``import rfpipe`` stays quick.
 """
 
 from importlib import import_module
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from rfpipe.stages.acquire import acquire
     from rfpipe.transport import coarser, open_transport
     from rfpipe.transport.collection import Collection, open_collection
+    from rfpipe.transport.cropped import crop
     from rfpipe.transport.matrix_files import read_matrix
     from rfpipe.weights import picture_weights
 
@@ -28,6 +30,7 @@ __all__ = [
     "__version__",
     "acquire",
     "coarser",
+    "crop",
     "open_collection",
     "open_transport",
     "picture_weights",
@@ -40,6 +43,7 @@ _HOMES = {
     "OperatorRig": "rfpipe.rigs",
     "acquire": "rfpipe.stages.acquire",
     "coarser": "rfpipe.transport",
+    "crop": "rfpipe.transport.cropped",
     "open_collection": "rfpipe.transport.collection",
     "open_transport": "rfpipe.transport",
     "picture_weights": "rfpipe.weights",

@@ -8,7 +8,7 @@ import numpy as np
 __all__ = ["by_saturation"]
 
 _WORD = 64
-_LOOKED_AT = 256  # of equally saturated blocks, the latest to become so
+_LOOKED_AT = 4096  # of equally saturated blocks, the latest to become so; more tell no better
 _NONE = -1
 
 
@@ -16,8 +16,8 @@ _NONE = -1
 def by_saturation(row_starts, blocks, block_starts, rows):  # type: ignore[no-untyped-def]
     """Colour blocks one by one, always one next to which most colours stand already [DSATUR].
 
-    Of those with equally many, the one whose rows see most others; it gets the first colour that
-    none of its rows sees.
+    Of those with equally many, the one next to which most blocks stand; it gets the first colour
+    that none of its rows sees.
 
     Parameters
     ----------
@@ -32,13 +32,13 @@ def by_saturation(row_starts, blocks, block_starts, rows):  # type: ignore[no-un
         Colours 0, 1, ...
     """
     n = len(block_starts) - 1
-    others = _seen_beside(row_starts, block_starts, rows)
+    neighbours = _neighbours(row_starts, blocks, block_starts, rows)
     colours = np.full(n, _NONE, np.int32)
     beside = np.zeros((n, 1), np.uint64)  # one bit a colour that stands next to a block
     saturation = np.zeros(n, np.int64)
-    # blocks of one saturation form a list; those of none are taken by `others`
+    # blocks of one saturation form a list; those of none are taken by `neighbours`
     latest, after, before = np.full(n + 1, _NONE), np.full(n, _NONE), np.full(n, _NONE)
-    unsaturated, taken, most = np.argsort(-others, kind="mergesort"), 0, 0
+    unsaturated, taken, most = np.argsort(-neighbours, kind="mergesort"), 0, 0
     for _ in range(n):
         while most > 0 and latest[most] == _NONE:
             most -= 1
@@ -48,7 +48,7 @@ def by_saturation(row_starts, blocks, block_starts, rows):  # type: ignore[no-un
                 taken += 1
             block = unsaturated[taken]
         else:
-            block = _with_most(block, others, after)
+            block = _with_most(block, neighbours, after)
             _unlink(block, most, latest, after, before)
         colour = _first_zero(beside[block])
         colours[block] = colour
@@ -73,24 +73,28 @@ def by_saturation(row_starts, blocks, block_starts, rows):  # type: ignore[no-un
 
 
 @numba.njit(cache=True)
-def _seen_beside(row_starts, block_starts, rows):  # type: ignore[no-untyped-def]
-    """Count the other blocks that each block's rows see."""
-    others = np.zeros(len(block_starts) - 1, np.int64)
-    for block in range(len(others)):
+def _neighbours(row_starts, blocks, block_starts, rows):  # type: ignore[no-untyped-def]
+    """Count the blocks that the rows of each block see, itself among them."""
+    n = len(block_starts) - 1
+    count, counted_for = np.zeros(n, np.int64), np.full(n, _NONE)
+    for block in range(n):
         for row in rows[block_starts[block] : block_starts[block + 1]]:
-            others[block] += row_starts[row + 1] - row_starts[row] - 1
-    return others
+            for other in blocks[row_starts[row] : row_starts[row + 1]]:
+                if counted_for[other] != block:
+                    counted_for[other] = block
+                    count[block] += 1
+    return count
 
 
 @numba.njit(cache=True)
-def _with_most(first, others, after):  # type: ignore[no-untyped-def]
-    """Return the block whose rows see most others, of the first ones of a list."""
+def _with_most(first, neighbours, after):  # type: ignore[no-untyped-def]
+    """Return the block next to which most stand, of the first ones of a list."""
     block = other = first
     for _ in range(_LOOKED_AT):
         other = after[other]
         if other == _NONE:
             break
-        if others[other] > others[block]:
+        if neighbours[other] > neighbours[block]:
             block = other
     return block
 

@@ -40,19 +40,17 @@ def conflict_graph(
 
     Returns
     -------
-    csr_array of int32, shape (n_blocks, n_blocks)
-        1 where two different blocks conflict.
+    csr_array of bool, shape (n_blocks, n_blocks)
+        True where two different blocks conflict.
     """
     from scipy.sparse import coo_array
 
-    off_diagonal = first != second
-    i, j = first[off_diagonal], second[off_diagonal]
-    i, j = i.astype(np.int32), j.astype(np.int32)
-    ones = np.ones(2 * len(i), np.int32)
-    graph: csr_array = coo_array(
-        (ones, (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n_blocks, n_blocks)
+    joined = coo_array(
+        (np.ones(len(first), np.bool_), (first, second)), shape=(n_blocks, n_blocks)
     ).tocsr()
-    graph.data[:] = 1
+    joined.setdiag(False)
+    joined.eliminate_zeros()
+    graph: csr_array = (joined + joined.T).tocsr()
     return graph
 
 
@@ -64,19 +62,18 @@ def square(graph: csr_array, rows: slice = slice(None)) -> csr_array:
 
     Parameters
     ----------
-    graph : csr_array, shape (n, n)
+    graph : csr_array of bool, shape (n, n)
     rows : slice
         Which of its rows to return.
 
     Returns
     -------
-    csr_array of int32, shape (rows, n)
-        1 where two different blocks are joined.
+    csr_array of bool, shape (rows, n)
+        True where two different blocks are joined.
     """
     squared: csr_array = (graph[rows] + graph[rows] @ graph).tocsr()
-    squared.setdiag(0, k=rows.start or 0)
+    squared.setdiag(False, k=rows.start or 0)
     squared.eliminate_zeros()
-    squared.data[:] = 1
     return squared
 
 
@@ -85,7 +82,7 @@ def colour_apart(graph: csr_array) -> Colours:
 
     Parameters
     ----------
-    graph : csr_array, shape (n, n)
+    graph : csr_array of bool, shape (n, n)
         Symmetric adjacency without self-loops. Its square is never held as a whole.
 
     Returns
@@ -93,11 +90,11 @@ def colour_apart(graph: csr_array) -> Colours:
     ndarray of int32, shape (n,)
         Colours 0, 1, ...; deterministic for a given graph.
     """
-    from scipy.sparse import csc_array, eye_array
+    from scipy.sparse import eye_array
 
     # a block's row holds itself and its neighbours, any two of which are at most two edges apart
-    near = csc_array(graph + eye_array(graph.shape[0], dtype=graph.dtype, format="csr"))
-    return _coloured(near, lambda rows: square(graph, rows))
+    near = (graph + eye_array(graph.shape[0], dtype=graph.dtype, format="csr")).tocsr()
+    return _coloured(near.T, near, lambda rows: square(graph, rows))
 
 
 def colour_seen(sees: csr_array) -> Colours:
@@ -125,17 +122,17 @@ def colour_seen(sees: csr_array) -> Colours:
         together.sort_indices()
         return together
 
-    return _coloured(sees.tocsc(), joined)
+    return _coloured(sees.tocsc(), sees.tocsr(), joined)
 
 
-def _coloured(sees: csc_array, joined: Callable[[slice], csr_array]) -> Colours:
+def _coloured(sees: csc_array, by_row: csr_array, joined: Callable[[slice], csr_array]) -> Colours:
     """Colour the columns; `joined` gives rows of the adjacency, of which the diagonal is left."""
     n_blocks, left = sees.shape[1], _MOST_EDGES
     edges = []
     for some in _edges(n_blocks, joined):
         left -= len(some[0])
         if left < 0:
-            return _by_rows(sees)
+            return _by_rows(sees, by_row)
         edges.append(some)
     return _by_heuristics(n_blocks, edges)
 
@@ -168,7 +165,7 @@ def _by_heuristics(n_blocks: int, edges: Iterable[_Edges]) -> Colours:
     return best
 
 
-def _by_rows(sees: csc_array) -> Colours:
+def _by_rows(sees: csc_array, by_row: csr_array) -> Colours:
     """Colour columns by who sees them, then first fit in one order after the other.
 
     Taken colour by colour, in whatever order of the colours, blocks never need more of them than
@@ -184,10 +181,8 @@ def _by_rows(sees: csc_array) -> Colours:
 
     # which blocks are seen is all that counts: their values take a byte each
     sees = csc_array((np.ones(sees.nnz, np.int8), sees.indices, sees.indptr), shape=sees.shape)
-    by_row = sees.tocsr()
     largest = np.diff(by_row.indptr).max()
     colours = by_saturation(by_row.indptr, by_row.indices, sees.indptr, sees.indices)
-    del by_row
     fewest, in_vain, random = int(colours.max()) + 1, 0, generator(0)
     for order in cycle(("last", "largest", "any")):
         if fewest <= largest or in_vain == _IN_VAIN:

@@ -25,6 +25,7 @@ __all__ = [
     "StaleStoreError",
     "StoreError",
     "TransferError",
+    "UnreachableError",
     "VerificationError",
     "without_password",
 ]
@@ -72,6 +73,10 @@ class ClusterError(RfpipeError):
 
 class StoreError(RfpipeError):
     """A store, journal or manifest is missing, unreadable or can't be written."""
+
+
+class UnreachableError(StoreError):
+    """A server doesn't answer, fails or breaks off: nothing is known of what it has."""
 
 
 class IntegrityError(StoreError):

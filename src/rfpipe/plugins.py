@@ -32,15 +32,19 @@ SCENES = "rfpipe.scenes"
 
 
 @cache
-def _installed(group: str) -> dict[str, str]:
-    """Where the names of a group lead; read once, since every package installed is asked."""
+def _installed() -> dict[str, dict[str, str]]:
+    """Where the names of each group lead; read once, since every package installed is asked."""
+    found = entry_points()
     # of two packages with the same name, the first on the path has it
-    return {entry.name: entry.value for entry in reversed(tuple(entry_points(group=group)))}
+    return {
+        group: {entry.name: entry.value for entry in reversed(tuple(found.select(group=group)))}
+        for group in (METHODS, PROJECTORS, CAMERAS, RIGS, SCENES)
+    }
 
 
 def names(group: str) -> tuple[str, ...]:
     """Return the names in a group of entry points, in alphabetical order."""
-    return tuple(sorted(_installed(group)))
+    return tuple(sorted(_installed()[group]))
 
 
 def path_of(group: str, name: str) -> str:
@@ -59,7 +63,7 @@ def path_of(group: str, name: str) -> str:
             f"{name!r} is unknown; expected {known}a class of your own as module:Class or "
             "file.py:Class"
         )
-    return _installed(group)[name]
+    return _installed()[group][name]
 
 
 def find(group: str, name: str) -> Any:

@@ -7,7 +7,7 @@ import json
 import platform
 import re
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from importlib import metadata
@@ -154,18 +154,15 @@ def imported_sources(
             raise InputError(f"{root!r} is no module with Python sources; expected rfpipe.<module>")
         to_follow.append((path.name if root.endswith(".py") else root, path))
     followed = {"rfpipe", *(root.partition(".")[0] for root in roots if not root.endswith(".py"))}
+    search_path = tuple(sys.path)
     while to_follow:
         name, path = to_follow.pop()
         if name in found or not without.isdisjoint(_prefixes(name)):
             continue
         found[name] = path
-        _, imports, by_name = _scanned(path)
-        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-        names = [_absolute(imported, package) for imported in imports]
-        names += () if name in choosing else by_name
-        for part in [*_prefixes(name), *(part for full in names for part in _prefixes(full))]:
-            if part.partition(".")[0] in followed and (source := _module_file(part)):
-                to_follow.append((part, source))
+        by_import, by_name = _reached(name, path, frozenset(followed), search_path, *_status(path))
+        to_follow += by_import
+        to_follow += () if name in choosing else by_name
     return dict(sorted(found.items()))
 
 
@@ -270,8 +267,33 @@ def _sources(module_name: str) -> dict[str, Path]:
 
 def _scanned(path: Path) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
     """Digest of a source, the names it imports and those it may import by name."""
+    return _scan(path, *_status(path))
+
+
+def _status(path: Path) -> tuple[int, int]:
+    """Tell a file from what it was before an edit."""
     status = path.stat()
-    return _scan(path, status.st_mtime_ns, status.st_size)
+    return status.st_mtime_ns, status.st_size
+
+
+_Sources = tuple[tuple[str, Path], ...]
+
+
+@cache
+def _reached(
+    name: str, path: Path, followed: frozenset[str], _path: tuple[str, ...], *status: int
+) -> tuple[_Sources, _Sources]:
+    """Find the sources that a module imports, its own packages among them, and those by name."""
+    _, imports, by_name = _scan(path, *status)
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+
+    def sources(names: Iterable[str]) -> _Sources:
+        parts = dict.fromkeys(part for full in names for part in _prefixes(full))
+        found = ((part, _module_file(part)) for part in parts if part.partition(".")[0] in followed)
+        return tuple((part, source) for part, source in found if source)
+
+    absolute = (_absolute(imported, package) for imported in imports)
+    return sources((name, *absolute)), sources(by_name)
 
 
 @cache

@@ -1,7 +1,7 @@
 """The driver of GenICam cameras, on Aravis' fake cameras: in the process, and by GigE Vision."""
 
 import logging
-import time
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -20,7 +20,7 @@ from rfpipe.testing import CameraContract
 SENSOR = CameraModel(exposures=(0.001, 0.01, 0.1), bits=16)
 SHAPE = (40, 48)
 PICTURE = np.random.default_rng(0).integers(0, 2**16, SHAPE)
-QUICK = {"timeout_seconds": 0.5, "reconnect_seconds": 0.0}
+QUICK = {"timeout_seconds": 1.5, "reconnect_seconds": 0.0}
 
 
 @pytest.fixture(autouse=True)
@@ -143,14 +143,28 @@ class TestByGigeVision:
         assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 1, "reconnected": 0}
 
 
+class WatchedCamera(AravisCamera):
+    """Tells of each frame that it fetched."""
+
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
+        self.fetched = threading.Semaphore(0)
+        super().__init__(sensor, **options)
+
+    def _next(self, seconds: float) -> tuple[np.ndarray | None, str]:
+        frame, problem = super()._next(seconds)
+        if frame is not None or problem:
+            self.fetched.release()
+        return frame, problem
+
+
 class TestTriggered:
     """Frames of a sequence, each asked for by a trigger that comes from elsewhere."""
 
     @pytest.fixture
-    def camera(self, request: pytest.FixtureRequest) -> Iterator[AravisCamera]:
+    def camera(self, request: pytest.FixtureRequest) -> Iterator[WatchedCamera]:
         with (
             gige_camera("RFPIPE1"),
-            AravisCamera(
+            WatchedCamera(
                 SENSOR, serial="RFPIPE1", shape=SHAPE, sequence_line=request.param, **QUICK
             ) as camera,
         ):
@@ -158,13 +172,14 @@ class TestTriggered:
             yield camera
 
     @staticmethod
-    def trigger(camera: AravisCamera, times: int) -> None:
+    def trigger(camera: WatchedCamera, times: int) -> None:
+        """Trigger; it has no memory for a second trigger before the frame of the first."""
         for _ in range(times):
             camera.nodes.execute("TriggerSoftware")
-            time.sleep(0.1)  # it looks for a trigger 25 times a second
+            assert camera.fetched.acquire(timeout=30)
 
     @pytest.mark.parametrize("camera", ["Software"], indirect=True)
-    def test_each_trigger_gives_a_frame_in_order(self, camera: AravisCamera) -> None:
+    def test_each_trigger_gives_a_frame_in_order(self, camera: WatchedCamera) -> None:
         for _ in range(2):
             camera.arm(0.02, 4)
             self.trigger(camera, 4)
@@ -179,7 +194,7 @@ class TestTriggered:
 
     @pytest.mark.parametrize("camera", ["Software"], indirect=True)
     def test_more_frames_than_there_is_room_for(
-        self, camera: AravisCamera, monkeypatch: pytest.MonkeyPatch
+        self, camera: WatchedCamera, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr("rfpipe.rigs.cameras.collector.QUEUE", 2)
         camera.arm(0.1, 5)
@@ -187,7 +202,7 @@ class TestTriggered:
         assert len(camera.collect()) == 5
 
     @pytest.mark.parametrize("camera", ["Software"], indirect=True)
-    def test_a_missed_trigger_is_a_frame_less(self, camera: AravisCamera) -> None:
+    def test_a_missed_trigger_is_a_frame_less(self, camera: WatchedCamera) -> None:
         camera.arm(0.1, 3)
         self.trigger(camera, 2)
         assert len(camera.collect()) == 2
@@ -196,14 +211,14 @@ class TestTriggered:
             camera.collect()
 
     @pytest.mark.parametrize("camera", ["Software"], indirect=True)
-    def test_a_camera_that_waits_for_triggers_can_be_closed(self, camera: AravisCamera) -> None:
+    def test_a_camera_that_waits_for_triggers_can_be_closed(self, camera: WatchedCamera) -> None:
         camera.arm(0.1, 40)
         camera.close()
         with pytest.raises(CaptureError, match="closed"):
             camera.arm(0.1, 40)
 
     @pytest.mark.parametrize("camera", ["Line0"], indirect=True)
-    def test_an_input_that_stays_silent_is_given_up(self, camera: AravisCamera) -> None:
+    def test_an_input_that_stays_silent_is_given_up(self, camera: WatchedCamera) -> None:
         camera.arm(0.1, 3)
         source = (camera.nodes.device, b"TriggerSource")
         feature = "arv_device_get_string_feature_value"
@@ -213,14 +228,14 @@ class TestTriggered:
         assert camera.expose().shape == (3, *SHAPE, 1)
 
     @pytest.mark.parametrize("camera", ["Line99"], indirect=True)
-    def test_an_input_that_the_camera_lacks_is_named(self, camera: AravisCamera) -> None:
+    def test_an_input_that_the_camera_lacks_is_named(self, camera: WatchedCamera) -> None:
         with pytest.raises(CaptureError, match=r"refuses TriggerSource = Line99.*Line0, Software"):
             camera.arm(0.1, 3)
         assert camera.expose().shape == (3, *SHAPE, 1)
         assert camera.statistics["reconnected"] == 0
 
     @pytest.mark.parametrize("camera", ["Software"], indirect=True)
-    def test_triggers_are_as_far_apart_as_it_can_follow(self, camera: AravisCamera) -> None:
+    def test_triggers_are_as_far_apart_as_it_can_follow(self, camera: WatchedCamera) -> None:
         assert camera.seconds_between(0.1) == pytest.approx(0.105)
         assert camera.seconds_between(1e-5) == pytest.approx(1.05 / 1000)  # as it says of itself
 

@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.waiting import wait_until
 
 from rfpipe.config import RigConfig, parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError
@@ -243,10 +243,7 @@ def test_a_killed_bench_leaves_no_process_behind(tmp_path: Path, either_display:
     ends = [Path(f"/proc/{window}")]
     if either_display == "x server":
         ends.append(Path(f"/tmp/.X11-unix/X{name.removeprefix(':')}"))
-    end = time.monotonic() + 10
-    while any(path.exists() for path in ends):
-        assert time.monotonic() < end, "window or display still run"
-        time.sleep(0.05)
+    wait_until(lambda: not any(path.exists() for path in ends), "the end of window and display")
 
 
 def test_the_description_is_plain_and_tells_of_the_scene(rig: DeviceRig) -> None:

@@ -22,7 +22,7 @@ SHAPE = (48, 60)
 BLACK, WHITE = 600, 15_300
 COUNTS = np.random.default_rng(0).integers(BLACK, WHITE, SHAPE).astype(np.uint16)
 QUICK: dict[str, Any] = {
-    "timeout_seconds": 0.3, "reconnect_seconds": 0.0, "reconnects": 1, "keep_pictures": True,
+    "timeout_seconds": 1.0, "reconnect_seconds": 0.0, "reconnects": 1, "keep_pictures": True,
 }  # fmt: skip
 
 

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from tests.workflow.harness import ROOT, journal, wait_until
+from tests.waiting import wait_until
+from tests.workflow.harness import ROOT, journal
 from tests.workflow.test_remote import Server
 
 from rfpipe.stages import merge

@@ -16,7 +16,7 @@ from rfpipe.testing import CameraContract
 
 SENSOR = CameraModel(exposures=(0.001, 0.01, 0.1))
 SHAPE = (40, 48)
-QUICK = {"timeout_seconds": 0.5, "reconnect_seconds": 0.0}
+QUICK = {"timeout_seconds": 1.5, "reconnect_seconds": 0.0}
 
 
 def pictures(folder: Path, counts: np.ndarray) -> dict[str, str]:

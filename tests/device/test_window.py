@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.displays import DISPLAYS
+from tests.waiting import wait_until
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs.display import VirtualDisplay, memory_display
@@ -228,7 +229,7 @@ def test_the_window_ends_with_its_owner(display: VirtualDisplay) -> None:
     projector = WindowProjector(display.name)
     process = projector._window._process
     process.stdin.close()
-    assert process.wait(timeout=5) == 0
+    assert process.wait(timeout=60) == 0
     projector.close()
 
 
@@ -286,16 +287,8 @@ def cover_for_a_while(x_display: VirtualDisplay) -> None:
     )
     cover.map()
     client.sync()
-    until(lambda: not x_display.pixels[:20, :20].any())
+    wait_until(lambda: not x_display.pixels[:20, :20].any(), "the cover")
     cover.destroy()
     client.sync()
-    until(lambda: bool((x_display.pixels == 255).all()))
+    wait_until(lambda: bool((x_display.pixels == 255).all()), "the picture again")
     client.close()
-
-
-def until(holds, seconds: float = 5.0) -> None:  # type: ignore[no-untyped-def]
-    """Wait for something that another process does."""
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end, "it didn't happen"
-        time.sleep(0.01)

@@ -39,7 +39,7 @@ class Running:
         return RemoteRig(self.url, TOKEN, patience_seconds)
 
     def http(self) -> httpx.Client:
-        return httpx.Client(base_url=self.url, headers=RIGHT, trust_env=False, timeout=20)
+        return httpx.Client(base_url=self.url, headers=RIGHT, trust_env=False, timeout=60)
 
 
 @contextmanager
@@ -57,8 +57,24 @@ def running(rig: Rig | Callable[[], Rig], **settings: Any) -> Iterator[Running]:
             yield Running(f"http://127.0.0.1:{port}", port, server.config.app)
         finally:
             server.should_exit = True
-            thread.join(20)
+            thread.join(120)
             assert not thread.is_alive()
+
+
+def head_of_capture(headers: dict[str, str], size: int) -> bytes:
+    """Return what a client sends before the content of a capture, of so many bytes."""
+    lines = {"Host": "rig", "Content-Length": size, **RIGHT, **headers}
+    head = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
+    return f"POST /v1/captures HTTP/1.1\r\n{head}\r\n".encode()
+
+
+@contextmanager
+def posted(server: Running, rig: SlowRig, body: bytes, headers: dict[str, str]) -> Iterator[None]:
+    """Send a capture, go on when its exposure began, and hang up without having read the answer."""
+    with socket.create_connection(("127.0.0.1", server.port), timeout=60) as connection:
+        connection.sendall(head_of_capture(headers, len(body)) + body)
+        assert rig.began.wait(60)
+        yield
 
 
 def free_port() -> int:
@@ -77,17 +93,21 @@ def transport(rows: int, columns: int) -> np.ndarray:
 
 
 class SlowRig(OperatorRig):
-    """Counts its exposures and takes its time for them."""
+    """Counts its exposures and takes its time for them, or waits in them while `go_on` is clear."""
 
     def __init__(self, seconds: float = 0.0, **options: Any) -> None:
         super().__init__(transport(20, 21), (4, 5), (3, 7), **options)
         self.seconds = seconds
+        self.began, self.go_on = threading.Event(), threading.Event()
+        self.go_on.set()
         self.shown: list[tuple[int, ...]] = []
         self.closed = 0
         self.faults: dict[tuple[int, ...], list[Exception]] = {}
 
     def capture(self, patterns: np.ndarray, keys: Any) -> np.ndarray:
+        self.began.set()
         time.sleep(self.seconds * len(keys))
+        assert self.go_on.wait(60)
         if faults := self.faults.get(tuple(keys[0])):
             raise faults.pop(0)
         self.shown.extend(map(tuple, keys))

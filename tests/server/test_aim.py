@@ -1,7 +1,6 @@
 """The page of `rfpipe aim`: who may see it, and that it tells what the camera sees."""
 
 import asyncio
-import time
 from collections.abc import Iterator
 from io import BytesIO
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from httpx import ASGITransport, AsyncClient, Response
 from tests.benches import CAMERA, Bench, brighter, wedge_bench
+from tests.waiting import wait_until
 
 from rfpipe.errors import CaptureError
 from rfpipe.server.aim import Watch, create_app
@@ -63,10 +63,7 @@ def client(watch: Watch) -> Client:
 
 
 def wait_for(watch: Watch, number: int) -> None:
-    end = time.monotonic() + 60
-    while watch.look.number < number:
-        assert time.monotonic() < end, watch.state
-        time.sleep(0.02)
+    wait_until(lambda: watch.look.number >= number, f"look {number}")
 
 
 def test_nothing_is_shown_without_the_token(client: Client) -> None:
@@ -121,9 +118,9 @@ def test_a_device_that_fails_is_told_of_and_tried_again(
 
     monkeypatch.setattr("rfpipe.server.aim.watch.AGAIN_SECONDS", 0.05)
     bench.camera.expose = fail  # type: ignore[method-assign,assignment]
-    end = time.monotonic() + 30
-    while "cable is out" not in (client.get("/state.json").json()["error"] or ""):
-        assert time.monotonic() < end
+    wait_until(
+        lambda: "cable is out" in (client.get("/state.json").json()["error"] or ""), "the error"
+    )
     bench.camera.expose = expose  # type: ignore[method-assign]
     seen = watch.look.number
     wait_for(watch, seen + 1)

@@ -16,7 +16,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, running
+from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, head_of_capture, running
 
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
@@ -58,7 +58,7 @@ def undisturbed_capture(server: Running, rig: SlowRig) -> Iterator[None]:
 
     thread = threading.Thread(target=capture)
     thread.start()
-    assert first.wait(20)
+    assert first.wait(60)
     try:
         yield
     finally:
@@ -68,7 +68,7 @@ def undisturbed_capture(server: Running, rig: SlowRig) -> Iterator[None]:
 
 
 def connected(server: Running) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", server.port), timeout=20)
+    return socket.create_connection(("127.0.0.1", server.port), timeout=60)
 
 
 def status_of(connection: socket.socket) -> int:
@@ -388,14 +388,9 @@ def test_a_client_that_does_not_take_its_answer_is_dropped() -> None:
         with socket.socket() as connection:
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             connection.connect(("127.0.0.1", server.port))
-            connection.sendall(
-                b"POST /v1/captures HTTP/1.1\r\nHost: rig\r\nAuthorization: "
-                + RIGHT["Authorization"].encode()
-                + f"\r\nRig-Lease: {lease}\r\nIdempotency-Key: {'x' * 20}\r\n".encode()
-                + f"Content-Type: {MEDIA_TYPE}\r\nContent-Length: {len(body)}\r\n\r\n".encode()
-                + body
-            )
-            connection.settimeout(20)
+            headers = {"Rig-Lease": lease, "Idempotency-Key": "x" * 20, "Content-Type": MEDIA_TYPE}
+            connection.sendall(head_of_capture(headers, len(body)) + body)
+            connection.settimeout(60)
             assert connection.recv(15) == b"HTTP/1.1 200 OK"
             time.sleep(1.5)
             left = 0

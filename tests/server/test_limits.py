@@ -16,7 +16,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from tests.server.harness import RIGHT, SlowRig, running
+from tests.server.harness import RIGHT, SlowRig, head_of_capture, running
 from tests.server.test_attacks import crowd
 
 from rfpipe.rigs.messages import MEDIA_TYPE, Message, pack
@@ -158,7 +158,9 @@ def test_who_has_not_shown_the_token_is_not_kept_waiting_for_more() -> None:
 
 
 def test_a_busy_rig_is_said_before_a_body_is_read() -> None:
-    with running(SlowRig(0.5)) as server, server.http() as http:
+    rig = SlowRig()
+    rig.go_on.clear()
+    with running(rig) as server, server.http() as http:
         lease = http.post("/v1/lease", json={"client": "test"}).json()["lease"]
         headers = {"Rig-Lease": lease, "Content-Type": MEDIA_TYPE}
         body = encode_patterns(np.ones((1, 3, 7), np.float32), [(1, 0)])
@@ -167,12 +169,10 @@ def test_a_busy_rig_is_said_before_a_body_is_read() -> None:
                 http.post, "/v1/captures", content=body,
                 headers={**headers, "Idempotency-Key": "the-first-capture"},
             )  # fmt: skip
-            while not server.worker.metrics.brackets and not server.worker._captures:
-                time.sleep(0.01)
-            with socket.create_connection(("127.0.0.1", server.port), timeout=20) as connection:
-                lines = {**headers, **RIGHT, "Idempotency-Key": "the-second-capture", "Host": "rig"}
-                lines["Content-Length"] = "60000"  # of which nothing is sent
-                head = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
-                connection.sendall(f"POST /v1/captures HTTP/1.1\r\n{head}\r\n".encode())
+            assert rig.began.wait(60)
+            with socket.create_connection(("127.0.0.1", server.port), timeout=60) as connection:
+                second = {**headers, "Idempotency-Key": "the-second-capture"}
+                connection.sendall(head_of_capture(second, 60_000))  # of which nothing is sent
                 assert connection.recv(12) == b"HTTP/1.1 429"
+            rig.go_on.set()
             assert first.result().status_code == 200

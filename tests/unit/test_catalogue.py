@@ -15,10 +15,12 @@ from typer.testing import CliRunner
 from rfpipe.cli import app
 from rfpipe.config import load_config
 from rfpipe.report.catalogue import CATALOGUE, write_catalogue
+from rfpipe.stages.acquisitions import acquire_all
+from rfpipe.stages.jobs.workers import Resources
 from rfpipe.store.files import hidden_sibling
 
 HEADER = "name,kind,surfaces,shape,channels,about.title\n"
-STATES = ("done", "failed", "running", "stopped", "waiting")
+STATES = ("done", "failed", "running", "stopped", "unknown", "waiting")
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +39,7 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (folder / "run.yaml").write_text(run)
     results = folder / "results"
     acquire_item(load_config(folder / "run.yaml"), "done", "hadamard", results)
-    for name in ("failed", "running", "stopped"):
+    for name in ("failed", "running", "stopped", "unknown"):
         (results / name / "hadamard/L00").mkdir(parents=True)
     log = results / "failed/hadamard/acquire.log"
     log.write_text(
@@ -49,8 +51,11 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (results / "stopped/hadamard/L00/capture.json").write_text("{}")
     (results / "report/view").mkdir(parents=True)
     (results / "report/view/done_hadamard.html").write_text("a viewer")
+    hidden_sibling(results / "unknown/hadamard", "lock").write_text("77 node3\n")
     with hidden_sibling(results / "running/hadamard", "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        lock.write("78 node4\n")
+        lock.flush()
         told = CliRunner().invoke(
             app, ["catalogue", str(folder / "run.yaml"), "--folder", str(results)]
         )
@@ -74,12 +79,15 @@ def test_the_page_tells_states_sorts_and_filters(chromium: Any, listed: Path) ->
     page.on("request", lambda request: asked.append(request.url))
     page.goto(f"file://{listed}")
     assert [it.splitlines()[0] for it in cells(page, 1)] == list(STATES)
-    assert cells(page, 2)[0] == "<done> & co"
-    states = cells(page, 4)
+    assert cells(page, 4)[0] == "<done> & co"
+    states = cells(page, 3)
     assert [it.splitlines()[0] for it in states] == list(STATES)
     assert "the lamp <went> out; mend it" in states[1]
     assert "level 0 is captured" in states[3]
-    assert cells(page, 5) == ["59", "", "", "", ""]
+    assert "on node4: nothing captured yet" in states[2]
+    assert "begun on node3" in states[4]
+    assert "last sign of life 20" in states[4]
+    assert cells(page, 5) == ["59", "", "", "", "", ""]
     assert float(cells(page, 7)[0]) > 0  # MB
     assert page.evaluate("document.querySelector('img').naturalWidth") == 8
     link = page.evaluate("document.querySelector('tbody a').href")
@@ -92,10 +100,40 @@ def test_the_page_tells_states_sorts_and_filters(chromium: Any, listed: Path) ->
     assert cells(page, 5)[0] == "59"
     page.uncheck("input[value=waiting]")
     page.fill("#text", "lamp <went>")
-    assert cells(page, 3) == ["hadamard"]
+    assert cells(page, 2) == ["hadamard"]
     assert page.inner_text("#shown") == "1 shown"
+    page.set_viewport_size({"width": 400, "height": 700})  # of a telephone
+    right = "document.querySelector('tr:not([hidden]) .state').getBoundingClientRect().right"
+    assert 0 < page.evaluate(right) < 400
     assert not said
     assert all(url.startswith("file:") for url in asked)
+
+
+def test_what_is_left_of_a_scene_that_was_taken_out_is_named(listed: Path) -> None:
+    settings = listed.parents[2] / "run.yaml"
+    (listed.parents[1] / "taken_out/dual/L00").mkdir(parents=True)
+    told = CliRunner().invoke(app, ["catalogue", str(settings), "--folder", str(listed.parents[1])])
+    assert "their folders: taken_out. What" in told.output
+    assert "their folders are there: taken_out." in listed.read_text()
+
+
+def test_what_was_acquired_with_other_settings_is_told(tmp_path: Path) -> None:
+    run = tmp_path / "run.yaml"
+    run.write_text("collection: scenes.csv\nmethods: {hadamard: {}}\n")
+    rows = "name,kind,surfaces,shape,channels,projector.position,projector.shape\n"
+    rows += 'a,wedge_120,{} white,4 x 4,1,"1.72, 0, 0.54",2 x 2\n'
+    (tmp_path / "scenes.csv").write_text(rows.format("white"))
+    results = tmp_path / "results"
+    acquire_all(load_config(run), results, Resources())
+    write_catalogue(load_config(run), results)
+    assert "with other settings" not in (results / CATALOGUE).read_text()
+    assert "4 x 4, lit by 2 x 2" in (results / CATALOGUE).read_text()
+    (tmp_path / "scenes.csv").write_text(rows.format("texture"))
+    write_catalogue(load_config(run), results)
+    assert "with other settings" in (results / CATALOGUE).read_text()
+    (tmp_path / "scenes.csv").write_text(rows.format("white"))
+    write_catalogue(load_config(run), results)
+    assert "with other settings" not in (results / CATALOGUE).read_text()
 
 
 def test_what_is_done_isn_t_read_again_until_it_changes(

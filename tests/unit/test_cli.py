@@ -212,7 +212,10 @@ def test_scenes_are_listed_with_their_options() -> None:
     text = run("scenes")
     assert "wedge_120: Two planes that meet at 120 degrees" in text
     assert "    surfaces (needed): Left and right plane." in text
-    assert "    projector (None): The projector where it does not share the camera's rays" in text
+    assert "    projector (null): The projector where it does not share the camera's rays" in text
+    assert text.startswith("every kind:\n    shape ([62,70]): Rays of the rig")
+    assert text.count("    settings ({}): ") == 1
+    assert "Undefined" not in text
 
 
 def test_the_version_is_told() -> None:
@@ -295,4 +298,27 @@ def test_run_checks_settings_and_names_the_report_of_its_folder(
         main()
     assert caught.value.code == 0
     assert capsys.readouterr().out.endswith(f"report: {report}\n")
+    assert Path("elsewhere/done.txt").exists()
+
+
+def test_run_looks_for_the_settings_files_in_the_folder_that_it_is_given(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("Snakefile").write_text("rule all:\n    output: 'done.txt'\n    shell: 'touch {output}'\n")
+    Path("settings.yaml").write_text("scenes: {glass: {kind: 'glass.py:Glass'}}\n")
+    Path("elsewhere").mkdir()
+    options = ("--configfile", "settings.yaml", "--cores", "1")
+    said = failure(monkeypatch, capsys, "run", *options, "--directory", "elsewhere")
+    assert f"no file glass.py in {tmp_path / 'elsewhere'}" in said
+    examples = Path(__file__).parents[1] / "examples"
+    glass = (examples / "frosted_glass.py").read_text().replace("FrostedGlass", "Glass")
+    Path("elsewhere/glass.py").write_text(glass)
+    command = ["rfpipe", "run", *options, "--directory", "elsewhere"]
+    monkeypatch.setattr(sys, "argv", command)
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 0
     assert Path("elsewhere/done.txt").exists()

@@ -5,11 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from rfpipe.config import Config, load_config
 from rfpipe.errors import ConfigError
+from rfpipe.photometry import sensor_from_config
+from rfpipe.scenes import scene_from_config
+from rfpipe.units import SATURATION_FRACTION
 
 METHODS = {"near_far": {}}
 
@@ -55,6 +59,14 @@ def test_rows_are_scenes_with_settings_of_their_own(tmp_path: Path) -> None:
     assert list(bowl.scenes) == ["bowl"]
 
 
+def test_two_acquisitions_whose_pages_have_one_name_are_refused(tmp_path: Path) -> None:
+    rows = "name,kind,surfaces,methods\nbowl,plane,white,fine_dual\nbowl_fine,plane,white,dual\n"
+    methods = {"dual": {}, "fine_dual": {"method": "dual"}}
+    (told,) = refusal(tmp_path, rows, methods=methods)
+    assert told.startswith("scenes.csv: line 3: scenes.bowl_fine should be called otherwise")
+    assert "by dual its page would be bowl_fine_dual, as that of bowl by fine_dual is" in told
+
+
 def test_rigs_are_shared_and_a_scene_s_own_settings_win(tmp_path: Path) -> None:
     rows = "name,kind,surfaces,rig,camera.bits\na,plane,white,studio,\nb,plane,white,studio,10\n"
     rigs = {"studio": {"camera": {"bits": 14, "black_level_counts": 32}}}
@@ -80,6 +92,24 @@ def test_tables_are_read_as_spreadsheets_write_them(tmp_path: Path, content: byt
     assert run.of_scene("a").merge.saturation_fraction == 0.5
 
 
+def test_lists_have_decimal_commas_where_semicolons_part_cells(tmp_path: Path) -> None:
+    rows = (
+        "name;kind;surfaces;shape;camera.exposures;projector.position\n"
+        "a;wedge_120;white white;8 x 10;0,25 0,5 1;1,72 0 0,54\n"
+        "b;wedge_120;white white;8,10;0.25, 0.5;1.72, 0, 0.54\n"
+    )
+    methods = {"dual": {}}
+    run = load_config(settings(tmp_path, rows, methods=methods))
+    cameras = [run.of_scene(name).camera for name in "ab"]
+    assert [it.exposures for it in cameras if it] == [(0.25, 0.5, 1), (0.25, 0.5)]
+    assert [run.scenes[name].shape for name in "ab"] == [(8, 10)] * 2
+    for name in "ab":
+        assert run.scenes[name].projector.position == (1.72, 0, 0.54)
+    (told,) = refusal(tmp_path, rows.replace("0,25 0,5 1;", "1,5;"), methods=methods)
+    assert told.startswith("scenes.csv: line 2, column E (camera.exposures): camera.exposures: 1,5")
+    assert told.endswith("may be one number or two; write 1.5, or 1 5")
+
+
 @pytest.mark.parametrize(
     ("rows", "expected"),
     [
@@ -89,7 +119,7 @@ def test_tables_are_read_as_spreadsheets_write_them(tmp_path: Path, content: byt
             [
                 "line 2, column A (name): the name 'Vase-3' is not fit for a folder; expected a ",
                 "line 3, column A (name): the name '1992.3'",
-                "line 4: the scene has no name",
+                "line 4, column A (name): the scene has no name",
                 "line 5, column A (name): the name 'nul'",
             ],
         ),
@@ -110,6 +140,14 @@ def test_tables_are_read_as_spreadsheets_write_them(tmp_path: Path, content: byt
         ("name,kind\na,pla\n", ["line 2, column B (kind): scenes.a: 'pla' is unknown"]),
         ('name,note\na,"two\nlines"\nb,1,2\n', ["line 4, column C: '2' stands in a column"]),
         ("name,kind,name\n", ["line 1, column C: name stands in column A as well"]),
+        (
+            "name,camera.bits,rig.camera.bits,scene.kind,kind\n",
+            [
+                "line 1, column C: rig.camera.bits stands in column B as well, as camera.bits; re",
+                "line 1, column E: kind stands in column D as well, as scene.kind",
+            ],
+        ),
+        ("name,about.\n", ["line 1, column B: 'about.' is no name of a setting"]),
         ("name,a b\n", ["line 1, column B: 'a b' is no name of a setting"]),
         ("kind\nplane\n", ["line 1: the header has no column 'name'"]),
         ('name,kind\na,"pla\n', ["line 2: is no row of cells"]),
@@ -129,7 +167,23 @@ def test_tables_are_read_as_spreadsheets_write_them(tmp_path: Path, content: byt
             ["line 2, column D (shape): shape: [3 is not valid YAML"],
         ),
         ("name,kind,surfaces\nreport,plane,white\n", ["line 2: scenes.report should be called"]),
-        ("name,kind,surfaces,rig\na,plane,white,b\n", ["line 2: scenes.a.rig is 'b'; the"]),
+        (
+            "name,kind,surfaces,rig\na,plane,white,b\n",
+            ["line 2, column D (rig): scenes.a.rig is 'b'"],
+        ),
+        (b"PK\x03\x04\x14\x00", ["is a spreadsheet's own file; save the table as CSV"]),
+        (
+            "name,kind,surfaces,resources.jobs\na,plane,white,level\n",
+            ["line 2, column D (resources.jobs): scenes.a.settings.resources.jobs: can't be"],
+        ),
+        (
+            "Name,kind\na,plane\n",
+            ["line 1: the header has no column 'name', by which scenes and their folders are "],
+        ),
+        (
+            "name,kind,surfaces\na,,white\n",
+            ["line 2, column B (kind): scenes.a.kind is missing"],
+        ),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_told_with_line_and_column(
@@ -168,6 +222,43 @@ scenes:
     assert told[0].startswith(start)
 
 
+def test_a_setting_that_a_scene_of_yaml_has_twice_is_refused(tmp_path: Path) -> None:
+    rows = """
+- {name: a, kind: plane, camera: {bits: 10}}
+- name: b
+  kind: plane
+  camera: {bits: 10}
+  rig: {camera.bits: 12}
+"""
+    (told,) = refusal(tmp_path, rows, "scenes.yaml")
+    start = "scenes.yaml: line 6, column 9 (rig.camera.bits): sets what camera.bits does; remove"
+    assert told.startswith(start)
+
+
+def test_what_is_only_to_be_known_is_taken_as_it_stands(tmp_path: Path) -> None:
+    rows = (
+        "name,kind,surfaces,about.title,about.from,about.Inv.-Nr. (alt)\n"
+        "a,plane,white,[Untitled],~,1992.3\nb,plane,white,[Jug] with {handle,null,\n"
+    )
+    scenes = load_config(settings(tmp_path, rows)).scenes
+    assert scenes["a"].about == {
+        "title": "[Untitled]",
+        "from": "~",
+        "Inv.-Nr. (alt)": "1992.3",
+    }
+    assert scenes["b"].about == {"title": "[Jug] with {handle", "from": "null"}
+
+
+def test_no_scene_of_the_collection_that_comes_with_rfpipe_is_too_bright() -> None:
+    run = load_config(Path(__file__).parents[2] / "config" / "collection.yaml")
+    for name, scene in run.scenes.items():
+        camera = run.of_scene(name).camera
+        assert camera is not None
+        (floodlit,) = scene_from_config(scene).apply(np.ones((1, *scene.ray_shape), np.float32))
+        shortest = sensor_from_config(camera).expose(floodlit, 0, (0,))[0]
+        assert shortest.max() < SATURATION_FRACTION * (2**camera.bits - 1), name
+
+
 def test_a_wrong_rig_is_told_where_it_stands(tmp_path: Path) -> None:
     rows = "name,kind,surfaces,rig\na,plane,white,studio\n"
     (told,) = refusal(tmp_path, rows, rigs={"studio": {"camera": {"bits": 40}}})
@@ -184,3 +275,17 @@ def test_a_missing_file_is_told_with_where_it_was_looked_for(tmp_path: Path) -> 
 def test_settings_of_a_run_are_those_of_its_scenes_without_own_ones() -> None:
     run = Config()
     assert run.of_scene("planes_i") is run
+
+
+@pytest.mark.parametrize(
+    ("rows", "says"),
+    [
+        ("name,kind\nSchüssel,plane\n", "as in schuessel."),
+        ("name,kind\nÉtui ß/3,plane\n", "as in etui_ss_3."),
+        ("name,kind,surfaces,title\na,plane,white,Jug\n", "of a scene goes into about.title."),
+        ("name,kind,surfaces,report.title\na,plane,white,Jug\n", "report is the whole run's"),
+    ],
+)
+def test_it_is_said_what_to_write_instead(tmp_path: Path, rows: str, says: str) -> None:
+    (told,) = refusal(tmp_path, rows)
+    assert says in told

@@ -8,13 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.buckets import BUCKET, put, s3_server, use
 from tests.collections_ import acquire_item
+from tests.serving import serving
 from typer.testing import CliRunner
 
 import rfpipe
 from rfpipe.cli import app
 from rfpipe.config import Config, load_config
 from rfpipe.errors import InputError, IntegrityError, StoreError
+from rfpipe.report.catalogue import write_catalogue
 from rfpipe.store import FrameStore, read_manifest
 
 ROWS = "name,kind,surfaces,shape,channels\na,plane,texture,6 x 8,1\nb,wedge,white white,6 x 8,1\n"
@@ -102,6 +105,28 @@ def test_a_collection_is_one_field(run: tuple[Config, Path]) -> None:
         field.light_from({"c": pattern})
 
 
+def test_positions_are_counted_and_one_scene_is_no_collection(
+    run: tuple[Config, Path], tmp_path: Path
+) -> None:
+    scene = run[1] / "a"
+    for name in ("left_10", "left_2", "left_2b", "axis"):
+        copied = tmp_path / "results" / name / "hadamard"
+        shutil.copytree(scene / "hadamard/transport.zarr", copied / "transport.zarr")
+    field = rfpipe.open_collection(tmp_path / "results")
+    assert list(field) == ["axis", "left_2", "left_2b", "left_10"]
+    for inside in (scene, scene / "hadamard"):
+        with pytest.raises(StoreError, match="without folders of scenes; give the run's results"):
+            rfpipe.open_collection(inside)
+
+
+def test_a_run_is_not_packed_into_itself(run: tuple[Config, Path]) -> None:
+    output = run[1] / "packed"
+    told = CliRunner().invoke(app, ["collection", "pack", str(run[1]), "-o", str(output)])
+    assert isinstance(told.exception, InputError)
+    assert "lies in" in str(told.exception)
+    assert not output.exists()
+
+
 def test_a_packed_run_reads_alike_survives_a_zip_and_comes_back(
     run: tuple[Config, Path], tmp_path: Path
 ) -> None:
@@ -140,3 +165,97 @@ def test_a_packed_run_reads_alike_survives_a_zip_and_comes_back(
     result = invoke(app, ["collection", "unpack", str(packed), "-o", str(tmp_path / "again")])
     assert isinstance(result.exception, IntegrityError)
     assert str(largest) in str(result.exception)
+    # packed again it is mended; and what stands in the way of a file is told from it
+    assert invoke(app, ["collection", "pack", str(results), "-o", str(packed)]).exit_code == 0
+    assert invoke(app, ["verify", str(packed)]).exit_code == 0
+    other = back / "a/hadamard/transport.json"
+    other.write_bytes(other.read_bytes()[:-2] + b"?\n")
+    result = invoke(app, ["collection", "unpack", str(packed), "-o", str(back)])
+    assert f"{other}: another file stands here" in str(result.exception)
+
+
+@pytest.fixture(scope="module")
+def packed(run: tuple[Config, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("packed") / "packed"
+    done = CliRunner().invoke(
+        app, ["collection", "pack", str(run[1]), "--transports", "-o", str(folder)]
+    )
+    assert done.exit_code == 0, done.output
+    return folder
+
+
+def check_afar(address: str, results: Path, output: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Use a packed folder behind an address in all ways."""
+    inside = "a/hadamard/transport.zarr"
+    light = np.random.default_rng(1).random((6, 8))
+    expected = rfpipe.open_transport(results / inside).relight(light)
+    for name in (f"{address}/{inside}", f"{address}/a/hadamard"):
+        assert np.array_equal(rfpipe.open_transport(name).relight(light), expected)
+    field = rfpipe.open_collection(address, "hadamard")
+    assert [*field] == ["a", "b"]
+    assert np.array_equal(field["a"].relight(light), expected)
+    with pytest.raises(StoreError, match="has 4 transports"):
+        rfpipe.open_transport(address)
+    with pytest.raises(StoreError, match="nowhere"):
+        rfpipe.open_transport(f"{address}/nowhere/transport.zarr")
+    # without a place in it, the command is given it as a user does
+    monkeypatch.chdir(output.parent)
+    for command in (["verify", address], ["collection", "unpack", address, "-o", str(output)]):
+        done = CliRunner().invoke(app, command)
+        assert done.exit_code == 0, done.output
+    unpacked = sorted(it.relative_to(output) for it in output.rglob("*") if it.is_file())
+    assert all((output / it).read_bytes() == (results / it).read_bytes() for it in unpacked)
+    assert Path(inside) / "zarr.json" in unpacked
+
+
+def test_a_packed_run_is_read_from_a_web_server(
+    run: tuple[Config, Path], packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with serving(packed.parent) as server:
+        check_afar(f"{server.address}/packed", run[1], tmp_path / "out", monkeypatch)
+
+
+def test_a_packed_run_is_read_from_a_bucket(
+    run: tuple[Config, Path], packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with s3_server() as endpoint:
+        for file in filter(Path.is_file, packed.rglob("*")):
+            name = file.relative_to(packed.parent).as_posix()
+            put(f"{endpoint}/{BUCKET}/{name}", file.read_bytes())
+        use(monkeypatch, endpoint)
+        check_afar(f"s3://{BUCKET}/packed", run[1], tmp_path / "out", monkeypatch)
+
+
+def test_a_packed_folder_opens_as_a_run_does(packed: Path) -> None:
+    with pytest.raises(StoreError, match="has 4 transports") as caught:
+        rfpipe.open_transport(packed)
+    named = str(caught.value).splitlines()[1].strip()
+    assert rfpipe.open_transport(named).camera_shape == (6, 8)
+    lines = CliRunner().invoke(app, ["info", str(packed)]).output.splitlines()
+    assert len(lines) == 4
+    assert f"{packed}/a/hadamard/transport.zarr: 6 x 8 rays seen" in "".join(lines)
+
+
+def test_a_collection_is_published_with_its_catalogue(
+    run: tuple[Config, Path], packed: Path, tmp_path: Path
+) -> None:
+    settings, results = run
+    write_catalogue(settings, results)
+    cited = ["--license", "CC-BY-4.0", "--creator", "Doe, Jane", "-o", str(tmp_path / "crate")]
+    invoke = CliRunner().invoke
+    done = invoke(app, ["publish", str(results.parent), *cited])
+    assert done.exit_code == 0, done.output
+    assert "--config SETTINGS.yaml" in done.output
+    given = ["--config", str(results.parent / "run.yaml"), "--overwrite"]
+    done = invoke(app, ["publish", str(results.parent), *cited, *given])
+    assert done.exit_code == 0, done.output
+    assert "SETTINGS.yaml" not in done.output
+    page = tmp_path / "crate/results/catalogue/index.html"
+    assert "hadamard" in page.read_text()
+    assert ".log" not in page.read_text()
+    assert (page.parent / "a_hadamard.png").is_file()
+    assert not (page.parent / "items.json").exists()
+    assert "scenes:" in (tmp_path / "crate/settings.yaml").read_text()
+    assert [*rfpipe.open_collection(tmp_path / "crate", "hadamard")] == ["a", "b"]
+    with pytest.raises(InputError, match=r"is a packed run; .*rfpipe collection unpack"):
+        invoke(app, ["publish", str(packed), *cited], catch_exceptions=False)

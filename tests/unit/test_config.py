@@ -371,7 +371,7 @@ def test_a_file_that_is_not_utf_8_is_named_with_the_line(tmp_path: Path) -> None
 
 
 def test_a_text_of_digits_stays_one(tmp_path: Path) -> None:
-    assert load_config(write(tmp_path, "report: {title: '010'}")).report.title == "010"
+    assert load_config(write(tmp_path, "report: {title: '010'}")).title == "010"
 
 
 @pytest.mark.parametrize(
@@ -392,3 +392,10 @@ def test_what_can_not_work_after_hours_is_found_before(data: object, expected: s
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"absent\.yaml: can't be read"):
         load_config(tmp_path / "absent.yaml")
+
+
+def test_a_title_counts_the_scenes() -> None:
+    run = Config()
+    assert run.title == "Light transport of 5 scenes"
+    one = run.model_copy(update={"scenes": {"planes_i": run.scenes["planes_i"]}})
+    assert one.title == "Light transport of planes_i"

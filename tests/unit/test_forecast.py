@@ -81,7 +81,7 @@ def test_it_learns_from_acquisitions_that_are_there(tmp_path: Path) -> None:
         ExactSensor(),
         taken,
     )
-    assert (large.known, large.here) == ("thesis", None)
+    assert (large.known, large.here) == ("guess", None)
 
 
 def test_the_command_says_what_does_not_fit(
@@ -94,9 +94,16 @@ def test_the_command_says_what_does_not_fit(
     assert result.exit_code == 0
     assert result.output.count("dual") == 5
     assert "One after the other: 10 h" in result.output
+    assert "5 of 5 are guesses on the high side" in result.output
     assert "may not fit" not in result.output
+    assert "of memory, and this machine" not in result.output
+    from rfpipe import costs
     from rfpipe.store import files
+
+    monkeypatch.setattr(costs, "machine_memory_mb", lambda: 128)
 
     monkeypatch.setattr(files, "free_bytes", lambda _folder: 10)
     result = runner.invoke(app, ["plan", str(config)])
     assert "may not fit" in result.output
+    assert "by dual is likely to take" in result.output
+    assert "of memory, and this machine has 128 MB: acquire it on another one" in result.output

@@ -7,13 +7,13 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.buckets import BUCKET, Faults, proxy, s3_server, use
+from tests.waiting import wait_until
 from typer.testing import CliRunner
 
 import rfpipe
@@ -193,19 +193,15 @@ def test_missing_buckets_rights_and_credentials_are_said(
 def test_an_uploader_that_is_killed_leaves_nothing_half_and_goes_on(
     run: Path, address: str, faults: Faults
 ) -> None:
-    faults.seconds = 0.15
     command = [sys.executable, "-m", "rfpipe.cli", "keep", str(run), address]
-    for least in (1, 4):
+    for most in (1, 4):
+        faults.most = most
         uploader = subprocess.Popen(command, env=os.environ, stderr=subprocess.DEVNULL)
-        end = time.monotonic() + 60
-        while len(faults.written()) < least:
-            assert time.monotonic() < end
-            assert uploader.poll() is None
-            time.sleep(0.01)
-        time.sleep(0.1)  # in the middle of the next
+        wait_until(lambda: len(faults.written()) >= faults.most and faults.under_way, "writes")
         uploader.send_signal(signal.SIGKILL)
         assert uploader.wait() == -signal.SIGKILL
-        time.sleep(0.3)  # what was under way
+        faults.most = None
+        wait_until(lambda: not faults.under_way, "the end of what was sent")
         bucket = bucket_module.Bucket(address)
         assert len(bucket.sizes()) < 9
         for name in bucket.sizes():
@@ -214,7 +210,6 @@ def test_an_uploader_that_is_killed_leaves_nothing_half_and_goes_on(
                 assert transport.relight(np.ones(SHAPE)).shape == (*SHAPE, 3)
         for name in listed(address):
             assert name in bucket.sizes()
-    faults.seconds = 0.0
     assert kept(run, address).objects == 9
     assert verified(address)[0] == 0
     assert len(listed(address)) == 9
@@ -235,6 +230,17 @@ def test_damage_there_is_found_and_sent_again(run: Path, address: str, faults: F
     for place in (f"{address}/{name}", f"{address}/results/desk"):
         status, output = verified(place)
         assert (status, "1 stores" in output) == (0, True), output
+
+
+def test_the_address_of_another_run_is_warned_of(
+    run: Path, address: str, faults: Faults, caplog: pytest.LogCaptureFixture
+) -> None:
+    kept(run, address)
+    kept(run, address)
+    assert not caplog.records
+    (run / "results/shelf").rename(run / "results/drawer")
+    kept(run, address)
+    assert "has 1 transports that this run hasn't, such as results/shelf/" in caplog.text
 
 
 def test_what_is_damaged_here_is_not_sent(run: Path, address: str, faults: Faults) -> None:

@@ -92,7 +92,10 @@ def test_defects_stay_local_and_are_filled_in(method: str) -> None:
     bad = acquire(BadPixels(rig_of(matrix), HOT, DEAD), method, progress=False)
     assert not good.masked.any()
     np.testing.assert_array_equal(bad.masked, BAD)
-    assert bad.patterns <= 1.5 * good.patterns  # near_far shows one more round of its rounds
+    if method == "near_far":  # whose estimate may ask for one more of its rounds
+        assert len(bad.history) <= len(good.history) + 1
+    else:
+        assert bad.patterns <= 1.5 * good.patterns
     assert error(bad, matrix) < 1.25 * error(good, matrix)
     found, mask = dense(bad.transport)[0], BAD.ravel()
     assert np.isfinite(found).all()

@@ -21,6 +21,7 @@ from rfpipe.config import Config, parse_config
 from rfpipe.errors import InputError, IntegrityError, RfpipeError
 from rfpipe.publish import Creator, find_run
 from rfpipe.publish import publish as publish_run
+from rfpipe.publish.pictures import encoded
 from rfpipe.publish.writing import Writer
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
@@ -105,6 +106,9 @@ def test_the_same_run_gives_the_same_bytes(run: Path) -> None:
     first = (run / "publication.zip").read_bytes()
     published(run, "--overwrite")
     assert (run / "publication.zip").read_bytes() == first
+    # nothing tells of the second in which it was written
+    draw = np.random.default_rng(0).random((4, 5, 3), np.float32)
+    assert b"1980:01:01 00:00:00" in encoded(draw, "exr")
 
 
 def test_licence_and_creators_are_asked_for_once(run: Path) -> None:

@@ -1,21 +1,27 @@
 """Transports are opened from a folder, a zip file or an address, and relight bit for bit alike."""
 
+import base64
+import hashlib
 import sys
+import time
 import zipfile
 from collections.abc import Iterator
+from datetime import timedelta
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.buckets import BUCKET, put, s3_server, use
-from tests.serving import serving
+from tests.serving import listening, serving
 from typer.testing import CliRunner
 
 import rfpipe
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.cli import app
-from rfpipe.errors import InputError, IntegrityError, StoreError
+from rfpipe.errors import InputError, IntegrityError, StoreError, UnreachableError
 from rfpipe.publish.contents import files_of_store
+from rfpipe.store import remote
 from rfpipe.transport import save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
@@ -156,6 +162,141 @@ def test_what_an_address_lacks_is_said(name: str, says: str, run: Path) -> None:
     assert "Debug source" not in str(caught.value)
 
 
+class Handler(BaseHTTPRequestHandler):
+    """Answers as a server of one file does."""
+
+    protocol_version = "HTTP/1.1"
+    asked: list[tuple[str, str | None]]
+    content = b""
+    status = 200
+    seconds = 0.0  # before each eighth of the answer
+    stalls = 0  # so many answers end in their middle, with the connection open
+
+    def do_GET(self) -> None:
+        self.asked.append((self.path, self.headers["Authorization"]))
+        content = self.content
+        first, _, size = (self.headers["Range"] or "bytes=0-").removeprefix("bytes=").partition("-")
+        start = int(first) if first else max(0, len(content) - int(size))
+        self.send_response(206 if self.headers["Range"] and self.status == 200 else self.status)
+        self.send_header("Content-Length", str(len(content) - start))
+        last = len(content) - 1
+        self.send_header("Content-Range", f"bytes {start}-{last}/{len(content)}")
+        self.send_header("ETag", '"one"')
+        self.end_headers()
+        for piece in range(start, len(content), len(content) // 8):
+            time.sleep(self.seconds)
+            # before it writes: after the last piece a client may be at its next test already
+            if type(self).stalls and piece > len(content) // 2:
+                type(self).stalls -= 1
+                time.sleep(4.0)
+                return
+            self.wfile.write(content[piece : piece + len(content) // 8])
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def one_file(run: Path) -> type[Handler]:
+    """A handler of its own, of the zip file."""
+    content = (run / "crate.zip").read_bytes()
+    return type("OneFile", (Handler,), {"asked": [], "content": content})
+
+
+def test_a_slow_line_is_waited_for_and_one_that_stalls_asked_again(
+    one_file: type[Handler], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert remote._CLIENT["timeout"] > timedelta(hours=1)  # of a whole file, however large
+    monkeypatch.setitem(remote._CLIENT, "read_timeout", timedelta(seconds=1.0))
+    monkeypatch.setattr(one_file, "seconds", 0.15)
+    with listening(one_file) as address:
+        rfpipe.open_transport(f"{address}/crate.zip")
+        monkeypatch.setattr(one_file, "seconds", 0.0)
+        monkeypatch.setattr(one_file, "stalls", 1)
+        rfpipe.open_transport(f"{address}/crate.zip")
+    assert len(one_file.asked) == 3
+
+
+def test_a_server_that_fails_is_not_asked_for_every_folder_above(one_file: type[Handler]) -> None:
+    one_file.status, one_file.content = 403, b"<p>Not now</p>"
+    with listening(one_file) as address, pytest.raises(StoreError, match="who may read it"):
+        rfpipe.open_transport(f"{address}/a/b/transport.zarr")
+    assert any(path.endswith("/packed.json") for path, _ in one_file.asked)
+    one_file.status = 400
+    one_file.asked.clear()
+    with listening(one_file) as address, pytest.raises(UnreachableError, match="check the network"):
+        rfpipe.open_transport(f"{address}/a/b/transport.zarr")
+    assert {path for path, _ in one_file.asked} == {"/a/b/transport.zarr/zarr.json"}
+
+
+def test_a_page_for_people_is_not_taken_for_a_packed_folder(one_file: type[Handler]) -> None:
+    one_file.content = b"<html>Please log in</html>"
+    with (
+        listening(one_file) as address,
+        pytest.raises(StoreError, match=r"transport\.zarr/zarr\.json: .* no page for people"),
+    ):
+        rfpipe.open_transport(f"{address}/transport.zarr")
+
+
+def test_an_address_may_be_encoded_as_browsers_copy_it(run: Path, tmp_path: Path) -> None:
+    inside = tmp_path / "a b/100% ü"
+    inside.mkdir(parents=True)
+    for name in ("crate.zip", "both.zip"):
+        (inside / name).write_bytes((run / name).read_bytes())
+    with serving(tmp_path) as server:
+        for folder in ("a%20b/100%25%20%C3%BC", "a b/100%25 ü", "a b/100% ü"):
+            rfpipe.open_transport(f"{server.address}/{folder}/crate.zip")
+        with pytest.raises(StoreError, match="has 2 transports") as caught:
+            rfpipe.open_transport(f"{server.address}/{folder}/both.zip")
+        for named in str(caught.value).splitlines()[1:]:
+            rfpipe.open_transport(named.strip())
+
+
+def test_the_password_of_an_address_reaches_its_server(one_file: type[Handler]) -> None:
+    with listening(one_file) as address:
+        rfpipe.open_transport(f"{address.replace('://', '://jane:a%40b@')}/crate.zip")
+        rfpipe.open_transport(f"{address}/crate.zip")
+    given = f"Basic {base64.b64encode(b'jane:a@b').decode()}"
+    assert [told for _, told in one_file.asked] == [given, None]
+
+
+@pytest.mark.parametrize(
+    ("address", "says"),
+    [
+        ("http://[::1", "Invalid IPv6"),
+        ("http://host:99999/crate.zip", "out of range"),
+        ("https://user:pw@/crate.zip", "with a host"),
+        ("s3://key:geheim@lab/run", "AWS_SECRET_ACCESS_KEY in the environment"),
+        ("s3://La b/run", "'La b' can't be a bucket"),
+    ],
+)
+def test_what_can_not_be_an_address_is_said(address: str, says: str) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        rfpipe.open_transport(address)
+    assert "geheim" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [
+        *(("AWS_ENDPOINT_URL", no, f"AWS_ENDPOINT_URL is '{no}'; expected the server's address")
+          for no in ("localhost:9000", "", "no url", "http://", "http://127.0.0.1:99999")),
+        ("AWS_SECRET_ACCESS_KEY", None, "Missing SecretAccessKey; check .*AWS_"),
+    ],
+)  # fmt: skip
+def test_what_the_environment_says_wrongly_of_s3_is_said(
+    name: str, value: str | None, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    use(monkeypatch, "http://127.0.0.1:9")
+    if value is None:
+        monkeypatch.delenv(name)
+    else:
+        monkeypatch.setenv(name, value)
+    with pytest.raises(InputError, match=says) as caught:
+        rfpipe.open_transport("s3://lab/run/transport.zip")
+    assert "\n" not in str(caught.value)
+
+
 def test_a_server_without_ranges_is_said(run: Path) -> None:
     with serving(run, ranges=False) as server, pytest.raises(StoreError, match="range requests"):
         rfpipe.open_transport(f"{server.address}/crate.zip")
@@ -180,6 +321,69 @@ def test_damage_is_found_wherever_it_lies(run: Path, tmp_path: Path) -> None:
     (tmp_path / "short.zip").write_bytes(content[:-100])
     with pytest.raises(StoreError, match="can't be read as a zip file"):
         rfpipe.open_transport(tmp_path / "short.zip")
+
+
+def test_a_zip_made_again_by_another_program_is_read_or_said(run: Path, tmp_path: Path) -> None:
+    light = np.random.default_rng(4).random(SHAPE)
+    with zipfile.ZipFile(run / "crate.zip") as crate:
+        files = {name: crate.read(name) for name in crate.namelist()}
+    again = tmp_path / "again.zip"
+    with zipfile.ZipFile(again, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    relit = rfpipe.open_transport(run / "crate.zip").relight(light)
+    assert np.array_equal(rfpipe.open_transport(again).relight(light), relit)
+    whole = again.read_bytes()
+    with zipfile.ZipFile(again) as archive:
+        chunk = max(archive.infolist(), key=lambda info: info.compress_size)
+        first = chunk.header_offset + 30 + len(chunk.filename)
+        metadata = archive.getinfo(f"{DESK}/zarr.json")
+    for start, fill in ((first, b"\xff" * 16), (chunk.header_offset, b"????")):
+        damaged = bytearray(whole)
+        damaged[start : start + len(fill)] = fill
+        again.write_bytes(damaged)
+        with pytest.raises(IntegrityError, match="anew"):
+            rfpipe.open_transport(again).relight(light)
+        assert "is missing, truncated or altered" in verified(again, status=1)
+    directory = whole.rindex(metadata.filename.encode()) - 46
+    for offset, bit, says in ((10, 93, "compression"), (8, 1, "password")):
+        strange = bytearray(whole)
+        strange[directory + offset] = bit
+        again.write_bytes(strange)
+        with pytest.raises(StoreError, match=f"can't be unpacked .*{says}.*stored as they are"):
+            rfpipe.open_transport(again)
+
+
+def test_a_zip_of_transports_is_verified_where_it_lies(run: Path) -> None:
+    assert "whole. 1 stores" in verified(run / "crate.zip")
+    assert "whole. 2 stores" in verified(run / "both.zip")
+    assert "whole. 1 stores" in verified(run / "both.zip" / DESK)
+    with pytest.raises(InputError, match="no folder and no zip file"):
+        verified(run / "nothing.zip")
+
+
+def test_what_a_published_folder_on_a_web_server_lacks_is_found(tmp_path: Path) -> None:
+    names = ("a.txt", "b.txt", "c.txt")
+    digest = hashlib.sha256(b"of a publication").hexdigest()
+    listed = [f"{digest}  {name}\n" for name in names]
+    listed.append(f"{hashlib.sha256().hexdigest()}  empty.txt\n")
+    (tmp_path / "manifest-sha256.txt").write_text("".join(listed))
+    (tmp_path / "empty.txt").touch()
+    for name in names:
+        (tmp_path / name).write_bytes(b"of a publication")
+    with serving(tmp_path) as server:
+        assert "whole. 0 stores, 0 manifests and 4 other files" in verified(server.address)
+        (tmp_path / "b.txt").unlink()
+        (tmp_path / "c.txt").write_bytes(b"of another")
+        said = verified(server.address, status=1)
+    assert f"{server.address}/b.txt: is missing" in said
+    assert f"{server.address}/c.txt: is altered" in said
+
+
+def verified(path: Path | str, status: int = 0) -> str:
+    result = CliRunner().invoke(app, ["verify", str(path)], catch_exceptions=False)
+    assert result.exit_code == status, result.output
+    return result.output
 
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

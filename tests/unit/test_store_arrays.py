@@ -62,7 +62,7 @@ def test_stores_from_before_there_were_shards_open_with_the_same_digest(
     arrays = example()
     digest = write_arrays(tmp_path / "now", arrays, ATTRIBUTES)
 
-    def rows_of_two_mebibytes(array: NDArray[Any]) -> tuple[tuple[int, ...], None]:
+    def rows_of_two_mebibytes(array: NDArray[Any], _: bool) -> tuple[tuple[int, ...], None]:
         if array.ndim == 0:
             return (), None
         row = max(1, array.nbytes // max(1, len(array)))

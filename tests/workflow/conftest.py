@@ -65,7 +65,7 @@ def _once(folder: Path, run: Callable[[Workflow], str]) -> Workflow:
         if not (folder / "complete").exists():
             (folder / "output").write_text(run(Workflow(folder)))
             (folder / "complete").touch()
-    return Workflow.of(folder)
+    return Workflow(folder)
 
 
 @pytest.fixture

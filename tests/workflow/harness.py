@@ -6,13 +6,12 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import yaml
+from tests.waiting import PATIENCE_SECONDS, wait_until
+from tests.workflow.starter import SNAKEMAKE, run_snakemake
 
 from rfpipe.stages.evaluating.studies import STUDIES as ALL_STUDIES
 
@@ -43,26 +42,19 @@ OWN_METHODS = {
 
 STAGES = ("schedule", "capture", "merge", "normalize", "refine")
 
-_PATIENCE_SECONDS = 60.0
+_RUN_SECONDS = 4 * PATIENCE_SECONDS
 
 
 class Workflow:
-    """The workflow in a folder of its own."""
+    """The workflow in a folder of its own, with the settings that it has or those of CONFIG."""
 
     def __init__(self, folder: Path, config: dict[str, Any] | None = None) -> None:
         self.folder = folder
         self.config = folder / "config.yaml"
         self.source: Path | None = None  # of another rfpipe than the installed one
         folder.mkdir(parents=True, exist_ok=True)
-        self.configure(**({} if config is None else config))
-
-    @classmethod
-    def of(cls, folder: Path) -> Workflow:
-        """Return the run of a folder, with the settings that it has."""
-        settings = (folder / "config.yaml").read_text()
-        workflow = cls(folder)
-        workflow.config.write_text(settings)
-        return workflow
+        if config is not None or not self.config.exists():
+            self.configure(**(config or {}))
 
     def configure(self, **changes: Any) -> None:
         """Write the settings: CONFIG, its groups updated, its scenes and methods replaced."""
@@ -75,12 +67,7 @@ class Workflow:
     def start(self, *arguments: str) -> subprocess.Popen[str]:
         """Start Snakemake as the leader of a process group of its own."""
         return subprocess.Popen(
-            [
-                str(Path(sys.executable).with_name("snakemake")),
-                *("--snakefile", str(ROOT / "Snakefile"), "--directory", str(self.folder)),
-                *("--configfile", str(self.config), "--cores", "2"),
-                *arguments,
-            ],
+            [str(SNAKEMAKE), *self._options(), *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -91,7 +78,15 @@ class Workflow:
 
     def run(self, *arguments: str, succeeds: bool = True) -> str:
         """Run Snakemake to its end and return what it said."""
-        return self.end(self.start(*arguments), succeeds=succeeds)
+        if self.source:  # which isn't the rfpipe that the starter has loaded
+            return self.end(self.start(*arguments), succeeds=succeeds)
+        status, output = run_snakemake([*self._options(), *arguments], self.folder, _RUN_SECONDS)
+        assert (status == 0) == succeeds, output
+        return output
+
+    def _options(self) -> tuple[str, ...]:
+        of_folder = ("--snakefile", str(ROOT / "Snakefile"), "--directory", str(self.folder))
+        return (*of_folder, "--configfile", str(self.config), "--cores", "2")
 
     def unlock(self) -> None:
         """Do what ``snakemake --unlock`` does, without starting it; one test does that."""
@@ -100,7 +95,7 @@ class Workflow:
 
     def end(self, process: subprocess.Popen[str], *, succeeds: bool = True) -> str:
         """Wait for Snakemake and check its exit status."""
-        output, _ = process.communicate(timeout=4 * _PATIENCE_SECONDS)
+        output, _ = process.communicate(timeout=_RUN_SECONDS)
         assert (process.returncode == 0) == succeeds, output
         return output
 
@@ -113,7 +108,7 @@ class Workflow:
         return {
             str(path.relative_to(folder)): path.read_bytes()
             for path in sorted(folder.rglob("*"))
-            if path.is_file() and path.suffix != ".log" and not path.name.endswith("benchmark.tsv")
+            if path.is_file() and not path.name.endswith((".log", ".asked", "benchmark.tsv"))
         }
 
     def take_studies(self, other: Workflow) -> None:
@@ -132,17 +127,6 @@ def journal(store: Path) -> list[str]:
         return (store / "journal.jsonl").read_text().splitlines()
     except FileNotFoundError:
         return []
-
-
-def wait_until(condition: Callable[[], Any], what: str) -> Any:
-    """Wait for something to become true, and return it."""
-    end = time.monotonic() + _PATIENCE_SECONDS
-    while time.monotonic() < end:
-        found = condition()
-        if found:
-            return found
-        time.sleep(0.001)
-    raise AssertionError(f"{what}: not within {_PATIENCE_SECONDS} s")
 
 
 def freeze_writer(store: Path, items: int) -> int:

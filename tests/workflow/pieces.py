@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.waiting import wait_until
 
 from rfpipe.errors import DamagedStageError
 
@@ -46,6 +47,18 @@ class Dying:
         return self.work(first, last)
 
 
+@dataclass(frozen=True)
+class FirstLast:
+    """Of its pieces the first ends last: it waits for the flag of who has got all others."""
+
+    flag: Path
+
+    def __call__(self, first: int, _last: int) -> int:
+        if first == 0:
+            wait_until(self.flag.exists, "the other pieces")
+        return first
+
+
 class LocalError(Exception):
     """An error that can't be made of its message."""
 
@@ -57,8 +70,13 @@ def identity(first: int, last: int) -> tuple[int, int, int]:
     return os.getpid(), first, last
 
 
+def identity_of(number: int) -> int:
+    """Return it, compiled or not."""
+    return number
+
+
 def slow(first: int, last: int) -> int:
-    time.sleep(30)
+    time.sleep(300)
     return first
 
 

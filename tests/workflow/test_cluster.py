@@ -11,6 +11,7 @@ from typing import Any
 import dask
 import pytest
 from distributed import LocalCluster, Security
+from tests.workflow.clusters import address_of, kept_workers
 from tests.workflow.harness import TINY, Workflow, undo
 from tests.workflow.stagewise import CAMERA, SHAPE, Acquisition, contents, damage, matrix_rig
 
@@ -33,9 +34,14 @@ def local_cluster(workers: int) -> Any:
 
 
 @pytest.fixture(scope="module")
-def address() -> Iterator[str]:
-    with local_cluster(2) as cluster:
-        yield cluster.scheduler_address
+def cluster() -> Iterator[Any]:
+    with kept_workers(), local_cluster(2) as cluster:
+        yield cluster
+
+
+@pytest.fixture
+def address(cluster: Any) -> str:
+    return address_of(cluster)
 
 
 @pytest.fixture

@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from tests.waiting import wait_until
 from tests.workflow.harness import (
     LONG,
     STAGES,
@@ -16,7 +17,6 @@ from tests.workflow.harness import (
     journal,
     kill_group,
     undo,
-    wait_until,
 )
 
 BRUTE = "long/brute_force"

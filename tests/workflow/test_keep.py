@@ -30,7 +30,7 @@ def test_a_run_keeps_its_results_in_a_bucket(
     of_ones_own: Workflow, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     workflow = of_ones_own.copy_to(tmp_path / "run")
-    settings = yaml.safe_load((of_ones_own.config).read_text())
+    settings = yaml.safe_load(workflow.config.read_text())
     settings["storage"] = {"keep_at": ADDRESS}
     workflow.config.write_text(yaml.safe_dump(settings))
     said = workflow.run("--default-storage-provider", "s3", "--dry-run", succeeds=False)

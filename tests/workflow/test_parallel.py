@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import logging
 import os
 import signal
 import subprocess
@@ -12,23 +14,40 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numba
 import numpy as np
 import psutil
 import pytest
+import yaml
 from distributed import Client, LocalCluster
-from tests.workflow.pieces import SHAPE, Dying, LocalError, Noise, deadly, fails, identity, slow
+from tests.waiting import wait_until
+from tests.workflow.clusters import address_of, kept_workers
+from tests.workflow.pieces import (
+    SHAPE,
+    Dying,
+    FirstLast,
+    LocalError,
+    Noise,
+    deadly,
+    fails,
+    identity,
+    identity_of,
+    slow,
+)
 from tests.workflow.stagewise import contents
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import parse_config
-from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, InputError
+from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, InputError, StoreError
 from rfpipe.export import relit_files
 from rfpipe.provenance import generator
+from rfpipe.report.catalogue.items import item_of
 from rfpipe.stages.acquisitions import acquire_all
 from rfpipe.stages.evaluating.evaluate import errors_table, speed_error_table
 from rfpipe.stages.jobs import cluster as cluster_module
 from rfpipe.stages.jobs import sent as sent_module
 from rfpipe.stages.jobs import workers as workers_module
+from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources, Workers
 from rfpipe.stages.results import write_bundle
 from rfpipe.store import StoreLock
@@ -38,9 +57,17 @@ PIECES = [(index, index + 1) for index in range(6)]
 
 
 @pytest.fixture(scope="module")
-def address() -> Iterator[str]:
-    with LocalCluster(2, threads_per_worker=1, dashboard_address=":0") as cluster:
-        yield cluster.scheduler_address
+def cluster() -> Iterator[LocalCluster]:
+    with (
+        kept_workers(),
+        LocalCluster(2, threads_per_worker=1, dashboard_address=":0") as cluster,
+    ):
+        yield cluster
+
+
+@pytest.fixture
+def address(cluster: LocalCluster) -> str:
+    return address_of(cluster)
 
 
 @pytest.fixture(params=["processes", "dask"])
@@ -56,12 +83,13 @@ def all_ways(address: str) -> list[Resources]:
 
 def dying_once(monkeypatch: pytest.MonkeyPatch, at: int, flag: Path) -> None:
     """Let whoever comes to a piece first die there."""
-    results = Workers.results
+    for name in ("results", "as_done"):
+        really = getattr(Workers, name)
 
-    def dying(self: Workers, work: Any, pieces: Any) -> Any:
-        return results(self, Dying(work, at, flag), pieces)
+        def dying(self: Workers, work: Any, pieces: Any, really: Any = really) -> Any:
+            return really(self, Dying(work, at, flag), pieces)
 
-    monkeypatch.setattr(workers_module.Workers, "results", dying)
+        monkeypatch.setattr(workers_module.Workers, name, dying)
 
 
 @pytest.fixture(scope="module")
@@ -159,12 +187,148 @@ def test_scenes_are_acquired_to_the_same_bytes(
     assert (tmp_path / "died").exists()
 
 
+def test_workers_find_files_where_the_settings_mean_them(
+    tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # where none of the workers was started
+    np.save("known.npy", np.eye(48))
+    scene = {"kind": "matrix", "file": "known.npy", "shape": [6, 8], "channels": 1}
+    settings = parse_config({"scenes": {"a": scene}, "methods": {"hadamard": {}}}, "the test")
+    found = acquire_all(settings, Path("results"), Resources(where=address))
+    assert [one.error for one in found] == [None]
+    assert (tmp_path / "results/a/hadamard/transport.json").exists()
+
+
 def test_a_scene_that_fails_does_not_end_the_others(tmp_path: Path) -> None:
-    with StoreLock(tmp_path / "white" / "brute_force"):
+    log = tmp_path / "white/brute_force/acquire.log"
+    log.parent.mkdir(parents=True)
+    log.write_text("of the one that has it")
+    with StoreLock(log.parent):
         found = acquire_all(SCENES, tmp_path, Resources())
     assert [one.scene for one in found if one.error] == ["white"]
     assert "is writing this store" in str(found[0].error)
+    assert log.read_text() == "of the one that has it"
     assert (tmp_path / "texture/brute_force/transport.json").exists()
+
+
+def test_each_has_the_memory_of_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[tuple[str, float]] = []
+
+    def run(
+        plan: object, folder: object, scene: str, *_: object, resources: Resources, **__: Any
+    ) -> None:
+        found.append((scene, resources.memory_gib))
+
+    monkeypatch.setattr("rfpipe.stages.acquisitions.levels.run", run)
+    plane = {"kind": "plane", "surfaces": ["white"], "shape": [6, 8], "channels": 1}
+    own = {**plane, "settings": {"resources": {"memory_gib": 0.5}}}
+    settings = {"scenes": {"a": plane, "b": own}, "methods": {"hadamard": {}}}
+    acquire_all(parse_config({**settings, "resources": {"memory_gib": 2}}, "the test"), tmp_path,
+                Resources())  # fmt: skip
+    assert found == [("a", 2.0), ("b", 0.5)]
+
+
+OWN = """\
+from tests.examples.frosted_glass import FrostedGlass
+
+class Broken(FrostedGlass):
+    def apply(self, patterns):
+        raise KeyError("lens")
+"""
+
+
+def test_a_folder_that_can_t_be_made_does_not_end_the_others(tmp_path: Path) -> None:
+    (tmp_path / "white").write_text("in the way")
+    found = acquire_all(SCENES, tmp_path, Resources())
+    assert [one.scene for one in found if one.error] == ["white"]
+    assert (tmp_path / "texture/brute_force/transport.json").exists()
+
+
+def test_a_log_that_can_t_be_written_is_done_without(capsys: pytest.CaptureFixture[str]) -> None:
+    log = logging.getLogger("rfpipe")
+    with stage_log(Path("/dev/full")):
+        log.warning("for the file")
+    assert "No space left" not in capsys.readouterr().err
+
+
+def test_work_that_can_t_be_written_is_refused_as_such(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr("rfpipe.store.files.os.replace", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)  # on such a file system, of what isn't there, too
+    with (
+        pytest.raises(StoreError, match="expected a place that this user may write to"),
+        sent_module.sending(tmp_path) as send,
+    ):
+        send(identity)
+
+
+ACQUIRE_BY_TWO = """\
+import os, sys
+os.sched_getaffinity = lambda _: {0, 1}
+sys.argv = ["rfpipe", "acquire", "run.yaml"]
+from rfpipe.cli import main
+main()
+"""
+
+
+def test_a_bug_of_an_own_scene_does_not_end_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.py").write_text(OWN)
+    rays = {"shape": [6, 8], "channels": 1}
+    scenes = {
+        "own": {"kind": "own.py:Broken", **rays},
+        "sound": {"kind": "plane", "surfaces": ["white"], **rays},
+    }
+    settings = parse_config({"scenes": scenes, "methods": {"hadamard": {}}}, "the test")
+    found = acquire_all(settings, Path("results"), Resources())
+    assert [one.error for one in found] == ["KeyError: 'lens'", None]
+    item = item_of(Path("results/own/hadamard"))
+    assert (item.state, item.why) == ("failed", "KeyError: 'lens'")
+
+
+WAITING = """\
+import time
+from pathlib import Path
+from tests.examples.frosted_glass import FrostedGlass
+
+class Waiting(FrostedGlass):
+    def apply(self, patterns):
+        Path("began").touch()
+        while not Path("go_on").exists():
+            time.sleep(0.01)
+        return super().apply(patterns)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_is_stopped_says_so_and_leaves_nothing_behind(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    (tmp_path / "own.py").write_text(WAITING)
+    own = {"kind": "own.py:Waiting", "shape": [6, 8], "channels": 1}
+    settings = {"scenes": {"own": own}, "methods": {"hadamard": {}}}
+    (tmp_path / "run.yaml").write_text(yaml.safe_dump(settings))
+    # also on a machine of one core
+    command = [sys.executable, "-c", ACQUIRE_BY_TWO]
+    search = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
+    with subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": search},
+    ) as process:  # fmt: skip
+        wait_until((tmp_path / "began").exists, "a capture")
+        process.send_signal(number)
+        said = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert "rfpipe: stopped; what is done is kept" in said
+    assert list((tmp_path / "results").glob(".work*")) == []
+    with StoreLock(tmp_path / "results/own/hadamard"):  # nobody works on it any more
+        pass
 
 
 def test_a_rig_is_where_it_is(tmp_path: Path) -> None:
@@ -173,6 +337,19 @@ def test_a_rig_is_where_it_is(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match=r"capture.rig is hardware.*where the rig is"):
         acquire_all(settings, tmp_path, Resources())
+
+
+def test_a_long_piece_holds_up_no_other(elsewhere: Resources, tmp_path: Path) -> None:
+    died, got_others = tmp_path / "died", tmp_path / "got others"
+    found = []
+    with elsewhere.workers(1, tmp_path) as workers:
+        for first in workers.as_done(Dying(FirstLast(got_others), 3, died), PIECES):
+            found.append(first)
+            if len(found) == len(PIECES) - 1:
+                got_others.touch()
+    assert found[-1] == 0
+    assert sorted(found) == [first for first, _ in PIECES]
+    assert died.exists()
 
 
 def test_a_process_that_dies_costs_its_piece(elsewhere: Resources, tmp_path: Path) -> None:
@@ -199,7 +376,8 @@ def test_errors_come_back_as_they_are(elsewhere: Resources, tmp_path: Path) -> N
         list(workers.results(fails, PIECES))
     assert damaged.value.manifest == Path("L01/merge.json")
     with (
-        pytest.raises(RuntimeError, match=f"{LocalError.__name__}: this and that"),
+        # dask teaches a worker that met an error once to send it as it is
+        pytest.raises((RuntimeError, LocalError), match="this and that"),
         elsewhere.workers(1, tmp_path) as workers,
     ):
         list(workers.results(fails, PIECES[2:]))
@@ -217,10 +395,10 @@ def test_processes_end_with_an_interrupt(tmp_path: Path) -> None:
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
-    _, alive = psutil.wait_procs(set(psutil.Process().children()) - before, timeout=10)
+    _, alive = psutil.wait_procs(set(psutil.Process().children()) - before, timeout=60)
     running = [child for child in alive if "resource_tracker" not in " ".join(child.cmdline())]
     assert not running
-    assert time.monotonic() - began < 25
+    assert time.monotonic() - began < 250
 
 
 def test_a_script_without_a_guard_has_processes_and_takes_them_along(tmp_path: Path) -> None:
@@ -240,12 +418,9 @@ def test_a_script_without_a_guard_has_processes_and_takes_them_along(tmp_path: P
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
     )  # fmt: skip
     assert done.returncode == -signal.SIGKILL, done.stderr
-    deadline = time.monotonic() + 10
     pids = [int(pid) for pid in done.stdout.split()]
     assert pids
-    while any(psutil.pid_exists(pid) for pid in pids) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not any(psutil.pid_exists(pid) for pid in pids)
+    wait_until(lambda: not any(psutil.pid_exists(pid) for pid in pids), "the end of the processes")
 
 
 def test_workers_that_do_not_see_the_folder_are_refused(
@@ -312,6 +487,21 @@ def test_without_workers_it_does_not_wait_for_ever(
         left_alone(cluster)
 
 
+def test_workers_within_this_process_leave_it_its_threads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numba refuses another number in the environment at the next kernel that it compiles."""
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    numba.set_num_threads(numba.get_num_threads())  # which starts them
+    with (
+        LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,
+        Resources(where=cluster.scheduler_address).workers(1, tmp_path) as workers,
+    ):
+        assert workers.hand_out is not None
+        assert workers.hand_out(identity)(0, 1).result()[0] == os.getpid()
+    assert numba.njit(identity_of)(3) == 3
+
+
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     """A scheduler and a worker, as a user starts them."""
@@ -323,9 +513,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     works = subprocess.Popen([dask[0], "-m", "distributed.cli.dask_worker", "--nthreads", "1",
                               "--death-timeout", "20", *options])  # fmt: skip
     try:
-        deadline = time.monotonic() + 60
-        while not file.exists() and time.monotonic() < deadline:
-            time.sleep(0.1)
+        wait_until(file.exists, "the scheduler")
         with Client(scheduler_file=str(file), set_as_default=False) as client:
             client.wait_for_workers(1, timeout=60)
             address = client.scheduler.address

@@ -16,6 +16,7 @@ import httpx
 import numpy as np
 import pytest
 import yaml
+from tests.waiting import wait_until
 from tests.workflow.harness import (
     CONFIG,
     LONG,
@@ -24,7 +25,6 @@ from tests.workflow.harness import (
     freeze_writer,
     journal,
     kill_group,
-    wait_until,
 )
 
 from rfpipe import open_transport
@@ -72,7 +72,7 @@ class Server:
     def kill(self, number: int = signal.SIGKILL) -> int:
         assert self.process is not None
         self.process.send_signal(number)
-        return self.process.wait(20)
+        return self.process.wait(120)
 
     def status(self) -> dict[str, Any]:
         headers = {"Authorization": f"Bearer {TOKEN}"}

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 from tests.slurm import Slurm, need_slurm
-from tests.workflow.harness import LONG, ROOT, TINY, Workflow, journal, wait_until
+from tests.waiting import wait_until
+from tests.workflow.harness import GLASS, LONG, ROOT, TINY, Workflow, journal
 
 PROFILES = ROOT / "workflow" / "profiles"
 # as the profiles, but for a cluster whose jobs take seconds
@@ -57,6 +58,28 @@ def test_a_node_killed_in_the_middle_of_an_acquisition(
     log = workflow.path("long/brute_force/L00/capture.log").read_text()
     assert f"{taken} of 288 patterns are captured; going on at pattern {taken}" in log
     assert workflow.contents("long/brute_force") == undisturbed.contents("long/brute_force")
+
+
+def test_what_the_scheduler_refuses_is_said(slurm: Slurm, tmp_path: Path) -> None:
+    refused = ("--default-resources", "slurm_partition=nope", "--retries", "0")
+    said = Workflow(tmp_path / "run").run(*on("slurm", *refused, TINY), succeeds=False)
+    assert "rfpipe: acquire_simulated failed" in said
+    assert "invalid partition specified: nope" in said
+
+
+def test_what_a_job_of_ones_own_cluster_died_of_is_said(slurm: Slurm, tmp_path: Path) -> None:
+    workflow = Workflow(tmp_path / "run")
+    glass = (ROOT / "tests/examples/frosted_glass.py").read_text()
+    ends = "import os\n\n        os.kill(os.getpid(), 9)\n        lit = weights"
+    (workflow.folder / "frosted_glass.py").write_text(glass.replace("lit = weights", ends))
+    workflow.configure(scenes={"glass": GLASS}, methods={"dual": {}})
+    asked = ("--retries", "0", "results/glass/dual/transport.json")
+    said = workflow.run(*on("cluster-generic", *asked), succeeds=False)
+    assert "rfpipe: acquire_simulated failed as job " in said
+    assert "died with <Signals.SIGKILL: 9>" in said
+    # one of one processor, whatever this machine has, and as much memory as there is anywhere
+    resources = next(line for line in said.splitlines() if line.startswith("Provided resources"))
+    assert "mem_mb" not in resources
 
 
 def test_scripts_of_ones_own_cluster(slurm: Slurm, undisturbed: Workflow, tmp_path: Path) -> None:

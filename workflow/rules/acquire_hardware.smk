@@ -24,12 +24,9 @@ rule acquire_hardware:
     threads: threads
     resources:
         **WHERE_THE_RIG_IS,
+        **asked("acquire"),
+        **WITHIN,
         rig=int(RIG_HELD),
-        mem_mb=memory("acquire"),
-        runtime=runtime("acquire"),
-        disk_mb=disk,
-        memory_gib=str(SETTINGS.resources.memory_gib),
-        workers=SETTINGS.resources.workers,
     params:
         plan=plan,
         stages=stages,
@@ -53,11 +50,9 @@ rule verify_hardware:
     threads: threads
     resources:
         **WHERE_THE_RIG_IS,
+        **asked("verification"),
+        **WITHIN,
         rig=1,
-        mem_mb=memory("verification"),
-        runtime=runtime("verification"),
-        memory_gib=str(SETTINGS.resources.memory_gib),
-        workers=SETTINGS.resources.workers,
     params:
         plan=plan,
         stages=verification,

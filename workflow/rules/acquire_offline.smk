@@ -14,11 +14,8 @@ rule acquire_offline:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        mem_mb=memory("acquire"),
-        runtime=runtime("acquire"),
-        disk_mb=disk,
-        memory_gib=str(SETTINGS.resources.memory_gib),
-        workers=SETTINGS.resources.workers,
+        **asked("acquire"),
+        **WITHIN,
     params:
         plan=plan,
         stages=stages,

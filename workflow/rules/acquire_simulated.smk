@@ -12,11 +12,8 @@ rule acquire_simulated:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        mem_mb=memory("acquire"),
-        runtime=runtime("acquire"),
-        disk_mb=disk,
-        memory_gib=str(SETTINGS.resources.memory_gib),
-        workers=SETTINGS.resources.workers,
+        **asked("acquire"),
+        **WITHIN,
     params:
         plan=plan,
         stages=stages,
@@ -41,10 +38,8 @@ rule verify_simulated:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        mem_mb=memory("verification"),
-        runtime=runtime("verification"),
-        memory_gib=str(SETTINGS.resources.memory_gib),
-        workers=SETTINGS.resources.workers,
+        **asked("verification"),
+        **WITHIN,
     params:
         plan=plan,
         stages=verification,

@@ -1,19 +1,24 @@
 # What the rules share: the checked settings, and functions that give each rule its part of them.
 
+from functools import cache
+
 import rfpipe
+from snakemake.logging import logger
 from rfpipe.config import load_config, parse_config, read_yaml
-from rfpipe.costs import JobCosts
+from rfpipe.costs import JobCosts, machine_memory_mb
 from rfpipe.errors import ConfigError, RfpipeError
 from rfpipe.methods import method_names
 from rfpipe.plugins import METHODS, SCENES
 from rfpipe.provenance import fingerprint
-from rfpipe.report.catalogue import write_catalogue
+from rfpipe.stages.acquisitions import mark_outdated
 from rfpipe.stages.evaluating.studies import FIGURES
 from rfpipe.stages.evaluating.sweep import is_swept
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.code import module_of, stage_code
+from rfpipe.stages.jobs.failures import FailedJobs
+from rfpipe.stages.jobs.groups import check_groups
 from rfpipe.stages.jobs.notify import notify
-from rfpipe.stages.jobs.settings import stages_of, verification_of
+from rfpipe.stages.jobs.settings import simulation_of, stages_of, verification_of
 from rfpipe.stages.levels import level_after, level_before
 from rfpipe.stages.plan import plan_of
 from rfpipe.stages.verifying.again import write_run
@@ -33,6 +38,11 @@ if workflow.storage_settings.default_storage_provider:
         "into a bucket, and leave their stores behind; set storage.keep_at in place of it "
         "(docs/stores.md)"
     )
+
+
+if workflow.is_main_process:
+    # Snakemake knows what its own jobs were asked for; of others their manifests tell
+    mark_outdated(SETTINGS, Path("results"))
 
 
 wildcard_constraints:
@@ -57,57 +67,93 @@ VIEWER_WEB = fingerprint(
     ]
 )
 
-# What a job may take of which nothing else is known, and what those of an acquisition plan with.
-MEMORY_MIB = round(1024 * SETTINGS.resources.memory_gib)
-# And the minutes of such a job: of the studies, and of the report on many scenes.
+# Minutes of jobs of which nothing is known: of the studies, and of the report on many scenes.
 LONG_MINUTES = 240
 COSTS = JobCosts(SETTINGS, Path("results"))
 
-
-def memory(job):
-    """Memory to ask for, for a job of an acquisition: as predicted, more after a failure."""
-    return lambda wildcards, attempt: COSTS.memory_mb(
-        job, wildcards.scene, wildcards.method, attempt
-    )
-
-
-def runtime(job):
-    """Minutes to ask for, for a job of an acquisition: as predicted, more after a failure."""
-    return lambda wildcards, attempt: COSTS.runtime(
-        job, wildcards.scene, wildcards.method, attempt
-    )
+# Jobs that run side by side on this machine share its memory; --resources mem_mb=... says less. By
+# what they run isn't known yet, but jobs of a cluster have a number of nodes.
+if (
+    workflow.nodes is None
+    and not workflow.remote_exec
+    and "mem_mb" not in workflow.global_resources
+):
+    workflow.register_resource("mem_mb", machine_memory_mb())
 
 
-def disk(wildcards):
-    """Disk that an acquisition takes at most, in MB."""
-    return COSTS.disk_mb(wildcards.scene, wildcards.method)
+def asked(job, of_level=False):
+    """Resources that a job of an acquisition asks for: as predicted, more after a failure.
+
+    A job of one level asks for what other scenes' jobs of that level took, once there are any.
+    """
+
+    def of(predict):
+        def found(wildcards, attempt):
+            level = int(wildcards.level) if of_level else None
+            return predict(job, wildcards.scene, wildcards.method, attempt, level=level)
+
+        return found
+
+    found = {"mem_mb": of(COSTS.memory_mb), "runtime": of(COSTS.runtime)}
+    if job == "acquire":
+        found["disk_mb"] = lambda wildcards: COSTS.disk_mb(
+            wildcards.scene, wildcards.method
+        )
+    return found
+
+
+def asked_by_run(name):
+    """Memory that a job of the whole run asks for: as it took before, by its log."""
+    return {
+        "mem_mb": lambda wildcards, attempt: COSTS.memory_of_log(
+            Path(name.format(wildcards=wildcards)), attempt
+        )
+    }
+
+
+@cache
+def of_scene(scene):
+    """The settings that hold for a scene."""
+    return SETTINGS.of_scene(scene)
+
+
+@cache
+def simulation(scene):
+    """What the simulated rig before a scene is made of."""
+    return simulation_of(SETTINGS, scene)
+
+
+# What an acquisition works within, and where: resources, since it shapes no result.
+WITHIN = {
+    "memory_gib": lambda wildcards: str(of_scene(wildcards.scene).resources.memory_gib),
+    "workers": lambda wildcards: of_scene(wildcards.scene).resources.workers,
+}
+
+
+def all_cores(wildcards):
+    """The cores of this machine that a job may have; on a cluster one, unless the profile sets more."""
+    on_cluster = workflow.non_local_exec or workflow.remote_exec  # told after the rules
+    return 1 if on_cluster else workflow.cores or 1
 
 
 def threads(wildcards):
-    """A job's share of the cores: as many acquisitions as there are run side by side.
-
-    One on a cluster, unless the profile sets more.
-    """
-    cores = 1 if workflow.remote_exec else workflow.cores or 1
-    return max(1, cores // len(SETTINGS.acquisitions))
+    """A job's share of the cores: as many acquisitions as there are run side by side."""
+    return max(1, all_cores(wildcards) // len(SETTINGS.acquisitions))
 
 
 def scene_settings(wildcards):
     """What is true of a scene, however often and by whatever method it is acquired."""
-    scene = SETTINGS.scenes[wildcards.scene]
-    other = {"methods", "sweep", "rig", "settings", "about"}
-    return scene.model_dump(mode="json", exclude=other)
+    return SETTINGS.scenes[wildcards.scene].itself()
 
 
 def capture(wildcards):
     """How the pictures of a scene are taken."""
-    return SETTINGS.of_scene(wildcards.scene).capture
+    return of_scene(wildcards.scene).capture
 
 
 def camera(wildcards):
     """The simulated camera before a scene, None for exact radiance."""
-    camera = SETTINGS.of_scene(wildcards.scene).camera
-    return camera and plain(camera)
+    return simulation(wildcards.scene)["camera"]
 
 
 # Where a real rig is, how long to wait for it and what puts a scene before it: resources, since it
@@ -122,10 +168,8 @@ WHERE_THE_RIG_IS = {
 
 def simulated_rig(wildcards):
     """What else shapes the frames of a simulated rig."""
-    return {
-        "seed": SETTINGS.of_scene(wildcards.scene).seed,
-        "seconds_per_pattern": capture(wildcards).seconds_per_pattern,
-    }
+    about = simulation(wildcards.scene)
+    return {name: about[name] for name in ("seed", "seconds_per_pattern")}
 
 
 def plan(wildcards):
@@ -155,7 +199,7 @@ def every_verification(wildcards):
     return [
         f"results/{scene}/{method}/verification.json"
         for scene, method in SETTINGS.acquisitions
-        if SETTINGS.of_scene(scene).verification_pictures
+        if of_scene(scene).verification_pictures
     ]
 
 
@@ -196,6 +240,8 @@ def list_collection():
     """Write the catalogue of a collection, whatever became of it until now."""
     if SETTINGS.collection is None:
         return
+    from rfpipe.report.catalogue import write_catalogue
+
     try:
         counts = write_catalogue(SETTINGS, Path("results"))
     except (
@@ -238,7 +284,7 @@ def every_sweep(name):
 def sweep_settings(wildcards):
     """The settings of one scene and method's sweep."""
     section = SETTINGS.methods_of(wildcards.scene)[wildcards.method]
-    shaping = SETTINGS.of_scene(wildcards.scene).shaping()
+    shaping = of_scene(wildcards.scene).shaping()
     return {
         **{name: part for name, part in shaping.items() if name != "verification"},
         "scenes": {wildcards.scene: scene_settings(wildcards)},

@@ -17,12 +17,9 @@ rule capture_level:
     threads: threads
     resources:
         **WHERE_THE_RIG_IS,
+        **asked("acquire"),
+        **WITHIN,
         rig=1,
-        mem_mb=memory("acquire"),
-        runtime=runtime("acquire"),
-        disk_mb=disk,
-        memory_gib=str(SETTINGS.resources.memory_gib),
-        workers=SETTINGS.resources.workers,
     params:
         plan=plan,
         stages=stages,
@@ -49,11 +46,8 @@ checkpoint level:
     threads: threads
     resources:
         **WHERE_THE_RIG_IS,
-        mem_mb=memory("acquire"),
-        runtime=runtime("acquire"),
-        disk_mb=disk,
-        memory_gib=str(SETTINGS.resources.memory_gib),
-        workers=SETTINGS.resources.workers,
+        **asked("acquire", of_level=True),
+        **WITHIN,
     params:
         plan=plan,
         stages=stages,

@@ -15,11 +15,8 @@ checkpoint level:
         "../envs/rfpipe.yaml"
     threads: threads
     resources:
-        mem_mb=memory("acquire"),
-        runtime=runtime("acquire"),
-        disk_mb=disk,
-        memory_gib=str(SETTINGS.resources.memory_gib),
-        workers=SETTINGS.resources.workers,
+        **asked("acquire", of_level=True),
+        **WITHIN,
     params:
         plan=plan,
         stages=stages,

@@ -11,8 +11,7 @@ rule relight:
     conda:
         "../envs/rfpipe.yaml"
     resources:
-        mem_mb=memory("relight"),
-        runtime=runtime("relight"),
+        **asked("relight"),
     params:
         scene=scene_settings,
         code=relight_code,
@@ -31,8 +30,7 @@ rule sweep:
     conda:
         "../envs/rfpipe.yaml"
     resources:
-        mem_mb=memory("sweep"),
-        runtime=runtime("sweep"),
+        **asked("sweep"),
     params:
         settings=sweep_settings,
         code=sweep_code,

@@ -21,7 +21,7 @@ rule studies:
     conda:
         "../envs/rfpipe.yaml"
     resources:
-        mem_mib=MEMORY_MIB,
+        **asked_by_run("results/studies/{wildcards.study}.log"),
         runtime=LONG_MINUTES,
     params:
         settings=study_settings,
@@ -49,9 +49,9 @@ rule evaluate:
         "results/report/evaluate.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
-    threads: workflow.cores or 1
+    threads: all_cores
     resources:
-        mem_mib=MEMORY_MIB,
+        **asked_by_run("results/report/evaluate.log"),
         workers=SETTINGS.resources.workers,
     params:
         seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
@@ -81,7 +81,7 @@ rule report:
     conda:
         "../envs/rfpipe.yaml"
     resources:
-        mem_mib=MEMORY_MIB,
+        **asked_by_run("results/report/report.log"),
         runtime=LONG_MINUTES,
     params:
         settings=SHAPING,

@@ -12,8 +12,7 @@ rule view:
     conda:
         "../envs/rfpipe.yaml"
     resources:
-        mem_mb=memory("view"),
-        runtime=runtime("view"),
+        **asked("view"),
     params:
         code=stage_code("viewer"),
         web=VIEWER_WEB,

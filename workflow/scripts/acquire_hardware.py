@@ -3,6 +3,7 @@ from pathlib import Path
 from rfpipe.stages import captures, levels
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.job import start
+from rfpipe.stages.jobs.settings import asked_of
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 
@@ -17,4 +18,5 @@ levels.run(
     **params.stages,
     resources=Resources.of_job(snakemake),
     until=levels.Until.of_job(snakemake),
+    asked=asked_of(params.plan, params.stages),
 )

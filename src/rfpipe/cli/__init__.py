@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from rfpipe.config.base import Described
+    from rfpipe.transport.base import Light
 
 __all__ = ["app", "main"]
 
@@ -114,10 +115,12 @@ def scenes() -> None:
     from rfpipe import plugins
     from rfpipe.config import SceneSettings
 
+    typer.echo("every kind:")
+    _list_options(SceneSettings)
     for name in plugins.names(plugins.SCENES):
         kind = plugins.find(plugins.SCENES, name)
         typer.echo(f"{name}: {(kind.__doc__ or '').partition('.')[0]}")
-        _list_options(SceneSettings.model_of(name))
+        _list_options(SceneSettings.model_of(name), beside=SceneSettings)
 
 
 app.command()(plan)
@@ -159,6 +162,16 @@ def relight(
     dual: Annotated[
         bool, typer.Option("--dual", help="Light from the camera, see from the projector.")
     ] = False,
+    one_view: Annotated[
+        int | None,
+        typer.Option(
+            "--view",
+            min=0,
+            metavar="NUMBER",
+            help="Of several views, write this one alone, counted from 0; of what lies behind an "
+            "address, little else is fetched.",
+        ),
+    ] = None,
     level: Annotated[
         int | None,
         typer.Option(min=0, help="Use the transport as known after this level only."),
@@ -195,6 +208,8 @@ def relight(
         transport = transport.truncate(level)
     lit = transport.T if dual else transport
     weights = _pattern(pattern, lit.projector_shape, lit.channels, resize=resize)
+    if one_view is not None:
+        lit = _view_of(lit, one_view)
     image = lit.relight(weights)
     picture = image.reshape(*RayDomain(lit.camera_shape).picture_shape, lit.channels)
     picture = scaled(picture, scale)
@@ -283,12 +298,41 @@ def serve(
     run(lambda: rig_from_config(config), read_token(token_file), settings)
 
 
-def _list_options(model: type[Described]) -> None:
-    """Print the options of a method or a scene, each with its default and its description."""
+def _list_options(model: type[Described], beside: type[Described] | None = None) -> None:
+    """Print options, each with its default as in YAML and its description.
+
+    Those that are the same `beside` are left out.
+    """
+    lines = _options(model)
+    known = _options(beside) if beside else {}
+    for option, line in lines.items():
+        if option != model.key and known.get(option) != line:
+            typer.echo(f"    {line}")
+
+
+def _options(model: type[Described]) -> dict[str, str]:
+    from pydantic_core import to_json
+
+    lines = {}
     for option, field in model.model_fields.items():
-        if option != model.key:
-            default = "needed" if field.is_required() else repr(field.default)
-            typer.echo(f"    {option} ({default}): {field.description}")
+        value = field.get_default(call_default_factory=True, validated_data={})
+        default = "needed" if field.is_required() else to_json(value).decode()
+        lines[option] = f"{option} ({default}): {field.description}"
+    return lines
+
+
+def _view_of(lit: Light, view: int) -> Light:
+    """Return what passes light to one view of several."""
+    import numpy as np
+
+    from rfpipe.blocks import RayDomain
+    from rfpipe.transport.cropped import crop
+
+    domain = RayDomain(lit.camera_shape)
+    if not domain.is_stack or view >= domain.views:
+        has = f"has {domain.views} views, from 0" if domain.is_stack else "has one view"
+        raise InputError(f"--view {view}: the transport {has}; leave it out for all")
+    return crop(lit, tuple(map(int, np.unravel_index(view, domain.views_shape))))
 
 
 def _pattern(

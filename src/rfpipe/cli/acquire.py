@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+from contextlib import chdir
 from pathlib import Path
 from typing import Annotated
 
@@ -16,7 +18,11 @@ __all__ = ["acquire"]
 def acquire(
     config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")],
     directory: Annotated[
-        Path, typer.Option(help="Folder in which results/ lies, as Snakemake's --directory.")
+        Path,
+        typer.Option(
+            help="Folder in which results/ lies, and to which the settings' files are relative, as "
+            "Snakemake's --directory."
+        ),
     ] = Path(),
     workers: WorkersOption = PROCESSES,
 ) -> None:
@@ -29,9 +35,17 @@ def acquire(
     from rfpipe.config import load_config
     from rfpipe.stages.acquisitions import acquire_all
 
-    settings = load_config(config)
-    resources = resources_of(workers, settings.resources.memory_gib)
-    found = acquire_all(settings, directory / "results", resources)
+    config = config.absolute()
+    directory.mkdir(parents=True, exist_ok=True)
+    with chdir(directory):
+        settings = load_config(config)
+        resources = resources_of(workers)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as by Ctrl-C
+        try:
+            found = acquire_all(settings, Path("results"), resources)
+        except KeyboardInterrupt:
+            typer.echo("rfpipe: stopped; what is done is kept, and running again goes on", err=True)
+            raise typer.Exit(130) from None
     failed = [one for one in found if one.error]
     for one in failed:
         typer.echo(f"{one.scene} by {one.method}: {one.error}", err=True)

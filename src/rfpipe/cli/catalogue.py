@@ -10,6 +10,8 @@ import typer
 
 __all__ = ["catalogue"]
 
+_MOST_NAMED = 8
+
 
 def catalogue(
     config: Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML file of settings.")],
@@ -27,13 +29,19 @@ def catalogue(
     writes it at any time. Sort and filter it in any browser.
     """
     from rfpipe.config import load_config
-    from rfpipe.report.catalogue import CATALOGUE, write_catalogue
+    from rfpipe.report.catalogue import CATALOGUE, left_over, write_catalogue
 
     settings = load_config(config)
     while True:
         counts = write_catalogue(settings, folder)
         said = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
         typer.echo(f"{folder / CATALOGUE}: {said}")
+        if left := left_over(settings, folder):
+            names = ", ".join(left[:_MOST_NAMED]) + " ..." * (len(left) > _MOST_NAMED)
+            typer.echo(
+                f"no scenes of {config} any more, though {folder} has their folders: {names}. What "
+                "they hold is kept, verified and published, until you remove it"
+            )
         if not every:
             return
         time.sleep(every)

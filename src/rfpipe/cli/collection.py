@@ -19,7 +19,12 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 
-Packed = Annotated[Path, typer.Argument(metavar="PACKED", help="What 'pack' made.")]
+Packed = Annotated[
+    Path,
+    typer.Argument(
+        metavar="PACKED", help="What 'pack' made: its folder, a zip file of it, or its address."
+    ),
+]
 
 
 @app.command()
@@ -45,6 +50,8 @@ def pack(
 
     if not results.is_dir():
         raise InputError(f"{results}: is no folder; give a run's results")
+    if output.absolute().is_relative_to(results.absolute()):
+        raise InputError(f"--output {output}: lies in {results}; it would be packed the next time")
     files = [file for file in results.rglob("*") if file.is_file()]
     inside = [(file, file.relative_to(results).parts) for file in files]
     seen = [(file, parts) for file, parts in inside if not any(p.startswith(".") for p in parts)]

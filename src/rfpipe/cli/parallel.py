@@ -28,7 +28,7 @@ WorkersOption = Annotated[
 ]
 
 
-def resources_of(workers: str, memory_gib: float = 4.0) -> Resources:
+def resources_of(workers: str) -> Resources:
     """Return what a command may use: every core that it may run on.
 
     Raises
@@ -42,4 +42,4 @@ def resources_of(workers: str, memory_gib: float = 4.0) -> Resources:
         check_workers(workers)
     except ValueError as error:
         raise InputError(f"--workers {workers}: it {error}") from None
-    return Resources(memory_gib, len(os.sched_getaffinity(0)), workers)
+    return Resources(threads=len(os.sched_getaffinity(0)), where=workers)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 __all__ = ["plan", "table"]
 
 _SHOWN = 30
-_FROM = {"taken": "as taken", "alike": "as others", "thesis": "thesis"}
+_FROM = {"taken": "as taken", "alike": "as others", "guess": "a guess"}
 
 
 def plan(
@@ -29,13 +29,15 @@ def plan(
 ) -> None:
     """Tell what a run will take, before the lamp is switched on: patterns, time, memory and disk.
 
-    Expected are the counts of the same acquisitions in the results' folder; else those of the
-    thesis for scenes of as many levels, in the proportion in which others by the same method came
-    out. At most are those of a scene without any structure. Memory is that of one acquisition at a
-    time, as jobs on a cluster ask for it with a margin.
+    Expected are the counts of the same acquisitions in the results' folder ("as taken"); else a
+    guess, in the proportion in which others by the same method came out ("as others"). The guess
+    alone is on the high side: as many patterns a level as the thesis' largest scenes took, or all
+    rounds of methods that end by their own estimate. At most are those of a scene without any
+    structure. Memory is that of one acquisition at a time, as jobs on a cluster ask for it with a
+    margin.
     """
     from rfpipe.config import load_config
-    from rfpipe.costs import JobCosts
+    from rfpipe.costs import JobCosts, machine_memory_mb
     from rfpipe.photometry import sensor_from_config
     from rfpipe.stages.capturing.forecast import forecast
     from rfpipe.stages.capturing.taken import taken_in
@@ -47,6 +49,9 @@ def plan(
     costs = JobCosts(settings, folder)
     memory = [costs.predict("memory_mb", "acquire", one.scene, one.method) for one in found]
     typer.echo(table(found, free_bytes(folder), simulated=simulated, memory_mb=memory))
+    scarce = _scarce(found, memory, machine_memory_mb())
+    if scarce:
+        typer.echo(scarce)
 
 
 def table(
@@ -79,7 +84,7 @@ def table(
             "rays": f"{one.rays:,}",
             "levels": one.levels,
             "patterns": f"{one.expected.patterns:,}",
-            "known": _FROM[one.known],
+            "known": _FROM[one.known] if _is_open(one) else "at most",
             **({"here": "?" if one.here is None else _duration(one.here)} if simulated else {}),
             "on a rig" if simulated else "time": _duration(one.expected.seconds),
             "disk": shown_bytes(one.expected.disk.total),
@@ -97,17 +102,48 @@ def table(
         f"One after the other: {_duration(seconds)} of capture{' on a rig' if simulated else ''}, "
         f"{shown_bytes(disk)} of disk before compression; {shown_bytes(free)} are free."
     )
+    guessed = sum(one.known == "guess" and _is_open(one) for one in forecasts)
+    guesses = (
+        f"{guessed:,} of {len(forecasts):,} are guesses on the high side, since none of their size "
+        "by their method is done yet: acquire some, then plan anew."
+    )
     unseen = len(forecasts) - len(rows)
     rest = [f"... and {unseen} more, which the sums take in."] if unseen else []
     lines = [pd.DataFrame(rows).to_string(index=False), *rest, "", sums]
     if simulated:
         lines.append(_here(forecasts))
+    if guessed:
+        lines.append(guesses)
     if disk > free:
         lines.append(
             "That may not fit: make room, put the results on another disk, or set "
             "capture.keep_raw to false. A level that doesn't fit is refused before its capture."
         )
     return "\n".join(lines)
+
+
+def _is_open(one: Forecast) -> bool:
+    """Whether fewer patterns than the most are expected, or are known to have sufficed."""
+    return one.known != "guess" or one.expected.patterns < one.most.patterns
+
+
+def _scarce(
+    forecasts: Sequence[Forecast], memory_mb: Sequence[float | None], have_mb: int
+) -> str | None:
+    """Say what this machine's memory may not suffice for; None where it does."""
+    from rfpipe.stages.capturing.disk import shown_bytes
+
+    most, what = max(
+        (memory or 0.0, f"{one.scene} by {one.method}")
+        for one, memory in zip(forecasts, memory_mb, strict=True)
+    )
+    if most <= have_mb:
+        return None
+    return (
+        f"{what} is likely to take {shown_bytes(round(most * 1e6))} of memory, and this machine "
+        f"has {shown_bytes(have_mb * 10**6)}: acquire it on another one, with fewer rays, or by "
+        "another method."
+    )
 
 
 def _here(forecasts: Sequence[Forecast]) -> str:

@@ -109,6 +109,12 @@ def publish(
         overwrite=overwrite,
     )
     _say(made.path, made.files, made.nbytes, citation)
+    if run.settings is None and config is None:
+        typer.echo(
+            "without its settings, which a run without a report doesn't keep: give them, "
+            "--config SETTINGS.yaml, with --overwrite",
+            err=True,
+        )
     if run.incomplete:
         typer.echo(f"left out, since they aren't complete: {', '.join(run.incomplete)}", err=True)
 
@@ -141,10 +147,9 @@ def _completed(values: dict[str, Any], run: Run) -> dict[str, Any]:
 
 
 def _description(run: Run) -> str:
-    scenes = dict.fromkeys(found.scene for found in run.acquisitions)
     methods = dict.fromkeys(found.method for found in run.acquisitions)
     return (
-        f"Light transport between a projector and a camera: {', '.join(scenes)}, acquired by "
+        f"Light transport between a projector and a camera: {run.scenes}, acquired by "
         f"{', '.join(methods)} with rfpipe, to be relit under any pattern."
     )
 

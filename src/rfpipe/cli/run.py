@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import chdir
 from pathlib import Path
 
 import typer
@@ -34,17 +35,19 @@ def run(context: typer.Context) -> None:
     from rfpipe.config import load_config, read_yaml
 
     files = list(_values(context.args, _CONFIGS))
+    folder = Path(next(reversed([*_values(context.args, _DIRECTORY)]), ""))
     for file in files:
         read_yaml(file)
     if len(files) == 1:
-        load_config(files[0])
+        settings = Path(files[0]).absolute()
+        with chdir(folder if folder.is_dir() else Path()):  # where Snakemake looks for their files
+            load_config(settings)
     beside = Path(sys.executable).with_name("snakemake")
     program = str(beside) if beside.exists() else shutil.which("snakemake") or "snakemake"
     ended = _to_its_end([program, *context.args])
     if ended:
         raise typer.Exit(ended if ended > 0 else 1)
-    folder = next(reversed([*_values(context.args, _DIRECTORY)]), "")
-    report = Path(folder) / _REPORT
+    report = folder / _REPORT
     if report.is_file():
         typer.echo(f"report: {os.path.normpath(report)}")
 

@@ -21,8 +21,9 @@ def verify(
         typer.Argument(
             metavar="FOLDER",
             help="A run's folder, its results or a part of them, a calibration, or a published "
-            "folder or zip with a manifest-sha256.txt; or an address (https://, s3://) of such a "
-            "folder, of what 'rfpipe keep' brought into a bucket, or of a transport.",
+            "folder or zip with a manifest-sha256.txt, or a zip of a transport; or an address "
+            "(https://, s3://) of such a folder, of what 'rfpipe keep' brought into a bucket, or "
+            "of a transport.",
         ),
     ] = Path("results"),
     mend: Annotated[

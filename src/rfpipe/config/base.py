@@ -55,7 +55,8 @@ def check_command(command: str | None) -> str | None:
 class Settings(BaseModel):
     """Base of all settings: unknown keys are errors, values can't change, numbers are finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # validators are built when they are first used: a process needs those of few models
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     @field_validator("*", mode="before")
     @classmethod

@@ -30,6 +30,7 @@ from rfpipe.config.processing import MergeConfig, Normalization, ResourcesConfig
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.config.sections import (
     check_methods_of_scenes,
+    check_pages,
     method_sections,
     methods_of_scene,
     parse_sections,
@@ -63,7 +64,9 @@ class ReportConfig(Settings):
         "it has a collection, whose catalogue (results/catalogue/index.html) lists them.",
     )
 
-    title: Text = Field("Light transport of five scenes", description="The report's title.")
+    title: Text | None = Field(
+        None, description="The report's title; null: Light transport, of as many scenes as it has."
+    )
     trials: dict[SectionName, tuple[float, ...]] = Field(
         default_factory=dict,
         description="For the plot of speed against error, by method: values of the option by which "
@@ -182,8 +185,9 @@ class Config(Settings):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy, which finds anew what is derived from the settings."""
         copied = super().model_copy(update=update, deep=deep)
-        for name in ("_methods_by_scene", "_base", "_by_overrides", "acquisitions"):
-            copied.__dict__.pop(name, None)
+        for name, derived in vars(Config).items():
+            if isinstance(derived, cached_property):
+                copied.__dict__.pop(name, None)
         return copied
 
     def of_scene(self, scene: str) -> Config:
@@ -203,10 +207,7 @@ class Config(Settings):
         key, known = fingerprint(own), self._by_overrides
         if key not in known:
             known[key] = self._with(scene, own)
-        found = known[key].model_copy(update={"scenes": {scene: about}})
-        for kept in ("_methods_by_scene", "acquisitions"):  # of the scene that was checked
-            found.__dict__.pop(kept, None)
-        return found
+        return known[key].model_copy(update={"scenes": {scene: about}})
 
     def _with(self, scene: str, own: Mapping[str, Any]) -> Config:
         """Return settings of one scene, with others put over those of the run."""
@@ -219,6 +220,13 @@ class Config(Settings):
         """Pictures that verify each acquisition, 0 for none."""
         asked = self.verification.pictures
         return _VERIFICATION_PICTURES * (self.capture.rig == "remote") if asked is None else asked
+
+    @property
+    def title(self) -> str:
+        """The report's title."""
+        many = len(self.scenes)
+        of = f"{many} scenes" if many > 1 else next(iter(self.scenes))
+        return self.report.title or f"Light transport of {of}"
 
     @property
     def has_report(self) -> bool:
@@ -292,6 +300,7 @@ class Config(Settings):
                     f"scenes.{name} should be called otherwise: results/{name} is the folder of "
                     "something else"
                 )
+        check_pages(self.acquisitions)
         return self
 
     @model_validator(mode="after")

@@ -25,6 +25,13 @@ OWN_TO_SCENES = frozenset(
 )
 """Groups of a run's settings that a scene may have of its own."""
 
+_OF_THE_RUN = {
+    ("capture", "rig"): "a whole run is simulated, or it isn't",
+    ("resources", "jobs"): "a whole run has jobs of one kind",
+    ("resources", "captures"): "a whole run has its rig in one place",
+    ("storage", "keep_at"): "a whole run is kept in one place",
+}
+
 
 def check_own(settings: Mapping[str, Any]) -> None:
     """Raise ValidationError for settings that only a whole run can have."""
@@ -32,11 +39,10 @@ def check_own(settings: Mapping[str, Any]) -> None:
         if name not in OWN_TO_SCENES:
             known = ", ".join(sorted(OWN_TO_SCENES))
             raise _wrong(f"can't be set for a scene; expected settings among {known}", name)
-    capture = settings.get("capture")
-    if isinstance(capture, Mapping) and "rig" in capture:
-        raise _wrong(
-            "can't be set for a scene: a whole run is simulated, or it isn't", "capture", "rig"
-        )
+    for (group, option), why in _OF_THE_RUN.items():
+        found = settings.get(group)
+        if isinstance(found, Mapping) and option in found:
+            raise _wrong(f"can't be set for a scene: {why}", group, option)
 
 
 def _wrong(message: str, *location: str) -> ValidationError:

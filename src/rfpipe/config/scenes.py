@@ -87,6 +87,16 @@ class SceneSettings(Described):
         """
         return cls.model_validate({"kind": kind, **options})
 
+    def itself(self) -> dict[str, Any]:
+        """Return as plain data what is true of it, however and before whatever it is acquired."""
+        other = {"methods", "sweep", "rig", "settings", "about"}
+        return self.model_dump(mode="json", exclude=other)
+
+    @property
+    def simulation_bytes(self) -> int:
+        """Bytes that a simulated scene takes, as far as that is known before it is made."""
+        return 0
+
     @property
     def ray_shape(self) -> tuple[int, ...]:
         """Shape of the projector's ray domain: (H, W), or (V, H, W) for an array of views."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar, cast
 
 from pydantic import ValidationError
@@ -13,6 +13,7 @@ from rfpipe.errors import InputError
 
 __all__ = [
     "check_methods_of_scenes",
+    "check_pages",
     "method_sections",
     "methods_of_scene",
     "no_list",
@@ -135,6 +136,19 @@ def check_methods_of_scenes(
         return parse_sections({"methods": own}, lambda _, it: methods_of_scene(methods, it))
 
     parse_sections({"scenes": scenes}, lambda _, all_of_them: parse_sections(all_of_them, of_scene))
+
+
+def check_pages(acquisitions: Iterable[tuple[str, str]]) -> None:
+    """Raise ValueError where two acquisitions, scene and method, would share a page's name."""
+    first: dict[str, tuple[str, str]] = {}
+    for scene, method in acquisitions:
+        page = f"{scene}_{method}"
+        other, by = first.setdefault(page, (scene, method))
+        if other != scene:
+            raise ValueError(
+                f"scenes.{scene} should be called otherwise, or its method: by {method} its page "
+                f"would be {page}, as that of {other} by {by} is"
+            )
 
 
 def _method_section(name: str, section: object) -> MethodSettings:

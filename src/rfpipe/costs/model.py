@@ -1,8 +1,8 @@
 """Laws of what a job takes: a constant and a power of its pictures' size, for each method.
 
-The constant is what Python with its libraries takes. The power is the one of a few that tells
-records best that it wasn't fitted to, so that a method whose matrix is dense, and one that keeps
-blocks, each gets its own.
+The constant is what Python with its libraries takes. The power is 1 unless another one of a few
+tells records far better that it wasn't fitted to, so that a method whose matrix is dense gets its
+own. What a simulated scene takes alone is known beforehand, and no part of a law.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.costs.records import Record
+from rfpipe.costs.records import LIKE, Record, Subject
 
 __all__ = ["Law", "Laws", "Quantity", "fit_law", "fit_laws"]
 
@@ -26,32 +26,32 @@ _Key = tuple[str, str, bool]
 """Job, method, and whether it is of an array of views."""
 
 _POWERS = (0.5, 0.75, 1.0, 1.25, 1.5, 2.0)
-
-# Records of jobs of a like size tell how this machine, and these scenes, differ from the table's.
-_LIKE = 8.0
+# Mean squared errors up to so many times the least tell no power from another: with few records
+# the best of them is chance, and extrapolated far.
+_AS_GOOD = 3.0
 
 
 @dataclass(frozen=True)
 class Law:
-    """``constant + slope * samples**power``.
+    """``constant + slope * size**power``.
 
     Parameters
     ----------
     constant, slope : float
         At least 0.
     power : float
-    largest : int
-        Samples of the largest record that it was fitted to; beyond, it is extrapolated.
+    largest : float
+        Size of the largest record that it was fitted to; beyond, it is extrapolated.
     """
 
     constant: float
     slope: float
     power: float
-    largest: int
+    largest: float
 
-    def __call__(self, samples: float) -> float:
-        """Return what a job of pictures of so many samples takes."""
-        return self.constant + self.slope * float(samples**self.power)
+    def __call__(self, size: float) -> float:
+        """Return what a job of pictures of a size takes."""
+        return self.constant + self.slope * float(size**self.power)
 
 
 @dataclass(frozen=True)
@@ -69,38 +69,36 @@ class Laws:
     laws: Mapping[tuple[Quantity, _Key], Law]
     nearby: Sequence[Record] = field(default=())
 
-    def predict(
-        self, quantity: Quantity, job: str, method: str, samples: int, *, views: int = 1
-    ) -> float | None:
+    def predict(self, quantity: Quantity, job: str, subject: Subject) -> float | None:
         """Return what a job will take, None where nothing is known of such jobs.
 
-        A method that isn't in the table is taken for the dearest that is.
+        A method that isn't in the table is taken for the dearest of those that were measured at
+        such a size.
 
         Parameters
         ----------
         quantity : {"memory_mb", "cpu_seconds"}
         job : str
             One of `rfpipe.costs.records.JOBS`.
-        method : str
-        samples : int
-            Numbers in a picture of the camera's: rays times channels.
-        views : int
+        subject : Subject
         """
-        law = self._law(quantity, job, method, views > 1)
+        law = self._law(quantity, job, subject)
         if law is None:
             return None
-        key = job, method, views > 1
+        key = job, subject.method, subject.views > 1
         logs = [
-            log(getattr(one, quantity) / law(one.samples))
+            log(_own(one, quantity) / law(one.subject.size))
             for one in self.nearby
-            if _key(one) == key and 1 / _LIKE <= one.samples / samples <= _LIKE
+            if _key(one) == key and subject.is_like(one.subject.size)
         ]
-        return law(samples) * (exp(sum(logs) / len(logs)) if logs else 1.0)
+        own = law(subject.size) * (exp(sum(logs) / len(logs)) if logs else 1.0)
+        return own + _simulated(quantity, job, subject)
 
     def _law(
-        self, quantity: Quantity, job: str, method: str, is_field: bool
-    ) -> Callable[..., float] | None:
-        for key in ((job, method, is_field), (job, method, not is_field)):
+        self, quantity: Quantity, job: str, subject: Subject
+    ) -> Callable[[float], float] | None:
+        is_field = subject.views > 1
+        for key in ((job, subject.method, is_field), (job, subject.method, not is_field)):
             if (quantity, key) in self.laws:
                 return self.laws[quantity, key]
         others = [
@@ -108,7 +106,9 @@ class Laws:
         ]
         if not others:
             return None
-        return lambda samples: max(law(samples) for law in others)
+        known = min(subject.size / LIKE, max(law.largest for law in others))
+        others = [law for law in others if law.largest >= known]
+        return lambda size: max(law(size) for law in others)
 
 
 def fit_laws(records: Iterable[Record], nearby: Sequence[Record] = ()) -> Laws:
@@ -117,50 +117,66 @@ def fit_laws(records: Iterable[Record], nearby: Sequence[Record] = ()) -> Laws:
     quantities: tuple[Quantity, ...] = ("memory_mb", "cpu_seconds")
     for key, group in groupby(sorted(records, key=_key), _key):
         of_kind = list(group)
-        samples = np.array([one.samples for one in of_kind], np.float64)
+        sizes = np.array([one.subject.size for one in of_kind], np.float64)
         for quantity in quantities:
-            taken = np.array([getattr(one, quantity) for one in of_kind])
-            laws[quantity, key] = fit_law(samples, taken)
+            taken = np.array([_own(one, quantity) for one in of_kind])
+            laws[quantity, key] = fit_law(sizes, taken)
     return Laws(laws, nearby)
 
 
-def fit_law(samples: NDArray[np.float64], taken: NDArray[np.float64]) -> Law:
-    """Return the law that tells each record best from those of other sizes.
+def fit_law(sizes: NDArray[np.float64], taken: NDArray[np.float64]) -> Law:
+    """Return the law that tells each record from those of other sizes.
 
     Parameters
     ----------
-    samples, taken : ndarray of float64, shape (records,)
+    sizes, taken : ndarray of float64, shape (records,)
         Above 0.
     """
-    largest = int(samples.max())
-    if len(set(samples)) < 3:  # a power can't be told
-        return Law(*_fit(samples, taken, 1.0), 1.0, largest)
-    power = min(_POWERS, key=lambda power: _left_out(samples, taken, power))
-    return Law(*_fit(samples, taken, power), power, largest)
+    largest = float(sizes.max())
+    if len(set(sizes)) < 3:  # a power can't be told
+        return Law(*_fit(sizes, taken, 1.0), 1.0, largest)
+    errors = {power: _left_out(sizes, taken, power) for power in _POWERS}
+    good = [power for power in _POWERS if errors[power] <= _AS_GOOD * min(errors.values())]
+    power = min(good, key=lambda power: abs(log(power)))
+    return Law(*_fit(sizes, taken, power), power, largest)
 
 
-def _left_out(samples: NDArray[np.float64], taken: NDArray[np.float64], power: float) -> float:
+def _left_out(sizes: NDArray[np.float64], taken: NDArray[np.float64], power: float) -> float:
     """Return the mean squared error of the logarithms of records whose size was left out."""
     errors: list[float] = []
-    for size in set(samples):
-        others = samples != size
-        constant, slope = _fit(samples[others], taken[others], power)
+    for size in set(sizes):
+        others = sizes != size
+        constant, slope = _fit(sizes[others], taken[others], power)
         expected = constant + slope * size**power
         errors.extend(np.log(np.maximum(expected, 1e-9) / taken[~others]) ** 2)
     return float(np.mean(errors))
 
 
 def _fit(
-    samples: NDArray[np.float64], taken: NDArray[np.float64], power: float
+    sizes: NDArray[np.float64], taken: NDArray[np.float64], power: float
 ) -> tuple[float, float]:
     """Return constant and slope, neither negative, of the least relative errors."""
-    from scipy.optimize import nnls
-
-    columns = np.stack([np.ones_like(samples), samples**power], axis=1)
+    # in NumPy: a library's solver takes a second to load, each time that Snakemake starts
+    columns = np.stack([np.ones_like(sizes), sizes**power], axis=1)
     scale = columns.max(axis=0)
-    solution, _ = nnls(columns / scale / taken[:, None], np.ones_like(taken))
+    relative = columns / scale / taken[:, None]
+    solution = np.linalg.lstsq(relative, np.ones_like(taken))[0]
+    if np.ptp(sizes) == 0 or solution.min() < 0:  # the better one, alone: all here is positive
+        alone = relative.sum(axis=0) / (relative**2).sum(axis=0)
+        better = np.argmin(((relative * alone - 1) ** 2).sum(axis=0))
+        solution = np.where(np.arange(2) == better, alone, 0.0)
     constant, slope = solution / scale
     return float(constant), float(slope)
+
+
+def _simulated(quantity: Quantity, job: str, subject: Subject) -> float:
+    return subject.simulation_of(job) if quantity == "memory_mb" else 0.0
+
+
+def _own(record: Record, quantity: Quantity) -> float:
+    """Return what a job took beside its simulated scene, or a tenth where that seems to be less."""
+    taken = float(getattr(record, quantity))
+    return max(taken - _simulated(quantity, record.job, record.subject), taken / 10)
 
 
 def _key(record: Record) -> _Key:

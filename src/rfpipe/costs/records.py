@@ -4,27 +4,89 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
 from math import prod
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rfpipe.errors import StoreError
 from rfpipe.stages.jobs.job import USAGE
 from rfpipe.store import read_manifest
 
-__all__ = ["JOBS", "Record", "read_shipped", "records_in", "write_records"]
+if TYPE_CHECKING:
+    from rfpipe.config import SceneSettings
+
+__all__ = [
+    "JOBS",
+    "Record",
+    "Subject",
+    "Usage",
+    "read_shipped",
+    "records_in",
+    "usage_in",
+    "write_records",
+]
 
 JOBS = ("acquire", "relight", "verification", "view", "sweep")
 """Jobs of an acquisition, each with its benchmark file beside the transport."""
+
+_SIMULATING = ("acquire", "relight", "verification", "sweep")
+"""Those that make a simulated scene."""
+
+Usage = tuple[float, float]
+"""Memory in MB, and seconds of processor time."""
+
+LIKE = 8.0
+"""Jobs tell of those whose pictures are up to so many times as large, or as small."""
 
 _SHIPPED = Path(__file__).with_name("measured.csv")
 
 _USAGE = re.compile(USAGE.replace("%.1f", r"([0-9.]+)").replace("%.2f", r"([0-9.]+)"))
 
+# What is done once a ray, beside what is done once a channel of it. By benchmarks/validate_costs.py
+# 1 to 8 tell other sizes alike, 0 and 16 worse.
+_ALL_CHANNELS = 1
+
 # Of a job that went on where another was stopped, its benchmark file has the last part alone.
 _WHOLE = 0.8
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What an acquisition's jobs have before them.
+
+    Attributes
+    ----------
+    method : str
+    size : int
+        Of a picture of the camera's, in rays of RGB.
+    views : int
+        Of the projector.
+    simulation_mb : float
+        That the simulated scene takes alone, in MB, as far as it is known.
+    """
+
+    method: str
+    size: float
+    views: int
+    simulation_mb: float
+
+    @classmethod
+    def of(
+        cls, method: str, camera_rays: int, channels: int, views: int, simulation_mb: float
+    ) -> Subject:
+        """Return that of pictures of so many rays and channels."""
+        size = camera_rays * (_ALL_CHANNELS + channels) / (_ALL_CHANNELS + 3)
+        return cls(method, size, views, simulation_mb)
+
+    def is_like(self, size: float) -> bool:
+        """Whether jobs of pictures of a size tell of those of its own."""
+        return 1 / LIKE <= size / self.size <= LIKE
+
+    def simulation_of(self, job: str) -> float:
+        """Return the MB that its simulated scene takes in a job."""
+        return self.simulation_mb if job in _SIMULATING else 0.0
 
 
 @dataclass(frozen=True)
@@ -42,6 +104,8 @@ class Record:
     camera_rays, projector_rays, views, channels : int
         Views of the projector.
     patterns : int
+    simulation_mb : float
+        As `Subject`'s.
     cpu_seconds : float
         Of the processor, whoever else used it; what a rig waits for isn't in it.
     seconds : float
@@ -60,22 +124,29 @@ class Record:
     views: int
     channels: int
     patterns: int
+    simulation_mb: float
     cpu_seconds: float
     seconds: float
     memory_mb: float
 
     @property
-    def samples(self) -> int:
-        """Numbers in a picture of the camera's."""
-        return self.camera_rays * self.channels
+    def subject(self) -> Subject:
+        """What it had before it."""
+        return Subject.of(
+            self.method, self.camera_rays, self.channels, self.views, self.simulation_mb
+        )
 
 
-def records_in(results: Path, most: int | None = None) -> list[Record]:
+def records_in(
+    results: Path, scenes: Mapping[str, SceneSettings], most: int | None = None
+) -> list[Record]:
     """Return what the jobs of a results' folder took, as far as their files tell.
 
     Parameters
     ----------
     results : Path
+    scenes : mapping
+        Settings of the scenes by their names; others are left out.
     most : int, optional
         Acquisitions to look at, evenly among all; None for all.
     """
@@ -83,7 +154,7 @@ def records_in(results: Path, most: int | None = None) -> list[Record]:
     manifests = sorted(results.glob("*/*/transport.json"))
     for manifest in manifests[:: 1 if most is None else -(-len(manifests) // most) or 1]:
         try:
-            about = _about(read_manifest(manifest))
+            about = _about(read_manifest(manifest), scenes)
         except (StoreError, KeyError):
             continue
         for job in JOBS:
@@ -116,7 +187,17 @@ def write_records(records: Iterable[Record], path: Path) -> None:
             writer.writerow(shown)
 
 
-def _about(facts: dict[str, Any]) -> dict[str, Any]:
+def usage_in(log: Path) -> Usage | None:
+    """Return what a job took, by the end of its log; None where it isn't told, as of one killed."""
+    try:
+        last = log.read_text(encoding="utf-8").splitlines()[-1]
+    except (OSError, UnicodeDecodeError, IndexError):
+        return None
+    usage = _USAGE.search(last)
+    return None if usage is None else (float(usage[1]), float(usage[2]))
+
+
+def _about(facts: dict[str, Any], scenes: Mapping[str, SceneSettings]) -> dict[str, Any]:
     shape = tuple(facts["projector_shape"])
     return {
         "scene": facts["scene"],
@@ -127,20 +208,20 @@ def _about(facts: dict[str, Any]) -> dict[str, Any]:
         "views": shape[0] if len(shape) > 2 else 1,
         "channels": facts["channels"],
         "patterns": facts["patterns"],
+        "simulation_mb": scenes[facts["scene"]].simulation_bytes / 1e6,
     }
 
 
 def _took(folder: Path, job: str) -> dict[str, Any] | None:
     """Return what a job took in all; None where it went on from another, or isn't known."""
     try:
-        last = (folder / f"{job}.log").read_text(encoding="utf-8").splitlines()[-1]
         seconds = float(_benchmark(folder / f"{job}.benchmark.tsv")["s"])
-    except (OSError, UnicodeDecodeError, IndexError, KeyError, ValueError):
+    except (KeyError, ValueError):
         return None
-    usage = _USAGE.search(last)
+    usage = usage_in(folder / f"{job}.log")
     if usage is None:
         return None
-    memory, cpu = map(float, usage.groups())
+    memory, cpu = usage
     if job == "acquire":
         stages = [_benchmark(path) for path in folder.glob("L*/*.benchmark.tsv")]
         if seconds < _WHOLE * sum(float(stage.get("s", 0)) for stage in stages):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -16,12 +17,15 @@ from rfpipe.config.model import ReportConfig
 from rfpipe.errors import ConfigError, InputError, IntegrityError
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.store.chunks import METADATA
+from rfpipe.store.packed import INDEX
 from rfpipe.transport.places import STORE_NAME, transports_in
 
 __all__ = ["SETTINGS", "Acquisition", "Run", "files_of_store", "find_run", "settings_of"]
 
 _RESULTS = "results"
-_LEFT_OUT = (".log", ".benchmark.tsv", ".tmp")
+_TO_LOGS = re.compile(rb' <a href="[^"]*\.log">log</a>')  # which stay at home
+_MOST_NAMED = 6
+_LEFT_OUT = (".log", ".benchmark.tsv", ".asked", ".tmp")
 
 SETTINGS = "settings.yaml"
 """Under which the settings are published."""
@@ -114,8 +118,15 @@ class Run:
         titled = (self.settings or {}).get("report", {}).get("title")
         if titled and titled != ReportConfig().title:
             return str(titled)
-        scenes = dict.fromkeys(found.scene for found in self.acquisitions)
-        return f"Light transport of {', '.join(scenes)}"
+        return f"Light transport of {self.scenes}"
+
+    @property
+    def scenes(self) -> str:
+        """The scenes' names, or how many there are, for people."""
+        names = [*dict.fromkeys(found.scene for found in self.acquisitions)]
+        if len(names) <= _MOST_NAMED:
+            return ", ".join(names)
+        return f"{len(names):,} scenes, {names[0]} to {names[-1]}"
 
     @property
     def times(self) -> tuple[str, str]:
@@ -128,10 +139,17 @@ class Run:
         first, last = (datetime.fromtimestamp(int(t), UTC) for t in (min(seconds), max(seconds)))
         return first.isoformat(), last.isoformat()
 
-    def report_files(self) -> Iterator[tuple[str, Path]]:
-        """Yield name and place of the report's files, the viewer's among them."""
-        if self.report is not None:
-            yield from self._below(self.report)
+    def report_files(self) -> Iterator[tuple[str, Path | bytes]]:
+        """Yield name and place, or content, of the pages: report, viewers and catalogue."""
+        pages = self.report or self.results / "report" / "view"
+        if pages.is_dir():
+            yield from self._below(pages)
+        folder = self.results / "catalogue"
+        for name, file in self._below(folder) if folder.is_dir() else ():
+            if file.suffix == ".html":
+                yield name, _TO_LOGS.sub(b"", file.read_bytes())
+            elif file.suffix != ".json":
+                yield name, file
 
     def manifests(self) -> Iterator[tuple[str, Path]]:
         """Yield name and place of the stages' manifests: what was captured, and its digests.
@@ -180,6 +198,14 @@ def find_run(folder: Path) -> Run:
         place = folder / _RESULTS / scene / method
         facts = read_manifest(place / "transport.json")
         found.append(Acquisition(scene, method, place, facts))
+    packed = [place for place in (folder, folder / _RESULTS) if (place / INDEX).is_file()]
+    if packed and not found:
+        raise InputError(
+            f"{packed[0]}: is a packed run; publish it as it was: 'rfpipe collection unpack "
+            f"{packed[0]} -o {folder}_whole/{_RESULTS}', then 'rfpipe publish {folder}_whole'. Or "
+            "give the packed folder itself to others, with its list of SHA-256: "
+            "rfpipe.open_collection reads it"
+        )
     if not found:
         raise InputError(
             f"{folder}: has no {_RESULTS}/<scene>/<method>/{STORE_NAME}; give the folder of a run, "

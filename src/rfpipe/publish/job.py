@@ -41,6 +41,8 @@ _FORMATS = {
 }
 
 _MEANINGS = {
+    "results/catalogue/index.html": "the catalogue: each acquisition with a small picture, its "
+    "figures and what the table says of it",
     EXAMPLE: "opens a transport and relights it: ten lines of Python",
     "results/report/": "the report: index.html, its tables, figures and numbers",
     "results/report/view/": "pages to paint with light in, in any browser",
@@ -207,13 +209,14 @@ def _add_pages(writer: Writer, run: Run, citation: Citation) -> None:
     formats = {name: _format(name) for name in named}
     writer.add("croissant.json", _json(croissant(citation, named, formats, tables, stores)))
     present = {**dict.fromkeys(writer.digests), METADATA_FILE: None, MANIFEST: None}
+    without = () if run.report else ("results/report/",)
     meanings = {
         **{f"{name}/": meaning for name, meaning in stores.items()},
         **{
             name: meaning
             for name, meaning in _MEANINGS.items()
-            if name in present
-            or any(found.startswith(name) for found in present if name[-1] == "/")
+            if name not in without
+            and any(each == name or each.startswith(name) * (name[-1] == "/") for each in present)
         },
     }
     writer.add("README.md", readme(run, citation, meanings, MANIFEST, first).encode())

@@ -9,6 +9,7 @@ upload that was interrupted goes on.
 from __future__ import annotations
 
 import hashlib
+import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ __all__ = ["Kept", "keep"]
 
 _SECONDS_BETWEEN_LISTS = 5.0
 _BLOCK_BYTES = 2**20
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass
@@ -79,6 +82,7 @@ def keep(run: Run, address: str, tell: Callable[[str], object] | None = None) ->
     with StoreLock(made):
         try:
             listed = _List(bucket)
+            _warn_of_others(listed, run, bucket.address)
             for name, source in _objects(run, made):
                 digest, size = _measured(source)
                 kept.objects += 1
@@ -106,6 +110,11 @@ class _List:
         self._digests = {name: digests[name] for name in digests if name in self._sizes}
         self._changed = self._digests != digests
         self._written = time.monotonic()
+
+    @property
+    def names(self) -> list[str]:
+        """Of the objects that are there, sorted."""
+        return sorted(self._digests)
 
     def has(self, name: str, digest: str, size: int) -> bool:
         return self._digests.get(name) == digest and self._sizes.get(name) == size
@@ -137,6 +146,19 @@ class _List:
         lines = (f"{digest}  {name}\n" for name, digest in sorted(self._digests.items()))
         self._bucket.put(MANIFEST, "".join(lines).encode())
         self._written = time.monotonic()
+
+
+def _warn_of_others(listed: _List, run: Run, address: str) -> None:
+    """Say that transports are there which this run doesn't have: those of the same name go."""
+    own = {f"{acquisition.name}/{ZIP_NAME}" for acquisition in run.acquisitions}
+    others = [name for name in listed.names if name.endswith(f"/{ZIP_NAME}") and name not in own]
+    if others:
+        _log.warning(
+            "%s: has %d transports that this run hasn't, such as %s: of scenes that were removed, "
+            "or of another run, whose objects of the same names are replaced; each run needs an "
+            "address of its own",
+            *(address, len(others), others[0]),
+        )
 
 
 def _objects(run: Run, made: Path) -> Iterator[tuple[str, Path | bytes]]:

@@ -17,6 +17,9 @@ from rfpipe.stages.merging.references import REFERENCES
 
 __all__ = ["reference_pictures"]
 
+# EXR files have the time of writing, which would change the bytes: that of the zip file's members.
+_TIMELESS = {"DateTime": "1980:01:01 00:00:00"}
+
 
 def reference_pictures(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
     """Yield name and content of an acquisition's reference pictures.
@@ -56,7 +59,7 @@ def encoded(image: NDArray[Any], suffix: str) -> bytes:
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"picture.{suffix}"
-        write_image(path, image)
+        write_image(path, image, about=_TIMELESS)
         return path.read_bytes()
 
 

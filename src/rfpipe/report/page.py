@@ -62,7 +62,7 @@ def build_report(
             f"{results}: holds no relit acquisition of the scenes "
             f"{', '.join(config.scenes)}; run the relight stage first"
         )
-    title, lead = config.report.title, _lead(inputs)
+    title, lead = config.title, _lead(inputs)
     swatches = methods.swatches(inputs.methods) | verdicts.STANDING_COLOURS
     shown = write_page(
         page, title, lead, make_sections(inputs), results, swatches, _SOURCE, _views(inputs, page)

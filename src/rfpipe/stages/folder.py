@@ -55,6 +55,11 @@ class AcquisitionFolder:
         name = "verification" if level == VERIFICATION else f"L{level:02d}"
         return self.path / name / f"{stage}.json"
 
+    @property
+    def asked(self) -> Path:
+        """What the last job to end was asked for: a note of it, as its log is, and no result."""
+        return self.path / "acquire.asked"
+
     def store(self, level: int, stage: str) -> Path:
         """Store that the manifest is about."""
         return self.manifest(level, stage).with_suffix(".zarr")

@@ -29,6 +29,7 @@ from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.symmetry import NOTICED
 from rfpipe.store import StoreLock, restore_header
+from rfpipe.store.files import write_atomically
 from rfpipe.units import NumberFormat
 
 __all__ = ["Until", "level_after", "level_before", "run", "watching_of"]
@@ -54,6 +55,7 @@ def run(
     watch: Mapping[str, Any],
     resources: Resources,
     until: Until | None = None,
+    asked: str | None = None,
 ) -> None:
     """Acquire a scene by a method, or what is missing of it; ``transport.json`` comes last.
 
@@ -81,6 +83,8 @@ def run(
     resources : Resources
     until : Until, optional
         Where to end before the transport; the next job goes on from there.
+    asked : str, optional
+        As `rfpipe.stages.jobs.settings.asked_of`; kept beside the transport.
 
     Raises
     ------
@@ -148,6 +152,8 @@ def run(
         level, anew = 0, _Anew(folder, until)
         while level is not None and level <= plan.n_levels:
             level = anew.go_on(level, work_of(level))
+        if asked is not None and until is None:
+            write_atomically(folder.asked, asked.encode())
 
 
 @dataclass(frozen=True)

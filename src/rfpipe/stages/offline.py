@@ -16,7 +16,7 @@ from rfpipe.rigs.offline import OfflineRig, Sheet, check_pictures, offline_rig, 
 from rfpipe.rigs.offline.sheet import MANIFEST, write_sheet
 from rfpipe.stages import capture, levels
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.settings import stages_of
+from rfpipe.stages.jobs.settings import asked_of, stages_of
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan, plan_of
 
@@ -87,14 +87,17 @@ class OfflineAcquisition:
 
         log = logging.getLogger("rfpipe")
         handlers = list(log.handlers)
+        plan = plan_of(self.settings, self.scene, self.name)
+        stages = stages_of(self.settings, self.scene, self.name)
         try:
             levels.run(
-                Plan(**plan_of(self.settings, self.scene, self.name)),
+                Plan(**plan),
                 self._files,
                 self.scene,
                 captured,
-                **stages_of(self.settings, self.scene, self.name),
+                **stages,
                 resources=resources or Resources(self.settings.resources.memory_gib),
+                asked=asked_of(plan, stages),
             )
         except PicturesNeeded:
             return self._level

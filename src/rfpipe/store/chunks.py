@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.store.files import storage_errors
-from rfpipe.store.places import Place, array_keys
-
-if TYPE_CHECKING:
-    import zarr
+from rfpipe.store.places import Place
 
 __all__ = [
     "DAMAGE",
@@ -22,8 +19,6 @@ __all__ = [
     "compression_for",
     "damaged_metadata",
     "layout",
-    "open_array",
-    "open_array_at",
     "read_attributes",
     "small_layout",
 ]
@@ -74,46 +69,6 @@ def small_layout(dtype: np.dtype[Any]) -> Layout:
     return layout("zstd", level=5, shuffle="shuffle" if is_index else "bitshuffle")
 
 
-def open_array(path: Path, mode: Literal["r", "r+"]) -> zarr.Array[Any]:
-    """Open a zarr array.
-
-    zarr keeps the configuration of `layout` with an open array only, so it is set here again.
-
-    Raises
-    ------
-    IntegrityError
-        When its metadata are damaged.
-    """
-    import zarr
-
-    try:
-        return zarr.open_array(path, mode=mode).with_config(_CONFIG)
-    except DAMAGE as error:
-        raise damaged_metadata(path, error) from error
-
-
-def open_array_at(place: Place) -> zarr.Array[Any]:
-    """Fetch a zarr array from where it lies and open it for reading.
-
-    Raises
-    ------
-    IntegrityError
-        When its metadata are damaged.
-    StoreError
-        When it can't be fetched.
-    """
-    import zarr
-    from zarr.buffer.cpu import Buffer
-
-    content = place.read_many([METADATA])
-    try:
-        content |= place.read_many(array_keys(json.loads(content[METADATA])))
-        held: Any = {name: Buffer.from_bytes(data) for name, data in content.items()}
-        return zarr.open_array(zarr.storage.MemoryStore(held, read_only=True), mode="r")
-    except DAMAGE as error:
-        raise damaged_metadata(place, error) from error
-
-
 def read_attributes(path: Path | Place, kind: str) -> dict[str, Any]:
     """Attributes of a store that rfpipe wrote, read without zarr.
 
@@ -159,7 +114,11 @@ def _read(metadata: Path | Place, kind: str) -> bytes:
 
 def damaged_metadata(path: Path | Place, error: Exception) -> IntegrityError:
     """Error that names a store's damaged metadata and says what to do."""
+    advice = (
+        f"restore this file, or remove {path} and run the stage that writes it again"
+        if isinstance(path, Path)
+        else "check that the address gives this file and no page for people, or fetch it anew"
+    )
     return IntegrityError(
-        f"{path / METADATA}: damaged metadata ({type(error).__name__}: {error}); restore this "
-        f"file, or remove {path} and run the stage that writes it again"
+        f"{path / METADATA}: damaged metadata ({type(error).__name__}: {error}); {advice}"
     )

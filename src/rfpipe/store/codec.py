@@ -24,7 +24,7 @@ from rfpipe.store.shards import index_bytes, inner_layout, read_index
 if TYPE_CHECKING:
     from numcodecs.blosc import Blosc
 
-__all__ = ["ChunkFiles"]
+__all__ = ["ChunkFiles", "blosc_of", "unpack"]
 
 _SHUFFLES = {"noshuffle": 0, "shuffle": 1, "bitshuffle": 2}
 _HEADER_BYTES = 16  # of blosc: its bytes 4 to 8 are the size unpacked, 12 to 16 packed
@@ -78,7 +78,7 @@ class ChunkFiles:
             to_bytes, *compressors = codecs
             if to_bytes["name"] != "bytes" or len(compressors) > 1:
                 raise ValueError(f"codecs {codecs}")
-            self._blosc = _blosc(compressors[0]) if compressors else None
+            self._blosc = blosc_of(compressors[0]) if compressors else None
         except (ValueError, KeyError, TypeError) as error:
             raise damaged_metadata(path, error) from error
         self.items_per_chunk: int = self._chunk[0]
@@ -99,14 +99,7 @@ class ChunkFiles:
         """
         content = self._content(first)
         whole = out if len(out) == self._chunk[0] else np.empty(self._chunk, self.dtype)
-        if self._blosc is None:
-            whole[...] = np.frombuffer(content, self.dtype).reshape(self._chunk)
-        else:
-            # the decompressor trusts the header
-            sizes = np.frombuffer(content[:_HEADER_BYTES].ljust(_HEADER_BYTES, b"\0"), "<u4")
-            if (sizes[1], sizes[3]) != (whole.nbytes, len(content)):
-                raise ValueError(f"item {first}: sizes {sizes[1]} and {sizes[3]} in its header")
-            self._blosc.decode(content, whole)
+        unpack(content, self._blosc, whole)
         if whole is not out:
             out[...] = whole[: len(out)]
 
@@ -178,8 +171,32 @@ class ChunkFiles:
             return os.pread(file.fileno(), int(lengths[chunk]), int(starts[chunk]))
 
 
-def _blosc(codec: dict[str, Any]) -> Blosc:
-    """Return the compressor that an array's metadata name."""
+def unpack(content: bytes, blosc: Blosc | None, out: NDArray[Any]) -> None:
+    """Unpack a chunk into a contiguous array.
+
+    Raises
+    ------
+    ValueError, RuntimeError
+        When it is damaged.
+    """
+    if blosc is None:
+        out[...] = np.frombuffer(content, out.dtype).reshape(out.shape)
+        return
+    # the decompressor trusts the header
+    sizes = np.frombuffer(content[:_HEADER_BYTES].ljust(_HEADER_BYTES, b"\0"), "<u4")
+    if (sizes[1], sizes[3]) != (out.nbytes, len(content)):
+        raise ValueError(f"a chunk of {len(content)} bytes says {sizes[3]}, of them {sizes[1]}")
+    blosc.decode(content, out)
+
+
+def blosc_of(codec: dict[str, Any]) -> Blosc:
+    """Return the compressor that an array's metadata name.
+
+    Raises
+    ------
+    ValueError, KeyError
+        When it is another one.
+    """
     import numcodecs.blosc
 
     # With threads of its own it orders its blocks by who is first.
@@ -187,5 +204,7 @@ def _blosc(codec: dict[str, Any]) -> Blosc:
     if codec["name"] != "blosc":
         raise ValueError(f"codec {codec['name']!r}; expected blosc")
     settings = dict(codec["configuration"])
+    if settings["cname"] not in numcodecs.blosc.list_compressors():
+        raise ValueError(f"compressor {settings['cname']!r}")
     settings["shuffle"] = _SHUFFLES[settings["shuffle"]]
     return numcodecs.blosc.Blosc(**settings)

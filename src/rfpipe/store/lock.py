@@ -7,16 +7,48 @@ import fcntl
 import os
 import socket
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from rfpipe.errors import LockedError, StoreError
 from rfpipe.store.files import hidden_sibling, storage_errors
 
-__all__ = ["StoreLock"]
+__all__ = ["Holder", "StoreLock"]
 
 # A file server frees the locks of a machine that died when its lease has run out: 90 s by NFS.
 _LEASE_SECONDS = 120.0
 _POLL_SECONDS = 2.0
+# Whoever looks who holds a lock, as the catalogue does, holds it for a moment.
+_GLANCE_SECONDS = 0.2
+
+
+@dataclass(frozen=True)
+class Holder:
+    """Who holds a lock.
+
+    Attributes
+    ----------
+    process : str
+        Its number; empty where it hasn't said so yet.
+    machine : str
+        The name of its machine.
+    is_known : bool
+        Whether the lock is held for certain. Else another machine's process has written its name,
+        and nothing here holds the lock: that process was killed, or the file system's locks don't
+        reach from one machine to another.
+    """
+
+    process: str
+    machine: str
+    is_known: bool = False
+
+    @property
+    def where(self) -> str | None:
+        """The machine, where it is another one than this."""
+        return None if self.machine in ("", socket.gethostname()) else self.machine
+
+    def __str__(self) -> str:
+        return f"{self.process or 'unknown'}{f' on {self.where}' if self.where else ''}"
 
 
 class StoreLock:
@@ -53,22 +85,27 @@ class StoreLock:
         self._descriptor: int | None = None
 
     @staticmethod
-    def holder(path: Path) -> str | None:
-        """Name the process that holds the lock of a store, None where none does."""
+    def holder(path: Path) -> Holder | None:
+        """Tell who holds the lock of a store, or may hold it; None where nobody does."""
         try:
             descriptor = os.open(hidden_sibling(path, "lock"), os.O_RDONLY)
         except OSError:
             return None
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # shared: a file server refuses exclusive locks of files that are open for reading
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
-            return _shown(*_read(descriptor))
+            return Holder(*_read(descriptor), is_known=True)
+        except OSError:  # a file system without locks: no job of ours writes there
+            return None
+        else:
+            process, machine = _read(descriptor)
+            return None if machine in ("", socket.gethostname()) else Holder(process, machine)
         finally:
             os.close(descriptor)
-        return None
 
     def acquire(self) -> None:
-        """Take the lock, or raise: at once where another process of this machine holds it."""
+        """Take the lock, or raise: soon where another process of this machine holds it."""
         end = time.monotonic() + _LEASE_SECONDS
         with storage_errors(self._lock_file, "locking"):
             self._lock_file.parent.mkdir(parents=True, exist_ok=True)
@@ -100,13 +137,17 @@ class StoreLock:
 
     def _wait_for(self, process: str, machine: str, end: float) -> None:
         """Let some time pass where the holder may be on a machine that died, or raise."""
-        is_elsewhere = machine not in ("", socket.gethostname())
+        holder = Holder(process, machine)
+        is_elsewhere = holder.where is not None
         if is_elsewhere and time.monotonic() < end:
             time.sleep(_POLL_SECONDS)
             return
+        if time.monotonic() < end - _LEASE_SECONDS + _GLANCE_SECONDS:
+            time.sleep(_GLANCE_SECONDS / 4)
+            return
         waited = f" after {_LEASE_SECONDS:.0f} s" if is_elsewhere else ""
         raise LockedError(
-            f"{self._path}: process {_shown(process, machine)} is writing this store{waited}; wait "
+            f"{self._path}: process {holder} is writing this store{waited}; wait "
             "until it ends, or end it, then run again"
         )
 
@@ -137,8 +178,3 @@ def _read(descriptor: int) -> tuple[str, str]:
     """Return process and machine of a lock's holder, empty where it hasn't said so yet."""
     process, _, machine = os.read(descriptor, 256).decode(errors="replace").strip().partition(" ")
     return process, machine
-
-
-def _shown(process: str, machine: str) -> str:
-    where = "" if machine in ("", socket.gethostname()) else f" on {machine}"
-    return f"{process or 'unknown'}{where}"

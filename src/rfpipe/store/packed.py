@@ -9,14 +9,15 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import IO, Any
 
 from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.store.files import storage_errors, write_atomically
-from rfpipe.store.places import Place
+from rfpipe.store.places import Place, Range, ranges_of_file
 
 __all__ = ["INDEX", "PackedPlace", "Sizes", "pack", "packed_in", "unpack"]
 
@@ -26,6 +27,7 @@ INDEX = "packed.json"
 _LIST = "manifest-sha256.txt"
 _OBJECTS = "objects"
 _KIND = "rfpipe packed folder"
+_AT_ONCE = 16  # files fetched from an address: each waits for the way there and back
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def pack(folder: Path, files: Iterable[Path], output: Path, about: Mapping[str, 
         digest = hashlib.sha256(content).hexdigest()
         index[file.relative_to(folder).as_posix()] = [digest, len(content)]
         stored = output / _object(digest)
-        if digest not in sizes and not (stored.exists() and stored.stat().st_size == len(content)):
+        if digest not in sizes and not (stored.exists() and stored.read_bytes() == content):
             stored.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(stored, content)
         sizes[digest] = len(content)
@@ -95,14 +97,21 @@ def unpack(place: PackedPlace, output: Path) -> Sizes:
     StoreError
         When the disk is full, or another file stands in the way.
     """
-    for name, (_, nbytes) in place.index.items():
+
+    def write(name: str) -> None:
         target = output / name
         if target.exists():
-            if target.stat().st_size != nbytes:
+            with storage_errors(target, "reading"):
+                digest = hashlib.sha256(target.read_bytes()).hexdigest()
+            if digest != place.index[name][0]:
                 raise StoreError(f"{target}: another file stands here; unpack into an empty folder")
-            continue
+            return
         target.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(target, (place / name).read_bytes())
+
+    with ThreadPoolExecutor(1 if isinstance(place.base, Path) else _AT_ONCE) as pool:
+        for _ in pool.map(write, place.index):
+            pass
     return _sizes(place.index)
 
 
@@ -126,7 +135,9 @@ def packed_in(base: Path | Place) -> PackedPlace | None:
         index = {name: (str(digest), int(size)) for name, (digest, size) in found["files"].items()}
         is_ours = found["kind"] == _KIND and all(map(_is_inside, index))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise IntegrityError(f"{base}/{INDEX}: damaged ({error!r}); fetch it anew") from error
+        raise IntegrityError(
+            f"{base}/{INDEX}: damaged, or no index of a packed folder ({error!r}); fetch it anew"
+        ) from error
     if not is_ours:
         raise IntegrityError(f"{base}/{INDEX}: is no index of a packed folder; fetch it anew")
     return PackedPlace(base, index, found["about"])
@@ -159,7 +170,8 @@ class PackedPlace(Place):
     def __str__(self) -> str:
         return f"{self.base}/{self.key}" if self.key else str(self.base)
 
-    def _at(self, key: str) -> PackedPlace:
+    def at(self, key: str) -> PackedPlace:
+        """Return another place in the same whole."""
         return PackedPlace(self.base, self.index, self.about, key)
 
     def read_bytes(self) -> bytes:
@@ -180,6 +192,22 @@ class PackedPlace(Place):
                 f"{stored}: damaged, of {self.key}; copy or fetch {self.base} anew"
             )
         return content
+
+    def read_ranges(self, ranges: Sequence[Range]) -> list[bytes]:
+        """Read parts of a file, which can't be compared with its name."""
+        return ranges_of_file(self._stored()[0], ranges)
+
+    def read_end(self, nbytes: int) -> tuple[bytes, int]:
+        """Read the last bytes of a file; these and the file's size. As `read_ranges`."""
+        stored, size = self._stored()
+        return ranges_of_file(stored, [(max(0, size - nbytes), size)])[0], size
+
+    def _stored(self) -> tuple[Path | Place, int]:
+        """Where this file's content lies, and its bytes."""
+        if self.key not in self.index:
+            raise FileNotFoundError(str(self))
+        digest, size = self.index[self.key]
+        return self.base / _object(digest), size
 
     def open(self) -> IO[bytes]:
         """Open a file for reading, after its check."""

@@ -2,16 +2,41 @@
 
 from __future__ import annotations
 
+import lzma
 import math
+import os
+import struct
 import zipfile
+import zlib
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import product
+from pathlib import Path
 from typing import IO, Any
 
-from rfpipe.errors import IntegrityError
+from rfpipe.errors import IntegrityError, StoreError
 
-__all__ = ["Place", "ZipPlace", "array_keys"]
+__all__ = [
+    "ZIP_DAMAGE",
+    "Place",
+    "Range",
+    "ZipPlace",
+    "array_keys",
+    "end_of_file",
+    "ranges_of_file",
+    "zip_damage",
+]
+
+Range = tuple[int, int | None]
+"""Of a file's bytes: the first, and the one behind the last; None for the file's end."""
+
+ZIP_DAMAGE = (
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, struct.error),
+    *(EOFError, OSError, RuntimeError, ValueError),
+)
+"""What `zipfile` raises on damaged bytes, and on a compression or encryption that it lacks."""
+
+_LOCAL_BYTES = 30  # of a zip file's header before each file, without its name
 
 
 class Place(ABC):
@@ -30,7 +55,7 @@ class Place(ABC):
     def __str__(self) -> str: ...
 
     @abstractmethod
-    def _at(self, key: str) -> Place:
+    def at(self, key: str) -> Place:
         """Return another place in the same whole."""
 
     @abstractmethod
@@ -67,8 +92,31 @@ class Place(ABC):
         """Say that this folder is about to be read, and nothing that lies behind it."""
         return
 
+    def read_ranges(self, ranges: Sequence[Range]) -> list[bytes]:
+        """Read parts of a file, and as little else of it as can be; errors as `read_bytes`.
+
+        What checks the file as a whole isn't asked: the caller has to tell damage.
+        """
+        content = self.read_bytes()
+        return [content[start:stop] for start, stop in ranges]
+
+    def read_exactly(self, names: Iterable[str]) -> dict[str, bytes]:
+        """`read_many`, as `read_ranges` reads."""
+        found = {}
+        for name in names:
+            try:
+                found[name] = (self / name).read_ranges([(0, None)])[0]
+            except FileNotFoundError:
+                continue
+        return found
+
+    def read_end(self, nbytes: int) -> tuple[bytes, int]:
+        """Read the last bytes of a file; these and the file's size. As `read_ranges`."""
+        content = self.read_bytes()
+        return content[-nbytes:], len(content)
+
     def __truediv__(self, name: str) -> Place:
-        return self._at(f"{self.key}/{name}")
+        return self.at(f"{self.key}/{name}")
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({str(self)!r})"
@@ -102,7 +150,8 @@ class ZipPlace(Place):
     def __str__(self) -> str:
         return f"{self._name}/{self.key}" if self.key else self._name
 
-    def _at(self, key: str) -> ZipPlace:
+    def at(self, key: str) -> ZipPlace:
+        """Return another place in the same whole."""
         return ZipPlace(self._archive, self._name, key)
 
     def read_bytes(self) -> bytes:
@@ -113,8 +162,39 @@ class ZipPlace(Place):
             raise FileNotFoundError(str(self)) from None
         try:
             return self._archive.read(info)
-        except zipfile.BadZipFile as error:
-            raise IntegrityError(f"{self}: damaged ({error}); fetch {self._name} anew") from error
+        except ZIP_DAMAGE as error:
+            raise zip_damage(str(self), self._name, error) from error
+
+    def read_ranges(self, ranges: Sequence[Range]) -> list[bytes]:
+        """Read parts of a file that lies in the zip file as it is."""
+        try:
+            info = self._archive.getinfo(self.key)
+        except KeyError:
+            raise FileNotFoundError(str(self)) from None
+        read: Any = getattr(self._archive.fp, "ranges", None)  # of one behind an address
+        if read is None or info.compress_type != zipfile.ZIP_STORED:
+            return super().read_ranges(ranges)
+        header = info.header_offset
+        before = _LOCAL_BYTES + len(info.filename.encode()) + len(info.extra)
+        while True:
+            # where it begins is written before it, and can be told beforehand as a rule
+            first = header + before
+            whole = [(first + start, first + (info.file_size if stop is None else stop))
+                     for start, stop in ranges]  # fmt: skip
+            found: list[bytes]
+            local, *found = read([(header, header + _LOCAL_BYTES), *whole])
+            told = _LOCAL_BYTES + sum(int.from_bytes(local[n : n + 2], "little") for n in (26, 28))
+            if told == before:
+                return found
+            before = told
+
+    def read_end(self, nbytes: int) -> tuple[bytes, int]:
+        """Read the last bytes of a file; these and the file's size."""
+        try:
+            size = self._archive.getinfo(self.key).file_size
+        except KeyError:
+            raise FileNotFoundError(str(self)) from None
+        return self.read_ranges([(max(0, size - nbytes), size)])[0], size
 
     def open(self) -> IO[bytes]:
         """Open a file for reading; its checksum is checked at its end."""
@@ -122,6 +202,8 @@ class ZipPlace(Place):
             return self._archive.open(self.key)
         except KeyError:
             raise FileNotFoundError(str(self)) from None
+        except ZIP_DAMAGE as error:
+            raise zip_damage(str(self), self._name, error) from error
 
     def files(self) -> list[str]:
         """Keys, relative to this one, of all files in this folder."""
@@ -150,6 +232,24 @@ class ZipPlace(Place):
         return f"{self.key}/" if self.key else ""
 
 
+def zip_damage(file: str, archive: str, error: Exception) -> StoreError:
+    """Error that says why a file of a zip file can't be read, and what to do.
+
+    Parameters
+    ----------
+    file, archive : str
+        Names of both.
+    error : Exception
+        One of `ZIP_DAMAGE`.
+    """
+    if isinstance(error, RuntimeError):  # of a method that is missing, too
+        return StoreError(
+            f"{file}: can't be unpacked ({error}); unpack {archive} by what made it, or make it "
+            "again without a password, its files stored as they are or deflated"
+        )
+    return IntegrityError(f"{file}: damaged ({error}); fetch {archive} anew")
+
+
 def array_keys(metadata: dict[str, Any]) -> list[str]:
     """Return the names of the files of a zarr array, by the content of its ``zarr.json``."""
     chunks = metadata["chunk_grid"]["configuration"]["chunk_shape"]
@@ -157,3 +257,29 @@ def array_keys(metadata: dict[str, Any]) -> list[str]:
     counts = [math.ceil(n / step) for n, step in zip(metadata["shape"], chunks, strict=True)]
     indices = product(*map(range, counts))
     return [separator.join(["c", *map(str, index)]) for index in indices]
+
+
+def ranges_of_file(file: Path | Place, ranges: Sequence[Range]) -> list[bytes]:
+    """Read parts of a file, as `Place.read_ranges`.
+
+    Raises
+    ------
+    OSError
+        When a file on the disk can't be read.
+    """
+    if isinstance(file, Place):
+        return file.read_ranges(ranges)
+    with file.open("rb") as opened:
+        size = os.fstat(opened.fileno()).st_size
+        return [
+            os.pread(opened.fileno(), (size if stop is None else stop) - start, start)
+            for start, stop in ranges
+        ]
+
+
+def end_of_file(file: Path | Place, nbytes: int) -> tuple[bytes, int]:
+    """Read the last bytes of a file; these and the file's size. Errors as `ranges_of_file`."""
+    if isinstance(file, Place):
+        return file.read_end(nbytes)
+    size = file.stat().st_size
+    return ranges_of_file(file, [(max(0, size - nbytes), size)])[0], size

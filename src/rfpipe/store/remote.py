@@ -2,32 +2,40 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from datetime import timedelta
 from typing import IO, Any, cast
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, unquote, urlsplit
 
-from rfpipe.errors import InputError, StoreError, without_password
-from rfpipe.store.places import Place
+from rfpipe.errors import InputError, StoreError, UnreachableError
+from rfpipe.store.places import Place, Range
 
 __all__ = ["CREDENTIALS", "ObjectPlace", "connect", "open_ranged", "reason_of"]
 
 _SCHEMES = ("http", "https", "s3")
 _AT_ONCE = 16  # requests: each waits for the way there and back, and carries little
-_RETRIES: Any = {"max_retries": 3, "retry_timeout": timedelta(seconds=30)}
+# However slow a line is, it is waited for while bytes come, at most a day; one that stalls is
+# asked once more.
+_RETRIES: Any = {"max_retries": 3, "retry_timeout": timedelta(seconds=60)}
+_CLIENT: dict[str, Any] = {"timeout": timedelta(days=1), "read_timeout": timedelta(seconds=30)}
 
 # Of a zip file's end: the directory of some thousand files, and the metadata written before it.
 _TAIL_BYTES = 256 * 2**10
 # A request takes as long as half a MB on a usual line, so that reading on costs little; whoever
 # goes on reading gets twice as much each time.
 _FIRST_BYTES, _MOST_BYTES = 256 * 2**10, 8 * 2**20
+# What lies between two parts that are wanted and is fetched with them rather than asked twice.
+_BETWEEN_BYTES = 32 * 2**10
 # of the answer of S3's servers
 _MESSAGE = re.compile(r"(\d{3} [A-Za-z ]+): .*<Message>(.*?)</Message>")
+_ENDPOINTS = ("AWS_ENDPOINT_URL", "AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT")
+_BUCKET = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 CREDENTIALS = (
     "AWS_ACCESS_KEY_ID",
     "AWS_WEB_IDENTITY_TOKEN_FILE",
@@ -54,15 +62,29 @@ class ObjectPlace(Place):
         self._store, self._root = store, root
 
     def __str__(self) -> str:
-        return f"{self._root}/{self.key}"
+        return f"{self._root}/{_written(self._root, self.key)}".rstrip("/")
 
-    def _at(self, key: str) -> ObjectPlace:
+    def at(self, key: str) -> ObjectPlace:
+        """Return another place in the same whole."""
         return ObjectPlace(self._store, key, self._root)
 
     def read_bytes(self) -> bytes:
         """Read a file."""
         with remote_errors(str(self)):
             return bytes(self._store.get(self.key).bytes())
+
+    def read_ranges(self, ranges: Sequence[Range]) -> list[bytes]:
+        """Read parts of a file; those that lie close together with what is between them."""
+        if any(stop is None for _, stop in ranges):
+            return super().read_ranges(ranges)
+        with remote_errors(str(self)):
+            return _ranges(self._store, self.key, ranges)
+
+    def read_end(self, nbytes: int) -> tuple[bytes, int]:
+        """Read the last bytes of a file; these and the file's size."""
+        with remote_errors(str(self)):
+            found = self._store.get(self.key, options={"range": {"suffix": nbytes}})
+            return bytes(found.bytes()), int(found.meta["size"])
 
     def open(self) -> IO[bytes]:
         """Open a file, to be read by ranges."""
@@ -117,12 +139,7 @@ class _Ranged(io.RawIOBase):
     def __init__(self, store: Any, key: str, address: str) -> None:
         self._store, self._key, self._address = store, key, address
         with remote_errors(address):
-            try:
-                found = store.get(key, options={"range": {"suffix": _TAIL_BYTES}})
-            except FileNotFoundError:
-                raise StoreError(f"{address}: no such file; check the address") from None
-            self._size = int(found.meta["size"])
-            self._tail = bytes(found.bytes())
+            self._tail, self._size = _end(store, key)
         self.until = self._size
         self._position = 0
         self._ahead = _FIRST_BYTES
@@ -157,6 +174,17 @@ class _Ranged(io.RawIOBase):
         buffer[: len(content)] = content
         return len(content)
 
+    def ranges(self, ranges: Sequence[tuple[int, int]]) -> list[bytes]:
+        """Read parts of the file without reading ahead; threads may do so at once."""
+        tail = self._size - len(self._tail)
+        apart = [(start, stop) for start, stop in ranges if start < tail]
+        with remote_errors(self._address):
+            fetched = iter(_ranges(self._store, self._key, apart))
+        return [
+            next(fetched) if start < tail else self._tail[start - tail : stop - tail]
+            for start, stop in ranges
+        ]
+
     def _range(self, start: int, stop: int) -> bytes:
         """Bytes [start, stop) of the file: of its end, of what was read last, or fetched."""
         tail = self._size - len(self._tail)
@@ -177,13 +205,40 @@ class _Ranged(io.RawIOBase):
         return self._block[: stop - start]
 
 
+def _end(store: Any, key: str) -> tuple[bytes, int]:
+    """Read the last bytes of a file behind an address, and its size."""
+    from obstore.exceptions import BaseError
+
+    try:
+        found = store.get(key, options={"range": {"suffix": _TAIL_BYTES}})
+        return bytes(found.bytes()), int(found.meta["size"])
+    except BaseError:
+        try:
+            if store.head(key)["size"] == 0:  # an empty file has no range that could be asked for
+                return b"", 0
+        except (BaseError, OSError):
+            pass  # the first error tells more
+        raise
+
+
+def _ranges(store: Any, key: str, ranges: Sequence[Range]) -> list[bytes]:
+    """Read parts of a file behind an address."""
+    if not ranges:
+        return []
+    starts, ends = zip(*ranges, strict=True)
+    return [bytes(part) for part in store.get_ranges(
+        key, starts=starts, ends=ends, coalesce=_BETWEEN_BYTES)]  # fmt: skip
+
+
 def open_ranged(store: Any, key: str, address: str) -> IO[bytes]:
     """Open a file behind an address, to be read by ranges.
 
     Raises
     ------
+    FileNotFoundError
+        When there is none.
     StoreError
-        When there is none, or the server doesn't answer, or not by ranges.
+        When the server doesn't answer, or not by ranges.
     """
     return cast(IO[bytes], _Ranged(store, key, address))
 
@@ -206,50 +261,132 @@ def connect(
     StoreError
         When obstore isn't installed.
     """
-    parts = urlsplit(address)
-    scheme = parts.scheme.lower()
-    if scheme not in _SCHEMES or not parts.netloc or parts.query or parts.fragment:
-        raise InputError(
-            f"{address}: expected http://, https:// or s3:// with a host or bucket and a path, "
-            "and without '?' or '#'"
-        )
+    parts = _parts(address)
     try:
+        from obstore.exceptions import BaseError
         from obstore.store import HTTPStore, S3Store
     except ImportError as error:
         raise StoreError(
             f"{address}: to read behind an address needs the extra publish; run "
             "'pip install rfpipe[publish]', or download it"
         ) from error
-    root = f"{scheme}://{parts.netloc}"  # with a password, if the address has one
-    options: Any = {"allow_http": True, **(client or {})}
+    host = parts.netloc.rpartition("@")[2]
+    root = f"{parts.scheme}://{host}"
+    options: Any = {"allow_http": True, **(_CLIENT if client is None else client)}
     retries = retries or _RETRIES
-    store: Any
-    if scheme == "s3":
-        signed = any(os.environ.get(name) for name in CREDENTIALS)
-        unsigned: Any = {} if signed else {"skip_signature": True}
-        store = S3Store(
-            parts.netloc,
-            client_options=options,
-            retry_config=retries,
-            **unsigned,
+    try:
+        if parts.scheme == "s3":
+            signed = any(os.environ.get(name) for name in CREDENTIALS)
+            unsigned: Any = {} if signed else {"skip_signature": True}
+            bucket = S3Store(host, client_options=options, retry_config=retries, **unsigned)
+            return bucket, parts.path.strip("/"), root
+        if parts.username is not None:  # which obstore leaves out
+            options["default_headers"] = {"Authorization": _basic(parts)}
+        server = HTTPStore.from_url(f"{root}/", client_options=options, retry_config=retries)
+    except (ValueError, BaseError) as error:
+        raise InputError(
+            f"{address}: can't be opened: {reason_of(error)}; check the address"
+            + (" and the environment's AWS_..." if parts.scheme == "s3" else "")
+        ) from None
+    return server, unquote(parts.path).strip("/"), root
+
+
+def _parts(address: str) -> SplitResult:
+    """Return the parts of an address, its scheme in lower case.
+
+    Raises
+    ------
+    InputError
+        When it is of another kind.
+    """
+    try:
+        parts = urlsplit(address)
+        scheme, _ = parts.scheme.lower(), parts.port  # which is a number, or raises
+    except ValueError as error:
+        raise InputError(f"{address}: can't be an address: {error}") from None
+    if scheme not in _SCHEMES or not parts.hostname or parts.query or parts.fragment:
+        raise InputError(
+            f"{address}: expected http://, https:// or s3:// with a host or bucket and a path, "
+            "and without '?' or '#'"
         )
-    else:
-        store = HTTPStore.from_url(f"{root}/", client_options=options, retry_config=retries)
-    return store, parts.path.strip("/"), without_password(root)
+    if scheme == "s3" and parts.username is not None:
+        raise InputError(
+            f"{address}: names a user; give credentials as AWS_ACCESS_KEY_ID and "
+            "AWS_SECRET_ACCESS_KEY in the environment"
+        )
+    if scheme == "s3":
+        _check_bucket(parts.netloc, address)
+    return parts._replace(scheme=scheme)
+
+
+def _check_bucket(bucket: str, address: str) -> None:
+    """Refuse a bucket's name, or a server's address in the environment, that obstore dies of."""
+    if not _BUCKET.fullmatch(bucket):
+        raise InputError(
+            f"{address}: {bucket!r} can't be a bucket; expected letters, digits, '.', '_' and '-'"
+        )
+    for name in _ENDPOINTS:
+        if name in os.environ and not _is_server(os.environ[name]):
+            raise InputError(
+                f"{address}: the environment's {name} is {os.environ[name]!r}; expected the "
+                "server's address, such as https://objects.example.org, or none for Amazon's"
+            )
+
+
+def _is_server(address: str) -> bool:
+    try:
+        parts = urlsplit(address)
+        port = parts.port
+    except ValueError:
+        return False
+    return parts.scheme in ("http", "https") and bool(parts.hostname) and port != 0
+
+
+def _basic(parts: SplitResult) -> str:
+    """Return what tells a web server the user and the password of an address."""
+    user = f"{unquote(parts.username or '')}:{unquote(parts.password or '')}"
+    return f"Basic {base64.b64encode(user.encode()).decode()}"
+
+
+def _written(root: str, key: str) -> str:
+    """Return a key as an address has it: a web server's can be copied into another program."""
+    if root.startswith("s3:"):
+        return key
+    return key.replace("%", "%25").replace("?", "%3F").replace("#", "%23")
 
 
 @contextmanager
 def remote_errors(address: str) -> Iterator[None]:
     """Turn what obstore raises into a StoreError of one line; FileNotFoundError passes."""
-    from obstore.exceptions import BaseError
+    from obstore.exceptions import (
+        BaseError,
+        NotSupportedError,
+        PermissionDeniedError,
+        UnauthenticatedError,
+    )
 
+    is_s3 = address.startswith("s3:")
+    # none of them chained: obstore's own message shows the address as it was given
     try:
         yield
-    except BaseError as error:
+    except NotSupportedError as error:
         raise StoreError(
-            f"{address}: can't be read: {reason_of(error)}; check the address, the rights to read "
-            "it and that its server answers range requests, or download it and open the file"
-        ) from None  # obstore's own message shows the address as it was given
+            f"{address}: can't be read: {reason_of(error)}; its server doesn't answer range "
+            "requests, or answers a page of its own, such as one to log in: check the address, or "
+            "download it and open the file"
+        ) from None
+    except (PermissionDeniedError, UnauthenticatedError) as error:
+        what = "the credentials of the environment and their rights" if is_s3 else "who may read it"
+        raise StoreError(
+            f"{address}: can't be read: {reason_of(error)}; check the address and {what}"
+        ) from None
+    except BaseError as error:
+        reason = reason_of(error)
+        what = "AWS_ENDPOINT_URL, AWS_REGION and the credentials" if is_s3 else "the address"
+        advice = f"check the network and {what}"
+        if reason.startswith("416"):
+            advice = "it was replaced by a shorter file after it was opened: open it again"
+        raise UnreachableError(f"{address}: can't be read: {reason}; {advice}") from None
 
 
 def reason_of(error: Exception) -> str:

@@ -9,7 +9,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["index_bytes", "inner_layout", "parse_index", "read_index"]
+__all__ = ["index_bytes", "index_size", "inner_layout", "parse_index", "read_index"]
 
 _ABSENT = np.uint64(2**64 - 1)
 _CHECK_BYTES = 4
@@ -57,6 +57,11 @@ def index_bytes(lengths: Sequence[int], chunks: int) -> bytes:
     return content + int(google_crc32c.value(content)).to_bytes(_CHECK_BYTES, "little")
 
 
+def index_size(chunks: int) -> int:
+    """Return how many bytes the index of a shard of so many chunks takes."""
+    return 16 * chunks + _CHECK_BYTES
+
+
 def parse_index(content: bytes, chunks: int, before: int) -> Index:
     """Return where the chunks of a shard begin, and their lengths.
 
@@ -94,7 +99,7 @@ def read_index(file: BinaryIO, chunks: int) -> Index:
     ------
     OSError, ValueError
     """
-    size = 16 * chunks + _CHECK_BYTES
+    size = index_size(chunks)
     before = os.fstat(file.fileno()).st_size - size
     if before < 0:
         raise ValueError("a shard is shorter than its index")

@@ -7,10 +7,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, cached_property
 from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
+from rfpipe.store.parts import take_runs
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
@@ -156,7 +158,7 @@ class ArrayTransport(HoldingTransport[Arrays]):
 
     @classmethod
     def _opened(cls, bundle: Bundle, memory_budget: int) -> Arrays:  # noqa: ARG003
-        return LazyArrays(bundle.names, bundle.read)
+        return LazyArrays(bundle.names, bundle.read, bundle.read_runs)
 
 
 class LevelTransport(HoldingTransport[Sequence[S]]):
@@ -216,12 +218,34 @@ class LevelTransport(HoldingTransport[Sequence[S]]):
         return SetsOnDemand(list(prefixes), read, keep=fits(bundle, memory_budget))
 
 
-class LazyArrays(Mapping[str, NDArray[Any]]):
-    """Named arrays that are read when first used; a plain mapping serves as well."""
+def runs_of(held: Arrays, name: str, runs: NDArray[np.int64]) -> NDArray[Any]:
+    """Return runs ``(n, 2)`` of an array along its last axis, and read little else of it."""
+    if isinstance(held, LazyArrays) and held.read_runs is not None:
+        return held.read_runs(name, runs)
+    return take_runs(held[name], runs)
 
-    def __init__(self, names: Sequence[str], read: Callable[[str], NDArray[Any]]) -> None:
+
+class LazyArrays(Mapping[str, NDArray[Any]]):
+    """Named arrays that are read when first used; a plain mapping serves as well.
+
+    Parameters
+    ----------
+    names : sequence of str
+    read : callable
+        Returns the array of a name.
+    read_runs : callable, optional
+        Returns runs of an array, see `runs_of`.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        read: Callable[[str], NDArray[Any]],
+        read_runs: Callable[[str, NDArray[np.int64]], NDArray[Any]] | None = None,
+    ) -> None:
         self._names = tuple(names)
         self._read = cache(read)
+        self.read_runs = read_runs
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self._names:

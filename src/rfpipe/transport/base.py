@@ -67,6 +67,16 @@ class Light(MatrixAlgebra):
         planar = planar_patterns(patterns, self.projector_shape, self.channels)
         return _images(self.forward(planar, range(self.channels)), self.camera_shape)
 
+    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
+        """Return a transport that is the same between some rays; of others' light it may lack any.
+
+        Parameters
+        ----------
+        seen : ndarray of bool, shape (camera rays,)
+        lit : ndarray of bool, shape (projector rays,)
+        """
+        return self
+
     def channel(self, index: int) -> LinearOperator:
         """Return one channel's matrix, rows x columns, as a scipy ``LinearOperator``."""
         if not 0 <= index < self.channels:
@@ -285,7 +295,10 @@ class Transport(Light):
             expected = ", ".join(get_args(NumberFormat))
             raise InputError(f"number format {number_format!r}; expected one of {expected}")
         arrays, own = self.pack(number_format)
-        return write_arrays(Path(path), arrays, {**attributes, **own}, small=True)
+        by_parts = len(self.camera_shape) > 2
+        return write_arrays(
+            Path(path), arrays, {**attributes, **own}, small=True, by_parts=by_parts
+        )
 
 
 def _rays(shape: tuple[int, ...]) -> str:
@@ -345,6 +358,10 @@ class TransposedTransport(Light):
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar images ``(P, K, projector rays)``."""
         return self._primal.forward(images, channels)
+
+    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:
+        """Return a dual that is the same between some rays, see `Light.between_some`."""
+        return self._primal.between_some(lit, seen).T
 
     def channel(self, index: int) -> LinearOperator:
         """Return one channel's transposed matrix as a scipy ``LinearOperator``."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -122,6 +123,8 @@ def open_collection(
 ) -> Collection:
     """Open the transports that a run left, one for each scene, by the scenes' names.
 
+    They are in the order of their names, numbers in these by what they count: left_2, left_10.
+
     Parameters
     ----------
     path : path or address
@@ -135,7 +138,8 @@ def open_collection(
     Raises
     ------
     StoreError
-        When there is no transport, or none by this method, or a scene has several.
+        When there is no transport, or none by this method, or a scene has several, or these are
+        the folders of one scene.
     """
     base = locate(path)
     place: Path | Place = packed_in(base) or base
@@ -144,6 +148,11 @@ def open_collection(
     for name in names:
         *_, scene, made_by = ["", "", *name.removesuffix(STORE_NAME).strip("/").split("/")]
         by_scene.setdefault(scene, {})[made_by] = name
+    if "" in by_scene:
+        raise StoreError(
+            f"{place}: holds transports without folders of scenes; give the run's results, which "
+            "these lie in, or open one with rfpipe.open_transport"
+        )
     methods = sorted({made_by for found in by_scene.values() for made_by in found})
     if method is None and len(methods) == 1:
         method = methods[0]
@@ -157,8 +166,14 @@ def open_collection(
             f"open_collection(..., method={methods[0]!r})"
         )
     chosen = {
-        scene: found[method or next(iter(found))]
-        for scene, found in sorted(by_scene.items())
-        if method is None or method in found
+        scene: by_scene[scene][method or next(iter(by_scene[scene]))]
+        for scene in sorted(by_scene, key=_by_numbers)
+        if method is None or method in by_scene[scene]
     }
     return Collection({scene: place / name for scene, name in chosen.items()}, memory_budget)
+
+
+def _by_numbers(name: str) -> list[tuple[int, str]]:
+    """Return by what names are sorted as people count them."""
+    parts = re.split(r"(\d+)", name)
+    return [(int(part), part) if part.isdigit() else (-1, part) for part in parts]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rfpipe.errors import StoreError
 from rfpipe.store.chunks import METADATA
-from rfpipe.store.locating import locate
+from rfpipe.store.locating import locate, within_packed, zip_at
 from rfpipe.store.places import Place
 
 __all__ = ["MANIFEST", "STORE_NAME", "ZIP_NAME", "find_transport", "transports_in"]
@@ -29,13 +29,21 @@ def find_transport(path: str | Path) -> Path | Place:
     StoreError
         If there is none, or more than one.
     """
-    place = locate(path)
+    return _transport_at(locate(path))
+
+
+def _transport_at(place: Path | Place) -> Path | Place:
+    if _is_store(place):
+        return place
+    place = within_packed(place) or place
     if _is_store(place):
         return place
     names = transports_in(place)
     if len(names) == 1:
         found = place / names[0]
-        return find_transport(str(found)) if names[0].endswith(ZIP_NAME) else found
+        if isinstance(found, Path) or not names[0].endswith(ZIP_NAME):
+            return found
+        return _transport_at(zip_at(found))
     if not names:
         raise StoreError(
             f"{place}: no {STORE_NAME} in here; give the {STORE_NAME} that an acquisition wrote, "

@@ -6,7 +6,9 @@ import importlib
 from pathlib import Path
 from typing import Any, get_args
 
-from rfpipe.errors import StoreError
+from rfpipe.errors import IntegrityError, StoreError, UnreachableError
+from rfpipe.store.locating import within_packed
+from rfpipe.store.packed import PackedPlace
 from rfpipe.store.places import Place
 from rfpipe.transport.algebra import MEMORY_BUDGET
 from rfpipe.transport.base import Transport
@@ -69,7 +71,8 @@ def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Tran
     path : path or address
         The ``transport.zarr`` that an acquisition wrote; or a folder or zip file that holds one,
         such as what ``rfpipe publish`` makes; of several, name one:
-        ``crate.zip/results/desk/symmetric/transport.zarr``. Each may lie on a server and is then
+        ``crate.zip/results/desk/symmetric/transport.zarr``; or one in what ``rfpipe collection
+        pack`` made, ``packed/jug/near_far/transport.zarr``. Each may lie on a server and is then
         read from there by ranges, no more of it than is used: ``https://host/crate.zip``,
         ``s3://bucket/run/results/desk/symmetric/transport.zarr``. That needs the extra
         ``rfpipe[publish]``; S3 takes credentials, region and endpoint from the usual variables of
@@ -88,7 +91,16 @@ def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Tran
     IntegrityError
         When an array that is read does not match its digest.
     """
-    return open_transport_at(find_transport(path), memory_budget)
+    place = find_transport(path)
+    try:
+        return open_transport_at(place, memory_budget)
+    except (IntegrityError, UnreachableError):
+        raise
+    except StoreError:
+        packed = within_packed(place) if isinstance(place, Place) else None
+        if packed is None or isinstance(place, PackedPlace):
+            raise
+    return open_transport_at(packed, memory_budget)
 
 
 def open_transport_at(place: Path | Place, memory_budget: int) -> Transport:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar, overload
 
+import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.store.places import Place
@@ -22,11 +22,17 @@ class Bundle(Protocol):
     attributes: dict[str, Any]
     names: tuple[str, ...]
 
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Shape of an array, without reading it."""
+
     def nbytes(self, name: str) -> int:
         """Bytes of an array in memory, without reading it."""
 
     def read(self, name: str) -> NDArray[Any]:
         """Read a whole array and check it against its digest."""
+
+    def read_runs(self, name: str, runs: NDArray[np.int64]) -> NDArray[Any]:
+        """Read runs ``(n, 2)`` of an array along its last axis, one after the other."""
 
     @property
     def nbytes_stored(self) -> int:
@@ -58,6 +64,10 @@ class PartOfBundle:
         if isinstance(whole, PartOfBundle):
             self._whole, self._prefix = whole._whole, whole._prefix + prefix
 
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Shape of an array, without reading it."""
+        return self._whole.shape(self._prefix + name)
+
     def nbytes(self, name: str) -> int:
         """Bytes of an array in memory, without reading it."""
         return self._whole.nbytes(self._prefix + name)
@@ -65,6 +75,10 @@ class PartOfBundle:
     def read(self, name: str) -> NDArray[Any]:
         """Read a whole array and check it against its digest."""
         return self._whole.read(self._prefix + name)
+
+    def read_runs(self, name: str, runs: NDArray[np.int64]) -> NDArray[Any]:
+        """Read runs ``(n, 2)`` of an array along its last axis, one after the other."""
+        return self._whole.read_runs(self._prefix + name, runs)
 
     @property
     def nbytes_stored(self) -> int:
@@ -112,14 +126,16 @@ class SetsOnDemand(Sequence[S], Generic[K, S]):
     """
 
     def __init__(self, keys: Sequence[K], make: Callable[[K], S], *, keep: bool) -> None:
-        def made(index: int) -> S:
-            return make(keys[index])
-
-        self._count = len(keys)
-        self._made: Callable[[int], S] = cache(made) if keep else made
+        self.keys, self.keep = keys, keep
+        self._make = make
+        self._kept: dict[int, S] = {}
 
     def __len__(self) -> int:
-        return self._count
+        return len(self.keys)
+
+    def kept(self, index: int) -> S | None:
+        """Return a set that is in memory, None for one that isn't."""
+        return self._kept.get(index)
 
     @overload
     def __getitem__(self, index: int) -> S: ...
@@ -130,4 +146,10 @@ class SetsOnDemand(Sequence[S], Generic[K, S]):
     def __getitem__(self, index: int | slice) -> S | list[S]:
         if isinstance(index, slice):
             return [self[n] for n in range(*index.indices(len(self)))]
-        return self._made(range(len(self))[index])
+        number = range(len(self))[index]
+        found = self._kept.get(number)
+        if found is None:
+            found = self._make(self.keys[number])
+            if self.keep:
+                self._kept[number] = found
+        return found

@@ -82,6 +82,11 @@ class SumTransport(Transport):
         """Return the light between few patterns, see `Transport.between`."""
         return reduce(np.add, (part.between(received, sent, channel) for part in self.parts))
 
+    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
+        """Return the parts that pass light between some rays, see `Light.between_some`."""
+        parts: Any = [part.between_some(seen, lit) for part in self.parts]
+        return SumTransport(parts, self.level_rows, self.first_levels)
+
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
         """Leave out parts that began later, and truncate the others at their own levels.
 

@@ -18,6 +18,7 @@ __all__ = ["meant"]
 _NOTHING = ("null", "~")
 _NUMBER = re.compile(r"[-+]?(0|[1-9][0-9]*)(\.[0-9]*)?([eE][-+]?[0-9]+)?")
 _WITH_COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+([eE][-+]?[0-9]+)?")
+_BLANKS = re.compile(r"(?<=\d)\s*x\s*(?=\d)|[;\s]+")
 _PARTS = re.compile(r"(?<=\d)\s*x\s*(?=\d)|[;,\s]+")
 
 
@@ -29,7 +30,7 @@ def meant(text: str, path: Path_, kind: object, *, comma: bool = False) -> Any:
     text : str
         ``null`` means that; what begins with a bracket is YAML, as in ``[62, 70]``. A setting that
         is a list takes its parts with x, blanks, commas or semicolons between them, as in
-        ``62 x 70`` or ``white texture``.
+        ``62 x 70`` or ``white texture``. What is only to be known of a scene is the text itself.
     path : tuple of str
         Of the setting among those of a scene.
     kind : object
@@ -40,8 +41,10 @@ def meant(text: str, path: Path_, kind: object, *, comma: bool = False) -> Any:
     Raises
     ------
     ValueError
-        When brackets aren't YAML.
+        When brackets aren't YAML, or a comma in a list may be that of a number.
     """
+    if path[:1] == ("about",) and len(path) > 1:
+        return text  # as it stands: titles may well begin with a bracket
     if text in _NOTHING:
         return None
     if text.startswith(("[", "{")):
@@ -50,14 +53,31 @@ def meant(text: str, path: Path_, kind: object, *, comma: bool = False) -> Any:
         except yaml.YAMLError as error:
             said = " ".join(str(error).split())
             raise ValueError(f"{text[:60]} is not valid YAML: {said[:200]}") from None
-    if path[:1] == ("about",):
-        return text
     expected = _expected(path, str(kind))
     if "list" in expected:
+        if comma:
+            text = _with_points(text, reals="reals" in expected)
         return [_number(part) for part in _PARTS.split(text) if part]
     if comma and "number" in expected and _WITH_COMMA.fullmatch(text):
         text = text.replace(",", ".")
     return text if "text" in expected else _number(text)
+
+
+def _with_points(text: str, *, reals: bool) -> str:
+    """Write decimal points in place of commas where these part no numbers: 0,1 0,5 has two.
+
+    Raises
+    ------
+    ValueError
+        When 1,5 may be one number or two.
+    """
+    parted = [part for part in _BLANKS.split(text) if part]
+    if len(parted) > 1 and all(_NUMBER.fullmatch(p) or _WITH_COMMA.fullmatch(p) for p in parted):
+        return " ".join(parted).replace(",", ".")
+    if reals and _WITH_COMMA.fullmatch(text):
+        one, two = text.replace(",", "."), text.replace(",", " ")
+        raise ValueError(f"{text} may be one number or two; write {one}, or {two}")
+    return text
 
 
 def _number(text: str) -> int | float | str:
@@ -86,7 +106,13 @@ def _kinds(annotation: object) -> set[str]:
         return {"number"}
     origin = get_origin(annotation)
     if origin in (tuple, list):
-        return {"list"}
+        inner = {kind for each in get_args(annotation) for kind in _types(each)}
+        return {"list", "reals"} if float in inner else {"list"}
     if origin is Literal:
         return {"text" if isinstance(it, str) else "number" for it in get_args(annotation)}
     return {kind for inner in get_args(annotation) for kind in _kinds(inner)}
+
+
+def _types(annotation: object) -> set[object]:
+    """Return the types that an annotation consists of."""
+    return {annotation}.union(*(_types(each) for each in get_args(annotation)))

@@ -8,15 +8,18 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from rfpipe.config.collection.rows import Path_, Row, refused
+from rfpipe.config.collection.rows import Path_, Row, refused, target_of
 from rfpipe.errors import ConfigError
 
 __all__ = ["read_csv"]
 
 _MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
+_SPREADSHEETS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # .xlsx and .ods, .xls
 _DELIMITERS = ",;\t"
 _SAID = re.compile(r"sep=(.)\r?\n?", re.IGNORECASE)
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+_ABOUT = ("about",)
 
 _Record = tuple[int, list[str]]
 """A record's first line, and its cells."""
@@ -63,7 +66,9 @@ def read_csv(path: Path) -> list[Row]:
             continue
         values = {columns[n]: cells[n].strip() for n in filled}
         places = {
-            columns[n]: f"{place}, column {letters(n)} ({'.'.join(columns[n])})" for n in filled
+            column: f"{place}, column {letters(n)} ({'.'.join(column)})"
+            for n, column in enumerate(columns)
+            if column
         }
         rows.append(Row(place, dict(values), places, is_text=True, comma=delimiter == ";"))
     if problems:
@@ -86,6 +91,11 @@ def _decoded(path: Path) -> str:
         content = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: can't be read as a collection: {error}") from error
+    if content.startswith(_SPREADSHEETS):
+        raise ConfigError(
+            f"{path}: is a spreadsheet's own file; save the table as CSV in the encoding UTF-8 (in "
+            "Excel: CSV UTF-8)"
+        )
     encoding = next((name for mark, name in _MARKS.items() if content.startswith(mark)), "utf-8")
     try:
         text = content.decode(encoding)
@@ -135,24 +145,39 @@ def _records(path: Path, text: str, delimiter: str, line: int) -> Iterator[_Reco
         ) from None
 
 
+def _path_of(name: str) -> Path_:
+    """Return the path that a column is called by: of about, what follows is any name."""
+    group, dot, known = name.partition(".")
+    if (group,) == _ABOUT and dot and known.strip():
+        return (group, known.strip())
+    return tuple(name.split(".")) if name else ()
+
+
 def _columns(path: Path, line: int, cells: Sequence[str]) -> list[Path_]:
     """Return the paths that a header names; empty ones where a column has no name."""
     columns: list[Path_] = []
+    targets: list[Path_] = []
     problems: list[tuple[str, str]] = []
     for n, cell in enumerate(cells):
         name = cell.strip()
-        parts = tuple(name.split(".")) if name else ()
+        parts = _path_of(name)
         place = f"line {line}, column {letters(n)}"
-        if parts and not all(map(_NAME.fullmatch, parts)):
+        is_fit = all(parts) if parts[:1] == _ABOUT else all(map(_NAME.fullmatch, parts))
+        if not is_fit:
             example = "expected one such as kind or camera.exposures"
             problems.append((place, f"{name[:40]!r} is no name of a setting; {example}"))
-        elif parts and parts in columns:
-            first = letters(columns.index(parts))
-            problems.append((place, f"{name} stands in column {first} as well; remove one"))
+        elif parts and target_of(parts) in targets:
+            first = targets.index(target_of(parts))
+            other = "" if columns[first] == parts else f", as {'.'.join(columns[first])}"
+            what = f"{name} stands in column {letters(first)} as well{other}; remove one"
+            problems.append((place, what))
         columns.append(parts)
+        targets.append(target_of(parts) if parts else ())
     if not problems and ("name",) not in columns:
         found = ", ".join(cell.strip()[:30] or "(empty)" for cell in cells[:20])
         what = "the header has no column 'name', by which scenes and their folders are called"
+        if any(cell.strip().lower() == "name" for cell in cells):
+            what += " (settings' names are written in lower case)"
         problems.append((f"line {line}", f"{what}; it has {found}"))
     if problems:
         raise refused(path, problems)

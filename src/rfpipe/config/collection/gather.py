@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,9 +12,9 @@ from typing import Any
 
 from rfpipe.config.collection.cells import meant
 from rfpipe.config.collection.csv_rows import read_csv
-from rfpipe.config.collection.rows import Path_, Row, refused
+from rfpipe.config.collection.rows import Path_, Row, refused, target_of
 from rfpipe.config.collection.yaml_rows import read_yaml_rows
-from rfpipe.config.model import DEFAULT_METHODS, OWN_TO_SCENES, Config
+from rfpipe.config.model import DEFAULT_METHODS, Config
 from rfpipe.errors import ConfigError
 
 __all__ = ["Gathered", "check_files", "gather"]
@@ -27,8 +28,8 @@ _WINDOWS = {
     "nul",
     *(f"{port}{n}" for port in ("com", "lpt") for n in range(10)),
 }
-_GROUPS = OWN_TO_SCENES - {"seed"}
-_SCENE_IN = re.compile(r"\bscenes\.([a-z][a-z0-9_]*)")
+_SCENE_IN = re.compile(r"\bscenes\.([a-z][a-z0-9_]*)((?:\.[a-z_][a-z0-9_]*)*)")
+_UNKNOWN = re.compile(r"^scenes\.\w+\.\w+ is unknown; (?!did you mean)")
 _NAMES = re.compile(r"[\s,;]+")
 
 
@@ -60,7 +61,7 @@ class Gathered:
         """
         parts = tuple(str(part) for part in location)
         if not parts and (named := _SCENE_IN.search(message)):
-            parts = ("scenes", named[1])
+            parts = ("scenes", named[1], *named[2].split(".")[1:])
         if len(parts) == 2 and f"{parts[1]}: '" in message:  # a kind that isn't known
             parts = (*parts, "kind")
         for length in range(len(parts), 1, -1):
@@ -91,10 +92,13 @@ class Gathered:
             if place is None:
                 alike[None, message] = [f"{source}: {message}"]
                 continue
+            told = message
+            if _UNKNOWN.search(message) and len(location) == 3:
+                told += _instead(str(location[2]))
             column = place.partition(", ")[2]
             scene = str(location[1]) if len(location) > 1 else ""
-            same = column, message.replace(f"scenes.{scene}.", "")
-            alike.setdefault(same, []).append(f"{self.file}: {place}: {message}")
+            same = column, told.replace(f"scenes.{scene}.", "")
+            alike.setdefault(same, []).append(f"{self.file}: {place}: {told}")
         return [
             first + (f" [and in {len(others)} more rows]" if others else "")
             for first, *others in alike.values()
@@ -139,7 +143,7 @@ def gather(data: Mapping[str, Any], folders: Sequence[Path] = ()) -> Gathered:
         except _BadCellError as error:
             problems.append((error.place, str(error)))
             continue
-        places |= {(*at, *_target(path)): place for path, place in row.places.items()}
+        places |= {(*at, *target_of(path)): place for path, place in row.places.items()}
     if problems:
         raise refused(file, problems)
     return Gathered({**data, "scenes": scenes}, file, places)
@@ -213,7 +217,7 @@ def _unfit(name: str) -> str | None:
         )
     if _NAME.fullmatch(name):
         return None
-    likely = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+    likely = re.sub(r"[^a-z0-9]+", "_", _in_ascii(name.lower())).strip("_")
     if not likely[:1].isalpha():
         likely = f"item_{likely}".rstrip("_")
     return (
@@ -222,11 +226,20 @@ def _unfit(name: str) -> str | None:
     )
 
 
-def _target(path: Path_) -> Path_:
-    """Return the setting of a scene that a path stands for."""
-    if path[0] in ("rig", "scene") and len(path) > 1:
-        path = ("settings", *path[1:]) if path[0] == "rig" else path[1:]
-    return ("settings", *path) if path[0] in _GROUPS else path
+def _instead(column: str) -> str:
+    """Say where what a column is about belongs, since it is no setting of a scene."""
+    if column in Config.model_fields:
+        return f" {column} is the whole run's: it stands in the settings, not in this table."
+    return f" What is only to be known of a scene goes into about.{column}."
+
+
+def _in_ascii(text: str) -> str:
+    """Write letters with marks as those who have none on their keys do: ue for ü, e for é."""
+    for mark, letters in (("ä", "ae"), ("ö", "oe"), ("ü", "ue"), ("ß", "ss"), ("ø", "oe")):
+        text = unicodedata.normalize("NFC", text).replace(mark, letters)
+    return "".join(
+        each for each in unicodedata.normalize("NFD", text) if not unicodedata.combining(each)
+    )
 
 
 def _scene(row: Row, run_methods: object) -> dict[str, Any]:
@@ -242,7 +255,9 @@ def _scene(row: Row, run_methods: object) -> dict[str, Any]:
         scene["methods"] = {str(name): {} for name in names}
     kind = values.get(("kind",), values.get(("scene", "kind")))
     for path, value in values.items():
-        _put(scene, _target(path), _meant(row, path, value, kind), row.places.get(path, row.place))
+        _put(
+            scene, target_of(path), _meant(row, path, value, kind), row.places.get(path, row.place)
+        )
     return scene
 
 
@@ -250,7 +265,7 @@ def _meant(row: Row, path: Path_, value: object, kind: object) -> object:
     if not row.is_text:
         return value
     try:
-        return meant(str(value), _target(path), kind, comma=row.comma)
+        return meant(str(value), target_of(path), kind, comma=row.comma)
     except ValueError as error:
         place = row.places.get(path, row.place)
         raise _BadCellError(place, f"{'.'.join(path)}: {error}") from None

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from rfpipe.config.own import OWN_TO_SCENES
 from rfpipe.errors import ConfigError
 
-__all__ = ["Path_", "Row", "refused"]
+__all__ = ["Path_", "Row", "refused", "target_of"]
+
+_GROUPS = OWN_TO_SCENES - {"seed"}  # the scene's own seed is that of its texture
 
 Path_ = tuple[str, ...]
 """A setting's name by its parts: ``camera.exposures`` is ``("camera", "exposures")``."""
@@ -36,6 +39,13 @@ class Row:
     places: dict[Path_, str]
     is_text: bool = False
     comma: bool = False
+
+
+def target_of(path: Path_) -> Path_:
+    """Return the setting of a scene that a path, as a column or key is called, stands for."""
+    if path[0] in ("rig", "scene") and len(path) > 1:
+        path = ("settings", *path[1:]) if path[0] == "rig" else path[1:]
+    return ("settings", *path) if path[0] in _GROUPS else path
 
 
 def refused(path: Path, problems: list[tuple[str, str]]) -> ConfigError:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from rfpipe.config.collection.rows import Path_, Row, refused
+from rfpipe.config.collection.rows import Path_, Row, refused, target_of
 from rfpipe.config.reading import read_yaml
 from rfpipe.errors import ConfigError
 
@@ -54,7 +54,9 @@ def read_yaml_rows(path: Path) -> list[Row]:
             continue
         own = dict(_places(inner, ()))
         at = f"line {inner.start_mark.line + 1}"
-        rows.append(Row(at, {**defaults, **_paths(entry)}, {**places, **own}))
+        values = _paths(entry)
+        problems.extend((own[path], what) for path, what in _twice(values))
+        rows.append(Row(at, {**defaults, **values}, {**places, **own}))
     if problems:
         raise refused(path, problems)
     return rows
@@ -70,6 +72,15 @@ def _paths(settings: Mapping[str, Any]) -> dict[Path_, object]:
         else:
             found[path] = value
     return found
+
+
+def _twice(paths: Iterable[Path_]) -> Iterator[tuple[Path_, str]]:
+    """Yield paths that stand for the same setting as one before, and what is wrong with that."""
+    known: dict[Path_, Path_] = {}
+    for path in paths:
+        first = known.setdefault(target_of(path), path)
+        if first != path:
+            yield path, f"sets what {'.'.join(first)} does; remove one"
 
 
 def _places(node: yaml.Node, path: Path_) -> Iterator[tuple[Path_, str]]:

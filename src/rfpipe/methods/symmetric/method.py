@@ -33,6 +33,8 @@ from rfpipe.methods.states import (
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
     as_leaves,
+    child_blocks,
+    child_counts,
     child_pairs,
     compared_pixels,
     no_nodes,
@@ -54,6 +56,7 @@ from rfpipe.methods.targeted.method import Targeted
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
+from rfpipe.transport.stored import SetsOnDemand
 
 # By how many tolerances a half-lit picture may be wrong if all nodes of a level are as far off as
 # they may be.
@@ -77,9 +80,9 @@ class SymmetricState(MethodState):
     Attributes
     ----------
     tree : BlockTree
-    known : tuple of LeafSet
+    known : sequence of LeafSet
         Leaves found so far.
-    added : tuple of LeafSet
+    added : sequence of LeafSet
         Those of them that the last refinement found.
     frontier : Frontier
         Unknown nodes of level ``level - 1``.
@@ -93,8 +96,8 @@ class SymmetricState(MethodState):
     tree: BlockTree
     frontier: Frontier
     dark: NDArray[np.bool_]
-    known: tuple[LeafSet, ...] = ()
-    added: tuple[LeafSet, ...] = ()
+    known: Sequence[LeafSet] = ()
+    added: Sequence[LeafSet] = ()
     floodlit_maximum: float = 0.0
     floodlit_rms: float = 0.0
 
@@ -136,16 +139,15 @@ class Symmetric(Descent[SymmetricState]):
         if state.level == 0:
             return Schedule.floodlit(state.tree.domain.shape)
         tree, level = state.tree, state.level
-        _, first, second = child_pairs(tree, level - 1, state.frontier)
+        first, second = child_blocks(tree, level - 1, state.frontier)
         asked = np.zeros(tree.n_blocks(level), np.bool_)
         asked[first] = asked[second] = True
         pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
         if asked.any():
             number = np.cumsum(asked, dtype=np.int32) - 1
-            first, second = number[first], number[second]
-            pattern_of_block[asked] = colour_apart(
-                conflict_graph(int(number[-1]) + 1, first, second)
-            )
+            graph = conflict_graph(int(number[-1]) + 1, number[first], number[second])
+            del first, second
+            pattern_of_block[asked] = colour_apart(graph)
         lit = pattern_of_block[tree.block_of_position(level)] >= 0
         return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | state.dark).all()))
 
@@ -158,7 +160,7 @@ class Symmetric(Descent[SymmetricState]):
         tree, level, nodes = state.tree, state.level, state.frontier
         if not images.schedule.count:
             return state.after(level_row(level, 0, rank_k=0), added=())
-        limits = _limits(state, tests=len(child_pairs(tree, level - 1, nodes)[0]))
+        limits = _limits(state, tests=int(child_counts(tree, level - 1, nodes).sum()))
         refined = [
             _refine_nodes(state, select(tree, level - 1, nodes, run), images, limits, memory_bytes)
             for run in affordable(tree, level - 1, nodes, memory_bytes)
@@ -221,15 +223,16 @@ class Symmetric(Descent[SymmetricState]):
         return Pack(arrays, {**own.attributes, "leaf_levels": levels})
 
     def _restored(self, start: SymmetricState, packs: Sequence[Pack]) -> SymmetricState:
-        added = [
-            tuple(
-                LeafSet(level, **unprefixed(_prefix(level), pack.arrays))
-                for level in pack.attributes["leaf_levels"]
-            )
-            for pack in packs
-        ]
-        known = tuple(leaves for found in added for leaves in found)
-        return replace(super()._restored(start, packs), known=known, added=added[-1])
+        found = [(pack, level) for pack in packs for level in pack.attributes["leaf_levels"]]
+        last = [(pack, level) for pack, level in found if pack is packs[-1]]
+        known, added = (SetsOnDemand(sets, _leaves_of, keep=True) for sets in (found, last))
+        return replace(super()._restored(start, packs), known=known, added=added)
+
+
+def _leaves_of(found: tuple[Pack, int]) -> LeafSet:
+    """Read the leaves of a level that a refinement added: not every stage needs them."""
+    pack, level = found
+    return LeafSet(level, **unprefixed(_prefix(level), pack.arrays))
 
 
 def _prefix(level: int) -> str:

@@ -14,6 +14,9 @@ Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 Blocks = NDArray[np.int32]
 
+# Subdividing a node takes a kilobyte, its children some dozens of bytes.
+_NODES_AT_A_TIME = 2**15
+
 
 @dataclass(frozen=True)
 class Frontier:
@@ -49,6 +52,15 @@ def no_nodes(channels: int) -> Frontier:
     )  # fmt: skip
 
 
+def child_counts(tree: BlockTree, level: int, nodes: Frontier) -> NDArray[np.int64]:
+    """Count the children of each node of `level`; see `child_pairs`."""
+    if level >= tree.n_levels - 1:
+        return np.zeros(len(nodes), np.int64)
+    children = np.diff(tree.child_starts[level])
+    a, b = children[nodes.block_a], children[nodes.block_b]
+    return np.where(nodes.block_a == nodes.block_b, a * (a + 1) // 2, a * b)
+
+
 def child_pairs(
     tree: BlockTree, level: int, nodes: Frontier
 ) -> tuple[NDArray[np.int64], Blocks, Blocks]:
@@ -57,19 +69,35 @@ def child_pairs(
     A node off the diagonal gives every pair of a child of a and a child of b; one on the diagonal
     gives each unordered pair once.
     """
-    if level >= tree.n_levels - 1:
-        none = np.zeros(0, np.int32)
-        return np.zeros(0, np.int64), none, none
-    children = tree.child_starts[level]
-    a, b = nodes.block_a.astype(np.int64), nodes.block_b.astype(np.int64)
+    node = np.repeat(np.arange(len(nodes)), child_counts(tree, level, nodes))
+    return node, *child_blocks(tree, level, nodes)
+
+
+def child_blocks(tree: BlockTree, level: int, nodes: Frontier) -> tuple[Blocks, Blocks]:
+    """Return the blocks of the nodes' children, as `child_pairs` does."""
+    if level >= tree.n_levels - 1 or not len(nodes):
+        return np.zeros(0, np.int32), np.zeros(0, np.int32)
+    starts = range(0, len(nodes), _NODES_AT_A_TIME)
+    found = [
+        _child_blocks(tree.child_starts[level], nodes.block_a[run], nodes.block_b[run])
+        for run in (slice(start, start + _NODES_AT_A_TIME) for start in starts)
+    ]
+    first, second = (np.concatenate(part) for part in zip(*found, strict=True))
+    return first, second
+
+
+def _child_blocks(
+    children: NDArray[np.int64], block_a: Blocks, block_b: Blocks
+) -> tuple[Blocks, Blocks]:
+    a, b = block_a.astype(np.int64), block_b.astype(np.int64)
     count_b = children[b + 1] - children[b]
     total = (children[a + 1] - children[a]) * count_b
-    node = np.repeat(np.arange(len(nodes)), total)
+    node = np.repeat(np.arange(len(a)), total)
     within = ragged_ranges(np.zeros_like(total), total)
     first = children[a][node] + within // count_b[node]
     second = children[b][node] + within % count_b[node]
     once = first <= second
-    return node[once], first[once].astype(np.int32), second[once].astype(np.int32)
+    return first[once].astype(np.int32), second[once].astype(np.int32)
 
 
 def compared_pixels(tree: BlockTree, level: int, nodes: Frontier) -> Double:

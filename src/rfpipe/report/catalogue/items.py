@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,7 +14,7 @@ from rfpipe.store import StoreLock, open_arrays, read_manifest
 
 __all__ = ["Item", "item_of", "stamp_of"]
 
-State = Literal["waiting", "running", "stopped", "failed", "done"]
+State = Literal["waiting", "running", "unknown", "stopped", "failed", "done"]
 
 _ERROR = re.compile(r"^\d{4}-\d\d-\d\d [\d:,]+ ERROR (.*)$", re.MULTILINE)
 _STOPPED = "stopped; what is done is kept"
@@ -30,9 +31,10 @@ class Item:
     Attributes
     ----------
     scene, method : str
-    state : {"waiting", "running", "stopped", "failed", "done"}
+    state : {"waiting", "running", "unknown", "stopped", "failed", "done"}
+        Unknown where another machine's process began it, and can't be asked from here.
     why : str
-        Of one that failed, the message; of one that runs or was stopped, how far it came.
+        Of one that failed, the message; of one that runs or was stopped, where and how far it came.
     patterns : int or None
         Shown.
     error : float or None
@@ -81,8 +83,10 @@ def item_of(folder: Path, known: dict[str, Any] | None = None) -> Item:
     item = Item(folder.parent.name, folder.name)
     if not folder.exists():
         return item
-    if StoreLock.holder(folder) is not None:
-        item.state, item.why = "running", _reached(folder)
+    holder = StoreLock.holder(folder)
+    if holder is not None and holder.is_known:
+        on = f"on {holder.where}: " if holder.where else ""
+        item.state, item.why = "running", on + _reached(folder)
     elif (folder / "transport.json").exists():
         item.state = "done"
         if known and known["state"] == "done":
@@ -90,6 +94,12 @@ def item_of(folder: Path, known: dict[str, Any] | None = None) -> Item:
         _read_figures(item, folder)
     else:
         item.state, item.why = _ended(folder)
+        if holder is not None and item.state == "stopped":
+            item.state = "unknown"
+            item.why = (
+                f"begun on {holder.where}, whose locks don't reach here or which died; "
+                f"{_reached(folder)}{_last_sign(folder)}"
+            )
     return item
 
 
@@ -104,6 +114,15 @@ def _reached(folder: Path) -> str:
     """Say to what level captures are complete."""
     done = sorted(folder.glob("L[0-9][0-9]/capture.json"))
     return f"level {int(done[-1].parent.name[1:])} is captured" if done else "nothing captured yet"
+
+
+def _last_sign(folder: Path) -> str:
+    """Say when an acquisition last wrote anything."""
+    signs = [folder / "acquire.log", *folder.glob("L[0-9][0-9]/*"), *folder.glob("L[0-9][0-9]")]
+    last = max(map(_modified, signs), default=0)
+    if not last:
+        return ""
+    return f", last sign of life {datetime.fromtimestamp(last // 10**9, UTC):%Y-%m-%d %H:%M} UTC"
 
 
 def _ended(folder: Path) -> tuple[State, str]:

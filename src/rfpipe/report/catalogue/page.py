@@ -10,18 +10,20 @@ from typing import TYPE_CHECKING, Any
 
 from rfpipe.report.catalogue.items import Item, item_of, stamp_of
 from rfpipe.report.catalogue.thumbnails import write_thumbnail
+from rfpipe.stages.acquisitions import outdated
 from rfpipe.store.files import write_atomically
 
 if TYPE_CHECKING:
-    from rfpipe.config import Config
+    from rfpipe.config import Config, SceneSettings
 
-__all__ = ["CATALOGUE", "write_catalogue"]
+__all__ = ["CATALOGUE", "left_over", "write_catalogue"]
 
 CATALOGUE = Path("catalogue") / "index.html"
 """In the folder of results."""
 
 _KNOWN = "items.json"
-_STATES = ("failed", "running", "stopped", "waiting", "done")
+_OLD = "with other settings or another rfpipe than now"
+_STATES = ("failed", "running", "unknown", "stopped", "waiting", "done")
 
 
 def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
@@ -46,6 +48,7 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
     folder = (results / CATALOGUE).parent
     kept, known = _known(folder / _KNOWN), {}
     rows: list[dict[str, Any]] = []
+    old = set(outdated(settings, results))
     for scene, method in settings.acquisitions:
         name, place = f"{scene}/{method}", results / scene / method
         stamp, before = stamp_of(place), kept.get(name, {})
@@ -55,6 +58,8 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
         if not picture and stamp[-1]:
             picture = write_thumbnail(place, folder / f"{scene}_{method}.png")
         known[name] = {"stamp": stamp, "item": item.plain(), "picture": picture}
+        if item.state == "done" and (scene, method) in old:
+            item.why = _OLD
         rows.append(_row(settings, results, item, picture=picture))
     counts = Counter(row["item"].state for row in rows)
     environment = Environment(
@@ -66,10 +71,11 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
     )
     about = list(dict.fromkeys(key for row in rows for key in row["about"]))
     page = environment.get_template("catalogue.html.j2").render(
-        title=Path(settings.collection).stem if settings.collection else settings.report.title,
+        title=Path(settings.collection).stem if settings.collection else settings.title,
         rows=rows,
         about=about,
         shown=_told(rows),
+        left=left_over(settings, results),
         states=[(state, counts[state]) for state in _STATES if counts[state]],
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         seconds=sum(row["item"].seconds or 0 for row in rows),
@@ -80,13 +86,19 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
     return {state: counts[state] for state in _STATES}
 
 
+def left_over(settings: Config, results: Path) -> list[str]:
+    """Return the folders of scenes that the settings don't have any more."""
+    begun = {folder.parents[1].name for folder in results.glob("*/*/L00")}
+    return sorted(begun - {*settings.scenes})
+
+
 def _row(settings: Config, results: Path, item: Item, *, picture: bool) -> dict[str, Any]:
     scene = settings.scenes[item.scene]
     view = f"report/view/{item.scene}_{item.method}.html"
     return {
         "item": item,
         "kind": scene.kind,
-        "rays": " x ".join(map(str, scene.ray_shape)),
+        "rays": _rays(scene),
         "rig": scene.rig or "",
         "about": scene.about,
         "picture": f"{item.scene}_{item.method}.png" if picture else None,
@@ -96,6 +108,12 @@ def _row(settings: Config, results: Path, item: Item, *, picture: bool) -> dict[
         else None,
         "order": _STATES.index(item.state),
     }
+
+
+def _rays(scene: SceneSettings) -> str:
+    """Say how many rays the camera has, and the projector where it has others."""
+    camera, lit = (" x ".join(map(str, it)) for it in (scene.camera_ray_shape, scene.ray_shape))
+    return camera if camera == lit else f"{camera}, lit by {lit}"
 
 
 def _told(rows: list[dict[str, Any]]) -> dict[str, bool]:

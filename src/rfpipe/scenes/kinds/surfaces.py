@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from typing import Any, ClassVar, Self
 
 from pydantic import Field, model_validator
@@ -9,6 +10,7 @@ from pydantic import Field, model_validator
 from rfpipe.config.base import Extent, Settings
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.scenes.base import Scene, SceneKind
+from rfpipe.scenes.formfactors import DENSE_LIMIT
 from rfpipe.scenes.kinds.diffuse import Diffuse, SurfaceName
 from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.pinhole import Pinhole, Vector
@@ -31,6 +33,7 @@ __all__ = [
     "WedgeOptions",
 ]
 
+_ENTRY_BYTES = 8
 _ALBEDO = "white: albedo 0.8; texture: text-like strokes of albedo 0.15 and 0.85."
 
 
@@ -112,6 +115,13 @@ class SurfacesOptions(Diffuse):
     def is_coaxial(self) -> bool:
         """Whether camera and projector share their rays."""
         return self.projector is None
+
+    @property
+    def simulation_bytes(self) -> int:
+        """Bytes of the form factors between surfaces that are seen by as many rays each."""
+        share = (1 - 1 / len(self.surface_names)) / 2 if self.bounces > 1 else 0.0
+        entries = share * prod(self.camera_ray_shape) ** 2
+        return int(_ENTRY_BYTES * entries) if entries <= DENSE_LIMIT else 0
 
 
 class PlaneOptions(SurfacesOptions):

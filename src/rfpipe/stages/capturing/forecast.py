@@ -50,11 +50,11 @@ class Forecast:
     rays, levels : int
         Rays of the projector, and levels of their block tree.
     expected : Need
-        As this acquisition took before; else by the counts that the thesis reports for scenes of
-        this many levels, in the proportion in which others came out.
+        As this acquisition took before; else by `Method.expected_patterns`, in the proportion in
+        which others came out.
     most : Need
         Of a scene without any structure. It may be beyond reach; each level is checked again.
-    known : {"taken", "alike", "thesis"}
+    known : {"taken", "alike", "guess"}
         What `expected` is known from.
     here : float or None
         Seconds with all processing where the rig is simulated, as far as others tell.
@@ -66,7 +66,7 @@ class Forecast:
     levels: int
     expected: Need
     most: Need
-    known: Literal["taken", "alike", "thesis"] = "thesis"
+    known: Literal["taken", "alike", "guess"] = "guess"
     here: float | None = None
 
 
@@ -107,7 +107,7 @@ def forecast_of(
 
 def _expected(
     plan: Plan, scene: str, taken: Sequence[Taken], most: int
-) -> tuple[int, Literal["taken", "alike", "thesis"]]:
+) -> tuple[int, Literal["taken", "alike", "guess"]]:
     """Return the patterns that are expected, and what they are known from."""
     for one in taken:
         if one.is_of(scene, plan):
@@ -115,7 +115,7 @@ def _expected(
     expected = plan.method.expected_patterns(plan.camera, plan.projector, plan.options)
     share = proportion(taken, plan)
     if share is None:
-        return expected, "thesis"
+        return expected, "guess"
     return min(max(1, round(expected * share)), most), "alike"
 
 

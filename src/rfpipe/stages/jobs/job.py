@@ -15,7 +15,7 @@ from types import FrameType, TracebackType
 
 from rfpipe.errors import RfpipeError
 
-__all__ = ["USAGE", "stage_log", "start"]
+__all__ = ["USAGE", "message_of", "stage_log", "start"]
 
 USAGE = "took at most %.1f MB of memory, %.2f s of processor time"
 """The last line of a job's log, in MB of 10^6 bytes."""
@@ -72,9 +72,21 @@ def stage_log(path: Path) -> Iterator[None]:
 
 
 def _file(path: Path, mode: str) -> logging.FileHandler:
-    handler = logging.FileHandler(path, mode=mode)
+    handler = _LogFile(path, mode=mode)
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
     return handler
+
+
+class _LogFile(logging.FileHandler):
+    """A log that does without what can't be written, as on a full disk: the stage says that."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
+        """Leave out what the standard library would print, for each message a page."""
+
+    def close(self) -> None:
+        """Close the file; what it still holds is lost as well."""
+        with suppress(OSError):
+            super().close()
 
 
 class _Brief(logging.Formatter):
@@ -107,7 +119,12 @@ def _report(
         return
     if not issubclass(kind, RfpipeError):  # a bug: show where
         sys.__excepthook__(kind, error, traceback)
-    _log.error("%s", error, exc_info=(kind, error, traceback))
+    _log.error("%s", message_of(error), exc_info=(kind, error, traceback))
+
+
+def message_of(error: BaseException) -> str:
+    """Return what to say of an error: a bug's message alone, as of a KeyError, says little."""
+    return str(error) if isinstance(error, RfpipeError) else f"{type(error).__name__}: {error}"
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:

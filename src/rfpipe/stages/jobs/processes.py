@@ -36,18 +36,24 @@ class Processes:
     def __init__(self, count: int) -> None:
         self.count = count
         self._pool = _pool(count)
+        self._submitting = threading.Lock()
+        self._ended = False
 
     def submit(self, sent: Sent, first: int, last: int) -> Future[Any]:
         """Ask for a piece of work; processes are made anew where one died meanwhile."""
-        with _no_main():
+        with self._submitting, _no_main():
             try:
                 return self._pool.submit(sent, first, last)
             except BrokenProcessPool:
+                if self._ended:  # by us: whoever waits for results isn't to start others
+                    raise ClusterError("the processes have ended with the work") from None
                 self._pool = _pool(self.count)
                 return self._pool.submit(sent, first, last)
 
     def close(self, *, at_once: bool) -> None:
         """End the processes: at once, or when they have done what they have begun."""
+        with self._submitting:
+            self._ended = True
         running = list((self._pool._processes or {}).values())
         self._pool.shutdown(wait=not at_once, cancel_futures=True)
         if at_once:  # a piece may be cut off anywhere, as by kill -9

@@ -94,9 +94,8 @@ def sending(folder: Path) -> Iterator[Callable[[Callable[[int, int], Any]], Sent
 
         content = cloudpickle.dumps(work)
         path = folder.absolute() / f".work.{uuid4().hex}"
-        folder.mkdir(parents=True, exist_ok=True)
-        sent.append(path)
         write_atomically(path, content)
+        sent.append(path)
         return Sent(path, digest_of(content), _our_code())
 
     try:
@@ -122,12 +121,17 @@ def _our_code() -> str:
 
 
 def _one_thread() -> None:
-    """Let compiled kernels use one thread: their pieces are what is done side by side."""
-    os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+    """Let compiled kernels use one thread: their pieces are what is done side by side.
+
+    What has its threads already, as where workers are threads of one's own process, refuses
+    another number in the environment at the next kernel that it compiles.
+    """
     if "numba" in sys.modules:
         import numba
 
-        numba.set_num_threads(1)
+        numba.set_num_threads(1)  # of this thread alone
+    else:
+        os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 
 def _portable(error: Exception) -> Exception:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.plugins import METHODS
+from rfpipe.provenance import fingerprint
 from rfpipe.stages.jobs.code import acquisition_code, module_of
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
 
-__all__ = ["stages_of", "verification_of"]
+__all__ = ["asked_of", "simulation_of", "stages_of", "verification_of"]
 
 
 def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
@@ -47,6 +49,39 @@ def stages_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
         "watch": {"mode": capture.watch, "looks": capture.looks},
         "code": acquisition_code(module_of(METHODS, method)),
     }
+
+
+def simulation_of(settings: Config, scene: str) -> dict[str, Any]:
+    """Return arguments of `rfpipe.stages.captures.by_simulation` as plain data, but for threads."""
+    own = settings.of_scene(scene)
+    return {
+        "scene": settings.scenes[scene].itself(),
+        "camera": own.camera and own.camera.model_dump(mode="json"),
+        "seed": own.seed,
+        "seconds_per_pattern": own.capture.seconds_per_pattern,
+    }
+
+
+def asked_of(
+    plan: Mapping[str, Any],
+    stages: Mapping[str, Any],
+    simulation: Mapping[str, Any] | None = None,
+) -> str:
+    """Return the fingerprint of all that an acquisition is asked for.
+
+    It is kept beside the transport, so that a change is seen where Snakemake knows nothing of the
+    job.
+
+    Parameters
+    ----------
+    plan : mapping
+        As `rfpipe.stages.plan.plan_of`.
+    stages : mapping
+        As `stages_of`.
+    simulation : mapping, optional
+        As `simulation_of`; None for a real rig.
+    """
+    return fingerprint({"plan": plan, "stages": stages, "simulation": simulation})
 
 
 def verification_of(settings: Config, scene: str, name: str) -> dict[str, Any]:

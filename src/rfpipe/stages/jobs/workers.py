@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -175,6 +175,20 @@ class Workers:
 
     hand_out: HandOut | None
     in_flight: int
+
+    def as_done(self, work: Work[Result], runs: Iterable[tuple[int, int]]) -> Iterator[Result]:
+        """Yield the results of runs as they are done, so that a long one holds up no other."""
+        if self.hand_out is None:
+            yield from self.results(work, runs)
+            return
+        promise = self.hand_out(work)
+        waiting = ThreadPoolExecutor(self.in_flight)
+        try:
+            asked = [waiting.submit(lambda run: promise(*run).result(), run) for run in runs]
+            for future in as_completed(asked):
+                yield future.result()
+        finally:  # who is left waits for workers that end now
+            waiting.shutdown(wait=False, cancel_futures=True)
 
     def results(self, work: Work[Result], runs: Iterable[tuple[int, int]]) -> Iterator[Result]:
         """Yield ``work(first, last)`` of each run, in their order."""

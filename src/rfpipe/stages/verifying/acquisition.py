@@ -37,7 +37,8 @@ def is_acquisition(folder: Path) -> bool:
 
 def check_acquisition(path: Path, checked: Checked) -> None:
     """Check what the stages of an acquisition left."""
-    if StoreLock.holder(path) is not None:
+    holder = StoreLock.holder(path)
+    if holder is not None and holder.is_known:
         checked.notes.append(f"{path}: is being acquired at this moment; not checked")
         checked.seen |= {*path.rglob("*.zarr"), *path.rglob("*.json")}
         return

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import IO
 
 from rfpipe.errors import InputError, IntegrityError, StoreError
@@ -11,6 +10,7 @@ from rfpipe.stages.verifying.published import LIST, check_list, listed_names
 from rfpipe.stages.verifying.stores import first_sentence
 from rfpipe.store import open_arrays
 from rfpipe.store.chunks import METADATA
+from rfpipe.store.locating import zip_at
 from rfpipe.store.places import Place
 from rfpipe.transport.places import ZIP_NAME, transports_in
 
@@ -40,15 +40,13 @@ class _Files:
         return (self.path / name).open()
 
 
-def check_afar(place: Place, checked: Checked, locate: Callable[[str], object]) -> None:
+def check_afar(place: Place, checked: Checked) -> None:
     """Check a folder with a list of its files, or a transport or folder of transports.
 
     Parameters
     ----------
     place : Place
     checked : Checked
-    locate : callable
-        Finds a zip file in a folder, by its address.
 
     Raises
     ------
@@ -69,9 +67,8 @@ def check_afar(place: Place, checked: Checked, locate: Callable[[str], object]) 
             "publish' made, or a transport"
         )
     for store in stores:
-        inside = locate(str(store)) if store.key.endswith(ZIP_NAME) else store
-        if inside is not store and isinstance(inside, Place):
-            check_afar(inside, checked, locate)
+        if store.key.endswith(ZIP_NAME):
+            check_afar(zip_at(store), checked)
         else:
             _check_bundle(store, checked)
 

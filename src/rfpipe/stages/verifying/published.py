@@ -5,16 +5,16 @@ from __future__ import annotations
 import hashlib
 import re
 import zipfile
-import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path, PurePosixPath
 from typing import IO, Protocol
 from urllib.parse import unquote
 
+from rfpipe.errors import IntegrityError
 from rfpipe.stages.verifying.findings import Checked, Mend
 from rfpipe.store.files import storage_errors
-from rfpipe.store.places import Place
+from rfpipe.store.places import ZIP_DAMAGE, Place
 
 __all__ = ["LIST", "check_list", "listed_names", "published"]
 
@@ -96,8 +96,14 @@ def check_list(files: Files, checked: Checked) -> None:
         checked.files += 1
         if name not in files.names:
             checked.wrong(path, "is missing", _COPY)
-        elif _sha256(files, name, checked) != digest:
-            checked.wrong(path, "is altered: its SHA-256 isn't that of the list", _COPY)
+            continue
+        try:
+            if _sha256(files, name, checked) != digest:
+                checked.wrong(path, "is altered: its SHA-256 isn't that of the list", _COPY)
+        except FileNotFoundError:  # of a web server, which doesn't tell what it has
+            checked.wrong(path, "is missing", _COPY)
+        except (IntegrityError, *ZIP_DAMAGE) as error:
+            checked.wrong(path, f"can't be read: {error}", _COPY)
     is_bag = "bagit.txt" in files.names
     for name in sorted(files.names - listed.keys() - tags.keys() - {LIST, _TAGS}):
         if not is_bag or name.startswith("data/"):
@@ -131,18 +137,16 @@ def _read(files: Files, name: str, checked: Checked) -> dict[str, str]:
 
 @contextmanager
 def _opened(files: Files, name: str) -> Iterator[IO[bytes]]:
-    with storage_errors(Path(str(files.path / name)), "reading"), files.open(name) as file:
+    where = files.path
+    errors = storage_errors(where / name, "reading") if isinstance(where, Path) else nullcontext()
+    with errors, files.open(name) as file:
         yield file
 
 
-def _sha256(files: Files, name: str, checked: Checked) -> str | None:
-    """Return a file's digest, None where a zip's own check finds it damaged."""
+def _sha256(files: Files, name: str, checked: Checked) -> str:
     digest = hashlib.sha256()
-    try:
-        with _opened(files, name) as file:
-            while block := file.read(_BLOCK):
-                digest.update(block)
-                checked.read(len(block))
-    except (zipfile.BadZipFile, zlib.error, EOFError):
-        return None
+    with _opened(files, name) as file:
+        while block := file.read(_BLOCK):
+            digest.update(block)
+            checked.read(len(block))
     return digest.hexdigest()

@@ -12,7 +12,7 @@ from rfpipe.stages.verifying.acquisition import check_acquisition, is_acquisitio
 from rfpipe.stages.verifying.afar import check_afar
 from rfpipe.stages.verifying.again import RUN, run_again, shell_path
 from rfpipe.stages.verifying.findings import Checked, Finding, Mend
-from rfpipe.stages.verifying.published import LIST, check_list, published
+from rfpipe.stages.verifying.published import check_list, published
 from rfpipe.stages.verifying.report_files import check_report_files
 from rfpipe.stages.verifying.stores import check_store, first_sentence
 from rfpipe.store import read_manifest
@@ -32,8 +32,8 @@ def verify(folder: Path, progress: Callable[[int], object] | None = None) -> Che
     ----------
     folder : Path
         A run's (with ``results``), its results or one acquisition of them, a calibration, a store,
-        or a published folder or zip with a list of its files. Or the address of a transport, or of
-        a folder with such a list.
+        or a published folder or zip with a list of its files; a zip file of a transport. Or the
+        address of either.
     progress : callable, optional
         Called with the number of bytes that were read, as they are.
 
@@ -52,17 +52,20 @@ def verify(folder: Path, progress: Callable[[int], object] | None = None) -> Che
     if as_address(folder) is not None:
         place = locate(folder)
         assert isinstance(place, Place)
-        check_afar(place, checked, locate)
+        check_afar(place, checked)
         return checked
     with published(folder) as files:
         if files is not None:
             check_list(files, checked)
             return checked
     if not folder.is_dir():
-        raise InputError(
-            f"{folder}: is no folder, and no zip with a {LIST}; expected a run's folder, such as "
-            "results"
-        )
+        place = locate(folder)
+        if isinstance(place, Path):
+            raise InputError(
+                f"{folder}: is no folder and no zip file; expected a run's folder, such as results"
+            )
+        check_afar(place, checked)
+        return checked
     for root in _roots(folder):
         _check_below(root, checked)
     if not checked.stores + checked.manifests + checked.files and not checked.notes:

@@ -7,8 +7,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rfpipe.transport.arrays import ArrayTransport
+from rfpipe.transport.arrays import ArrayTransport, LazyArrays, runs_of
 from rfpipe.transport.base import Float
 
 if TYPE_CHECKING:
@@ -65,6 +66,26 @@ class FootprintTransport(ArrayTransport):
             direct = self._between("footprints", c).T @ light
             planes.append((direct + smooth * self._held["projector_factor"][c][:, None]).T)
         return np.ascontiguousarray(np.stack(planes, axis=1), np.float32)
+
+    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> FootprintTransport:
+        """Return what some rays see and take, see `Light.between_some`.
+
+        The footprints are kept by the camera's rays: those of a part of the projector's are read
+        with all others.
+        """
+        held = self._held
+        wanted = {"footprints": seen, "left": seen, "right": lit}
+
+        def read(name: str) -> NDArray[Any]:
+            matrix, _, part = name.partition("_")
+            if matrix not in wanted:
+                return held[name]
+            rows, starts = wanted[matrix], held[f"{matrix}_starts"].astype(np.int64)
+            if part == "starts":
+                return np.append(0, np.cumsum(np.diff(starts) * rows))
+            return runs_of(held, name, np.stack([starts[:-1], starts[1:]], axis=1)[rows])
+
+        return self._holding(self.level_rows, LazyArrays([*held], read))
 
     def direct(self) -> FootprintTransport:
         """Return the footprints alone."""

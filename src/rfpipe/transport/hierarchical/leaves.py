@@ -95,6 +95,30 @@ def factor_offsets(
     return first, second, int(ends[-1]) if len(ends) else 0
 
 
+def leaf_sizes(
+    tree: BlockTree, level: int, block_a: NDArray[np.int32], block_b: NDArray[np.int32]
+) -> NDArray[np.int64]:
+    """Return how many values each leaf has."""
+    if level == tree.n_levels - 1:
+        return np.ones(len(block_a), np.int64)
+    sizes = np.diff(tree.starts[level])
+    return sizes[block_a] + np.where(block_a == block_b, 0, sizes[block_b])
+
+
+def pair_of_views(
+    tree: BlockTree, level: int, block_a: NDArray[np.int32], block_b: NDArray[np.int32]
+) -> NDArray[np.int64]:
+    """Number the pairs of views of pairs of blocks, as ``numpy.triu_indices`` counts them.
+
+    All are 0 where there are no views to tell apart, and of blocks above them.
+    """
+    if level == 0 or not tree.splits_views(0):
+        return np.zeros(len(block_a), np.int64)
+    above = tree.ancestors(level, 1)
+    first, second = above[block_a], above[block_b]
+    return first * tree.n_blocks(1) - first * (first + 1) // 2 + second
+
+
 def leaf_offsets(tree: BlockTree, leaves: LeafSet) -> NDArray[np.int64]:
     """Return where each leaf's values begin, and the number of values at the end."""
     if leaves.level == tree.n_levels - 1:
@@ -123,8 +147,10 @@ def runs(lengths: NDArray[np.number[Any]], most: float) -> Iterator[slice]:
 def merge_leaf_sets(leaf_sets: Sequence[LeafSet], tree: BlockTree) -> list[LeafSet]:
     """Return the leaves by level and block, from sets found one after the other.
 
-    A level is one set, or several where it has many values. Leaves of the same pair, the terms of
-    a leaf of rank k, stand side by side in the order in which they were found.
+    A level is one set, or several where it has many values. Those of a light field are in the
+    order of their pairs of views first, so that those of a view lie in few runs. Leaves of the
+    same pair, the terms of a leaf of rank k, stand side by side in the order in which they were
+    found.
     """
     merged: list[LeafSet] = []
     for level in sorted({leaves.level for leaves in leaf_sets if len(leaves)}):
@@ -142,7 +168,7 @@ def _merge_level(parts: Sequence[LeafSet], tree: BlockTree) -> Iterator[LeafSet]
     begin = np.concatenate([ends[:-1] for ends in offsets])
     length = np.concatenate([np.diff(ends) for ends in offsets])
     signs = _joined_signs(parts)
-    order = np.lexsort((block_b, block_a))
+    order = np.lexsort((block_b, block_a, pair_of_views(tree, parts[0].level, block_a, block_b)))
     for run in runs(length[order], _SET_VALUES):
         chosen = order[run]
         ends = np.cumsum(length[chosen])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
@@ -19,8 +20,15 @@ from rfpipe.transport.hierarchical.codes import (
     unpack_leaves,
 )
 from rfpipe.transport.hierarchical.leaves import LEAF_PARTS, LeafSet, merge_leaf_sets
+from rfpipe.transport.hierarchical.some import (
+    VIEWS_PART,
+    Rays,
+    StoredLeaves,
+    leaves_between,
+    offsets_of_views,
+)
 from rfpipe.transport.hierarchical.truncation import collapse, found_later
-from rfpipe.transport.stored import SetsOnDemand
+from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
 
 
@@ -38,7 +46,7 @@ class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[
     """
 
     kind = "hierarchical"
-    parts = (*LEAF_PARTS, "signs", *CODED_PARTS)
+    parts = (*LEAF_PARTS, "signs", *CODED_PARTS, VIEWS_PART)
 
     @classmethod
     def from_leaf_sets(
@@ -73,6 +81,8 @@ class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[
         )
         for index, leaves in enumerate(alike):
             packed = pack_leaves(self.tree, leaves, number_format)
+            if self.tree.splits_views(0) and leaves.level > 0:
+                packed[VIEWS_PART] = offsets_of_views(self.tree, leaves)
             prefix = f"level_{leaves.level:02d}_{index:04d}"
             arrays |= {f"{prefix}_{part}": array for part, array in packed.items()}
         return arrays
@@ -80,6 +90,16 @@ class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[
     @classmethod
     def _unpacked(cls, level: int, arrays: Arrays) -> LeafSet:
         return unpack_leaves(level, arrays)
+
+    @classmethod
+    def _opened(cls, bundle: Bundle, memory_budget: int) -> Sequence[LeafSet]:
+        prefixes = by_prefix(bundle, cls.parts)
+        return StoredLeaves(bundle, prefixes, keep=fits(bundle, memory_budget))
+
+    def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
+        """Return the leaves that pass light between some rays, see `Light.between_some`."""
+        rays = Rays(self.tree, seen[self.tree.order], lit[self.tree.order])
+        return self._holding(self.level_rows, leaves_between(self._held, rays))
 
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
         """Make leaves of what was subdivided at `level` of the blocks.

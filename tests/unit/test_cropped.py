@@ -1,0 +1,172 @@
+"""One view, or a part of a picture, relights as within the whole, and little else is fetched."""
+
+import zipfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+from tests.buckets import BUCKET, proxy, put, s3_server, use
+from typer.testing import CliRunner
+
+import rfpipe
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.cli import app
+from rfpipe.errors import InputError, IntegrityError
+from rfpipe.publish.contents import files_of_store
+from rfpipe.store.packed import pack
+from rfpipe.transport import save_transport
+from rfpipe.transport.footprints.transport import FootprintTransport
+from rfpipe.transport.hierarchical.leaves import LeafSet
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
+from rfpipe.transport.sum import SumTransport
+
+SHAPE = (9, 24, 28)
+STORE = "results/field/symmetric/transport.zarr"
+
+
+@cache
+def light_field() -> HierarchicalTransport:
+    """A transport of nine views with leaves of each level between all pairs of them."""
+    draw = np.random.default_rng(4)
+    tree = BlockTree(RayDomain(SHAPE))
+    sets = []
+    for level in (1, 3, tree.n_levels - 1):
+        n_blocks = tree.n_blocks(level)
+        if n_blocks < 150:
+            pairs = np.transpose(np.triu_indices(n_blocks)).astype(np.int32)
+        else:
+            pairs = draw.integers(n_blocks, size=(12_000, 2), dtype=np.int32)
+        a, b = np.unique(np.sort(pairs, axis=1), axis=0).T
+        sizes = np.diff(tree.starts[level])
+        n_values = int((sizes[a] + np.where(a == b, 0, sizes[b])).sum())
+        if level == tree.n_levels - 1:
+            n_values = len(a)
+        sets.append(LeafSet(level, a, b, draw.random((3, n_values), np.float32)))
+    return HierarchicalTransport.from_leaf_sets(tree, 3, [{"level": 0, "patterns": 1}], sets)
+
+
+def few_footprints() -> FootprintTransport:
+    """A transport of footprints, three a camera ray, and a few functions."""
+    draw = np.random.default_rng(5)
+    rays = int(np.prod(SHAPE))
+    columns = np.sort(draw.integers(0, rays, (rays, 3)), axis=1).astype(np.int32)
+    of_rays = np.arange(rays, dtype=np.int32)
+    one_each = np.arange(rays + 1, dtype=np.int32)
+    held = {
+        "footprints": draw.random((3, 3 * rays), np.float32),
+        "footprints_columns": columns.reshape(-1),
+        "footprints_starts": 3 * one_each,
+        "cores": draw.random((3, 16), np.float32),
+        "cores_columns": np.tile(np.arange(4, dtype=np.int32), 4),
+        "cores_starts": 4 * np.arange(5, dtype=np.int32),
+        "camera_factor": draw.random((3, rays), np.float32),
+        "projector_factor": draw.random((3, rays), np.float32),
+    }
+    for side in ("left", "right"):
+        held[side] = draw.random(rays, np.float32)
+        held[f"{side}_columns"], held[f"{side}_starts"] = of_rays % 4, one_each
+    return FootprintTransport(SHAPE, SHAPE, 3, [], held)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    (folder / STORE).parent.mkdir(parents=True)
+    save_transport(light_field(), folder / STORE, "uint8")
+    with zipfile.ZipFile(folder / "crate.zip", "w") as archive:
+        for name, file in files_of_store(folder / STORE, STORE):
+            archive.write(file, name)
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["stored", "memory", "footprints", "sum", "dual"])
+def test_what_is_cropped_relights_as_within_the_whole(kind: str, run: Path, tmp_path: Path) -> None:
+    light = np.random.default_rng(3).random(SHAPE, np.float32)
+    opened = rfpipe.open_transport(run / STORE)
+    if kind == "footprints":
+        save_transport(few_footprints(), tmp_path / "transport.zarr")
+        opened = rfpipe.open_transport(tmp_path)
+    whole = {
+        "memory": light_field(),
+        "sum": SumTransport([light_field(), few_footprints()], []),
+        "dual": opened.T,
+    }.get(kind, opened)
+    expected = whole.relight(light)
+    fresh = rfpipe.open_transport(run / STORE) if kind == "stored" else whole
+    scale = expected.max() * 1e-5
+    for part in (np.s_[4], np.s_[8, 3:11, ::2], np.s_[2:4], np.s_[:, :, 5:6]):
+        found = rfpipe.crop(fresh, camera=part).relight(light)
+        assert found.shape == expected[part].shape
+        np.testing.assert_allclose(found, expected[part], atol=scale)
+        lit = np.zeros_like(light)
+        lit[part] = light[part]
+        found = rfpipe.crop(fresh, np.s_[1:, 2:], part).relight(light[part])
+        np.testing.assert_allclose(found, whole.relight(lit)[1:, 2:], atol=scale)
+    both = rfpipe.crop(fresh, 3, np.s_[6, :8])
+    assert np.allclose(both.toarray(), both.T.toarray().swapaxes(1, 2), atol=scale)
+
+
+def test_rays_that_are_not_there_are_refused(run: Path) -> None:
+    transport = rfpipe.open_transport(run / STORE)
+    for wrong in (9, np.s_[3, 4], np.s_[2:2], [1, 2], "view"):
+        with pytest.raises(InputError, match=r"camera = .* of rays \(9, 24, 28\): expected"):
+            rfpipe.crop(transport, camera=wrong)
+
+
+def test_a_view_is_fetched_from_a_bucket_by_ranges(
+    run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Of nine views one shares in a fifth of the pairs, a part of it in fewer of their blocks."""
+    pack(run, [file for _, file in files_of_store(run / STORE, STORE)], tmp_path / "packed", {})
+    light = np.random.default_rng(3).random(SHAPE, np.float32)
+    expected = rfpipe.open_transport(run / STORE).relight(light)
+    stored = sum(file.stat().st_size for _, file in files_of_store(run / STORE, STORE))
+    with s3_server() as behind, proxy(behind) as bucket:
+        for name, file in [*files_of_store(run / STORE, STORE), ("crate.zip", run / "crate.zip")]:
+            put(f"{behind}/{BUCKET}/{name}", file.read_bytes())
+        for file in filter(Path.is_file, (tmp_path / "packed").rglob("*")):
+            name = file.relative_to(tmp_path).as_posix()
+            put(f"{behind}/{BUCKET}/{name}", file.read_bytes())
+        use(monkeypatch, bucket.endpoint)
+
+        def fetched(place: str, part: object) -> int:
+            transport = rfpipe.open_transport(f"s3://{BUCKET}/{place}")
+            opened = len(bucket.requests)
+            found = rfpipe.crop(transport, camera=part).relight(light)
+            np.testing.assert_allclose(found, expected[part], atol=expected.max() * 1e-5)
+            return sum(received for *_, received in bucket.requests[opened:])
+
+        for place in (STORE, "crate.zip", f"packed/{STORE}"):
+            every = fetched(place, np.s_[:])
+            assert 0.9 * stored < every, place
+            assert fetched(place, np.s_[4]) < 0.4 * stored, place
+            assert fetched(place, np.s_[4, :4, :5]) < 0.4 * stored, place
+
+
+def test_damage_in_a_part_is_found(run: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(run / "crate.zip") as archive:
+        archive.extractall(tmp_path)
+    chunk = next((tmp_path / STORE).glob("level_03_*_codes/c.0.0"))
+    content = bytearray(chunk.read_bytes())
+    content[200] ^= 1
+    chunk.write_bytes(content)
+    assert rfpipe.crop(rfpipe.open_transport(tmp_path), 8).relight(np.ones(SHAPE)).any()
+    with pytest.raises(IntegrityError, match=r"a part of array 'level_03_.*_codes'"):
+        rfpipe.crop(rfpipe.open_transport(tmp_path), 0).relight(np.ones(SHAPE))
+
+
+def test_one_view_is_written_by_the_command(run: Path, tmp_path: Path) -> None:
+    from rfpipe.pictures.images import read_image
+
+    def relight(*options: str) -> Result:
+        written = ["--pattern", "white", "--output", str(tmp_path / "view.exr")]
+        return CliRunner().invoke(app, ["relight", str(run / STORE), *written, *options])
+
+    done = relight("--view", "4")
+    assert done.exit_code == 0, done.output
+    expected = rfpipe.open_transport(run / STORE).relight(np.ones(SHAPE))[4]
+    np.testing.assert_allclose(read_image(tmp_path / "view.exr"), expected, rtol=1e-4)
+    refused = relight("--view", "9")
+    assert "--view 9: the transport has 9 views, from 0" in str(refused.exception)

@@ -1,0 +1,88 @@
+"""`capture.placing`: the command that puts a scene before the rig."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rfpipe.config import load_config
+from rfpipe.errors import CaptureError, ConfigError
+from rfpipe.stages import captures, hardware
+from rfpipe.stages.capturing.placing import Placing
+from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.plan import Plan
+
+WRITE = "import os, sys; open(sys.argv[1], 'a').write(os.environ['RFPIPE_SCENE'] + chr(10))"
+
+
+def placed_by(folder: Path) -> tuple[Placing, Path]:
+    """A command that notes the scenes it is to place in a file whose name has a space."""
+    notes = folder / "the notes.txt"
+    return Placing(f'{sys.executable} -c "{WRITE}" "{notes}"'), notes
+
+
+def test_each_scene_is_placed_once_in_a_job(tmp_path: Path) -> None:
+    placing, notes = placed_by(tmp_path)
+    for scene in ("jug", "jug", "cup", "jug"):
+        placing.place(scene)
+    assert notes.read_text().split() == ["jug", "cup"]
+    again, _ = placed_by(tmp_path)  # a job that goes on
+    again.place("jug")
+    assert notes.read_text().split() == ["jug", "cup", "jug"]
+    Placing(None).place("jug")
+
+
+@pytest.mark.parametrize(
+    ("command", "says"),
+    [
+        (f'{sys.executable} -c "raise SystemExit(3)"', "exit status 3"),
+        ("no-such-gantry --to", "No such file"),
+        ("gantry 'to", "No closing quotation"),
+    ],
+)
+def test_a_scene_that_isn_t_placed_isn_t_captured(command: str, says: str) -> None:
+    placing = Placing(command)
+    for _ in range(2):  # and is tried again
+        with pytest.raises(CaptureError, match="jug was not put before the rig") as caught:
+            placing.place("jug")
+        assert says in str(caught.value)
+        assert "Nothing was captured" in str(caught.value)
+
+
+def test_a_capture_places_its_scene_before_it_connects_to_the_rig(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, notes = placed_by(tmp_path)
+    seen: list[str] = []
+
+    def connect(*_: Any, **__: Any) -> None:
+        seen.append(notes.read_text())
+        raise CaptureError("no rig here")
+
+    monkeypatch.setattr(hardware, "RemoteRig", connect)
+    resources = SimpleNamespace(
+        rig_url="http://localhost:1",
+        rig_token_file="",
+        rig_patience="0",
+        rig_placing=placed_by(tmp_path)[0].command,
+    )
+    monkeypatch.setenv("RFPIPE_TOKEN", "a" * 32)
+    plan = Plan("dual", "dual", (4, 5), (4, 5), 3, {"tolerance": 1e-3})
+    with pytest.raises(CaptureError, match="no rig here"):
+        captures.by_server(plan, resources)(AcquisitionFolder(tmp_path / "jug/dual"), 0)
+    assert seen == ["jug\n"]
+
+
+def test_a_rig_with_several_scenes_wants_a_command(tmp_path: Path) -> None:
+    settings = tmp_path / "run.yaml"
+    text = "collection: list.csv\nmethods: {dual: {}}\ncapture: {rig: remote%s}\n"
+    (tmp_path / "list.csv").write_text("name,kind,shape\njug,captured,6 x 8\ncup,captured,6 x 8\n")
+    settings.write_text(text % "")
+    with pytest.raises(ConfigError, match=r"set capture\.placing, a command"):
+        load_config(settings)
+    settings.write_text(text % ", placing: python place.py")
+    assert load_config(settings).capture.placing == "python place.py"
