@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler
 
 import pytest
+from tests.ports import free_port
 from tests.serving import listening
 from tests.validators import validators_python
 
@@ -25,10 +26,8 @@ _HOP = {"connection", "keep-alive", "transfer-encoding", "content-length", "date
 @contextmanager
 def s3_server() -> Iterator[str]:
     """Run an S3 server with one empty bucket, `BUCKET`; its endpoint."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    endpoint, python = f"http://127.0.0.1:{port}", validators_python()
+    port, python = free_port(), validators_python()
+    endpoint = f"http://127.0.0.1:{port}"
     process = subprocess.Popen(
         [python, "-W", "ignore", "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
         stdout=subprocess.DEVNULL,

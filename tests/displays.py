@@ -5,6 +5,9 @@ import shutil
 
 import pytest
 
+OWN_NAME = f":{1000 + os.getpid() % 50_000}"
+"""An X display that no other test takes while its server is away."""
+
 X_SERVER = pytest.param("x server", marks=pytest.mark.xvfb)
 
 DISPLAYS = [X_SERVER, "memory"]

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import psutil
 import pytest
+from tests.ports import free_port
 from tests.waiting import wait_until
 
 _PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
@@ -95,7 +96,7 @@ class Slurm:
         key = folder / "munge.key"
         key.write_bytes(secrets.token_bytes(128))
         key.chmod(0o600)
-        ports = dict(zip(("controller", *NODES), _free_ports(3), strict=True))
+        ports = {name: free_port() for name in ("controller", *NODES)}
         settings = CONFIGURATION.format(
             host=socket.gethostname().partition(".")[0], folder=folder, cpus=self.cpus, **ports
         )
@@ -180,14 +181,3 @@ class Slurm:
 
 def _looks_after_jobs(process: psutil.Process) -> bool:
     return "slurmstepd:" in " ".join(process.cmdline())
-
-
-def _free_ports(count: int) -> list[int]:
-    sockets = [socket.socket() for _ in range(count)]
-    try:
-        for one in sockets:
-            one.bind(("127.0.0.1", 0))
-        return [one.getsockname()[1] for one in sockets]
-    finally:
-        for one in sockets:
-            one.close()

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.displays import DISPLAYS
+from tests.displays import DISPLAYS, OWN_NAME
 from tests.waiting import wait_until
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs.display import VirtualDisplay, memory_display
 from rfpipe.rigs.window import WindowProjector, code_table, read_response
-from rfpipe.rigs.xvfb import xvfb
+from rfpipe.rigs.xvfb import XServer, xvfb
 from rfpipe.testing import ProjectorContract
 
 GAMMA = np.linspace(0.01, 1, 256) ** 2.2
@@ -150,8 +150,8 @@ def test_a_lost_display_is_an_error_and_not_the_end(kind: str) -> None:
 def test_a_display_that_comes_back_goes_on(caplog: pytest.LogCaptureFixture) -> None:
     white = np.ones((40, 50), np.float32)
     with (
-        xvfb((40, 50)) as server,
-        WindowProjector(server.name, settle_seconds=0, reopen_seconds=0) as projector,
+        xvfb((40, 50), name=OWN_NAME) as server,
+        WindowProjector(OWN_NAME, settle_seconds=0, reopen_seconds=0) as projector,
     ):
         projector.show(white)
         os.kill(server.pid, signal.SIGKILL)
@@ -159,9 +159,8 @@ def test_a_display_that_comes_back_goes_on(caplog: pytest.LogCaptureFixture) -> 
         assert not projector.undisturbed()
         with pytest.raises(CaptureError, match="window is gone"):
             projector.show(white)
-        name = server.name
         server.revive()
-        assert server.name == name
+        assert server.name == OWN_NAME
         projector.show(white)
         assert projector.undisturbed()
         assert (server.pixels == 255).all()
@@ -173,14 +172,33 @@ def test_a_display_that_comes_back_goes_on(caplog: pytest.LogCaptureFixture) -> 
 def test_a_display_that_flickers_is_waited_for() -> None:
     white = np.ones((40, 50), np.float32)
     with (
-        xvfb((40, 50)) as server,
-        WindowProjector(server.name, settle_seconds=0, reopen_seconds=30) as projector,
+        xvfb((40, 50), name=OWN_NAME) as server,
+        WindowProjector(OWN_NAME, settle_seconds=0, reopen_seconds=30) as projector,
     ):
         os.kill(server.pid, signal.SIGKILL)
         threading.Timer(1.0, server.revive).start()
         projector.show(white)
         assert (server.pixels == 255).all()
         assert projector.statistics["reopened"] == 1
+
+
+@pytest.mark.xvfb
+def test_a_server_whose_display_was_taken_comes_back_on_another(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with xvfb((40, 50), name=OWN_NAME) as server:
+        os.kill(server.pid, signal.SIGKILL)
+        os.waitpid(server.pid, 0)
+        with xvfb((30, 20), name=OWN_NAME) as other:
+            with pytest.raises(CaptureError, match="ended when it was started: Cannot establish"):
+                XServer((40, 50), name=OWN_NAME)
+            server.revive()
+            assert server.name != other.name == OWN_NAME
+            with WindowProjector(server.name, settle_seconds=0) as projector:
+                projector.show(np.ones((40, 50), np.float32))
+                assert (server.pixels == 255).all()
+                assert (other.pixels == 0).all()
+    assert "trying another display" in caplog.text
 
 
 def test_a_lost_display_is_not_waited_for_by_who_closes() -> None:

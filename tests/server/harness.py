@@ -77,13 +77,6 @@ def posted(server: Running, rig: SlowRig, body: bytes, headers: dict[str, str]) 
         yield
 
 
-def free_port() -> int:
-    """Return a port that nobody listens on now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
 def transport(rows: int, columns: int) -> np.ndarray:
     """Diagonal light and a dim rest, in radiance that a camera can take."""
     random = np.random.default_rng(0)

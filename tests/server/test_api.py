@@ -14,7 +14,8 @@ import httpx
 import numpy as np
 import pytest
 from PIL import Image
-from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, free_port, posted, running
+from tests.ports import free_port
+from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, posted, running
 
 import rfpipe
 from rfpipe.errors import CaptureError, ConfigError

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.server.harness import TOKEN, ResampledRig, Running, free_port, running
+from tests.ports import free_port
+from tests.server.harness import TOKEN, ResampledRig, Running, running
 
 from rfpipe import acquire
 from rfpipe.config import SceneSettings

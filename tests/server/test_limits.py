@@ -16,6 +16,7 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
+from tests.ports import free_port
 from tests.server.harness import RIGHT, SlowRig, head_of_capture, running
 from tests.server.test_attacks import crowd
 
@@ -49,9 +50,7 @@ serve(LargeRig(), sys.argv[1], ServerSettings(port=int(sys.argv[2]), lease_secon
 @pytest.fixture
 def process(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     """A server in a process of its own, whose memory is nobody else's."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     (tmp_path / "rig.py").write_text(LARGE_RIG)
     token = RIGHT["Authorization"].split()[1]
     command = [sys.executable, str(tmp_path / "rig.py"), token, str(port)]

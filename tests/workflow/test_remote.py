@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ import httpx
 import numpy as np
 import pytest
 import yaml
+from tests.ports import free_port
 from tests.waiting import wait_until
 from tests.workflow.harness import (
     CONFIG,
@@ -39,9 +39,7 @@ class Server:
     """``rfpipe serve`` as a process of its own, with a simulated rig."""
 
     def __init__(self, folder: Path, scene: dict[str, Any], **rig: Any) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = int(probe.getsockname()[1])
+        self.port = free_port()
         self.folder = folder
         self.url = f"http://127.0.0.1:{self.port}"
         self.token_file = folder / "rig.token"

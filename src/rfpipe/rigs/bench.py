@@ -218,6 +218,7 @@ class BenchProjector(WindowProjector):
 
     def _before_opening(self) -> None:
         self.display.revive()
+        self._display = self.display.name  # another server may have taken the one it had
 
 
 class BenchCamera(PylonCamera):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import mmap
 import os
 import selectors
@@ -12,6 +13,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +23,20 @@ from rfpipe.rigs.display import VirtualDisplay
 
 __all__ = ["XServer", "xvfb"]
 
-START_SECONDS = 20.0
+START_SECONDS = 60.0
+
+_log = logging.getLogger(__name__)
+
+
+class _EndedAtOnceError(CaptureError):
+    """The server ended before it took clients."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"Xvfb ended when it was started: {reason}")
 
 
 class XServer(VirtualDisplay):
-    """An X server in memory on a free display number.
+    """An X server in memory.
 
     Parameters
     ----------
@@ -34,6 +45,9 @@ class XServer(VirtualDisplay):
     until_unused : bool
         Whether the server ends with its last client, so that none stays behind when this process
         is killed.
+    name : str, optional
+        Such as ``":4711"``, which `revive` keeps unless another server has it by then; low numbers
+        are taken soonest. None takes the lowest free one.
 
     Raises
     ------
@@ -41,10 +55,12 @@ class XServer(VirtualDisplay):
         When Xvfb isn't installed or doesn't start.
     """
 
-    def __init__(self, shape: tuple[int, int], *, until_unused: bool = False) -> None:
+    def __init__(
+        self, shape: tuple[int, int], *, until_unused: bool = False, name: str | None = None
+    ) -> None:
         self._shape = shape
         self._until_unused = until_unused
-        self._process, name, pixels = self._started()
+        self._process, name, pixels = self._started(name)
         super().__init__(name, pixels)
 
     @property
@@ -53,9 +69,14 @@ class XServer(VirtualDisplay):
         return self._process.pid
 
     def revive(self) -> None:
-        """Start the server again, under the same name, where it has died."""
-        if self._process.poll() is not None:
+        """Start the server again where it has died, under the same name if that is still free."""
+        if self._process.poll() is None:
+            return
+        try:
             self._process, self.name, self.pixels = self._started(self.name)
+        except _EndedAtOnceError as error:
+            _log.warning("%s; trying another display", error)
+            self._process, self.name, self.pixels = self._started()
 
     def close(self) -> None:
         """End the server; ending it twice is no error."""
@@ -71,7 +92,10 @@ class XServer(VirtualDisplay):
             raise CaptureError("Xvfb isn't installed; on Debian: apt-get install xvfb")
         height, width = self._shape
         read, write = os.pipe()
-        with tempfile.TemporaryDirectory(prefix="rfpipe-xvfb-") as folder:
+        with (
+            tempfile.TemporaryDirectory(prefix="rfpipe-xvfb-") as folder,
+            (Path(folder) / "log").open("w+b") as log,
+        ):
             process = subprocess.Popen(
                 [
                     program, *([name] if name else []), "-displayfd", str(write),
@@ -79,13 +103,15 @@ class XServer(VirtualDisplay):
                     "-fbdir", folder, "-nolisten", "tcp", "-s", "0", "-dpms",
                     "-terminate" if self._until_unused else "-noreset",
                 ],
-                pass_fds=[write], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
+                pass_fds=[write], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log,
             )  # fmt: skip
             os.close(write)
             try:
                 found = _display_name(read)
                 pixels = _pixels(Path(folder) / "Xvfb_screen0", self._shape)
+            except EOFError:
+                process.wait()
+                raise _EndedAtOnceError(_last_words(log)) from None
             except BaseException:
                 process.terminate()
                 process.wait()
@@ -97,17 +123,27 @@ class XServer(VirtualDisplay):
 
 
 @contextmanager
-def xvfb(shape: tuple[int, int], *, until_unused: bool = False) -> Iterator[XServer]:
+def xvfb(
+    shape: tuple[int, int], *, until_unused: bool = False, name: str | None = None
+) -> Iterator[XServer]:
     """Run an X server in memory, as `XServer` does, while a with statement lasts."""
-    server = XServer(shape, until_unused=until_unused)
+    server = XServer(shape, until_unused=until_unused, name=name)
     try:
         yield server
     finally:
         server.close()
 
 
+def _last_words(log: BinaryIO) -> str:
+    """Return why Xvfb ended, in its own words."""
+    log.seek(0)
+    words = log.read().decode(errors="replace").replace("(EE)", "")
+    lines = words.rpartition("Fatal server error:")[2].split("\n")
+    return next((line.strip() for line in lines if line.strip()), "it gave no reason")
+
+
 def _display_name(descriptor: int) -> str:
-    """Read the number that Xvfb writes once it takes clients."""
+    """Read the number that Xvfb writes once it takes clients; EOFError where it ends before."""
     number = b""
     with selectors.DefaultSelector() as selector:
         selector.register(descriptor, selectors.EVENT_READ)
@@ -115,7 +151,7 @@ def _display_name(descriptor: int) -> str:
         while not number.endswith(b"\n") and selector.select(START_SECONDS):
             part = os.read(descriptor, 16)
             if not part:
-                break
+                raise EOFError
             number += part
     if not number.endswith(b"\n"):
         raise CaptureError(f"Xvfb didn't start within {START_SECONDS:g} s; try it by hand")
