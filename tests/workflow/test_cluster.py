@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import dask
 import pytest
 from distributed import LocalCluster, Security
+from tests.waiting import PATIENCE_SECONDS
 from tests.workflow.clusters import address_of, kept_workers
 from tests.workflow.harness import TINY, Workflow, undo
 from tests.workflow.stagewise import CAMERA, SHAPE, Acquisition, contents, damage, matrix_rig
@@ -176,13 +178,26 @@ def test_a_cluster_that_does_not_answer(tmp_path: Path, monkeypatch: pytest.Monk
         pass
 
 
-def test_a_cluster_without_workers(tmp_path: Path) -> None:
+def test_a_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_module, "_PATIENCE_SECONDS", 1)
     with (
         local_cluster(0) as empty,
-        pytest.raises(ClusterError, match="has no workers"),
+        pytest.raises(ClusterError, match="has no workers, and none came within 1 s"),
         connected(empty.scheduler_address, tmp_path),
     ):
         pass
+
+
+def test_workers_that_are_just_being_started_are_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster_module, "_PATIENCE_SECONDS", PATIENCE_SECONDS)
+    with local_cluster(0) as empty:
+        starting = threading.Timer(0.5, empty.scale, (1,))
+        starting.start()
+        with connected(empty.scheduler_address, tmp_path) as cluster:
+            assert cluster.threads == 1
+        starting.join()
 
 
 def test_work_that_kills_its_worker(address: str, tmp_path: Path) -> None:

@@ -137,7 +137,8 @@ def connected(address: str, folder: Path) -> Iterator[Cluster]:
     Raises
     ------
     ClusterError
-        When none answers, when it has no workers, or when there are no certificates for TLS.
+        When none answers, when no worker is there or comes soon, or when there are no certificates
+        for TLS.
     """
     import distributed
 
@@ -164,13 +165,15 @@ def connected(address: str, folder: Path) -> Iterator[Cluster]:
             f"'dask worker {address}', correct the address, or set it to threads"
         ) from error
     with client, sending(folder) as send:
-        threads = sum(client.nthreads().values())
-        if not threads:
+        try:  # one that is just being started, or started again
+            client.wait_for_workers(1, timeout=_PATIENCE_SECONDS)
+        except TimeoutError:
             raise ClusterError(
-                f"{_SETTING} is {address}: the scheduler has no workers. Start some with "
-                f"'dask worker {address}', or set it to threads"
-            )
-        yield Cluster(client, address, threads, send)
+                f"{_SETTING} is {address}: the scheduler has no workers, and none came within "
+                f"{_PATIENCE_SECONDS} s. Start some with 'dask worker {address}', or set it to "
+                "threads"
+            ) from None
+        yield Cluster(client, address, sum(client.nthreads().values()), send)
 
 
 def _is_here(address: str) -> bool:
