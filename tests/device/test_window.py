@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -129,7 +130,8 @@ def test_a_window_that_is_moved_is_put_back(x_display: VirtualDisplay) -> None:
 
 @pytest.mark.parametrize("kind", DISPLAYS)
 def test_a_lost_display_is_an_error_and_not_the_end(kind: str) -> None:
-    with {"x server": xvfb, "memory": memory_display}[kind]((40, 50)) as server:
+    display = {"x server": partial(xvfb, name=OWN_NAME), "memory": memory_display}[kind]
+    with display((40, 50)) as server:
         projector = WindowProjector(server.name, settle_seconds=0, reopen_seconds=0.5)
     white = np.ones((40, 50), np.float32)
     assert not projector.undisturbed()

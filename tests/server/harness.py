@@ -45,7 +45,7 @@ class Running:
 @contextmanager
 def running(rig: Rig | Callable[[], Rig], **settings: Any) -> Iterator[Running]:
     """Serve a rig until the end of the block."""
-    allowed = ServerSettings(**{"port": 0, "lease_seconds": 2.0, **settings})
+    allowed = ServerSettings(**{"port": 0, "lease_seconds": 4.0, **settings})
     with bound_socket(allowed) as bound:
         port = bound.getsockname()[1]
         server = make_server(rig, TOKEN, allowed)

@@ -111,7 +111,7 @@ def test_one_client_at_a_time_holds_the_rig(http: httpx.Client) -> None:
     assert answer.status_code == 409
     assert "the rig is held by 'test'" in answer.json()["detail"]
     assert http.put("/v1/lease", headers={"Rig-Lease": "not-the-lease"}).status_code == 410
-    assert http.put("/v1/lease", headers={"Rig-Lease": lease}).json()["seconds"] == 2.0
+    assert http.put("/v1/lease", headers={"Rig-Lease": lease}).json()["seconds"] == 4.0
     assert http.delete("/v1/lease", headers={"Rig-Lease": lease}).status_code == 204
     assert http.delete("/v1/lease", headers={"Rig-Lease": lease}).status_code == 410
     assert http.post("/v1/lease", json={"client": "another"}).is_success

@@ -27,7 +27,7 @@ from rfpipe.server.run import bound_socket
 
 ON = np.ones((1, 3, 7), np.float32)
 PATHS = ("/v1/status", "/v1/rig", "/v1/rig/arrays", "/v1/preview.png")
-LIMITS = {"most_request_bytes": 100_000, "head_seconds": 0.4, "body_seconds": 0.6}
+LIMITS = {"most_request_bytes": 100_000, "head_seconds": 1.0, "body_seconds": 1.5}
 
 
 @pytest.fixture
@@ -278,13 +278,11 @@ MALFORMED = {
 
 
 def test_malformed_messages_and_impossible_patterns(server: Running, rig: SlowRig) -> None:
-    before = time.monotonic()
     for name, body in MALFORMED.items():
         answer = post(server, body)
         assert answer.status_code == 422, (name, answer.text)
         assert answer.headers["content-type"] == "application/problem+json"
         assert len(answer.json()["detail"]) < 1000, name
-    assert time.monotonic() - before < 20
     assert rig.shown == []
 
 
@@ -359,7 +357,7 @@ def test_slow_clients(server: Running, rig: SlowRig) -> None:
                 time.sleep(0.02)
         except OSError:
             pass
-        assert time.monotonic() - began < 5  # not begun anew by each byte
+        assert time.monotonic() - began < 10  # of twelve: not begun anew by each byte
     assert server.app.state.served.leases.current is None
 
 
@@ -392,7 +390,7 @@ def test_a_client_that_does_not_take_its_answer_is_dropped() -> None:
             connection.sendall(head_of_capture(headers, len(body)) + body)
             connection.settimeout(60)
             assert connection.recv(15) == b"HTTP/1.1 200 OK"
-            time.sleep(1.5)
+            time.sleep(4.0)
             left = 0
             try:
                 while chunk := connection.recv(2**20):
@@ -438,7 +436,9 @@ def test_answers_are_sent_without_delay(server: Running) -> None:
     with bound_socket(ServerSettings(port=0)) as bound:
         assert bound.proto == socket.IPPROTO_TCP  # by which asyncio knows to set TCP_NODELAY
     with server.http() as http:
-        began = time.perf_counter()
+        seconds = []
         for _ in range(20):
+            began = time.perf_counter()
             http.get("/v1/rig")
-        assert time.perf_counter() - began < 20 * 0.04
+            seconds.append(time.perf_counter() - began)
+        assert np.median(seconds) < 0.04

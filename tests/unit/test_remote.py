@@ -207,8 +207,8 @@ def test_a_slow_line_is_waited_for_and_one_that_stalls_asked_again(
     one_file: type[Handler], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert remote._CLIENT["timeout"] > timedelta(hours=1)  # of a whole file, however large
-    monkeypatch.setitem(remote._CLIENT, "read_timeout", timedelta(seconds=1.0))
-    monkeypatch.setattr(one_file, "seconds", 0.15)
+    monkeypatch.setitem(remote._CLIENT, "read_timeout", timedelta(seconds=2.0))
+    monkeypatch.setattr(one_file, "seconds", 0.3)
     with listening(one_file) as address:
         rfpipe.open_transport(f"{address}/crate.zip")
         monkeypatch.setattr(one_file, "seconds", 0.0)

@@ -477,7 +477,7 @@ def test_without_workers_it_does_not_wait_for_ever(
             ask = workers.hand_out(identity)
             assert ask(0, 1).result()[1:] == (0, 1)
             cluster.scale(0)
-            time.sleep(0.5)
+            wait_until(lambda: not cluster.scheduler.workers, "the worker's end")
             ask(1, 2).result()
 
     with (

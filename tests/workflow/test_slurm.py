@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 from tests.slurm import Slurm, need_slurm
-from tests.waiting import wait_until
-from tests.workflow.harness import GLASS, LONG, ROOT, TINY, Workflow, journal
+from tests.workflow.harness import GLASS, LONG, ROOT, TINY, Workflow, freeze_writer, journal
 
 PROFILES = ROOT / "workflow" / "profiles"
 # as the profiles, but for a cluster whose jobs take seconds
@@ -45,7 +44,7 @@ def test_a_node_killed_in_the_middle_of_an_acquisition(
     workflow = Workflow(tmp_path / "run")
     process = workflow.start(*on("slurm", LONG))
     capture = workflow.path("long/brute_force/L00/capture.zarr")
-    wait_until(lambda: len(journal(capture)) > 20, "20 patterns")
+    freeze_writer(capture, 20)  # so that it isn't done before its node is found
     (node,) = slurm.jobs("RUNNING").values()
     slurm.kill_node(node)
     taken = len(journal(capture))
