@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 from tests.ports import free_port
 from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, posted, running
+from tests.waiting import wait_until
 
 import rfpipe
 from rfpipe.errors import CaptureError, ConfigError
@@ -143,13 +144,17 @@ def test_a_second_client_waits_for_the_first_and_says_so(
 ) -> None:
     first, second = server.client(), server.client()
     first.capture(ON, [(1, 0)])
-    release = threading.Timer(0.5, first.close)
-    release.start()
+
+    def close_once_said() -> None:
+        wait_until(lambda: "the rig is held by" in caplog.text, "the wait")
+        first.close()
+
+    release = threading.Thread(target=close_once_said)
     with second, caplog.at_level(logging.WARNING):
+        release.start()
         second.capture(ON, [(1, 1)])
     release.join()
     assert rig.shown == [(1, 0), (1, 1)]
-    assert "the rig is held by" in caplog.text
 
 
 def test_the_capture_of_a_client_that_died_ends_before_the_next_pattern(
