@@ -70,8 +70,8 @@ unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock r
 	  snakemake --directory figures --configfile $(FIGURES) --unlock; fi
 
 test: lint ## check everything: lint, types, layers, workflow, tests
-	@# whole files to each, and two more than cores: much of the workflow's tests is waiting
-	pytest -n 4 --dist loadfile --no-loadscope-reorder
+	@# whole files to each, and one more than cores: much of the workflow's tests is waiting
+	pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 validators: $(INSTALLED) ## install what some tests check published runs by, into .venv-validators
 	uv venv --quiet --allow-existing --python $(VENV)/bin/python .venv-validators
