@@ -22,7 +22,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs.build import rig_from_config
 from rfpipe.rigs.pylon import PylonCamera
 from rfpipe.rigs.window import WindowProjector
-from rfpipe.rigs.xvfb import xvfb
+from rfpipe.rigs.xvfb import XServer
 
 OUTPUT = Path("results/bench/devices.csv")
 REPEATS = 50
@@ -48,7 +48,7 @@ def median_ms(step: Callable[[], object]) -> float:
 
 def window(shape: tuple[int, int]) -> float:
     picture = np.random.default_rng(0).random(shape, np.float32)
-    with xvfb(shape) as display, WindowProjector(display.name, settle_seconds=0) as projector:
+    with XServer(shape) as display, WindowProjector(display.name, settle_seconds=0) as projector:
         return median_ms(lambda: projector.show(picture))
 
 

@@ -10,7 +10,7 @@ import pytest
 from tests.displays import DISPLAYS, need_xvfb
 
 from rfpipe.rigs.display import VirtualDisplay, memory_display
-from rfpipe.rigs.xvfb import xvfb
+from rfpipe.rigs.xvfb import XServer
 
 os.environ["PYLON_CAMEMU"] = "1"  # before pypylon is loaded
 
@@ -25,7 +25,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 @pytest.fixture(scope="module")
 def x_display() -> Iterator[VirtualDisplay]:
     """An X server's display of 120 x 160 pixels; for tests marked `xvfb`."""
-    with xvfb((120, 160)) as server:
+    with XServer((120, 160)) as server:
         yield server
 
 

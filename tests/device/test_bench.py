@@ -24,7 +24,7 @@ from rfpipe.rigs import BLACK_LEVEL_KEY, DeviceRig
 from rfpipe.rigs.bench import optical_path
 from rfpipe.rigs.build import devices_from_config, rig_from_config
 from rfpipe.rigs.settings import sensor_of
-from rfpipe.rigs.xvfb import xvfb
+from rfpipe.rigs.xvfb import XServer
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
 
 pytestmark = pytest.mark.usefixtures("either_display")
@@ -284,7 +284,7 @@ def test_a_display_that_is_killed_costs_a_pattern(either_display: str) -> None:
             if len(taken) == 15:
                 os.waitpid(rig.projector.display.pid, 0)
                 with suppress(CaptureError):  # taken by another test, as well
-                    thief.enter_context(xvfb((10, 10), name=rig.projector.display.name))
+                    thief.enter_context(XServer((10, 10), name=rig.projector.display.name))
             frames = expose()
             if len(taken) == 18:
                 os.kill(rig.projector.display.pid, signal.SIGKILL)

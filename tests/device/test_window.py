@@ -15,7 +15,7 @@ from tests.waiting import wait_until
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs.display import VirtualDisplay, memory_display
 from rfpipe.rigs.window import WindowProjector, code_table, read_response
-from rfpipe.rigs.xvfb import XServer, xvfb
+from rfpipe.rigs.xvfb import XServer
 from rfpipe.testing import ProjectorContract
 
 GAMMA = np.linspace(0.01, 1, 256) ** 2.2
@@ -130,7 +130,7 @@ def test_a_window_that_is_moved_is_put_back(x_display: VirtualDisplay) -> None:
 
 @pytest.mark.parametrize("kind", DISPLAYS)
 def test_a_lost_display_is_an_error_and_not_the_end(kind: str) -> None:
-    display = {"x server": partial(xvfb, name=OWN_NAME), "memory": memory_display}[kind]
+    display = {"x server": partial(XServer, name=OWN_NAME), "memory": memory_display}[kind]
     with display((40, 50)) as server:
         projector = WindowProjector(server.name, settle_seconds=0, reopen_seconds=0.5)
     white = np.ones((40, 50), np.float32)
@@ -152,7 +152,7 @@ def test_a_lost_display_is_an_error_and_not_the_end(kind: str) -> None:
 def test_a_display_that_comes_back_goes_on(caplog: pytest.LogCaptureFixture) -> None:
     white = np.ones((40, 50), np.float32)
     with (
-        xvfb((40, 50), name=OWN_NAME) as server,
+        XServer((40, 50), name=OWN_NAME) as server,
         WindowProjector(OWN_NAME, settle_seconds=0, reopen_seconds=0) as projector,
     ):
         projector.show(white)
@@ -174,7 +174,7 @@ def test_a_display_that_comes_back_goes_on(caplog: pytest.LogCaptureFixture) -> 
 def test_a_display_that_flickers_is_waited_for() -> None:
     white = np.ones((40, 50), np.float32)
     with (
-        xvfb((40, 50), name=OWN_NAME) as server,
+        XServer((40, 50), name=OWN_NAME) as server,
         WindowProjector(OWN_NAME, settle_seconds=0, reopen_seconds=30) as projector,
     ):
         os.kill(server.pid, signal.SIGKILL)
@@ -188,10 +188,10 @@ def test_a_display_that_flickers_is_waited_for() -> None:
 def test_a_server_whose_display_was_taken_comes_back_on_another(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    with xvfb((40, 50), name=OWN_NAME) as server:
+    with XServer((40, 50), name=OWN_NAME) as server:
         os.kill(server.pid, signal.SIGKILL)
         os.waitpid(server.pid, 0)
-        with xvfb((30, 20), name=OWN_NAME) as other:
+        with XServer((30, 20), name=OWN_NAME) as other:
             with pytest.raises(CaptureError, match="ended when it was started: Cannot establish"):
                 XServer((40, 50), name=OWN_NAME)
             server.revive()

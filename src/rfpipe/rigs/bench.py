@@ -36,7 +36,7 @@ from rfpipe.rigs.optics import OpticalPath
 from rfpipe.rigs.pylon import PylonCamera
 from rfpipe.rigs.settings import calibration_of, sensor_of
 from rfpipe.rigs.window import WindowProjector
-from rfpipe.rigs.xvfb import xvfb
+from rfpipe.rigs.xvfb import XServer
 from rfpipe.scenes import scene_from_config
 
 if TYPE_CHECKING:
@@ -366,7 +366,7 @@ def _display(shape: tuple[int, int]) -> AbstractContextManager[VirtualDisplay]:
     """Return the display nearest to a rig's that this machine can have."""
     if shutil.which("Xvfb"):
         _log.info("the bench's projector is a window of a real X server (Xvfb)")
-        return xvfb(shape, until_unused=True)
+        return XServer(shape, until_unused=True)
     _log.info(
         "the bench's projector is a window in memory, without an X server: Xvfb isn't installed "
         "(on Debian: apt-get install xvfb)"

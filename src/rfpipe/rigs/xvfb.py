@@ -10,10 +10,8 @@ import shutil
 import struct
 import subprocess
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +19,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.rigs.display import VirtualDisplay
 
-__all__ = ["XServer", "xvfb"]
+__all__ = ["XServer"]
 
 START_SECONDS = 60.0
 
@@ -36,7 +34,7 @@ class _EndedAtOnceError(CaptureError):
 
 
 class XServer(VirtualDisplay):
-    """An X server in memory.
+    """An X server in memory, which ends with the ``with`` statement that it is used in.
 
     Parameters
     ----------
@@ -62,6 +60,12 @@ class XServer(VirtualDisplay):
         self._until_unused = until_unused
         self._process, name, pixels = self._started(name)
         super().__init__(name, pixels)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
     @property
     def pid(self) -> int:
@@ -120,18 +124,6 @@ class XServer(VirtualDisplay):
                 os.close(read)
         # the memory stays mapped without its file, and nothing is left when this process is killed
         return process, found, pixels
-
-
-@contextmanager
-def xvfb(
-    shape: tuple[int, int], *, until_unused: bool = False, name: str | None = None
-) -> Iterator[XServer]:
-    """Run an X server in memory, as `XServer` does, while a with statement lasts."""
-    server = XServer(shape, until_unused=until_unused, name=name)
-    try:
-        yield server
-    finally:
-        server.close()
 
 
 def _last_words(log: BinaryIO) -> str:
