@@ -1,23 +1,27 @@
 """rfpipe: from patterns to a relightable light transport and its report.
 
-Each scene of the configuration is acquired with each method, level by level: the levels above
+Each scene of the configuration is acquired with each method, level by level. The levels above
 decide on the patterns of a level (schedule), the rig shows them (capture), brackets become radiance
-(merge) that adds up to the floodlit image (normalize), and the method learns from it (refine). The
-transport is assembled from all levels, verified by pictures that no method saw (verify), relit,
-compared with the truth, put on a page on which one paints with light (view), and reported.
+(merge) that adds up to the floodlit image (normalize), and the method learns from it (refine). How
+many levels have patterns to show turns out on the way. The transport is assembled from all levels,
+verified by pictures that no method saw (verify), relit, compared with the truth, put on a page on
+which one paints with light (view), and reported.
 
-An acquisition is one job, since a level is little work beside a job's start. Where a cluster ends
-long jobs, or a rig shall be free while pictures are processed, the setting resources.jobs makes each
-level a job of its own before it (docs/clusters.md): a checkpoint, since how many levels have
-patterns to show turns out on the way. Each of its stages leaves a store and, written last, a
-small manifest beside it, in results/{scene}/{method}/L{level}. Stores know what they were made
-from: a job that was stopped goes on where it stopped, and one that runs again does only what
-changed settings or code change.
+Each stage leaves a store and, written last, a small manifest beside it, in
+results/{scene}/{method}/L{level}: rules know manifests alone. A store knows what it was made from,
+and a capture that was stopped goes on at its journal. Where the setting resources.jobs is
+acquisition, a single job takes an acquisition through the same stages, to the same bytes.
 """
 
 import os
 from pathlib import Path
 
+from rfpipe.errors import RfpipeError
+from rfpipe.stages.jobs.failures import FailedJobs
+from rfpipe.stages.jobs.groups import check_groups
+from rfpipe.stages.jobs.notify import notify
+from rfpipe.stages.verifying.again import write_run
+from snakemake.logging import logger
 from snakemake.utils import min_version
 
 min_version("9.27")
@@ -33,19 +37,44 @@ if not workflow.overwrite_configfiles:
 
 
 include: "workflow/rules/common.smk"
-include: f"workflow/rules/acquire_{SETTINGS.capture.rule}.smk"
 
 
-if SETTINGS.resources.jobs == "level":
+if SETTINGS.jobs == "stage":
 
-    include: f"workflow/rules/levels_{SETTINGS.capture.rule}.smk"
+    include: "workflow/rules/levels.smk"
+    include: "workflow/rules/schedule.smk"
+    include: f"workflow/rules/capture_{SETTINGS.capture.rule}.smk"
+    include: "workflow/rules/merge.smk"
+    include: "workflow/rules/normalize.smk"
+    include: "workflow/rules/refine.smk"
+    include: "workflow/rules/assemble.smk"
+
+else:
+
+    include: "workflow/rules/acquire.smk"
 
 
+include: "workflow/rules/verify.smk"
 include: "workflow/rules/relight.smk"
 include: "workflow/rules/view.smk"
 include: "workflow/rules/report.smk"
 include: "workflow/rules/keep.smk"
 include: "workflow/rules/calibrate.smk"
+
+
+def list_collection():
+    """Write the catalogue of a collection, whatever became of it until now."""
+    if SETTINGS.collection is None:
+        return
+    from rfpipe.report.catalogue import write_catalogue
+
+    try:
+        counts = write_catalogue(SETTINGS, Path("results"))
+    except RfpipeError as error:  # a page more or less doesn't change how a run ended
+        print(f"rfpipe: no catalogue: {error}")
+        return
+    states = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    print(f"rfpipe: results/catalogue/index.html: {states}")
 
 
 rule all:

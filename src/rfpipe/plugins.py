@@ -19,7 +19,17 @@ from typing import Any
 
 from rfpipe.errors import InputError
 
-__all__ = ["CAMERAS", "METHODS", "PROJECTORS", "RIGS", "SCENES", "find", "names", "path_of"]
+__all__ = [
+    "CAMERAS",
+    "METHODS",
+    "PROJECTORS",
+    "RIGS",
+    "SCENES",
+    "find",
+    "names",
+    "path_of",
+    "source_of",
+]
 
 METHODS = "rfpipe.methods"
 """The group of acquisition methods."""
@@ -64,6 +74,21 @@ def path_of(group: str, name: str) -> str:
             "file.py:Class"
         )
     return _installed()[group][name]
+
+
+def source_of(group: str, name: str) -> Path | None:
+    """Return the file of what a name or path stands for; None where rfpipe itself has it.
+
+    Raises
+    ------
+    InputError
+        When there is no such name, module or file.
+    """
+    module = path_of(group, name).rpartition(":")[0]
+    if module.partition(".")[0] == "rfpipe":
+        return None
+    file = (_file(module) if module.endswith(".py") else _module(module)).__file__
+    return None if file is None else Path(file)
 
 
 def find(group: str, name: str) -> Any:

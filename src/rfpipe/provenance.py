@@ -5,16 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-import re
-import sys
-from collections.abc import Collection, Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from importlib import metadata
-from importlib.machinery import PathFinder
-from importlib.util import find_spec
-from itertools import accumulate
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 import numpy as np
@@ -22,28 +17,22 @@ import numpy as np
 from rfpipe.errors import InputError
 
 __all__ = [
-    "code_fingerprint",
+    "code_digest",
     "fingerprint",
     "generator",
-    "import_fingerprint",
-    "imported_sources",
     "versions",
 ]
 
 _DIGEST_BYTES = 16  # blake2b-128: short enough for a manifest, no accidental collisions
 _WORD = 2**32  # numpy's SeedSequence mixes 32-bit words
+_PACKAGE = Path(__file__).parent
 _RECORDED_PACKAGES = ("numba", "numpy", "rfpipe", "rustworkx", "scipy", "zarr")
 
-# Imports begin a line, as formatters leave them: parsing all sources would take seconds.
-_IMPORT = re.compile(
-    r"^[ \t]*(?:from[ \t]+([.\w]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n#]+)|import[ \t]+([^\n#]+))",
-    re.MULTILINE,
-)
-_FOR_TYPES_ALONE = re.compile(
-    r"^([ \t]*)if (?:\w+\.)?TYPE_CHECKING:[^\n]*\n(?:\1[ \t]+[^\n]*\n|[ \t]*\n)+", re.MULTILINE
-)
-_IMPORTS_BY_NAME = re.compile(r"\bimport_module\(")  # which this line is no case of
-_DOTTED_NAME = re.compile(r"""["'](\w+(?:\.\w+)+)["']""")
+# Of rfpipe: what shows results, serves them or runs jobs, and shapes none.
+_SHAPES_NOTHING = (
+    "calibration/", "cli/", "costs/", "export/", "fitting/", "publish/", "report/", "server/",
+    "stages/evaluating/", "stages/jobs/", "stages/verifying/", "testing/", "viewer/",
+)  # fmt: skip
 
 
 def fingerprint(value: object) -> str:
@@ -75,95 +64,61 @@ def fingerprint(value: object) -> str:
     return _digest(text.encode())
 
 
-def code_fingerprint(*module_names: str) -> str:
-    """Digest of the Python sources of modules or packages, without importing them.
+@cache
+def code_digest(*own: Path, pages: bool = False) -> str:
+    """Return the digest of the code that shapes results: rfpipe's and files of a user's own.
+
+    Comments, docstrings, assertions and layout don't count.
 
     Parameters
     ----------
-    module_names
-        Dotted names, such as ``"rfpipe.methods"``. A package counts with all it contains.
-        The order of the names doesn't matter.
+    own : Path
+        Python files beside rfpipe's, such as that of a user's method. What they import doesn't
+        count.
+    pages : bool
+        Whether the code counts, too, that shows results, as on a report's page.
 
     Returns
     -------
     str
-        32 hexadecimal digits (blake2b-128) over the names and contents of the files.
+        32 hexadecimal digits (blake2b-128), the same in all processes of one version of Python.
 
     Raises
     ------
     InputError
-        When a name is no module with Python sources.
+        When a file can't be read or isn't Python.
     """
-    sources: dict[str, Path] = {}
-    for name in module_names:
-        sources |= _sources(name)
-    return fingerprint({name: _digest(path.read_bytes()) for name, path in sources.items()})
+    sources = {
+        path.relative_to(_PACKAGE).as_posix(): path
+        for path in _PACKAGE.rglob("*.py")
+        if pages or not path.relative_to(_PACKAGE).as_posix().startswith(_SHAPES_NOTHING)
+    }
+    sources |= {f"{number} {path.name}": path for number, path in enumerate(own)}
+    return fingerprint({name: _compiled(path) for name, path in sources.items()})
 
 
-def import_fingerprint(
-    *roots: str, choosing: Collection[str] = (), without: Collection[str] = ()
-) -> str:
-    """Digest of the Python sources of modules and of all that they import.
-
-    Parameters and errors are those of `imported_sources`.
-
-    Returns
-    -------
-    str
-        32 hexadecimal digits (blake2b-128); the order of the roots doesn't matter.
-    """
-    sources = imported_sources(*roots, choosing=choosing, without=without)
-    return fingerprint({name: _scanned(path)[0] for name, path in sources.items()})
+@cache
+def _compiled(path: Path) -> list[Any]:
+    """Return what Python makes of a source, without its docstrings and the lines' numbers."""
+    try:
+        return _parts_of(compile(path.read_bytes(), "", "exec", optimize=2, dont_inherit=True))
+    except (OSError, SyntaxError, ValueError) as error:
+        raise InputError(f"{path}: not readable as Python: {error}") from error
 
 
-def imported_sources(
-    *roots: str, choosing: Collection[str] = (), without: Collection[str] = ()
-) -> dict[str, Path]:
-    """Find the sources of modules and of all that they import, without importing any.
+def _parts_of(code: CodeType) -> list[Any]:
+    constants = [
+        _parts_of(value) if isinstance(value, CodeType) else _text_of(value)
+        for value in code.co_consts
+    ]
+    names = [code.co_name, code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars]
+    counts = [code.co_argcount, code.co_kwonlyargcount, code.co_posonlyargcount, code.co_flags]
+    return [*names, *counts, code.co_code.hex(), code.co_exceptiontable.hex(), constants]
 
-    Imports inside functions count, those for type checkers alone don't. Followed are the modules
-    of rfpipe and of the roots' own packages. A module that calls ``import_module`` reaches each
-    module that one of its strings names.
 
-    Parameters
-    ----------
-    roots
-        Dotted names of modules, or paths of Python files (``*.py``).
-    choosing
-        Modules of which what they import by name isn't followed, since one of many is chosen: a
-        registry. Give the choice as a root.
-    without
-        Modules, or packages with all they contain, that neither count nor are followed.
-
-    Returns
-    -------
-    dict of str to Path
-        Python files by dotted name, sorted; those of files given by their path by file name.
-
-    Raises
-    ------
-    InputError
-        When a root is no module with Python sources.
-    """
-    found: dict[str, Path] = {}
-    without = frozenset(without)
-    to_follow: list[tuple[str, Path]] = []
-    for root in roots:
-        path = Path(root) if root.endswith(".py") else _module_file(root)
-        if path is None or not path.is_file():
-            raise InputError(f"{root!r} is no module with Python sources; expected rfpipe.<module>")
-        to_follow.append((path.name if root.endswith(".py") else root, path))
-    followed = {"rfpipe", *(root.partition(".")[0] for root in roots if not root.endswith(".py"))}
-    search_path = tuple(sys.path)
-    while to_follow:
-        name, path = to_follow.pop()
-        if name in found or not without.isdisjoint(_prefixes(name)):
-            continue
-        found[name] = path
-        by_import, by_name = _reached(name, path, frozenset(followed), search_path, *_status(path))
-        to_follow += by_import
-        to_follow += () if name in choosing else by_name
-    return dict(sorted(found.items()))
+def _text_of(constant: object) -> str:
+    """Return a constant as text; a set's order differs from process to process."""
+    return repr(sorted(map(repr, constant)) if isinstance(constant, frozenset) else constant)
 
 
 def versions() -> dict[str, str]:
@@ -251,106 +206,3 @@ def _plain(value: object) -> Any:
         f"fingerprint: a {type(value).__name__} isn't plain data; pass numbers, strings, arrays, "
         "lists, dicts or pydantic models"
     )
-
-
-def _sources(module_name: str) -> dict[str, Path]:
-    """Python files of a module or package, by their name below the top-level package."""
-    top, *rest = module_name.split(".")
-    folders, _ = _top_level(top, tuple(sys.path))
-    for root in folders:
-        target = root.joinpath(*rest)
-        files = [*target.rglob("*.py"), *target.parent.glob(f"{target.name}.py")]
-        if files:
-            return {f"{top}/{path.relative_to(root).as_posix()}": path for path in files}
-    raise InputError(f"{module_name!r} is no package of Python sources; expected rfpipe.<module>")
-
-
-def _scanned(path: Path) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
-    """Digest of a source, the names it imports and those it may import by name."""
-    return _scan(path, *_status(path))
-
-
-def _status(path: Path) -> tuple[int, int]:
-    """Tell a file from what it was before an edit."""
-    status = path.stat()
-    return status.st_mtime_ns, status.st_size
-
-
-_Sources = tuple[tuple[str, Path], ...]
-
-
-@cache
-def _reached(
-    name: str, path: Path, followed: frozenset[str], _path: tuple[str, ...], *status: int
-) -> tuple[_Sources, _Sources]:
-    """Find the sources that a module imports, its own packages among them, and those by name."""
-    _, imports, by_name = _scan(path, *status)
-    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-
-    def sources(names: Iterable[str]) -> _Sources:
-        parts = dict.fromkeys(part for full in names for part in _prefixes(full))
-        found = ((part, _module_file(part)) for part in parts if part.partition(".")[0] in followed)
-        return tuple((part, source) for part, source in found if source)
-
-    absolute = (_absolute(imported, package) for imported in imports)
-    return sources((name, *absolute)), sources(by_name)
-
-
-@cache
-def _scan(path: Path, *_status: int) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
-    content = path.read_bytes()
-    text = content.decode(errors="replace")
-    by_name = tuple(_DOTTED_NAME.findall(text)) if _IMPORTS_BY_NAME.search(text) else ()
-    text = _FOR_TYPES_ALONE.sub("", text.replace("\\\n", " "))
-    return _digest(content), tuple(_imports(text)), by_name
-
-
-def _imports(text: str) -> Iterator[str]:
-    """Yield what a source imports, a name imported from a module as if it were a module itself."""
-    for home, names, modules in _IMPORT.findall(text):
-        for item in re.sub(r"#.*|[()]", "", names or modules).split(","):
-            name = item.split()[0] if item.strip() else ""
-            if name:
-                yield (home if home.endswith(".") else f"{home}.") + name if home else name
-
-
-def _absolute(name: str, package: str) -> str:
-    """Name of what a module of a package imports, maybe relative to it."""
-    stripped = name.lstrip(".")
-    up = len(name) - len(stripped)
-    return ".".join([*package.split(".")[: 1 - up or None], stripped]) if up else name
-
-
-def _prefixes(name: str) -> Iterator[str]:
-    """Return a module's packages, outermost first, and the module."""
-    return accumulate(name.split("."), "{}.{}".format)
-
-
-def _module_file(name: str) -> Path | None:
-    """Python file of a module or package, None where there is none."""
-    top, _, rest = name.partition(".")
-    return _file_in(*_top_level(top, tuple(sys.path)), rest)
-
-
-@cache
-def _top_level(name: str, _path: tuple[str, ...]) -> tuple[tuple[Path, ...], Path | None]:
-    """Folders of a top-level package, or the file of a module, found without importing it."""
-    # also where rfpipe runs, in which a user's own modules may lie
-    spec = find_spec(name) or PathFinder.find_spec(name, [str(Path.cwd())])
-    if spec is None:
-        return (), None
-    if spec.submodule_search_locations is not None:
-        return tuple(map(Path, spec.submodule_search_locations)), None
-    return (), Path(spec.origin) if spec.has_location and spec.origin else None
-
-
-@cache
-def _file_in(folders: tuple[Path, ...], module: Path | None, name: str) -> Path | None:
-    if module is not None:
-        return module if not name and module.suffix == ".py" else None
-    for folder in folders:
-        target = folder.joinpath(*name.split("."))
-        for path in (target.with_suffix(".py") if name else None, target / "__init__.py"):
-            if path is not None and path.is_file():
-                return path
-    return None

@@ -9,6 +9,22 @@ if SETTINGS.rig_file is not None:
     CALIBRATION = RIG.calibration or "calibration"
     CALIBRATION_STEPS = {step.name: step for step in steps_of(RIG.calibrate)}
 
+    def calibration_needs(wildcards):
+        """Manifests of the steps that a step builds on."""
+        needs = CALIBRATION_STEPS[wildcards.step].needs
+        return [f"{CALIBRATION}/steps/{name}.json" for name in needs]
+
+    def calibration_settings(wildcards):
+        """The rig's settings, with those of the calibration that shape this step alone."""
+        step = CALIBRATION_STEPS[wildcards.step]
+        shaping = RIG.calibrate.model_dump(
+            mode="json", include={"coaxial", *step.settings}
+        )
+        rig = RIG.model_dump(
+            mode="json", exclude={"calibrate", "calibration", "seconds_per_pattern"}
+        )
+        return {**rig, "calibrate": shaping}
+
     rule calibration_step:
         """What one step of the calibration shows, takes and finds."""
         input:
@@ -40,7 +56,7 @@ if SETTINGS.rig_file is not None:
         conda:
             "../envs/rfpipe.yaml"
         params:
-            settings=plain(RIG.calibrate),
-            code=stage_code("report.calibration"),
+            settings=RIG.calibrate.model_dump(mode="json"),
+            code=code_digest(pages=True),
         script:
             "../scripts/calibrate.py"

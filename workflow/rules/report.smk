@@ -5,6 +5,29 @@ SHOWN_STUDIES = STUDIES if SETTINGS.capture.rig == "simulated" else []
 if SETTINGS.report.figures is not None:
     SHOWN_STUDIES = [*SHOWN_STUDIES, *FIGURES]
 
+
+def study_settings(wildcards):
+    """The settings of the studies, which have scenes of their own."""
+    shown = ["figures"] if wildcards.study in FIGURES else ["resolutions"]
+    settings = {
+        **SHAPING,
+        "capture": {**SHAPING["capture"], "rig": "simulated"},
+        "report": {name: SHAPING["report"][name] for name in shown},
+    }
+    del settings["scenes"], settings["verification"]
+    return settings
+
+
+def every_item(wildcards):
+    """What the catalogue tells of each scene and method beside its transport."""
+    relit = [
+        f"results/{scene}/{method}/relight.json"
+        for scene, method in SETTINGS.acquisitions
+        if SETTINGS.scenes[scene].has_truth
+    ]
+    return [*relit, *every_verification(wildcards), *every_view(wildcards)]
+
+
 PAGE_TEMPLATE = Path(rfpipe.__file__).parent / "report" / "page.html.j2"
 
 
@@ -21,11 +44,10 @@ rule studies:
     conda:
         "../envs/rfpipe.yaml"
     resources:
-        **asked_by_run("results/studies/{wildcards.study}.log"),
-        runtime=LONG_MINUTES,
+        **{**ASKED, "runtime": minutes(240)},
     params:
         settings=study_settings,
-        code=study_code,
+        code=code_digest(pages=True),
     script:
         "../scripts/studies.py"
 
@@ -51,11 +73,11 @@ rule evaluate:
         "../envs/rfpipe.yaml"
     threads: all_cores
     resources:
-        **asked_by_run("results/report/evaluate.log"),
+        **ASKED,
         workers=SETTINGS.resources.workers,
     params:
         seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
-        code=stage_code("stages.evaluating.evaluate"),
+        code=code_digest(pages=True),
     script:
         "../scripts/evaluate.py"
 
@@ -81,31 +103,10 @@ rule report:
     conda:
         "../envs/rfpipe.yaml"
     resources:
-        **asked_by_run("results/report/report.log"),
-        runtime=LONG_MINUTES,
+        **{**ASKED, "runtime": minutes(240)},
     params:
         settings=SHAPING,
-        code=report_code,
+        code=code_digest(pages=True),
         template=fingerprint(PAGE_TEMPLATE.read_text(encoding="utf-8")),
     script:
         "../scripts/report.py"
-
-
-rule bound:
-    """Whether what was acquired is as near to the pictures that verify it as was asked for.
-
-    Last of all: a run that fails here has its report, and all that was acquired.
-    """
-    input:
-        verified=every_verification,
-        page=["results/report/index.html"] if SETTINGS.has_report else [],
-    output:
-        touch("results/verified"),
-    log:
-        "results/verified.log",
-    conda:
-        "../envs/rfpipe.yaml"
-    params:
-        bound=SETTINGS.verification.fail_above,
-    script:
-        "../scripts/bound.py"

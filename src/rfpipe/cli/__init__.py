@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rfpipe.cli import fit, offline
-from rfpipe.cli.acquire import acquire
 from rfpipe.cli.aim import aim
 from rfpipe.cli.calibrate import calibrate
 from rfpipe.cli.catalogue import catalogue
@@ -137,7 +136,6 @@ def schema() -> None:
 
 
 app.command()(info)
-app.command()(acquire)
 app.command(context_settings=PASSED_ON)(run)
 app.command()(verify)
 

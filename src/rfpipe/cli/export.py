@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from rfpipe.cli.parallel import THREADS, WorkersOption, resources_of
+from rfpipe.cli.parallel import WorkersOption, resources_of
+from rfpipe.config.addresses import THREADS
 from rfpipe.errors import InputError
 
 if TYPE_CHECKING:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rfpipe.config.addresses import PROCESSES, THREADS, check_workers
+from rfpipe.config.addresses import check_workers
 from rfpipe.errors import InputError
 
 if TYPE_CHECKING:
     from rfpipe.stages.jobs.workers import Resources
 
-__all__ = ["PROCESSES", "THREADS", "WorkersOption", "resources_of"]
+__all__ = ["WorkersOption", "resources_of"]
 
 WorkersOption = Annotated[
     str,
@@ -21,9 +21,8 @@ WorkersOption = Annotated[
         "--workers",
         envvar="RFPIPE_WORKERS",
         metavar="WHERE",
-        help="Where to work: threads; processes, for whole acquisitions alone; or the workers of "
-        "a dask scheduler, by its address, as tcp://localhost:8786. Files have the same bytes; "
-        "docs/parallel.md tells what pays.",
+        help="Where to work: threads, or the workers of a dask scheduler, by its address, as "
+        "tcp://localhost:8786. Files have the same bytes; docs/parallel.md tells what pays.",
     ),
 ]
 

@@ -37,10 +37,11 @@ def plan(
     margin.
     """
     from rfpipe.config import load_config
-    from rfpipe.costs import JobCosts, machine_memory_mb
+    from rfpipe.costs import JobCosts
     from rfpipe.photometry import sensor_from_config
     from rfpipe.stages.capturing.forecast import forecast
     from rfpipe.stages.capturing.taken import taken_in
+    from rfpipe.stages.jobs.workers import machine_memory_mb
     from rfpipe.store.files import free_bytes
 
     settings = load_config(config)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from urllib.parse import urlsplit
 
-__all__ = ["PROCESSES", "THREADS", "check_bucket", "check_port", "check_server", "check_workers"]
+__all__ = ["THREADS", "check_bucket", "check_port", "check_server", "check_workers"]
 
-THREADS, PROCESSES = "threads", "processes"
+THREADS = "threads"
 """Where work is done, if not by the workers of a scheduler at an address."""
 
 _SCHEDULER = re.compile(r"(tcp|tls|ucx)://\S+:\d+")
@@ -41,12 +41,11 @@ def check_port(address: str) -> None:
 
 def check_workers(where: str) -> None:
     """Raise ValueError where work can't be done, says where it can."""
-    if where in (THREADS, PROCESSES):
+    if where == THREADS:
         return
     if not _SCHEDULER.fullmatch(where):
         raise ValueError(
-            f"should be {THREADS}, {PROCESSES}, or the address of a dask scheduler, such as "
-            "tls://host:8786"
+            f"should be {THREADS}, or the address of a dask scheduler, such as tls://host:8786"
         )
     check_port(where)
 

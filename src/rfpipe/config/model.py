@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
@@ -234,6 +234,12 @@ class Config(Settings):
         asked = self.report.page
         return self.collection is None if asked is None else asked
 
+    @property
+    def jobs(self) -> Literal["stage", "acquisition"]:
+        """What a job of the workflow is."""
+        placed = any(self.of_scene(scene).capture.placing for scene in self.scenes)
+        return self.resources.jobs or ("acquisition" if self.collection or placed else "stage")
+
     def shaping(self) -> dict[str, Any]:
         """Return all settings as plain data but those that shape no result."""
         return self.model_dump(
@@ -386,11 +392,6 @@ class Config(Settings):
             raise ValueError(
                 "verification.pictures should be 0 or null with capture.rig offline, whose "
                 "pictures are taken level by level by hand"
-            )
-        if self.resources.jobs == "level":
-            raise ValueError(
-                "resources.jobs should be acquisition with capture.rig offline, whose pictures are "
-                "taken level by level by hand"
             )
         if self.offline.camera_corners is not None and self.camera is None:
             raise ValueError(

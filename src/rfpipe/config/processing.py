@@ -50,20 +50,19 @@ class ResourcesConfig(Settings):
     )
     workers: str = Field(
         THREADS,
-        description="Where work is done: threads of the job; processes of its machine, for whole "
-        "acquisitions by 'rfpipe acquire' alone, since they start for seconds; or the workers of "
-        "a dask scheduler, by its address, such as tls://host:8786, which must see the results' "
-        "folder under the same path. The environment variable RFPIPE_WORKERS goes before it. "
+        description="Where work is done: threads of the job, or the workers of a dask scheduler, "
+        "by its address, such as tls://host:8786, which must see the results' folder under the "
+        "same path. The environment variable RFPIPE_WORKERS goes before it. "
         "docs/parallel.md tells what pays. Over plain tcp:// whoever reaches the scheduler can "
         "run programs on all of these machines.",
     )
 
-    jobs: Literal["acquisition", "level"] = Field(
-        "acquisition",
-        description="What a job of the workflow is: acquisition, a scene by a method from its "
-        "first pattern to its transport; or level, one level of it, for clusters that end long "
-        "jobs, and rigs that shall be free while pictures are processed. The same bytes either "
-        "way (docs/clusters.md).",
+    jobs: Literal["stage", "acquisition"] | None = Field(
+        None,
+        description="What a job of the workflow is: stage, one stage of one level; or acquisition, "
+        "a scene by a method from its first pattern to its transport, for collections and "
+        "clusters. null: acquisition with a collection or with capture.placing, else stage. The "
+        "same bytes either way, and one goes on with what the other left (docs/clusters.md).",
     )
     captures: Literal["here", "job"] = Field(
         "here",

@@ -1,6 +1,6 @@
 """What jobs take: memory, time and disk, predicted before they run from those that have run."""
 
-from rfpipe.costs.jobs import JobCosts, machine_memory_mb
+from rfpipe.costs.jobs import JobCosts
 from rfpipe.costs.model import Law, Laws, fit_laws
 from rfpipe.costs.records import Record, Subject, read_shipped, records_in, write_records
 
@@ -11,7 +11,6 @@ __all__ = [
     "Record",
     "Subject",
     "fit_laws",
-    "machine_memory_mb",
     "read_shipped",
     "records_in",
     "write_records",

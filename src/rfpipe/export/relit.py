@@ -223,7 +223,7 @@ def relit_files(
     in_hand = _AT_A_TIME * _COPIES * rays * opened.channels * np.dtype(np.float32).itemsize
     runs = [(i, min(i + _AT_A_TIME, len(lights))) for i in range(0, len(lights), _AT_A_TIME)]
     folder.mkdir(parents=True, exist_ok=True)
-    with resources.within.workers(in_hand, folder) as workers:
+    with resources.workers(in_hand, folder) as workers:
 
         def done(what: str, relighting: _RelitFiles) -> list[float]:
             found: list[float] = []

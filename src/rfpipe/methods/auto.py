@@ -68,6 +68,10 @@ class Auto(Method[LevelState]):
         """Show the floodlit pattern, and what follows where nobody looks at the rig."""
         return self._of(state).schedule(state)
 
+    def asks(self, state: Any) -> bool:
+        """Tell whether the next level has patterns to show."""
+        return self._of(state).asks(state)
+
     def refine(
         self, state: Any, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> LevelState:

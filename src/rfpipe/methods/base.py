@@ -223,6 +223,10 @@ class Method(ABC, Generic[State]):
     def schedule(self, state: State) -> Schedule:
         """Return the patterns of the next level."""
 
+    def asks(self, state: State) -> bool:
+        """Tell whether the next level has patterns to show."""
+        return self.schedule(state).count > 0
+
     @abstractmethod
     def refine(self, state: State, images: LevelImages, memory_bytes: int = MEMORY_BYTES) -> State:
         """Return the state after a level's images.

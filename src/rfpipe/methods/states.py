@@ -145,6 +145,10 @@ class Descent(PackingMethod[State]):
         self.check(camera, projector)
         return BlockTree(projector).n_levels
 
+    def asks(self, state: Any) -> bool:
+        """Tell whether blocks are left to subdivide, without colouring them."""
+        return state.level == 0 or len(state.frontier) > 0
+
     def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Guess the patterns from those of the thesis' scene, so many a level."""
         levels = self.n_levels(camera, projector)

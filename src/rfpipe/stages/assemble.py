@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.images import masked_rays
 from rfpipe.stages.merging.references import REFERENCES, read_floodlit
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.results import standing
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.filling import fill_from_transpose
@@ -23,32 +23,31 @@ __all__ = ["run"]
 def run(
     plan: Plan,
     folder: AcquisitionFolder,
-    manifest: Path,
+    *,
     scene: str,
     number_format: NumberFormat,
     code: str,
 ) -> None:
-    """Write ``transport.zarr`` beside its manifest.
+    """Write ``transport.zarr`` and, beside it, ``transport.json``.
 
     Parameters
     ----------
     plan : Plan
     folder : AcquisitionFolder
-    manifest : Path
-        Written last.
     scene : str
         Name, kept with the transport.
     number_format : {"float32", "uint16", "uint8"}
         How the store keeps its numbers, see `rfpipe.transport.save_transport`.
     code : str
-        Fingerprint of the code behind the stage.
+        Digest of the code behind the stage.
     """
-    n_levels = plan.n_levels
-    refined = [folder.read_manifest(level, "refine")["digest"] for level in range(n_levels)]
+    plan.settle(folder)
+    levels = folder.levels_above(None)
     made_of = {
-        "refine": refined,
+        "refine": [[level, folder.read_manifest(level, "refine")["digest"]] for level in levels],
         "references": folder.read_manifest(0, "merge")[REFERENCES]["digest"],
     }
+    manifest = folder.path / "transport.json"
     made_from = fingerprint(
         {
             "plan": plan.describe(),
@@ -57,8 +56,10 @@ def run(
             "code": code,
         }
     )
+    if standing(manifest, made_from):
+        return
     masked = masked_rays(read_floodlit(folder)[1])
-    state = plan.state_before(folder, n_levels)
+    state = plan.state_before(folder, None)
     transport = fill_from_transpose(plan.method.transport(state), masked)
     about: dict[str, Any] = {"scene": scene, "method": plan.name, "fingerprint": made_from}
     store = manifest.with_suffix(".zarr")

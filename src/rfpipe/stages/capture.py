@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from math import prod
@@ -18,6 +18,7 @@ from rfpipe.rigs.sequences import sequence_patterns
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.devices import counted_by, difference
 from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run
+from rfpipe.stages.capturing.moves import every_of
 from rfpipe.stages.capturing.mutual import MutualCapture, mutual_watch
 from rfpipe.stages.capturing.sensors import write_sensor
 from rfpipe.stages.capturing.shared import Shared, take_shared
@@ -32,7 +33,7 @@ from rfpipe.stages.folder import (
     name_of,
 )
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.results import standing_manifest
+from rfpipe.stages.results import standing
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import bytes_on_disk, write_manifest
 from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
@@ -50,18 +51,19 @@ class Watching:
 
     Parameters
     ----------
-    look_patterns : int
-        Patterns from one look at the rig to the next, 0 for none: whether it moved.
+    mode : {"off", "warn", "refuse"}
+        What to do when the rig moved, or a coaxial one isn't aligned: refuse ends the capture.
+    looks : int or None
+        Patterns from one look at the rig to the next, 0 for none. None: eight, where the patterns
+        of a method that rests on ``T = T'`` don't tell by themselves.
     mutual_error : float
         Error in a picture of a rig taken for a coaxial one from which on it is said; 0: not
         watched.
-    refuse : bool
-        Whether to end the capture where either is wrong.
     """
 
-    look_patterns: int = 0
+    mode: Literal["off", "warn", "refuse"] = "off"
+    looks: int | None = None
     mutual_error: float = 0.0
-    refuse: bool = False
 
 
 def run(
@@ -77,7 +79,7 @@ def run(
     keep_raw: bool = True,
     warm_up_minutes: float = 0.0,
     drift_patterns: int = 0,
-    watching: Watching | None = None,
+    watching: Mapping[str, Any] | None = None,
     share: Shared = "none",
     resources: Resources | None = None,
 ) -> None:
@@ -106,8 +108,8 @@ def run(
         For how long the lamp warms up when no bracket was taken for as long.
     drift_patterns : int
         Patterns from one look at the floodlit image to the next, from level 1 on; 0 for none.
-    watching : Watching, optional
-        What else is looked after while patterns are shown.
+    watching : mapping, optional
+        Parameters of `Watching`; none watches nothing else.
     share : {"none", "black", "all"}
         Reference brackets to share, see `rfpipe.stages.capturing.shared.take_shared`.
     resources : Resources, optional
@@ -130,7 +132,7 @@ def run(
     facts: dict[str, dict[str, Any]] = {REFERENCE: counted, SYMMETRY: {"frames": symmetry_frames}}
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
     parts = [*before.values(), of_level]
-    if folder.believing and _stands(folder, level, of_level, before):
+    if _stands(folder, level, of_level, before):
         _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
         return
     for part in parts:
@@ -158,7 +160,8 @@ def run(
     beside: dict[str, Any] = {} if level else write_sensor(folder, rig.sensor)
     for name, part in before.items():
         beside[name] = {**part.capture(batch), **facts[name]}
-    with _watches(of_level, folder, level, drift_patterns, watching) as watches:
+    watched = Watching(**(watching or {}))
+    with _watches(of_level, folder, level, drift_patterns, watched) as watches:
         captured = of_level.capture(batch, Watches(watches))
         beside |= {watch.name: watch.entry() for watch in watches}
     is_counts = rig.sensor.frame_dtype == COUNTS
@@ -184,23 +187,25 @@ def _watches(
     folder: AcquisitionFolder,
     level: int,
     drift_patterns: int,
-    watching: Watching | None,
+    watching: Watching,
 ) -> Iterator[list[LookWatch | MutualCapture]]:
     """Provide all that watches a level."""
+    refuse = watching.mode == "refuse"
+    is_coaxial = bool(folder.read_manifest(level, "schedule").get("coaxial"))
     with ExitStack() as stack:
         watches: list[LookWatch | MutualCapture | None] = [
             stack.enter_context(
                 drift_watch(of_level, folder, level, drift_patterns if level else 0)
             )
         ]
-        if watching:
-            refuse = watching.refuse
-            looks = move_watch(of_level, folder, level, watching.look_patterns, refuse=refuse)
-            watches.append(stack.enter_context(looks))
-        if watching and watching.mutual_error and 0 < level < VERIFICATION:
+        if watching.mode != "off":
+            every = every_of(watching.looks, tells=is_coaxial)
             watches.append(
-                mutual_watch(of_level, folder, level, watching.mutual_error, refuse=refuse)
+                stack.enter_context(move_watch(of_level, folder, level, every, refuse=refuse))
             )
+        if watching.mode != "off" and is_coaxial and 0 < level < VERIFICATION:
+            least = watching.mutual_error
+            watches.append(mutual_watch(of_level, folder, level, least, refuse=refuse))
         yield [watch for watch in watches if watch]
 
 
@@ -262,7 +267,7 @@ def _stands(
     folder: AcquisitionFolder, level: int, of_level: Brackets, before: dict[str, Brackets]
 ) -> bool:
     """Whether the level's manifest stands there and is about these brackets."""
-    stated = standing_manifest(folder.manifest(level, "capture"), of_level.made_for)
+    stated = standing(folder.manifest(level, "capture"), of_level.made_for)
     return stated is not None and all(
         stated.get(name, {}).get("fingerprint") == part.made_for for name, part in before.items()
     )

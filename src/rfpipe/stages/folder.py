@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import DamagedStageError, IntegrityError, StoreError
 from rfpipe.keys import VERIFICATION_KEY
-from rfpipe.store import ArrayBundle, FrameStore, open_arrays, read_manifest
+from rfpipe.store import ArrayBundle, FrameStore, open_arrays, read_manifest, restore_header
 from rfpipe.store.places import Place
 
 __all__ = [
@@ -21,7 +21,9 @@ __all__ = [
     "VERIFICATION",
     "AcquisitionFolder",
     "advice_on_damage",
+    "clear",
     "name_of",
+    "next_level",
 ]
 
 REFERENCE = "reference"
@@ -42,23 +44,14 @@ class AcquisitionFolder:
     ----------
     path : Path
         ``results/{scene}/{method}``.
-    believing : bool
-        Whether a stage believes its own manifest where one stands there, rather than check every
-        byte of its store.
     """
 
     path: Path
-    believing: bool = False
 
     def manifest(self, level: int, stage: str) -> Path:
         """Manifest of a stage of a level; its existence says that the stage is complete."""
         name = "verification" if level == VERIFICATION else f"L{level:02d}"
         return self.path / name / f"{stage}.json"
-
-    @property
-    def asked(self) -> Path:
-        """What the last job to end was asked for: a note of it, as its log is, and no result."""
-        return self.path / "acquire.asked"
 
     def store(self, level: int, stage: str) -> Path:
         """Store that the manifest is about."""
@@ -68,9 +61,29 @@ class AcquisitionFolder:
         """Read the manifest of a stage of a level; see `rfpipe.store.read_manifest`."""
         return read_manifest(self.manifest(level, stage))
 
-    def refined_above(self, level: int) -> list[str]:
-        """Digests of what the levels above a level found: all that its schedule rests on."""
-        return [self.read_manifest(above, "refine")["digest"] for above in range(level)]
+    def levels(self) -> Iterator[int]:
+        """Yield the levels that have patterns to show, as far as that is known.
+
+        Level 0 is the first; the refinement of each tells the next one.
+
+        Raises
+        ------
+        StoreError
+            When a refinement is of an earlier version of rfpipe.
+        """
+        level: int | None = 0
+        while level is not None:
+            yield level
+            manifest = self.manifest(level, "refine")
+            level = next_level(manifest) if manifest.exists() else None
+
+    def levels_above(self, level: int | None) -> list[int]:
+        """Return the levels with patterns above a level; all of them for None."""
+        return [above for above in self.levels() if level is None or above < level]
+
+    def refined_above(self, level: int | None) -> list[str]:
+        """Return the digests of all refinements above a level, which its schedule rests on."""
+        return [self.read_manifest(above, "refine")["digest"] for above in self.levels_above(level)]
 
     def read(
         self, level: int, stage: str, part: str | None = None
@@ -102,7 +115,14 @@ class AcquisitionFolder:
         expected = read_manifest(manifest)
         with advice_on_damage(manifest):
             bundle = open_arrays(self.store(level, part or stage))
-            _check_digest(bundle.path, bundle.digest, expected[part] if part else expected)
+            stated = expected[part] if part else expected
+            if "digest" in stated:
+                _check_digest(bundle.path, bundle.digest, stated)
+            elif bundle.attributes.get("facts") != expected:
+                raise IntegrityError(
+                    f"{bundle.path}: holds other patterns than {manifest.name} says. Run the "
+                    "stage that writes it again"
+                )
         return _Opened(bundle, manifest), bundle.attributes
 
     @contextmanager
@@ -139,6 +159,25 @@ class _Opened(Mapping[str, NDArray[Any]]):
         return len(self.bundle.names)
 
 
+def next_level(refined: Path) -> int | None:
+    """Return the level that follows a refined one, by its manifest; None where none has patterns.
+
+    Raises
+    ------
+    StoreError, IntegrityError
+        When the manifest is missing, damaged, or of an earlier version of rfpipe.
+    """
+    stated = read_manifest(refined)
+    if "next" not in stated:
+        raise StoreError(
+            f"{refined}: is of an earlier version of rfpipe. Remove the schedule.json, merge.json, "
+            f"normalize.json and refine.json of {refined.parents[1]}/L*, and run again: what was "
+            "captured is kept"
+        )
+    following: int | None = stated["next"]
+    return following
+
+
 def name_of(level: int) -> str:
     """Return what messages call a level."""
     return "verification" if level == VERIFICATION else f"level {level}"
@@ -158,6 +197,21 @@ def advice_on_damage(manifest: Path) -> Iterator[None]:
     except StoreError as error:
         text = f"{error}. To do so, remove {manifest} and run again"
         raise DamagedStageError(text, manifest) from error
+
+
+def clear(error: DamagedStageError) -> bool:
+    """Remove the manifest of a damaged stage, so that it is made anew; tell whether it is.
+
+    Captures are left to the user, who knows whether the scene still stands there: of theirs,
+    headers alone are restored.
+    """
+    manifest = error.manifest
+    if manifest.stem == "capture":
+        restored = [restore_header(store) for store in manifest.parent.glob("*.zarr")]
+        if not any(restored):
+            return False
+    manifest.unlink(missing_ok=True)
+    return True
 
 
 def _check_digest(path: Path | Place, found: str, expected: dict[str, Any]) -> None:

@@ -21,14 +21,30 @@ from rfpipe.stages.capture import frame_settings
 from rfpipe.stages.capturing.placing import Placing
 from rfpipe.stages.capturing.sensors import SENSOR
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
-from rfpipe.stages.plan import Plan
 from rfpipe.store import FrameStore, open_arrays
 
-__all__ = ["BegunRig", "begun_rig", "check_rig", "run"]
+__all__ = ["BegunRig", "Rays", "begun_rig", "check_rig", "run"]
+
+
+@dataclass(frozen=True)
+class Rays:
+    """The rays that the settings of a scene say a rig to have.
+
+    Parameters
+    ----------
+    camera_shape, projector_shape : sequence of int
+        See `rfpipe.blocks.RayDomain`.
+    channels : int
+        Colour channels, 1 or 3.
+    """
+
+    camera_shape: Sequence[int]
+    projector_shape: Sequence[int]
+    channels: int
 
 
 def run(
-    plan: Plan,
+    rays: Rays,
     folder: AcquisitionFolder,
     level: int,
     *,
@@ -45,8 +61,8 @@ def run(
 
     Parameters
     ----------
-    plan : Plan
-        Its rays and channels must be the rig's.
+    rays : Rays
+        They must be the rig's.
     folder : AcquisitionFolder
     level : int
     url : str
@@ -63,7 +79,7 @@ def run(
     ConfigError
         When there is no token.
     CaptureError
-        When the rig isn't there, is another than the plan's, or than that of what was captured
+        When the rig isn't there, has other rays, or is another than that of what was captured
         before.
     """
 
@@ -73,7 +89,7 @@ def run(
         file = None if token_file is None else Path(token_file)
         rig = RemoteRig(url, read_token(file), patience_seconds)
         try:
-            check_rig(rig, plan, url)
+            check_rig(rig, rays, url)
             if level == 0:
                 warn_of(rig.describe(), url)
         except BaseException:
@@ -81,19 +97,20 @@ def run(
             raise
         return rig
 
-    rig = begun_rig(plan, folder, connected) or connected()
+    rig = begun_rig(rays, folder, connected) or connected()
     try:
         capture.run(rig, folder, level, **options)
     finally:
         rig.close()
 
 
-def check_rig(rig: Rig, plan: Plan, name: str) -> None:
-    """Raise CaptureError where a rig has other rays or channels than a plan."""
+def check_rig(rig: Rig, rays: Rays, name: str) -> None:
+    """Raise CaptureError where a rig has other rays or channels."""
+    camera = "camera rays (camera_shape; null for a coaxial rig)"
     for what, found, expected in (
-        ("projector rays (shape, views)", rig.projector_shape, plan.projector.shape),
-        ("camera rays (camera_shape; null for a coaxial rig)", rig.camera_shape, plan.camera.shape),
-        ("channels", rig.channels, plan.channels),
+        ("projector rays (shape, views)", tuple(rig.projector_shape), tuple(rays.projector_shape)),
+        (camera, tuple(rig.camera_shape), tuple(rays.camera_shape)),
+        ("channels", rig.channels, rays.channels),
     ):
         if found != expected:
             raise CaptureError(
@@ -103,7 +120,7 @@ def check_rig(rig: Rig, plan: Plan, name: str) -> None:
 
 
 def begun_rig(
-    plan: Plan, folder: AcquisitionFolder, connect: Callable[[], RemoteRig]
+    rays: Rays, folder: AcquisitionFolder, connect: Callable[[], RemoteRig]
 ) -> BegunRig | None:
     """Return the rig that an acquisition was begun with, None where nothing is captured yet."""
     try:
@@ -116,7 +133,7 @@ def begun_rig(
         sensor = sensor_from_description(described["sensor"], arrays)
     except (StoreError, InputError, KeyError):
         return None  # the rig itself will say, and whoever reads the frames
-    return BegunRig(plan, described, sensor, connect)
+    return BegunRig(rays, described, sensor, connect)
 
 
 @dataclass
@@ -125,7 +142,7 @@ class BegunRig:
 
     Parameters
     ----------
-    plan : Plan
+    rays : Rays
     described : dict
         Its description when the first frames were captured.
     sensor : Sensor
@@ -133,16 +150,16 @@ class BegunRig:
         Returns the rig.
     """
 
-    plan: InitVar[Plan]
+    rays: InitVar[Rays]
     described: dict[str, Any]
     sensor: Sensor
     connect: Callable[[], RemoteRig]
     seconds_per_pattern: float = field(default=0.0, init=False)
 
-    def __post_init__(self, plan: Plan) -> None:
-        self.camera_shape = plan.camera.shape
-        self.projector_shape = plan.projector.shape
-        self.channels = plan.channels
+    def __post_init__(self, rays: Rays) -> None:
+        self.camera_shape = tuple(rays.camera_shape)
+        self.projector_shape = tuple(rays.projector_shape)
+        self.channels = rays.channels
         self._rig: RemoteRig | None = None
         self._before: dict[str, dict[str, int]] = {}
 

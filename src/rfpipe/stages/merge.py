@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import IntegrityError, LockedError, StoreError
+from rfpipe.errors import LockedError, StoreError
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
+from rfpipe.stages import symmetry
 from rfpipe.stages.capturing import moves
 from rfpipe.stages.capturing.drift import DRIFT, measure
 from rfpipe.stages.capturing.moves import MOVES
@@ -22,8 +23,13 @@ from rfpipe.stages.jobs.progress import Progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
 from rfpipe.stages.merging.raw import RawFrames
-from rfpipe.stages.merging.references import REFERENCES, learn_references, read_merger
-from rfpipe.stages.results import intact_bundle, standing_manifest
+from rfpipe.stages.merging.references import (
+    REFERENCES,
+    intact_bundle,
+    learn_references,
+    read_merger,
+)
+from rfpipe.stages.results import standing
 from rfpipe.store import (
     FrameStore,
     ItemWriter,
@@ -69,13 +75,14 @@ def run(
         The one that took the frames.
     folder : AcquisitionFolder
     level : int
-        Level 0 also learns the black level, the defects and the floodlit image.
+        Level 0 also learns the black level, the defects and the floodlit image, and whether the
+        rig is coaxial, where random patterns were taken for that.
     saturation_fraction : float
         Counts from this fraction of full scale on are not used.
     mask_defects : bool
         Whether dead and hot pixels are left out: of infinite variance in every image.
     code : str
-        Fingerprint of the code behind the stage.
+        Digest of the code behind the stage.
     divide_out_drift : bool
         Whether images are divided by the light's brightness at their time, where a drift watch
         measured it.
@@ -119,8 +126,10 @@ def run(
     made_from = fingerprint([made_of, code])
     store = folder.store(level, "merge")
     manifest = folder.manifest(level, "merge")
-    standing = standing_manifest(manifest, made_from) if folder.believing else None
-    facts = standing or _kept(folder, level, made_of, made_from)
+    facts = standing(manifest, made_from)
+    is_new = facts is None
+    if is_new:
+        facts = _kept(folder, level, made_of, made_from)
     if facts is None:
         # A merge is quick beside its capture, so that one that was interrupted starts anew.
         FrameStore.discard(store)
@@ -138,8 +147,13 @@ def run(
             "versions": versions(),
         }
         write_manifest(store / _COPY, facts)
-    if standing is None:
+    if is_new:
         write_manifest(manifest, facts)
+    if level == 0:
+        symmetry.run(
+            sensor, folder,
+            saturation_fraction=saturation_fraction, code=code, keep_raw=keep_raw,
+        )  # fmt: skip
     if not keep_raw:
         _drop_raw(folder, level)
 
@@ -261,7 +275,7 @@ def _merge(
                 items_per_chunk=chunk,
                 chunks_per_file=run_chunks,
             ) as images,
-            resources.within.workers(work.bytes_in_hand, store.parent) as workers,
+            resources.workers(work.bytes_in_hand, store.parent) as workers,
         ):
             with Progress(f"{name_of(level)} merge", count, quick=True) as progress:
                 for first, digests, of_run in workers.results(work, pieces):
@@ -291,29 +305,23 @@ def _merge(
 def _kept(
     folder: AcquisitionFolder, level: int, made_of: dict[str, Any], made_from: str
 ) -> dict[str, Any] | None:
-    """Return the manifest of stores that were made from the same things and are undamaged.
+    """Return the manifest of merged images whose frames were dropped; None where frames are there.
 
-    Raises StaleStoreError where there are none and the frames to make them from were dropped.
+    Raises StaleStoreError where the images are damaged or of other settings.
     """
     raw = RawFrames(folder, level, "capture")
-    copy = folder.store(level, "merge") / _COPY
-    if not copy.exists():
-        raw.must_be_there("there are no merged images of them")
+    if not raw.dropped:
         return None
+    copy = folder.store(level, "merge") / _COPY
     try:
         facts = read_manifest(copy)
-    except IntegrityError as error:
-        raw.must_be_there("what is known of the merged images is damaged")
-        _log.warning("made anew, since it is damaged: %s", error)
-        return None
+    except StoreError:
+        raw.must_be_there("there are no whole merged images of them")
+        raise
     if facts["fingerprint"] != made_from:
-        if not raw.dropped:
-            return None
         raw.must_be_unchanged(facts["made_of"], made_of)
     if not _is_intact(folder, level, facts):
         raw.must_be_there("the merged images are damaged")
-        return None
-    _log.info("%s: made from the same things before; kept", folder.store(level, "merge"))
     return facts
 
 

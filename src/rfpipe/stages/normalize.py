@@ -11,7 +11,7 @@ from rfpipe.stages.merge import SUMS, read_level_sum
 from rfpipe.stages.merging.images import known_light, normalize_level
 from rfpipe.stages.merging.references import REFERENCES, read_floodlit
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.stages.results import standing, write_bundle
 from rfpipe.stages.schedule import read_schedule
 
 __all__ = ["read_normalization", "run"]
@@ -30,8 +30,9 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     level : int
     mode : {"none", "per_channel", "total_energy"}
     code : str
-        Fingerprint of the code behind the stage.
+        Digest of the code behind the stage.
     """
+    plan.settle(folder, aloud=level == 0)
     manifest = folder.manifest(level, "normalize")
     planned = folder.read_manifest(level, "schedule")
     made_of = {
@@ -46,7 +47,7 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     if not planned["complete"] and mode != "none":
         made_of |= {"plan": plan.describe(), "refine": folder.refined_above(level)}
     made_from = fingerprint(made_of)
-    if accept_bundle(manifest, made_from, believing=folder.believing):
+    if standing(manifest, made_from):
         return
     schedule = read_schedule(folder, level)
     known = None

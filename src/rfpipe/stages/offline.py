@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError, PicturesNeeded
 from rfpipe.rigs.offline import OfflineRig, Sheet, check_pictures, offline_rig, read_sheet
 from rfpipe.rigs.offline.sheet import MANIFEST, write_sheet
-from rfpipe.stages import capture, levels
+from rfpipe.stages import acquisition, capture
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.settings import asked_of, stages_of
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan, plan_of
+from rfpipe.stages.settings import stages_of
+from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
@@ -78,7 +79,7 @@ class OfflineAcquisition:
         Raises
         ------
         RfpipeError
-            As `rfpipe.stages.levels.run`.
+            As `rfpipe.stages.acquisition.run`.
         """
 
         def captured(folder: AcquisitionFolder, level: int, **options: Any) -> None:
@@ -87,18 +88,12 @@ class OfflineAcquisition:
 
         log = logging.getLogger("rfpipe")
         handlers = list(log.handlers)
-        plan = plan_of(self.settings, self.scene, self.name)
+        plan = Plan(**plan_of(self.settings, self.scene, self.name))
         stages = stages_of(self.settings, self.scene, self.name)
+        resources = resources or Resources(self.settings.resources.memory_gib)
         try:
-            levels.run(
-                Plan(**plan),
-                self._files,
-                self.scene,
-                captured,
-                **stages,
-                resources=resources or Resources(self.settings.resources.memory_gib),
-                asked=asked_of(plan, stages),
-            )
+            with StoreLock(self.folder):
+                acquisition.run(plan, self._files, captured, stages, resources)
         except PicturesNeeded:
             return self._level
         finally:
@@ -170,7 +165,7 @@ class OfflineAcquisition:
 
     @property
     def _files(self) -> AcquisitionFolder:
-        return AcquisitionFolder(self.folder, believing=True)
+        return AcquisitionFolder(self.folder)
 
     def _asked(self, rig: OfflineRig) -> Asked:
         """Yield key and pattern of all that the level lacks."""

@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from numpy.typing import NDArray
+
 from rfpipe.blocks import RayDomain
 from rfpipe.methods import Method, Pack, get_method, options_of
+from rfpipe.methods.states import unprefixed
 from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.symmetry import read_asymmetry
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
@@ -30,6 +34,9 @@ class Plan:
         Colour channels, 1 or 3.
     options : mapping
         The method's.
+    asymmetry : float
+        Error in relit pictures, relative to their norm, that taking the rig for a coaxial one may
+        make.
 
     Raises
     ------
@@ -45,6 +52,7 @@ class Plan:
         projector_shape: Sequence[int],
         channels: int,
         options: Mapping[str, Any] | None = None,
+        asymmetry: float = 0.05,
     ) -> None:
         self.name = name
         named = get_method(method)
@@ -52,7 +60,9 @@ class Plan:
         self.projector = RayDomain(tuple(projector_shape))
         self.channels = channels
         self.options = options_of(named, **(options or {}))
-        self.method: Method[Any] = named.with_options(self.options)
+        self.asymmetry = asymmetry
+        self.named: Method[Any] = named.with_options(self.options)
+        self.method: Method[Any] = self.named
         self._carried: tuple[int, Any] | None = None
         self._restored: tuple[list[str], Any] | None = None
 
@@ -66,20 +76,38 @@ class Plan:
         """Whether it has to be known if the rig is coaxial."""
         return self.method.asks_symmetry(self.camera, self.projector)
 
-    def settle(self, method: Method[Any]) -> None:
-        """Go on by the method that a choice has come to, which takes the same options."""
-        self.method = method.with_options(self.options)
-        self._carried = self._restored = None
+    def settle(self, folder: AcquisitionFolder, *, aloud: bool = False) -> None:
+        """Go on, after level 0's pictures, by the method that suits the rig.
+
+        Parameters
+        ----------
+        folder : AcquisitionFolder
+        aloud : bool
+            Whether to log what the rig was found to be.
+
+        Raises
+        ------
+        CaptureError
+            When the method needs a coaxial rig, and this is none.
+        """
+        measured = read_asymmetry(folder)
+        if measured is not None:
+            named = measured.judge(self.named, self.options, self.asymmetry, aloud=aloud)
+        else:
+            is_coaxial = self.camera.shape == self.projector.shape
+            named = self.named if is_coaxial else self.named.on_rig(coaxial=False)
+        self.method = named.with_options(self.options)
 
     def carry(self, level: int, state: Any) -> None:
         """Keep the method's state before a level for `state_before`; None for one to restore."""
         self._carried = None if state is None else (level, state)
         self._restored = None
 
-    def state_before(self, folder: AcquisitionFolder, level: int) -> Any:
-        """Return the method's state before a level: carried from the one above, or what all left.
+    def state_before(self, folder: AcquisitionFolder, level: int | None) -> Any:
+        """Return the method's state before a level; None for that after the last one.
 
-        It is restored once, and of what levels left only that is read which the state consists of.
+        It is carried from the level above, or restored once from what all levels left: of that
+        alone is read what the state consists of.
 
         Raises
         ------
@@ -90,19 +118,16 @@ class Plan:
             return self._carried[1]
         refined = [str(folder.path), *folder.refined_above(level)]
         if self._restored is None or self._restored[0] != refined:
-            packs = []
-            for above in range(level):
-                arrays, attributes = folder.open(above, "refine")
-                packs.append(Pack(arrays, attributes["state"]))
+            packs = [pack for above in folder.levels_above(level) for pack in _packs(folder, above)]
             start = self.method.start(self.camera, self.projector, self.channels, self.options)
             self._restored = refined, self.method.restore(start, packs)
         return self._restored[1]
 
-    def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints."""
+    def describe(self, method: Method[Any] | None = None) -> dict[str, Any]:
+        """Plain data for fingerprints, of the settled method if no other one is given."""
         return {
             "name": self.name,
-            "method": self.method.name,
+            "method": (method or self.method).name,
             "camera_shape": list(self.camera.shape),
             "projector_shape": list(self.projector.shape),
             "channels": self.channels,
@@ -110,9 +135,28 @@ class Plan:
         }
 
 
+def packed(packs: Sequence[Pack]) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
+    """Return arrays and plain data of a level's pack, and of those without patterns behind it."""
+    arrays = {
+        f"{number}_{name}" if number else name: array
+        for number, pack in enumerate(packs)
+        for name, array in pack.arrays.items()
+    }
+    return arrays, [dict(pack.attributes) for pack in packs]
+
+
+def _packs(folder: AcquisitionFolder, level: int) -> list[Pack]:
+    """Undo `packed`."""
+    arrays, attributes = folder.open(level, "refine")
+    states = attributes["states"]
+    behind = [unprefixed(f"{number}_", arrays) for number in range(1, len(states))]
+    return [Pack(*held) for held in zip([arrays, *behind], states, strict=True)]
+
+
 def plan_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
     """Return the arguments of one of a run's plans as plain data."""
     section, about = settings.methods_of(scene)[name], settings.scenes[scene]
+    capture = settings.of_scene(scene).capture
     return {
         "name": name,
         "method": section.method or name,
@@ -120,4 +164,5 @@ def plan_of(settings: Config, scene: str, name: str) -> dict[str, Any]:
         "projector_shape": list(about.ray_shape),
         "channels": about.channels,
         "options": section.options(),
+        "asymmetry": capture.asymmetry,
     }

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merge import MergedFrames
-from rfpipe.stages.merging.images import NormalizedImages
+from rfpipe.stages.merging.images import NormalizedImages, no_images
 from rfpipe.stages.normalize import read_normalization
-from rfpipe.stages.plan import Plan
-from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.stages.plan import Plan, packed
+from rfpipe.stages.results import standing, write_bundle
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.units import RADIANCE_UNIT
 
@@ -25,8 +23,11 @@ def run(
     level: int,
     code: str,
     resources: Resources | None = None,
-) -> Any:
+) -> None:
     """Refine the method's state by a level's images; write what the level added.
+
+    Levels behind it that have no patterns to show are passed on the way: what they add is written
+    with it, and its manifest tells which level is ``next``, null where there is none.
 
     Parameters
     ----------
@@ -34,15 +35,12 @@ def run(
     folder : AcquisitionFolder
     level : int
     code : str
-        Fingerprint of the code behind the stage.
+        Digest of the code behind the stage.
     resources : Resources, optional
         What the stage may use; by default one thread and 4 GiB.
 
-    Returns
-    -------
-    State or None
-        The method's state after the level; None where what the level added stands there already.
     """
+    plan.settle(folder)
     manifest = folder.manifest(level, "refine")
     planned = folder.read_manifest(level, "schedule")
     made_from = fingerprint(
@@ -55,21 +53,28 @@ def run(
             "code": code,
         }
     )
-    if accept_bundle(manifest, made_from, believing=folder.believing):
-        return None
+    if standing(manifest, made_from):
+        return
+    method = plan.method
     state = plan.state_before(folder, level)
     schedule, factors = read_schedule(folder, level), read_normalization(folder, level)
     with folder.frames(level, "merge") as merged:
         images = NormalizedImages(schedule, MergedFrames(merged), factors)
-        state = plan.method.refine(state, images, (resources or Resources()).data_bytes)
+        state = method.refine(state, images, (resources or Resources()).data_bytes)
     log_estimate(state.rows, plan.options)
-    pack = plan.method.pack(state)
+    packs, following = [method.pack(state)], level + 1
+    while following < plan.n_levels and not method.asks(state):
+        state = method.refine(state, no_images(method.schedule(state), factors))
+        packs.append(method.pack(state))
+        following += 1
+    arrays, states = packed(packs)
     facts = {
         "stage": "refine",
         "method": plan.name,
         "level": level,
+        "next": following if following < plan.n_levels else None,
         "patterns": planned["patterns"],
         "units": RADIANCE_UNIT,
     }
-    write_bundle(manifest, made_from, pack.arrays, facts, state=dict(pack.attributes))
-    return state
+    write_bundle(manifest, made_from, arrays, facts, states=states)
+    plan.carry(facts["next"], state)

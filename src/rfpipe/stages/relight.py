@@ -16,7 +16,7 @@ from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.slices import leaf_levels, line_patterns
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.references import read_floodlit
-from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.stages.results import write_bundle
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.units import RADIANCE_UNIT
@@ -234,15 +234,13 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     scene : SceneSettings
         The scene that it was acquired from.
     code : str
-        Fingerprint of the code behind the stage.
+        Digest of the code behind the stage.
     """
     from rfpipe.scenes import relighting_patterns, scene_from_config, scene_patterns
 
     manifest = folder / "relight.json"
     acquired = read_manifest(folder / "transport.json")
     made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
-    if accept_bundle(manifest, made_from):
-        return
     check_transport(folder / "transport.zarr")
     transport = open_transport(folder / "transport.zarr")
     if not scene.has_truth:

@@ -113,7 +113,9 @@ class RecordedScene(Scene):
         digests = []
         patterns, images = [], [floodlit[None]]
         shape: tuple[int, ...] = ()
-        for level in _levels(recorded):
+        for level in recorded.levels():
+            if not recorded.manifest(level, "merge").exists():
+                break
             schedule = read_schedule(recorded, level)
             shape = schedule.shape
             if not schedule.count:
@@ -182,11 +184,3 @@ def _symmetry(folder: AcquisitionFolder) -> NDArray[np.float32] | None:
         if frames.dropped:
             return None
         return merger.merge(frames.read(0, frames.shape[0]), 0).radiance
-
-
-def _levels(folder: AcquisitionFolder) -> list[int]:
-    """Return the levels that are merged, from the first on."""
-    found: list[int] = []
-    while folder.manifest(len(found), "merge").exists():
-        found.append(len(found))
-    return found

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
+from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
-from rfpipe.provenance import fingerprint
+from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.stages.results import standing
+from rfpipe.store import write_arrays, write_manifest
 
-__all__ = ["read_schedule", "run"]
+__all__ = ["read_schedule", "run", "write_schedule"]
 
 
 _UNITS = "number of the pattern that lights a ray, -1 for none"
@@ -26,27 +29,49 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
     folder : AcquisitionFolder
     level : int
     code : str
-        Fingerprint of the code behind the stage.
+        Digest of the code behind the stage.
+
+    Raises
+    ------
+    InputError
+        When the level has no patterns to show.
     """
     manifest = folder.manifest(level, "schedule")
+    if level:
+        plan.settle(folder)
+    method = plan.method if level else plan.named
     made_from = fingerprint(
-        {"plan": plan.describe(), "refine": folder.refined_above(level), "code": code}
+        {"plan": plan.describe(method), "refine": folder.refined_above(level), "code": code}
     )
-    if accept_bundle(manifest, made_from, believing=folder.believing):
+    if standing(manifest, made_from):
         return
-    schedule = plan.method.schedule(plan.state_before(folder, level))
+    schedule = method.schedule(plan.state_before(folder, level))
+    if level and not schedule.count:
+        raise InputError(f"{folder.path}: level {level} has no patterns to show")
+    write_schedule(manifest, made_from, schedule, coaxial=method.needs_coaxial_rig)
+
+
+def write_schedule(manifest: Path, made_from: str, schedule: Schedule, **facts: Any) -> None:
+    """Write a schedule, and a manifest that says nothing but what is to be shown.
+
+    The manifest of the same patterns stays the same, whatever they follow from: by that Snakemake
+    knows that they needn't be captured again.
+    """
     held = {"weights": schedule.weights, "pattern_of_ray": schedule.pattern_of_ray}
     arrays = {name: array for name, array in held.items() if array is not None}
-    facts = {
+    stated = {
         "stage": "schedule",
-        "level": level,
+        "level": schedule.level,
         "patterns": schedule.count,
         "complete": schedule.complete,
         "shown": schedule.digest(),
         "shape": list(schedule.shape),
         "units": _UNITS if schedule.weights is None else _WEIGHT_UNITS,
+        **facts,
     }
-    write_bundle(manifest, made_from, arrays, facts)
+    made = {"fingerprint": made_from, "versions": versions()}
+    write_arrays(manifest.with_suffix(".zarr"), arrays, {"facts": stated, **made})
+    write_manifest(manifest, stated)
 
 
 def read_schedule(folder: AcquisitionFolder, level: int) -> Schedule:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,7 @@ from rfpipe.store import drop, read_manifest, write_manifest
 if TYPE_CHECKING:
     from rfpipe.methods import Method, Options
 
-__all__ = ["NOTICED", "Asymmetry", "measure", "run"]
+__all__ = ["NOTICED", "Asymmetry", "measure", "read_asymmetry", "run"]
 
 # Symmetric photography is off by one and a half times the error that is predicted; what is worth a
 # word is a fifth of what is refused.
@@ -66,10 +66,13 @@ class Asymmetry:
         """What the error surely is, at least."""
         return self.error - CONFIDENCE * self.standard_error
 
-    def judge(self, method: Method[Any], options: Options, accepted: float) -> Method[Any]:
+    def judge(
+        self, method: Method[Any], options: Options, accepted: float, *, aloud: bool = True
+    ) -> Method[Any]:
         """Return the method to go on with on a rig whose error is surely above `accepted`, or not.
 
-        Where a method has the choice, it is less than `accepted` if its target is.
+        Where a method has the choice, it is less than `accepted` if its target is. `aloud` logs
+        what was found.
 
         Raises
         ------
@@ -89,6 +92,8 @@ class Asymmetry:
             )
         wished: float = min(accepted, getattr(options, "target_error", None) or accepted)
         chosen = method.on_rig(self.least <= wished)
+        if not aloud:
+            return chosen
         if chosen is not method:
             _log.info(
                 "taking the rig for a coaxial one makes an error of %.1f%% +- %.1f%% in relit "
@@ -145,47 +150,55 @@ def run(
     saturation_fraction: float,
     code: str,
     keep_raw: bool = True,
-) -> Asymmetry:
-    """Measure a rig by the random patterns that level 0 began with, and write the manifest.
+) -> None:
+    """Measure a rig by the random patterns that level 0 began with, and write ``symmetry.json``.
+
+    Where there are none, there is no such file.
 
     Parameters
     ----------
     sensor : Sensor
         The one that took the frames.
     folder : AcquisitionFolder
+        With level 0 merged.
     saturation_fraction : float
         As `rfpipe.stages.merge.run`.
     code : str
-        Fingerprint of the code behind the stage.
+        Digest of the code behind the stage.
     keep_raw : bool
         Whether the brackets stay when they are measured.
     """
-    captured = folder.read_manifest(0, "capture")[SYMMETRY]
+    captured = folder.read_manifest(0, "capture").get(SYMMETRY)
+    manifest = folder.manifest(0, SYMMETRY)
+    if captured is None:
+        manifest.unlink(missing_ok=True)
+        return
     references = folder.read_manifest(0, "merge")[REFERENCES]
     made_from = fingerprint([captured["digest"], references["digest"], code])
-    manifest = folder.manifest(0, SYMMETRY)
     raw = RawFrames(folder, 0, SYMMETRY)
-    facts = _standing(manifest)
+    facts = _stated(manifest)
     if facts is None or (facts["fingerprint"] != made_from and not raw.dropped):
         raw.must_be_there("what they told is missing")
         merger = read_merger(sensor, folder, saturation_fraction)
         with folder.frames(0, "capture", SYMMETRY) as frames:
             count = frames.shape[0]
-            found = measure(merger, (frames.read(i, i + 1) for i in range(count)), count)
-        facts = {
-            "stage": SYMMETRY,
-            "error": found.error,
-            "standard_error": found.standard_error,
-            "frames": count,
-            "fingerprint": made_from,
-        }
-        write_manifest(manifest, facts)
+            measured = measure(merger, (frames.read(i, i + 1) for i in range(count)), count)
+        about = {"stage": SYMMETRY, "frames": count, "fingerprint": made_from}
+        write_manifest(manifest, {**asdict(measured), **about})
     if not keep_raw:
         drop(folder.store(0, SYMMETRY))
+
+
+def read_asymmetry(folder: AcquisitionFolder) -> Asymmetry | None:
+    """Read what `run` measured; None where nothing was measured."""
+    manifest = folder.manifest(0, SYMMETRY)
+    if not manifest.exists():
+        return None
+    facts = read_manifest(manifest)
     return Asymmetry(facts["error"], facts["standard_error"])
 
 
-def _standing(manifest: Path) -> dict[str, Any] | None:
+def _stated(manifest: Path) -> dict[str, Any] | None:
     try:
         return read_manifest(manifest)
     except (StoreError, IntegrityError):

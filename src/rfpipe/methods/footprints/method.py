@@ -75,6 +75,12 @@ class Footprints(HeldOutMethod[FootprintState]):
             return handover.DUAL.schedule(state.dual, level)
         return rounds.patterns(state)
 
+    def asks(self, state: FootprintState) -> bool:
+        """Tell whether the next level has patterns to show."""
+        if state.dual is not None and state.kind == state.following == "hierarchy":
+            return handover.DUAL.method.asks(state.dual)
+        return super().asks(state)
+
     def refine(
         self, state: FootprintState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> FootprintState:

@@ -79,6 +79,12 @@ class NearFar(HeldOutMethod[NearFarState]):
             return handover.SYMMETRIC.schedule(state.symmetric, level)
         return rounds.patterns(state)
 
+    def asks(self, state: NearFarState) -> bool:
+        """Tell whether the next level has patterns to show."""
+        if state.symmetric is not None and state.kind == state.following == "hierarchy":
+            return handover.SYMMETRIC.method.asks(state.symmetric)
+        return super().asks(state)
+
     def refine(
         self, state: NearFarState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> NearFarState:

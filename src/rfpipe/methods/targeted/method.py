@@ -91,6 +91,12 @@ class Targeted(Method[TargetedState]):
         weights = np.stack(held).astype(np.float32)
         return Schedule(level, shape, len(weights), weights=weights)
 
+    def asks(self, state: TargetedState) -> bool:
+        """Tell whether the next level has patterns to show."""
+        if state.following == "inner":
+            return self.inner.asks(state.inner)
+        return super().asks(state)
+
     def refine(
         self, state: TargetedState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
     ) -> TargetedState:

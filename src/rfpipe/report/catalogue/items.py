@@ -12,7 +12,7 @@ from rfpipe.errors import RfpipeError
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.store import StoreLock, open_arrays, read_manifest
 
-__all__ = ["Item", "item_of", "stamp_of"]
+__all__ = ["Item", "item_of", "last_log", "stamp_of"]
 
 State = Literal["waiting", "running", "unknown", "stopped", "failed", "done"]
 
@@ -110,6 +110,12 @@ def _modified(path: Path) -> int:
         return 0
 
 
+def last_log(folder: Path) -> Path | None:
+    """Return the log that was written last, of the acquisition or of a stage; None for none."""
+    logs = [*folder.glob("*.log"), *folder.glob("L[0-9][0-9]/*.log")]
+    return max(logs, key=_modified, default=None)
+
+
 def _reached(folder: Path) -> str:
     """Say to what level captures are complete."""
     done = sorted(folder.glob("L[0-9][0-9]/capture.json"))
@@ -118,7 +124,7 @@ def _reached(folder: Path) -> str:
 
 def _last_sign(folder: Path) -> str:
     """Say when an acquisition last wrote anything."""
-    signs = [folder / "acquire.log", *folder.glob("L[0-9][0-9]/*"), *folder.glob("L[0-9][0-9]")]
+    signs = [*folder.glob("*.log"), *folder.glob("L[0-9][0-9]/*"), *folder.glob("L[0-9][0-9]")]
     last = max(map(_modified, signs), default=0)
     if not last:
         return ""
@@ -126,9 +132,9 @@ def _last_sign(folder: Path) -> str:
 
 
 def _ended(folder: Path) -> tuple[State, str]:
-    """Tell how an acquisition without a transport ended, by its log."""
+    """Tell how an acquisition without a transport ended, by its last log."""
     try:
-        with (folder / "acquire.log").open("rb") as file:
+        with (last_log(folder) or folder / "acquire.log").open("rb") as file:
             file.seek(0, 2)
             file.seek(max(0, file.tell() - _TAIL_BYTES))
             log = file.read().decode(errors="replace")
@@ -148,7 +154,9 @@ def _read_figures(item: Item, folder: Path) -> None:
     item.verified = _manifest(folder / "verification.json").get("mean_error")
     item.error = _mean_error(folder / "relight.json")
     _read_transport(item, folder / "transport.zarr")
-    item.seconds = _seconds(folder / "acquire.benchmark.tsv")
+    times = [*folder.glob("L[0-9][0-9]/*.benchmark.tsv"), folder / "assemble.benchmark.tsv"]
+    known = [seconds for path in times if (seconds := _seconds(path)) is not None]
+    item.seconds = sum(known) if known else None
 
 
 def _manifest(path: Path) -> dict[str, Any]:

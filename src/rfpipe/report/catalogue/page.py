@@ -8,9 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.report.catalogue.items import Item, item_of, stamp_of
+from rfpipe.report.catalogue.items import Item, item_of, last_log, stamp_of
 from rfpipe.report.catalogue.thumbnails import write_thumbnail
-from rfpipe.stages.acquisitions import outdated
 from rfpipe.store.files import write_atomically
 
 if TYPE_CHECKING:
@@ -22,7 +21,6 @@ CATALOGUE = Path("catalogue") / "index.html"
 """In the folder of results."""
 
 _KNOWN = "items.json"
-_OLD = "with other settings or another rfpipe than now"
 _STATES = ("failed", "running", "unknown", "stopped", "waiting", "done")
 
 
@@ -48,7 +46,6 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
     folder = (results / CATALOGUE).parent
     kept, known = _known(folder / _KNOWN), {}
     rows: list[dict[str, Any]] = []
-    old = set(outdated(settings, results))
     for scene, method in settings.acquisitions:
         name, place = f"{scene}/{method}", results / scene / method
         stamp, before = stamp_of(place), kept.get(name, {})
@@ -58,8 +55,6 @@ def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
         if not picture and stamp[-1]:
             picture = write_thumbnail(place, folder / f"{scene}_{method}.png")
         known[name] = {"stamp": stamp, "item": item.plain(), "picture": picture}
-        if item.state == "done" and (scene, method) in old:
-            item.why = _OLD
         rows.append(_row(settings, results, item, picture=picture))
     counts = Counter(row["item"].state for row in rows)
     environment = Environment(
@@ -103,11 +98,15 @@ def _row(settings: Config, results: Path, item: Item, *, picture: bool) -> dict[
         "about": scene.about,
         "picture": f"{item.scene}_{item.method}.png" if picture else None,
         "view": f"../{view}" if (results / view).exists() else None,
-        "log": f"../{item.scene}/{item.method}/acquire.log"
-        if (results / item.scene / item.method / "acquire.log").exists()
-        else None,
+        "log": _log_of(results, item),
         "order": _STATES.index(item.state),
     }
+
+
+def _log_of(results: Path, item: Item) -> str | None:
+    """Return where the last log of an acquisition lies, as seen from the page."""
+    log = last_log(results / item.scene / item.method)
+    return None if log is None else f"../{log.relative_to(results).as_posix()}"
 
 
 def _rays(scene: SceneSettings) -> str:

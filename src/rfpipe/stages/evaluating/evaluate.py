@@ -141,7 +141,7 @@ def _each(
     # what is common to all lies where all workers must see it
     folder = Path(os.path.commonpath([paths[0].parent for paths in absolute]))
     with (
-        (resources or Resources()).within.workers(in_hand, folder) as workers,
+        (resources or Resources()).workers(in_hand, folder) as workers,
         Progress("errors", len(runs), unit="run", quick=True) as progress,
     ):
         work = _Errors(errors, tuple(absolute))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.stages.results import write_bundle
 from rfpipe.stages.settings import acquire_options
 from rfpipe.store import write_manifest
 from rfpipe.store.files import digest_of, write_atomically
@@ -144,7 +144,7 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
     folder : Path
         ``results/{scene}/{method}``.
     code : str
-        Fingerprint of the code behind the stage.
+        Digest of the code behind the stage.
     """
     import pandas as pd
 
@@ -162,8 +162,6 @@ def run(config: Config, scene: str, method: str, folder: Path, code: str) -> Non
             "code": code,
         }
     )
-    if times.exists() and accept_bundle(manifest, made_from):
-        return
     found = sweep_option(config, scene, method)
     table = pd.DataFrame(found.times).to_csv(index=False, lineterminator="\n").encode()
     write_atomically(times, table)

@@ -14,7 +14,7 @@ from typing import Any
 from uuid import uuid4
 
 from rfpipe.errors import ClusterError
-from rfpipe.provenance import code_fingerprint, fingerprint, versions
+from rfpipe.provenance import code_digest, fingerprint, versions
 from rfpipe.store.files import digest_of, write_atomically
 
 __all__ = ["Sent", "sending"]
@@ -117,7 +117,7 @@ def _read(path: Path, digest: str) -> Callable[[int, int], Any]:
 
 @cache
 def _our_code() -> str:
-    return fingerprint([code_fingerprint("rfpipe"), versions()])
+    return fingerprint([code_digest(), versions()])
 
 
 def _one_thread() -> None:

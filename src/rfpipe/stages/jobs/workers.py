@@ -5,16 +5,16 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from rfpipe.config.addresses import PROCESSES, THREADS, check_workers
+from rfpipe.config.addresses import THREADS, check_workers
 from rfpipe.errors import ConfigError
 
-__all__ = ["VARIABLE", "Resources", "Workers", "workers_from_environment"]
+__all__ = ["VARIABLE", "Resources", "Workers", "machine_memory_mb", "workers_from_environment"]
 
 VARIABLE = "RFPIPE_WORKERS"
 """Environment variable that says where to work, whatever the settings say."""
@@ -27,6 +27,8 @@ Work = Callable[[int, int], Result]
 _SHARE_FOR_DATA = 0.5
 # Pieces of work handed out per thread: one in hand, one to go on with.
 _AHEAD = 2
+# What a control group leaves to its processes.
+_GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,10 @@ class Resources:
     memory_gib : float
         Peak memory of the job in GiB, above 0.
     threads : int
-        Threads, or processes, to work with, at least 1.
+        Threads to work with, at least 1.
     where : str
-        "threads" of this process, "processes" of this machine, or the address of a dask scheduler,
-        such as ``tls://host:8786``, whose workers then do what they can.
+        "threads" of this process, or the address of a dask scheduler, such as
+        ``tls://host:8786``, whose workers then do what they can.
     """
 
     memory_gib: float = 4.0
@@ -74,14 +76,6 @@ class Resources:
         """The same in this process."""
         return replace(self, where=THREADS)
 
-    @property
-    def within(self) -> Resources:
-        """The same for work inside a job, which processes take ten times as long for as threads.
-
-        They load libraries and kernels first, for seconds (docs/parallel.md).
-        """
-        return self.here if self.where == PROCESSES else self
-
     def fitting(self, bytes_each: int, most: int) -> int:
         """Return how many things of a size fit, from 1 to `most`."""
         return max(1, min(most, self.data_bytes // max(1, bytes_each)))
@@ -102,7 +96,7 @@ class Resources:
             When the cluster doesn't answer, has no workers, runs another rfpipe, or doesn't see
             the folder.
         """
-        if self.where not in (THREADS, PROCESSES):
+        if self.where != THREADS:
             from rfpipe.stages.jobs.cluster import connected
 
             with connected(self.where, folder) as cluster:
@@ -112,11 +106,6 @@ class Resources:
         count = self.fitting(_AHEAD * bytes_each, self.threads)
         if count == 1:
             yield Workers(None, 1)
-        elif self.where == PROCESSES:
-            from rfpipe.stages.jobs.processes import started
-
-            with started(count, folder) as hand_out:
-                yield Workers(hand_out, _AHEAD * count)
         else:
             with _threads(count) as hand_out:
                 yield Workers(hand_out, _AHEAD * count)
@@ -130,6 +119,14 @@ def _threads(count: int) -> Iterator[HandOut]:
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
+
+
+def machine_memory_mb() -> int:
+    """Return the memory of this machine, or that its control group leaves to us, in MB."""
+    have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    with suppress(OSError, ValueError):  # no groups, or "max"
+        have = min(have, int(_GROUP_LIMIT.read_text()))
+    return have // 10**6
 
 
 def workers_from_environment() -> str | None:
@@ -175,20 +172,6 @@ class Workers:
 
     hand_out: HandOut | None
     in_flight: int
-
-    def as_done(self, work: Work[Result], runs: Iterable[tuple[int, int]]) -> Iterator[Result]:
-        """Yield the results of runs as they are done, so that a long one holds up no other."""
-        if self.hand_out is None:
-            yield from self.results(work, runs)
-            return
-        promise = self.hand_out(work)
-        waiting = ThreadPoolExecutor(self.in_flight)
-        try:
-            asked = [waiting.submit(lambda run: promise(*run).result(), run) for run in runs]
-            for future in as_completed(asked):
-                yield future.result()
-        finally:  # who is left waits for workers that end now
-            waiting.shutdown(wait=False, cancel_futures=True)
 
     def results(self, work: Work[Result], runs: Iterable[tuple[int, int]]) -> Iterator[Result]:
         """Yield ``work(first, last)`` of each run, in their order."""

@@ -49,6 +49,12 @@ class NormalizedImages:
         return apply(*self.merged.read(first, last), self.normalization)
 
 
+def no_images(schedule: Schedule, normalization: Normalization) -> NormalizedImages:
+    """Return the images of a level without patterns; `normalization` tells their shape."""
+    nothing = np.empty((0, *normalization.gain.shape), np.float32)
+    return NormalizedImages(schedule, ImagesInMemory(nothing, nothing), normalization)
+
+
 def masked_rays(floodlit_variance: Float) -> NDArray[np.bool_]:
     """Return the camera rays that no image knows, (*camera_shape), of a variance with channels."""
     return np.asarray(np.isinf(floodlit_variance).any(axis=-1))

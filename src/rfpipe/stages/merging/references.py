@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from math import prod
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.photometry.sensor import MergeOptions, Sensor
 from rfpipe.provenance import fingerprint
@@ -16,16 +19,17 @@ from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging.merger import Merger
 from rfpipe.stages.merging.raw import RawFrames
-from rfpipe.stages.results import intact_bundle
-from rfpipe.store import open_arrays, write_arrays
+from rfpipe.store import ArrayBundle, open_arrays, write_arrays
 
-__all__ = ["REFERENCES", "learn_references", "read_floodlit", "read_merger"]
+__all__ = ["REFERENCES", "intact_bundle", "learn_references", "read_floodlit", "read_merger"]
 
 Float = NDArray[np.float32]
 Arrays = dict[str, NDArray[Any]]
 
 REFERENCES = "merged_reference"
 """Their store, and their key in the merge's manifest of level 0."""
+
+_log = logging.getLogger(__name__)
 
 _HELD = ("black", "floodlit", "floodlit_variance")
 
@@ -79,6 +83,24 @@ def learn_references(
     found = bundle.read_all(), bundle.attributes
     merger = _merger_of(*found, sensor, settings["saturation_fraction"])
     return merger, {**bundle.entry(), **bundle.attributes["counted"]}
+
+
+def intact_bundle(store: Path, made_from: str | None) -> ArrayBundle | None:
+    """Return a bundle that was made from the same things, if there is one and it is undamaged.
+
+    `made_from` is None where it may be made from anything.
+    """
+    try:
+        bundle = open_arrays(store)
+        if made_from not in (None, bundle.attributes.get("fingerprint")):
+            return None
+        bundle.read_all()
+    except IntegrityError as error:
+        _log.warning("made anew, since it is damaged: %s", error)
+        return None
+    except StoreError:
+        return None
+    return bundle
 
 
 def read_merger(sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float) -> Merger:

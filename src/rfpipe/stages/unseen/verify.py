@@ -18,7 +18,6 @@ from rfpipe.errors import StoreError, VerificationError
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint
 from rfpipe.stages import merge
-from rfpipe.stages.capture import Watching
 from rfpipe.stages.capturing.drift import DRIFT
 from rfpipe.stages.capturing.moves import MOVES
 from rfpipe.stages.capturing.mutual import MUTUAL
@@ -28,11 +27,11 @@ from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merge import MergedFrames
 from rfpipe.stages.merging.references import REFERENCES
-from rfpipe.stages.results import accept_bundle, write_bundle
-from rfpipe.stages.schedule import read_schedule
+from rfpipe.stages.results import standing, write_bundle
+from rfpipe.stages.schedule import read_schedule, write_schedule
 from rfpipe.stages.unseen.comparing import Verification, compare
 from rfpipe.stages.unseen.patterns import NAMES, unseen_patterns
-from rfpipe.store import StoreLock, read_manifest
+from rfpipe.store import read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.units import RADIANCE_UNIT
 
@@ -49,9 +48,7 @@ def run(
     capture: Callable[..., None],
     *,
     pictures: int,
-    code: Mapping[str, str],
-    capture_options: Mapping[str, Any],
-    merge_options: Mapping[str, Any],
+    settings: Mapping[str, Mapping[str, Any]],
     resources: Resources,
 ) -> None:
     """Verify the transport of an acquisition; ``verification.json`` beside it comes last.
@@ -59,15 +56,13 @@ def run(
     Parameters
     ----------
     folder : AcquisitionFolder
-        With ``transport.json``.
+        With ``transport.json``; locked by the caller.
     capture : callable
-        As `rfpipe.stages.levels.run` has it.
+        ``capture(folder, level, **options)``, see `rfpipe.stages.captures`.
     pictures : int
         How many, 1 to 10.
-    code : mapping of str to str
-        Fingerprints of the code behind "merge" and "verification".
-    capture_options, merge_options : mapping
-        As `rfpipe.stages.levels.run`.
+    settings : mapping
+        Those of the stages "capture" and "merge", see `rfpipe.stages.settings.stages_of`.
     resources : Resources
 
     Raises
@@ -75,31 +70,27 @@ def run(
     RfpipeError
         As the stages; what is captured is kept.
     """
-    with StoreLock(folder.path):
-        folder.manifest(VERIFICATION, "schedule").parent.mkdir(exist_ok=True)
-        with stage_log(folder.manifest(VERIFICATION, "schedule").with_suffix(".log")):
-            _schedule(folder, pictures)
-        with stage_log(folder.manifest(VERIFICATION, "capture").with_suffix(".log")):
-            capture(
-                folder,
-                VERIFICATION,
-                **{
-                    **capture_options,
-                    "symmetry_frames": 0,
-                    # a look at the lamp before the first and after the last
-                    "drift_patterns": pictures,
-                    "batch_patterns": 1,
-                    "watching": _watching(folder, pictures),
-                },
-                resources=resources.here,
-            )
-        with stage_log(folder.manifest(VERIFICATION, "merge").with_suffix(".log")):
-            merge.run(
-                read_sensor(folder), folder, VERIFICATION,
-                **{**merge_options, "divide_out_drift": True},
-                code=code["merge"], resources=resources,
-            )  # fmt: skip
-        _compare(folder, code["verification"])
+    folder.manifest(VERIFICATION, "schedule").parent.mkdir(exist_ok=True)
+    with stage_log(folder.manifest(VERIFICATION, "schedule").with_suffix(".log")):
+        _schedule(folder, pictures)
+    with stage_log(folder.manifest(VERIFICATION, "capture").with_suffix(".log")):
+        capture(
+            folder,
+            VERIFICATION,
+            **{
+                **settings["capture"],
+                "symmetry_frames": 0,
+                # a look at the lamp before the first and after the last
+                "drift_patterns": pictures,
+                "batch_patterns": 1,
+                "watching": _watching(folder, pictures),
+            },
+            resources=resources.here,
+        )
+    merging = {**settings["merge"], "divide_out_drift": True}
+    with stage_log(folder.manifest(VERIFICATION, "merge").with_suffix(".log")):
+        merge.run(read_sensor(folder), folder, VERIFICATION, **merging, resources=resources)
+    _compare(folder, merging["code"])
 
 
 def schedule_of(
@@ -145,10 +136,10 @@ def check_bound(manifests: Mapping[str, Mapping[str, Any]], bound: float, where:
         )
 
 
-def _watching(folder: AcquisitionFolder, pictures: int) -> Watching | None:
+def _watching(folder: AcquisitionFolder, pictures: int) -> dict[str, Any]:
     """Look at the rig before the first picture and after the last, if it was looked at before."""
     was_watched = any(folder.path.glob(f"L[0-9]*/{MOVES}.zarr"))
-    return Watching(look_patterns=pictures) if was_watched else None
+    return {"mode": "warn" if was_watched else "off", "looks": pictures}
 
 
 def _schedule(folder: AcquisitionFolder, pictures: int) -> None:
@@ -156,22 +147,11 @@ def _schedule(folder: AcquisitionFolder, pictures: int) -> None:
     manifest = folder.manifest(VERIFICATION, "schedule")
     references = folder.read_manifest(0, "merge")[REFERENCES]["digest"]
     made_from = fingerprint([references, list(NAMES[:pictures])])
-    if accept_bundle(manifest, made_from, believing=folder.believing):
+    if standing(manifest, made_from):
         return
     transport = open_transport(folder.path / "transport.zarr")
     names, schedule = schedule_of(transport, pictures)
-    assert schedule.weights is not None
-    facts = {
-        "stage": "schedule",
-        "level": VERIFICATION,
-        "patterns": schedule.count,
-        "complete": False,
-        "shown": schedule.digest(),
-        "shape": list(schedule.shape),
-        "names": names,
-        "units": "fraction of full light",
-    }
-    write_bundle(manifest, made_from, {"weights": schedule.weights}, facts)
+    write_schedule(manifest, made_from, schedule, names=names)
 
 
 def _compare(folder: AcquisitionFolder, code: str) -> None:
@@ -179,8 +159,6 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
     acquired = read_manifest(folder.path / "transport.json")
     merged = folder.read_manifest(VERIFICATION, "merge")
     made_from = fingerprint([acquired["digest"], merged["digest"], code])
-    if accept_bundle(manifest, made_from):
-        return
     transport = open_transport(folder.path / "transport.zarr")
     schedule = read_schedule(folder, VERIFICATION)
     assert schedule.weights is not None

@@ -17,7 +17,7 @@ from rfpipe.stages.merging.references import REFERENCES
 from rfpipe.stages.unseen.verify import MANIFEST as VERIFIED
 from rfpipe.stages.verifying.findings import Checked, Mend
 from rfpipe.stages.verifying.stores import check_bundle, check_frames, first_sentence, made_for
-from rfpipe.store import StoreLock, read_manifest
+from rfpipe.store import StoreLock, open_arrays, read_manifest
 
 __all__ = ["check_acquisition", "is_acquisition"]
 
@@ -85,7 +85,7 @@ class _Acquisition:
         """Check that the transport was made of what the levels hold."""
         if made_of is None:  # of an earlier version of rfpipe
             return
-        for level, digest in enumerate(made_of["refine"]):
+        for level, digest in made_of["refine"]:
             manifest = self.folder.manifest(level, "refine")
             if level not in found:
                 self._wrong(manifest.parent, "is missing")
@@ -152,8 +152,10 @@ class _Acquisition:
                 wrong = made_for(path, None if stated is None else stated.get("fingerprint"))
             for what in wrong:
                 self._wrong(path, what, manifest)
-            if stated is not None:
+            if stated is not None and "digest" in stated:
                 self._is_of(path, digest, stated["digest"], manifest)
+            elif stated and not wrong and open_arrays(path).attributes["facts"] != stated:
+                self._wrong(path, f"holds other patterns than {manifest.name} says", manifest)
         copy = self.folder.store(level, "merge") / "manifest.json"
         if stage == "merge" and manifest.exists() and copy.parent.is_dir():
             self._manifest(copy, manifest)

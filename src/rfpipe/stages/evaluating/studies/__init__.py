@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.results import accept_bundle, write_bundle
+from rfpipe.stages.results import write_bundle
 from rfpipe.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
@@ -78,11 +78,9 @@ def run(name: str, config: Config, manifest: Path, code: str) -> None:
     manifest : Path
         The store of images stands beside it; empty for a study without images.
     code : str
-        Fingerprint of the code behind the stage.
+        Digest of the code behind the stage.
     """
     made_from = fingerprint({"study": name, "config": config, "code": code})
-    if accept_bundle(manifest, made_from):
-        return
     rows, arrays = run_study(name, config)
     rows = [{key: _plain(value) for key, value in row.items()} for row in rows]
     facts = {"stage": "study", "study": name, "rows": rows, "units": RADIANCE_UNIT}

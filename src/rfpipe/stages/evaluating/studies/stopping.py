@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from rfpipe.errors import RfpipeError, StoreError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes.reference import reference_scene
-from rfpipe.stages import capture, levels
+from rfpipe.stages import acquisition, capture
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.code import acquisition_code
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.store import StoreLock
@@ -62,20 +61,24 @@ class _StoppedRig(SimulatedRig):
 def _acquire(path: Path, stop: str = "") -> int:
     """Do what the workflow's job does; return how many patterns were shown."""
     rig = _StoppedRig(stop)
-    levels.run(
-        Plan(_METHOD, _METHOD, _SHAPE, _SHAPE, 1),
-        AcquisitionFolder(path, believing=not stop),
-        "scene IV",
-        partial(capture.run, rig),
-        code=acquisition_code("rfpipe.methods.symmetric"),
-        capture_options={"references": (2, 2), "batch_patterns": 1},
-        merge_options={"saturation_fraction": SATURATION_FRACTION, "mask_defects": True},
-        normalization="per_channel",
-        number_format="float32",
-        asymmetry=0.05,
-        watch={"mode": "warn", "looks": 0},
-        resources=Resources(),
-    )
+    folder = AcquisitionFolder(path)
+    with StoreLock(path):
+        acquisition.run(
+            Plan(_METHOD, _METHOD, _SHAPE, _SHAPE, 1),
+            folder,
+            partial(capture.run, rig),
+            {
+                "schedule": {"code": ""},
+                "capture": {"references": (2, 2), "batch_patterns": 1},
+                "merge": {
+                    "saturation_fraction": SATURATION_FRACTION, "mask_defects": True, "code": "",
+                },
+                "normalize": {"mode": "per_channel", "code": ""},
+                "refine": {"code": ""},
+                "assemble": {"scene": "scene IV", "number_format": "float32", "code": ""},
+            },
+            Resources(),
+        )  # fmt: skip
     return rig.shown
 
 

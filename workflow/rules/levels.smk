@@ -1,0 +1,29 @@
+# The levels of an acquisition: how many have patterns to show turns out on the way.
+
+
+def refined(wildcards, before=None):
+    """The refinements of all levels of an acquisition, or of those before one."""
+    found, level = [], 0
+    while level is not None and level != before:
+        number = {
+            "scene": wildcards.scene,
+            "method": wildcards.method,
+            "level": f"{level:02d}",
+        }
+        found.append(checkpoints.refine.get(**number).output[0])
+        level = next_level(Path(found[-1]))
+    return found
+
+
+def refined_before(wildcards):
+    """The refinement that tells what a level has to show; none for level 0."""
+    return refined(wildcards, before=int(wildcards.level))[-1:]
+
+
+def scheduled(wildcards):
+    """The patterns of a level, which all of its stages follow.
+
+    Each names them: Snakemake looks anew, once they are made, at jobs that depend on a checkpoint
+    directly. So nothing is captured or merged again where they turn out the same.
+    """
+    return checkpoints.schedule.get(**wildcards).output[0]

@@ -1,0 +1,20 @@
+rule normalize:
+    """The factors by which the images of a level add up to the floodlit image."""
+    input:
+        scheduled,
+        "results/{scene}/{method}/L{level}/merge.json",
+    output:
+        "results/{scene}/{method}/L{level}/normalize.json",
+    log:
+        "results/{scene}/{method}/L{level}/normalize.log",
+    benchmark:
+        "results/{scene}/{method}/L{level}/normalize.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    resources:
+        **WITHIN,
+    params:
+        plan=plan,
+        settings=settings_of("normalize"),
+    script:
+        "../scripts/normalize.py"

@@ -1,0 +1,21 @@
+checkpoint refine:
+    """What the images of a level tell of the transport, and which level has something to show next."""
+    input:
+        scheduled,
+        "results/{scene}/{method}/L{level}/normalize.json",
+    output:
+        "results/{scene}/{method}/L{level}/refine.json",
+    log:
+        "results/{scene}/{method}/L{level}/refine.log",
+    benchmark:
+        "results/{scene}/{method}/L{level}/refine.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    threads: threads
+    resources:
+        **WITHIN,
+    params:
+        plan=plan,
+        settings=settings_of("refine"),
+    script:
+        "../scripts/refine.py"

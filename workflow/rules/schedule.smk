@@ -1,0 +1,19 @@
+checkpoint schedule:
+    """The patterns of a level, from what the levels above it found."""
+    input:
+        refined_before,
+    output:
+        "results/{scene}/{method}/L{level}/schedule.json",
+    log:
+        "results/{scene}/{method}/L{level}/schedule.log",
+    benchmark:
+        "results/{scene}/{method}/L{level}/schedule.benchmark.tsv"
+    conda:
+        "../envs/rfpipe.yaml"
+    resources:
+        **WITHIN,
+    params:
+        plan=plan,
+        settings=settings_of("schedule"),
+    script:
+        "../scripts/schedule.py"
