@@ -38,7 +38,7 @@ class Acquisition:
 
     def capture(self, level: int, **changes: Any) -> None:
         hardware.run(
-            self.plan, self.folder, level,
+            hardware.Rays(self.plan.camera.shape, SHAPE, 3), self.folder, level,
             **{
                 "url": self.url, "token_file": str(self.token), "patience_seconds": 0.0,
                 "references": (8, 64), **changes,
@@ -61,8 +61,7 @@ class Acquisition:
     def transport(self) -> Any:
         for level in range(self.plan.n_levels):
             self.level(level)
-        manifest = self.folder.path / "transport.json"
-        assemble.run(self.plan, self.folder, manifest, "desk", "float32", CODE)
+        assemble.run(self.plan, self.folder, scene="desk", number_format="float32", code=CODE)
         return open_transport(self.folder.path / "transport.zarr")
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rfpipe.stages.acquisitions import acquire_all
 from tests.browsers import browser
 from tests.collections_ import acquire_item
 from typer.testing import CliRunner
@@ -15,7 +16,6 @@ from typer.testing import CliRunner
 from rfpipe.cli import app
 from rfpipe.config import load_config
 from rfpipe.report.catalogue import CATALOGUE, write_catalogue
-from rfpipe.stages.acquisitions import acquire_all
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.store.files import hidden_sibling
 

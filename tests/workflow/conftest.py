@@ -30,24 +30,32 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 @pytest.fixture(scope="session")
 def undisturbed(shared: Path, kernels: None) -> Workflow:
-    """Run `tiny` by symmetric and dual photography, `long` by brute force, and the studies.
-
-    It is left as it is.
-    """
+    """Run `tiny` by symmetric and dual photography, and `long` by brute force; left as it is."""
     return _once(shared / "undisturbed", lambda workflow: workflow.run(*TARGETS))
 
 
-TARGETS = (TINY, DUAL, LONG, *STUDIES)
+TARGETS = (TINY, DUAL, LONG)
 
 
 @pytest.fixture(scope="session")
-def of_ones_own(shared: Path, undisturbed: Workflow) -> Workflow:
+def studies(shared: Path, undisturbed: Workflow) -> Workflow:
+    """Run what the report shows beside the scenes; left as it is."""
+
+    def run(workflow: Workflow) -> str:
+        shutil.copytree(undisturbed.folder, workflow.folder, dirs_exist_ok=True)
+        return workflow.run(*STUDIES)
+
+    return _once(shared / "studies", run)
+
+
+@pytest.fixture(scope="session")
+def of_ones_own(shared: Path, studies: Workflow) -> Workflow:
     """Run a scene and a method of the user's own beside rfpipe's, up to the report."""
 
     def run(workflow: Workflow) -> str:
         for name in ("column_scan.py", "frosted_glass.py"):
             shutil.copy(_EXAMPLES / name, workflow.folder)
-        workflow.take_studies(undisturbed)
+        workflow.take_studies(studies)
         workflow.configure(
             scenes={"tiny": CONFIG["scenes"]["tiny"], "glass": GLASS},
             methods={**OWN_METHODS, "brute_force": {}},

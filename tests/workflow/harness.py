@@ -20,14 +20,14 @@ ROOT = Path(__file__).parents[2]
 CONFIG: dict[str, Any] = {
     "scenes": {
         "tiny": {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [8, 8]},
-        "long": {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [16, 18]},
+        "long": {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [5, 8]},
     },
     "methods": {"symmetric": {}, "dual": {}, "brute_force": {}},
     # one pattern at a time, for captures that can be stopped anywhere
     "capture": {"batch_patterns": 1, "black_frames": 4, "floodlit_frames": 4},
     "report": {"resolutions": [4, 8]},
 }
-"""`tiny` has 5 stages on each of its levels; `long` by brute force captures 288 patterns."""
+"""`tiny` has 5 stages on each of its levels; `long` by brute force captures 40 patterns."""
 
 TINY = "results/tiny/symmetric/transport.json"
 DUAL = "results/tiny/dual/transport.json"

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +14,20 @@ from rfpipe.config import CameraConfig
 from rfpipe.photometry import CameraModel, Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import assemble, capture, merge, normalize, refine, schedule
+from rfpipe.stages import (
+    acquisition,
+    assemble,
+    capture,
+    merge,
+    normalize,
+    refine,
+    schedule,
+)
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.symmetry import NOTICED
+from rfpipe.store import StoreLock
 from rfpipe.transport import open_transport
 
 SHAPE = (4, 5)
@@ -31,7 +43,7 @@ def symmetric_matrix() -> np.ndarray:
 
 
 class Acquisition:
-    """One acquisition of a matrix, stage by stage."""
+    """One acquisition of a matrix, stage by stage, each as if in a process of its own."""
 
     def __init__(
         self, path: Path, rig: Any, tolerance: float | None = 1e-3, method: str = "symmetric"
@@ -42,11 +54,11 @@ class Acquisition:
         self.plan = Plan(method, method, SHAPE, SHAPE, 1, options)
         self.resources = Resources()
         self.keep_raw = True
-        self.watching: capture.Watching | None = None
+        self.watching: dict[str, Any] | None = None
         self.code = CODE
 
     def schedule(self, level: int) -> None:
-        schedule.run(self.plan, self.folder, level, CODE)
+        schedule.run(copy(self.plan), self.folder, level, CODE)
 
     def capture(self, level: int, **options: Any) -> None:
         options = {"resources": self.resources, "watching": self.watching, **options}
@@ -60,19 +72,49 @@ class Acquisition:
         )  # fmt: skip
 
     def normalize(self, level: int) -> None:
-        normalize.run(self.plan, self.folder, level, mode="per_channel", code=CODE)
+        normalize.run(copy(self.plan), self.folder, level, mode="per_channel", code=CODE)
 
     def refine(self, level: int) -> None:
-        refine.run(self.plan, self.folder, level, CODE)
+        refine.run(copy(self.plan), self.folder, level, CODE)
 
     def level(self, level: int) -> None:
         for stage in (self.schedule, self.capture, self.merge, self.normalize, self.refine):
             stage(level)
 
     def assemble(self) -> Any:
-        manifest = self.folder.path / "transport.json"
-        assemble.run(self.plan, self.folder, manifest, "matrix", "float32", CODE)
+        assemble.run(
+            copy(self.plan), self.folder, scene="matrix", number_format="float32", code=CODE
+        )
         return open_transport(self.folder.path / "transport.zarr")
+
+
+def stages(capture: dict[str, Any] | None = None, **merge: Any) -> dict[str, dict[str, Any]]:
+    """Settings of the stages of an acquisition as in `Acquisition`, but for changes."""
+    code = {"code": CODE}
+    watching = {"mode": "warn", "looks": 0, "mutual_error": NOTICED * 0.05}
+    return {
+        "schedule": code,
+        "capture": {"references": (2, 2), "watching": watching, **(capture or {})},
+        "merge": {"saturation_fraction": 0.98, "mask_defects": True, **code, **merge},
+        "normalize": {"mode": "per_channel", **code},
+        "refine": code,
+        "assemble": {"scene": "matrix", "number_format": "float32", **code},
+    }
+
+
+def acquire(
+    path: Path,
+    rig: Any,
+    plan: str | Plan = "symmetric",
+    settings: dict[str, dict[str, Any]] | None = None,
+) -> AcquisitionFolder:
+    """Acquire a matrix, or what is missing of it, as a job of all stages does."""
+    folder = AcquisitionFolder(path)
+    if isinstance(plan, str):
+        plan = Plan(plan, plan, SHAPE, SHAPE, 1)
+    with StoreLock(path):
+        acquisition.run(plan, folder, partial(capture.run, rig), settings or stages(), Resources())
+    return folder
 
 
 def matrix_rig(matrix: np.ndarray | None = None, noise: Sensor | None = None) -> OperatorRig:
@@ -105,6 +147,12 @@ def contents(store: Path) -> dict[str, bytes]:
         for path in (store.rglob("*") if store.is_dir() else [store])
         if path.is_file()
     }
+
+
+def left(path: Path) -> dict[str, bytes]:
+    """Bytes of manifests and stores."""
+    files = contents(path)
+    return {name: files[name] for name in files if not name.endswith((".log", ".tsv"))}
 
 
 def damage(store: Path) -> Path:

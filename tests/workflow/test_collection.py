@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rfpipe.stages.acquisitions import acquire_all, mark_outdated, outdated
 from tests.workflow.harness import Workflow
 from tests.workflow.stagewise import contents
 
 from rfpipe.config import load_config
 from rfpipe.costs import machine_memory_mb
 from rfpipe.report.catalogue.items import item_of
-from rfpipe.stages.acquisitions import acquire_all, mark_outdated, outdated
 from rfpipe.stages.jobs.workers import Resources
 
 ROWS = """\

@@ -28,21 +28,19 @@ def test_a_capture_killed_in_the_middle_goes_on_at_its_pattern(
     workflow = Workflow(tmp_path)
     store = workflow.path(f"{BRUTE}/L00/capture.zarr")
     process = workflow.start(LONG)
-    freeze_writer(store, 20)
+    freeze_writer(store, 12)
     kill_group(process, signal.SIGKILL)
     process.communicate()
     before = journal(store)
-    assert 20 <= len(before) < 288
+    assert 12 <= len(before) < 40
     assert not workflow.path(f"{BRUTE}/L00/capture.json").exists()
 
     assert "locked" in workflow.run(LONG, succeeds=False)
     workflow.run("--unlock")
     output = workflow.run(LONG)
 
-    assert (
-        f"{len(before)} of 288 patterns are captured; going on at pattern {len(before)}" in output
-    )
-    assert f"level 0: {288 - len(before)} patterns in" in output
+    assert f"{len(before)} of 40 patterns are captured; going on at pattern {len(before)}" in output
+    assert f"level 0: {40 - len(before)} patterns in" in output
     assert journal(store)[: len(before)] == before
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
@@ -53,14 +51,14 @@ def test_an_orphaned_capture_keeps_a_second_writer_out(
     workflow = Workflow(tmp_path)
     store = workflow.path(f"{BRUTE}/L00/capture.zarr")
     process = workflow.start(LONG)
-    orphan = freeze_writer(store, 20)
+    orphan = freeze_writer(store, 12)
     try:
         assert "locked" in workflow.run(LONG, succeeds=False)  # two runs in one folder
         os.kill(process.pid, signal.SIGKILL)
         workflow.unlock()
         output = workflow.run(LONG, succeeds=False)
         assert f"process {orphan} is writing this store" in output
-        assert len(journal(store)) < 288
+        assert len(journal(store)) < 40
     finally:
         os.kill(orphan, signal.SIGKILL)
     workflow.run(LONG)
@@ -75,17 +73,17 @@ def test_a_stopped_capture_closes_its_store_and_goes_on(
     workflow = Workflow(tmp_path)
     store = workflow.path(f"{BRUTE}/L00/capture.zarr")
     process = workflow.start(LONG)
-    writer = freeze_writer(store, 20)
+    writer = freeze_writer(store, 12)
     kill_group(process, number)
     os.kill(writer, signal.SIGCONT)
     output = workflow.end(process, succeeds=False)
     assert "stopped; what is done is kept" in output
     captured = len(journal(store))
-    assert 20 <= captured < 288
+    assert 12 <= captured < 40
     assert not store.with_name(".capture.zarr.lock").exists()
 
     output = workflow.run(LONG)  # with nothing to unlock
-    assert f"{captured} of 288 patterns are captured" in output
+    assert f"{captured} of 40 patterns are captured" in output
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
 

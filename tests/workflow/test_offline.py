@@ -8,7 +8,6 @@ import re
 import shutil
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import OpenImageIO as oiio
 import pytest
 import yaml
 from tests.workflow.harness import Workflow
-from tests.workflow.stagewise import contents, symmetric_matrix
+from tests.workflow.stagewise import acquire, contents, symmetric_matrix
 from typer.testing import CliRunner
 
 from rfpipe import OperatorRig, open_transport
@@ -28,11 +27,8 @@ from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.pictures.dng import dng_bytes
 from rfpipe.rigs.offline import check_pictures, offline_rig, read_sheet
-from rfpipe.stages import capture, levels
-from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.settings import stages_of
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan, plan_of
+from rfpipe.stages.settings import stages_of
 
 SCRIPT = Path(__file__).parents[1] / "examples" / "photographer.py"
 SHAPE = (4, 5)
@@ -100,13 +96,11 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
     settings = load_config(path)
     rig = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, CAMERA, seed=3)
     direct = tmp_path / "direct"
-    levels.run(
+    acquire(
+        direct,
+        rig,
         Plan(**plan_of(settings, "desk", "symmetric")),
-        AcquisitionFolder(direct),
-        "desk",
-        partial(capture.run, rig),
-        **stages_of(settings, "desk", "symmetric"),
-        resources=Resources(),
+        stages_of(settings, "desk", "symmetric"),
     )
 
     def expose(radiance: Any, seconds: float, key: Any) -> Any:

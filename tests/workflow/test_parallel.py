@@ -20,6 +20,7 @@ import psutil
 import pytest
 import yaml
 from distributed import Client, LocalCluster
+from rfpipe.stages.acquisitions import acquire_all
 from tests.waiting import wait_until
 from tests.workflow.clusters import address_of, kept_workers
 from tests.workflow.pieces import (
@@ -42,7 +43,6 @@ from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, InputErr
 from rfpipe.export import relit_files
 from rfpipe.provenance import generator
 from rfpipe.report.catalogue.items import item_of
-from rfpipe.stages.acquisitions import acquire_all
 from rfpipe.stages.evaluating.evaluate import errors_table, speed_error_table
 from rfpipe.stages.jobs import cluster as cluster_module
 from rfpipe.stages.jobs import sent as sent_module

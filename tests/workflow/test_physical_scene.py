@@ -20,10 +20,10 @@ CASES = {
 }
 
 
-def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path, undisturbed: Workflow) -> None:
+def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path, studies: Workflow) -> None:
     require_llvm()
     workflow = Workflow(tmp_path)
-    workflow.take_studies(undisturbed)
+    workflow.take_studies(studies)
     light = {"kind": "mitsuba", "samples": 64, "bounces": 3}
     workflow.configure(
         scenes={name: light | case for name, case in CASES.items()},

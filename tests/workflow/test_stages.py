@@ -34,7 +34,7 @@ from rfpipe.stages.jobs import progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging import merger as merging
 from rfpipe.stages.plan import Plan
-from rfpipe.store import FrameStore, read_manifest
+from rfpipe.store import read_manifest
 
 
 def test_a_matrix_is_recovered_from_files(tmp_path: Path) -> None:
@@ -54,11 +54,11 @@ def test_a_matrix_is_recovered_from_files(tmp_path: Path) -> None:
 
 def test_levels_with_nothing_left_to_ask_show_no_pattern(tmp_path: Path) -> None:
     acquisition = Acquisition(tmp_path, matrix_rig(np.full((RAYS, RAYS), 0.25)))
-    for level in range(acquisition.plan.n_levels):
+    for level in acquisition.folder.levels():
         acquisition.level(level)
     patterns = [row["patterns"] for row in acquisition.assemble().level_rows]
     assert patterns == [1, 4, 0, 0]
-    assert FrameStore.open(tmp_path / "L03/merge.zarr").shape[0] == 0
+    assert sorted(path.name for path in tmp_path.glob("L*")) == ["L00", "L01"]
 
 
 @pytest.mark.parametrize(
@@ -180,7 +180,6 @@ def test_a_stage_with_nothing_new_keeps_its_store(tmp_path: Path, stage: str) ->
     manifest, store = tmp_path / f"L01/{stage}.json", tmp_path / f"L01/{stage}.zarr"
     before = manifest.read_bytes()
     made = times(store)
-    manifest.unlink()
     getattr(acquisition, stage)(1)
     assert manifest.read_bytes() == before
     assert times(store) == made

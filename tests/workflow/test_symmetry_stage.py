@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.workflow.harness import STAGES
-from tests.workflow.stagewise import CODE, RAYS, SHAPE, Acquisition, matrix_rig, symmetric_matrix
+from tests.workflow.stagewise import (
+    CODE,
+    RAYS,
+    SHAPE,
+    Acquisition,
+    acquire,
+    matrix_rig,
+    stages,
+    symmetric_matrix,
+)
 
-from rfpipe import acquire, open_transport
+import rfpipe
+from rfpipe import open_transport
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
 from rfpipe.methods import Method
@@ -21,9 +29,8 @@ from rfpipe.methods.symmetric.method import Symmetric, SymmetricOptions
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import capture, levels, symmetry
+from rfpipe.stages import symmetry
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.symmetry import Asymmetry
 from rfpipe.store import FrameStore, read_manifest
@@ -35,10 +42,12 @@ pytestmark = pytest.mark.usefixtures("closed_logs")
 
 
 def judge(acquisition: Acquisition, accepted: float = 0.05, **options: Any) -> dict[str, Any]:
-    found = symmetry.run(
+    symmetry.run(
         acquisition.rig.sensor, acquisition.folder,
         saturation_fraction=0.98, code=CODE, **options,
     )  # fmt: skip
+    found = symmetry.read_asymmetry(acquisition.folder)
+    assert found is not None
     assert found.judge(Symmetric(), SymmetricOptions(), accepted).name == "symmetric"
     return read_manifest(acquisition.folder.manifest(0, "symmetry"))
 
@@ -53,15 +62,8 @@ def begun(path: Path, matrix: np.ndarray) -> Acquisition:
 
 def acquired(plan: Plan, folder: AcquisitionFolder, rig: OperatorRig, frames: int) -> None:
     """Run all levels of an acquisition."""
-    levels.run(
-        plan, folder, "matrix",
-        partial(capture.run, rig),
-        code=dict.fromkeys([*STAGES, "symmetry", "assemble"], CODE),
-        capture_options={"references": (2, 2), "symmetry_frames": frames, "keep_raw": True},
-        merge_options={"saturation_fraction": 0.98, "mask_defects": True},
-        normalization="none", number_format="float32", asymmetry=0.05,
-        watch={"mode": "warn", "looks": 0}, resources=Resources(),
-    )  # fmt: skip
+    settings = stages({"symmetry_frames": frames if plan.asks_symmetry else 0, "keep_raw": True})
+    acquire(folder.path, rig, plan, {**settings, "normalize": {"mode": "none", "code": CODE}})
 
 
 def crooked() -> np.ndarray:
@@ -84,7 +86,7 @@ def test_the_same_is_found_in_process(tmp_path: Path) -> None:
     frames = {"black_frames": 2, "floodlit_frames": 2, "progress": False}
     rig = matrix_rig(crooked(), CameraModel())
     with pytest.raises(CaptureError, match=rf"error of {told['error']:.1%} \+- "):
-        acquire(rig, "symmetric", **frames)
+        rfpipe.acquire(rig, "symmetric", **frames)
 
 
 def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
@@ -113,7 +115,7 @@ class Choice(Symmetric):
 def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> None:
     matrix = symmetric_matrix() if coaxial else crooked()
     name = f"{__file__}:Choice"
-    folder = AcquisitionFolder(tmp_path / "acquired", believing=True)
+    folder = AcquisitionFolder(tmp_path / "acquired")
 
     def run() -> str:
         plan = Plan("choice", name, SHAPE, SHAPE, 1)
@@ -128,13 +130,13 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
     stored = open_transport(folder.path / "transport.zarr")
     assert read_manifest(folder.path / "transport.json")["acquired_by"] == chosen
     frames = {"black_frames": 2, "floodlit_frames": 2, "progress": False}
-    result = acquire(matrix_rig(matrix, CameraModel()), Choice(), **frames)
+    result = rfpipe.acquire(matrix_rig(matrix, CameraModel()), Choice(), **frames)
     assert type(result.transport) is type(stored)
     assert result.patterns == stored.levels["patterns"].sum()
 
 
 def test_of_two_shapes_nobody_has_to_ask(tmp_path: Path) -> None:
-    folder, wide = AcquisitionFolder(tmp_path / "acquired", believing=True), (SHAPE[0], RAYS)
+    folder, wide = AcquisitionFolder(tmp_path / "acquired"), (SHAPE[0], RAYS)
     matrix = np.asarray(generator(3).random((SHAPE[0] * RAYS, RAYS)) / RAYS)
     rig = OperatorRig(matrix, wide, SHAPE, noise=CameraModel())
     acquired(Plan("choice", f"{__file__}:Choice", wide, SHAPE, 1), folder, rig, 0)
@@ -152,7 +154,7 @@ def test_a_choice_asks_for_its_target_where_that_is_tighter() -> None:
 
 def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
     def run(method: str, frames: int, name: str = "") -> AcquisitionFolder:
-        folder = AcquisitionFolder(tmp_path / (name or f"{method}_{frames}"), believing=True)
+        folder = AcquisitionFolder(tmp_path / (name or f"{method}_{frames}"))
         acquired(
             Plan(method, method, SHAPE, SHAPE, 1),
             folder,

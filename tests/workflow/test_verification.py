@@ -15,56 +15,44 @@ import numpy as np
 import pytest
 from tests.unit.test_reciprocity import SHAPE, Knocked, beside, wedge
 from tests.workflow.harness import ROOT, Workflow
+from tests.workflow.stagewise import CODE, stages
+from tests.workflow.stagewise import acquire as acquire_matrix
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import LOOK_KEY, VERIFICATION_KEY, OperatorRig
-from rfpipe.stages import capture, levels
+from rfpipe.stages import capture
 from rfpipe.stages.capturing.moves import LOOK_PATTERNS
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.symmetry import NOTICED
 from rfpipe.stages.unseen import verify
 from rfpipe.stages.verifying.verify import verify as verify_bytes
 from rfpipe.store import read_manifest
 
-CODE = dict.fromkeys(
-    ("schedule", "merge", "symmetry", "normalize", "refine", "assemble", "verification"), "code"
-)
 PICTURES = 4
-CAPTURE = {"references": (2, 8), "batch_patterns": 1}
-MERGE = {"saturation_fraction": 0.98, "mask_defects": True}
+
+
+def settings(mode: str = "warn", looks: int | None = None, code: str = CODE) -> Any:
+    watching = {"mode": mode, "looks": looks, "mutual_error": NOTICED * 0.05}
+    capture = {"references": (2, 8), "batch_patterns": 1, "watching": watching}
+    return stages(capture, code=code)
 
 
 def acquire(
     path: Path, rig: Any, method: str = "dual", mode: str = "warn", looks: int | None = None
 ) -> AcquisitionFolder:
-    folder = AcquisitionFolder(path, believing=True)
-    levels.run(
-        Plan(method, method, SHAPE, SHAPE, 1, {"tolerance": 1e-2}),
-        folder,
-        "matrix",
-        partial(capture.run, rig),
-        code=CODE,
-        capture_options=CAPTURE,
-        merge_options=MERGE,
-        normalization="per_channel",
-        number_format="float32",
-        asymmetry=0.05,
-        watch={"mode": mode, "looks": looks},
-        resources=Resources(),
-    )
-    return folder
+    plan = Plan(method, method, SHAPE, SHAPE, 1, {"tolerance": 1e-2})
+    return acquire_matrix(path, rig, plan, settings(mode, looks))
 
 
-def verified(folder: AcquisitionFolder, rig: Any, code: str = "code") -> dict[str, Any]:
+def verified(folder: AcquisitionFolder, rig: Any, code: str = CODE) -> dict[str, Any]:
     verify.run(
         folder,
         partial(capture.run, rig),
         pictures=PICTURES,
-        code={**CODE, "verification": code},
-        capture_options=CAPTURE,
-        merge_options=MERGE,
+        settings=settings(code=code),
         resources=Resources(),
     )
     return read_manifest(folder.path / verify.MANIFEST)
@@ -133,7 +121,7 @@ class Killed(Stopping):
         return frames
 
 
-verified(AcquisitionFolder(Path(sys.argv[1]), believing=True), Killed())
+verified(AcquisitionFolder(Path(sys.argv[1])), Killed())
 """
 
 

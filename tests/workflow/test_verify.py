@@ -14,17 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.workflow.harness import TINY, Workflow
-from tests.workflow.stagewise import CAMERA, CODE, SHAPE, FaultyRig, damage, matrix_rig
-from tests.workflow.test_levels import STAGES, left
+from tests.workflow.stagewise import CAMERA, SHAPE, FaultyRig, damage, left, matrix_rig
+from tests.workflow.stagewise import acquire as acquire_matrix
 
 from rfpipe.calibration import CalibrationFolder
 from rfpipe.calibration.base import Findings, Verdict
 from rfpipe.errors import IntegrityError
-from rfpipe.stages import capture, levels
 from rfpipe.stages.capturing.brackets import Brackets
-from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import Plan
 from rfpipe.stages.verifying.verify import command_for, verify
 from rfpipe.store import read_manifest, write_manifest
 
@@ -32,20 +28,7 @@ from rfpipe.store import read_manifest, write_manifest
 def acquire(path: Path, method: str = "symmetric") -> list[tuple[int, ...]]:
     """Do what the workflow's job does; return the keys of the patterns shown."""
     rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
-    plan = Plan(method, method, SHAPE, SHAPE, 1)
-
-    def captured(folder: AcquisitionFolder, level: int, **options: object) -> None:
-        capture.run(rig, folder, level, **options)
-
-    levels.run(
-        plan, AcquisitionFolder(path, believing=True), "matrix", captured,
-        code=dict.fromkeys([*STAGES, "symmetry"], CODE),
-        capture_options={"references": (2, 2)},
-        merge_options={"saturation_fraction": 0.98, "mask_defects": True},
-        normalization="per_channel", number_format="float32", asymmetry=0.05,
-        watch={"mode": "warn", "looks": 0},
-        resources=Resources(),
-    )  # fmt: skip
+    acquire_matrix(path, rig, method)
     return rig.shown
 
 

@@ -1,5 +1,5 @@
 from rfpipe.stages.captures import by_server
-from rfpipe.stages.jobs.job import stage_job
+from rfpipe.stages.stage_job import stage_job
 
 with stage_job(snakemake) as job:
     capture = by_server(job.params.rig, job.asked)

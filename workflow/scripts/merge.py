@@ -1,6 +1,6 @@
 from rfpipe.stages import merge
 from rfpipe.stages.capturing.sensors import read_sensor
-from rfpipe.stages.jobs.job import stage_job
+from rfpipe.stages.stage_job import stage_job
 
 with stage_job(snakemake) as job:
     sensor = read_sensor(job.folder)

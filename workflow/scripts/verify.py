@@ -1,5 +1,5 @@
 from rfpipe.stages import captures
-from rfpipe.stages.jobs.job import stage_job
+from rfpipe.stages.stage_job import stage_job
 from rfpipe.stages.unseen import verify
 
 with stage_job(snakemake) as job:

@@ -268,7 +268,9 @@ def _stands(
 ) -> bool:
     """Whether the level's manifest stands there and is about these brackets."""
     stated = standing(folder.manifest(level, "capture"), of_level.made_for)
-    return stated is not None and all(
+    if stated is None or (SYMMETRY in stated) != (SYMMETRY in before):
+        return False
+    return all(
         stated.get(name, {}).get("fingerprint") == part.made_for for name, part in before.items()
     )
 

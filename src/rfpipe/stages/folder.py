@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ __all__ = [
     "clear",
     "name_of",
     "next_level",
+    "with_followers",
 ]
 
 REFERENCE = "reference"
@@ -75,11 +77,14 @@ class AcquisitionFolder:
         while level is not None:
             yield level
             manifest = self.manifest(level, "refine")
-            level = next_level(manifest) if manifest.exists() else None
+            try:
+                level = next_level(manifest) if manifest.exists() else None
+            except IntegrityError:  # it is about to be made anew
+                return
 
     def levels_above(self, level: int | None) -> list[int]:
         """Return the levels with patterns above a level; all of them for None."""
-        return [above for above in self.levels() if level is None or above < level]
+        return list(takewhile(lambda above: level is None or above < level, self.levels()))
 
     def refined_above(self, level: int | None) -> list[str]:
         """Return the digests of all refinements above a level, which its schedule rests on."""
@@ -202,7 +207,7 @@ def advice_on_damage(manifest: Path) -> Iterator[None]:
 def clear(error: DamagedStageError) -> bool:
     """Remove the manifest of a damaged stage, so that it is made anew; tell whether it is.
 
-    Captures are left to the user, who knows whether the scene still stands there: of theirs,
+    So are those of its level that follow from it. Captures are left to the user, who knows whether the scene still stands there: of theirs,
     headers alone are restored.
     """
     manifest = error.manifest
@@ -210,8 +215,20 @@ def clear(error: DamagedStageError) -> bool:
         restored = [restore_header(store) for store in manifest.parent.glob("*.zarr")]
         if not any(restored):
             return False
-    manifest.unlink(missing_ok=True)
+    for each in with_followers(manifest):
+        each.unlink(missing_ok=True)
     return True
+
+
+def with_followers(manifest: Path) -> list[Path]:
+    """Return a stage's manifest and those of its level that are to go with it.
+
+    Snakemake makes a missing file again only for one that follows from it and is missing, too.
+    """
+    stages = ("capture", "merge", "normalize", "refine")
+    if manifest.stem not in stages:
+        return [manifest]
+    return [manifest.with_name(f"{stage}.json") for stage in stages[stages.index(manifest.stem) :]]
 
 
 def _check_digest(path: Path | Place, found: str, expected: dict[str, Any]) -> None:

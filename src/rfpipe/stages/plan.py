@@ -63,7 +63,7 @@ class Plan:
         self.asymmetry = asymmetry
         self.named: Method[Any] = named.with_options(self.options)
         self.method: Method[Any] = self.named
-        self._carried: tuple[int, Any] | None = None
+        self._carried: tuple[int | None, Any] | None = None
         self._restored: tuple[list[str], Any] | None = None
 
     @property
@@ -96,12 +96,14 @@ class Plan:
         else:
             is_coaxial = self.camera.shape == self.projector.shape
             named = self.named if is_coaxial else self.named.on_rig(coaxial=False)
-        self.method = named.with_options(self.options)
+        settled = named.with_options(self.options)
+        if type(settled) is not type(self.method):
+            self._carried = self._restored = None
+        self.method = settled
 
-    def carry(self, level: int, state: Any) -> None:
-        """Keep the method's state before a level for `state_before`; None for one to restore."""
-        self._carried = None if state is None else (level, state)
-        self._restored = None
+    def carry(self, level: int | None, state: Any) -> None:
+        """Keep the method's state before a level for `state_before`; None: after the last one."""
+        self._carried, self._restored = (level, state), None
 
     def state_before(self, folder: AcquisitionFolder, level: int | None) -> Any:
         """Return the method's state before a level; None for that after the last one.

@@ -1,4 +1,4 @@
-"""What every job of the workflow begins with: its log, its folder, and a clean end when stopped."""
+"""What every job of the workflow begins with: its log, and a clean end when it is stopped."""
 
 from __future__ import annotations
 
@@ -10,20 +10,16 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rfpipe.errors import DamagedStageError, RfpipeError
 
 if TYPE_CHECKING:
-    from rfpipe.stages.folder import AcquisitionFolder, clear
-    from rfpipe.stages.jobs.workers import Resources
-    from rfpipe.stages.plan import Plan
+    pass
 
-__all__ = ["USAGE", "StageJob", "message_of", "stage_job", "stage_log", "start"]
+__all__ = ["USAGE", "message_of", "stage_log", "start"]
 
 USAGE = "took at most %.1f MB of memory, %.2f s of processor time"
 """The last line of a job's log, in MB of 10^6 bytes."""
@@ -59,86 +55,12 @@ def start(log_file: str) -> None:
     signal.signal(signal.SIGTERM, _interrupt)
 
 
-@dataclass(frozen=True)
-class StageJob:
-    """What a job of an acquisition works on.
-
-    Attributes
-    ----------
-    folder : AcquisitionFolder
-    level : int
-        0 where the job is of no level.
-    params : snakemake.io.Params
-        The rule's.
-    resources : Resources
-    asked : snakemake.io.Resources
-        All of the job's resources.
-    """
-
-    folder: AcquisitionFolder
-    level: int
-    params: Any
-    resources: Resources
-    asked: Any
-
-    @property
-    def settings(self) -> Any:
-        """The settings of the job's stage, or stages."""
-        return self.params.settings
-
-    @cached_property
-    def plan(self) -> Plan:
-        """The plan of the rule's parameters."""
-        from rfpipe.stages.plan import Plan
-
-        return Plan(**self.params.plan)
-
-
-@contextmanager
-def stage_job(snakemake: Any) -> Iterator[StageJob]:
-    """Begin a job of an acquisition, which no other process works on meanwhile.
-
-    Parameters
-    ----------
-    snakemake : object
-        As Snakemake gives it to the job's script.
-
-    Raises
-    ------
-    LockedError
-        When another process works on the same acquisition, such as a job that outlived a workflow
-        that was killed.
-    DamagedStageError
-        When a stage before is damaged. Its manifest is removed, but a capture's, so that the next
-        run makes it anew.
-    """
-    from rfpipe.stages.folder import AcquisitionFolder
-    from rfpipe.stages.jobs.workers import Resources
-    from rfpipe.store import StoreLock
-
-    start(snakemake.log[0])
-    wildcards = snakemake.wildcards
-    folder = AcquisitionFolder(Path("results", wildcards.scene, wildcards.method))
-    level = int(wildcards.get("level", 0))
-    resources = Resources.of_job(snakemake)
-    with StoreLock(folder.path):
-        try:
-            yield StageJob(folder, level, snakemake.params, resources, snakemake.resources)
-        except DamagedStageError as error:
-            if not clear(error):
-                raise
-            raise DamagedStageError(
-                f"{str(error).partition('. To do so')[0]}. {error.manifest} is removed: the next "
-                "run makes it anew",
-                error.manifest,
-            ) from error
-
-
 @contextmanager
 def stage_log(path: Path) -> Iterator[None]:
     """Also log to a stage's own file, after what is there, and under its name on stderr.
 
-    Where the stage fails it stays so: the job ends, and what it says belongs there.
+    Where the stage fails it stays so: the job ends, and what it says belongs there. Where it finds
+    another one damaged, that one may be made anew.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     to_file = _file(path, "a")
@@ -147,11 +69,17 @@ def stage_log(path: Path) -> Iterator[None]:
         if isinstance(formatter, _Brief):
             handler.setFormatter(_Brief(path))
     _log.addHandler(to_file)
-    yield
+    damaged = None
+    try:
+        yield
+    except DamagedStageError as error:
+        damaged = error
     _log.removeHandler(to_file)
     to_file.close()
     for handler, formatter in named.items():
         handler.setFormatter(formatter)
+    if damaged is not None:
+        raise damaged
 
 
 def _file(path: Path, mode: str) -> logging.FileHandler:

@@ -11,7 +11,13 @@ from rfpipe.errors import StoreError
 from rfpipe.stages.capturing.drift import DRIFT
 from rfpipe.stages.capturing.moves import MOVES
 from rfpipe.stages.capturing.sensors import SENSOR
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, VERIFICATION, AcquisitionFolder
+from rfpipe.stages.folder import (
+    REFERENCE,
+    SYMMETRY,
+    VERIFICATION,
+    AcquisitionFolder,
+    with_followers,
+)
 from rfpipe.stages.merge import SUMS
 from rfpipe.stages.merging.references import REFERENCES
 from rfpipe.stages.unseen.verify import MANIFEST as VERIFIED
@@ -194,20 +200,23 @@ class _Acquisition:
                 "what is whole stays; the damaged patterns are shown again, so the scene must "
                 "stand as it did" if "header" not in path.name else ""
             )  # fmt: skip
-            return Mend("run", (manifest, self.transport), cost)
+            return Mend("run", (*with_followers(manifest), self.transport), cost)
         if manifest.stem == "merge" and self._is_dropped(manifest.parent):
             taken = [
                 place
                 for level in self.folder.path.glob("L*")
-                for name in ("capture.json", "capture.zarr", f"{REFERENCE}.zarr", "symmetry.zarr")
-                if (place := level / name).exists()
+                for place in (
+                    *with_followers(level / "capture.json"),
+                    *(level / f"{name}.zarr" for name in ("capture", REFERENCE, SYMMETRY)),
+                )
+                if place.exists()
             ]
             cost = (
                 "the raw exposures were dropped after their merge (capture.keep_raw): ALL patterns "
                 "are taken again. A copy of the folder, if there is one, is better"
             )
-            return Mend("run", (manifest, *taken, self.transport), cost)
-        return Mend("run", tuple(dict.fromkeys((manifest, self.transport))))
+            return Mend("run", tuple(dict.fromkeys((manifest, *taken, self.transport))), cost)
+        return Mend("run", tuple(dict.fromkeys((*with_followers(manifest), self.transport))))
 
     @staticmethod
     def _is_dropped(level: Path) -> bool:

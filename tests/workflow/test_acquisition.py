@@ -1,0 +1,121 @@
+"""All stages in one process: their own bytes, nothing done twice, and kills at any moment."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+import pytest
+from tests.workflow.stagewise import (
+    CAMERA,
+    SHAPE,
+    Acquisition,
+    acquire,
+    damage,
+    left,
+    matrix_rig,
+    stages,
+)
+
+from rfpipe.errors import LockedError
+from rfpipe.provenance import generator
+from rfpipe.stages.plan import Plan
+from rfpipe.store import StoreLock
+
+KILLS = 15
+# Processes that have loaded what is needed, and run nothing.
+FORKS = multiprocessing.get_context("forkserver")
+FORKS.set_forkserver_preload(["tests.workflow.stagewise", "rfpipe.methods.symmetric.method"])
+
+
+def rig() -> object:
+    return matrix_rig(noise=CAMERA)
+
+
+@pytest.mark.parametrize("method", ["symmetric", "dual", "near_far", "low_rank"])
+def test_it_leaves_what_its_stages_leave_one_by_one(tmp_path: Path, method: str) -> None:
+    acquire(tmp_path / "job", rig(), method)
+    one_by_one = Acquisition(tmp_path / "stages", rig())
+    one_by_one.plan = Plan(method, method, SHAPE, SHAPE, 1)
+    one_by_one.watching = stages()["capture"]["watching"]
+    for level in one_by_one.folder.levels():
+        one_by_one.level(level)
+    one_by_one.assemble()
+    assert left(tmp_path / "job") == left(tmp_path / "stages")
+
+
+def test_what_runs_again_does_nothing_again(tmp_path: Path) -> None:
+    folder = acquire(tmp_path, rig())
+    before = left(tmp_path)
+    stores = [path for path in tmp_path.glob("L*/*") if path.is_dir()]
+    times = [*tmp_path.glob("L*/*.json"), *tmp_path.glob("L*/*.tsv")]
+    assert len(times) == 2 * 5 * 4
+    written = {path: path.stat().st_mtime_ns for path in [*stores, *times]}
+    acquire(tmp_path, rig())
+    assert left(tmp_path) == before
+    assert {path: path.stat().st_mtime_ns for path in written} == written
+    for stage in ("normalize", "refine"):
+        folder.manifest(2, stage).unlink()
+        folder.store(2, stage).rename(tmp_path / stage)
+    acquire(tmp_path, rig())
+    found = left(tmp_path)
+    assert {name: found[name] for name in before} == before
+
+
+@pytest.mark.parametrize("stage", ["schedule", "merge", "normalize", "refine"])
+def test_what_is_damaged_on_the_way_is_made_anew(tmp_path: Path, stage: str) -> None:
+    folder = acquire(tmp_path, rig())
+    before = left(tmp_path)
+    damage(folder.store(1, stage))
+    folder.manifest(3, "refine").unlink()  # so that what is above is read again
+    folder.manifest(1, "refine").unlink()
+    (tmp_path / "transport.json").unlink()
+    acquire(tmp_path, rig())
+    assert left(tmp_path) == before
+
+
+def test_one_process_at_a_time_works_on_an_acquisition(tmp_path: Path) -> None:
+    with StoreLock(tmp_path / "mine"), pytest.raises(LockedError, match="mine: process"):
+        acquire(tmp_path / "mine", rig())
+    assert not (tmp_path / "mine").exists()
+
+
+def test_killed_at_any_moment_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    began = perf_counter()
+    acquire(tmp_path / "whole", rig())
+    seconds = perf_counter() - began
+    expected = left(tmp_path / "whole")
+    killed: set[str] = set()
+    for number, moment in enumerate(generator(8).uniform(0, 1, KILLS)):
+        share = (number + moment) / KILLS
+        path = tmp_path / str(number)
+        if not _ends_before(path, share * seconds):
+            killed.add(_stage_under_way(path))
+        acquire(path, rig())
+        assert left(path) == expected, f"killed after {share:.0%}"
+    assert len(killed) >= 3, killed  # the moments are random, but spread over all stages
+
+
+def _ends_before(path: Path, seconds: float) -> bool:
+    """Acquire in a process that is killed after some seconds; tell whether it ended before."""
+    process = FORKS.Process(target=_acquire_for, args=(path, seconds))
+    process.start()
+    process.join()
+    assert process.exitcode in (0, -signal.SIGALRM)
+    return process.exitcode == 0
+
+
+def _acquire_for(path: Path, seconds: float) -> None:
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # which ends it at once, as kill -9 does
+    signal.setitimer(signal.ITIMER_REAL, max(seconds, 1e-4))
+    acquire(path, rig())
+
+
+def _stage_under_way(path: Path) -> str:
+    """Return the stage whose log was begun last."""
+    logs = [*path.glob("L*/*.log")]
+    newest = np.argmax([log.stat().st_mtime_ns for log in logs]) if logs else 0
+    return logs[newest].stem if logs else ""
