@@ -122,7 +122,7 @@ def test_channels_are_found_from_what_all_of_them_told_and_dark_ones_stay_dark()
     model = fit(shape, pictures)
     assert not model.cores[2].any()
     pattern = (np.arange(576) % 24 < 8).astype(np.float32)
-    transport = as_transport(shape, [], model, pictures, 0)
+    transport = as_transport(shape, [], model, pictures)
     image = transport.forward(np.broadcast_to(pattern, (1, 3, 576)), range(3))[0]
     for found, expected in zip(image[:2], (matrix @ pattern)[:2], strict=True):
         assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)

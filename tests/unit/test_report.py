@@ -36,6 +36,7 @@ from rfpipe.report.inputs import load_inputs
 from rfpipe.report.light_fields import view_errors
 from rfpipe.report.page import make_sections
 from rfpipe.report.pictures import amplification
+from rfpipe.report.sections import levels_section
 from rfpipe.report.single_responses import error_sources
 from rfpipe.report.tables import costs, levels_table, table_5_1
 from rfpipe.report.text import number, percent, size
@@ -256,6 +257,20 @@ def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
     figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
     assert figures == {"scene_grey", "fig_2_1_brute_force"}  # no option that trades patterns
     assert len(page.images) == 2
+
+
+def test_methods_that_know_no_earlier_level_are_left_out_of_the_figure_of_levels(tmp_path):
+    config = GREY.model_validate(
+        {**GREY.model_dump(), "methods": {"near_far": {}, "symmetric": {}}}
+    )
+    acquired(tmp_path, config)
+    inputs = load_inputs(config, tmp_path, *tables_of(tmp_path))
+    near_far, symmetric = inputs.runs
+    assert len(near_far.facts["levels"]) > 1
+    assert (near_far.knows_levels, symmetric.knows_levels) == (False, True)
+    section = levels_section(inputs)
+    assert section.blocks[0].sources == [symmetric.source]
+    assert levels_section(dataclasses.replace(inputs, runs=[near_far])) is None
 
 
 @pytest.fixture(scope="module")
