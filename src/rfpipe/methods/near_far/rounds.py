@@ -251,8 +251,10 @@ def _costly(state: NearFarState) -> bool:
         return False
     asked = [row["patterns"] for row in state.rows if row["patterns"]]
     before = shown - sum(asked[-2:])
-    power = np.log(found[0].error / found[-1].error) / np.log(shown / before)
-    return not _cheaper(state, max(power, _STALLED_BLOCKS))
+    power = _STALLED_BLOCKS
+    if found[0].error > found[-1].error > 0:
+        power = max(power, np.log(found[0].error / found[-1].error) / np.log(shown / before))
+    return not _cheaper(state, power)
 
 
 def _nearly(state: NearFarState) -> bool:
