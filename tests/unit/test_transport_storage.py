@@ -68,6 +68,14 @@ def test_only_a_hierarchy_knows_what_it_was_at_an_earlier_level(transport: Trans
             transport.truncate(level)
 
 
+def test_what_is_no_store_says_what_it_is_and_what_to_do(tmp_path: Path) -> None:
+    np.savez(tmp_path / "matrix.npz", np.eye(4))
+    with pytest.raises(StoreError, match=r"matrix\.npz: a file, no store; .*rfpipe\.read_matrix"):
+        open_transport(tmp_path / "matrix.npz")
+    with pytest.raises(StoreError, match=r"no such file or folder; give the transport\.zarr"):
+        open_transport(tmp_path / "missing" / "transport.zarr")
+
+
 def test_the_fewer_bits_the_smaller(transport: Transport, dual: Transport, tmp_path: Path) -> None:
     for acquired in (transport, dual):
         sizes = []
