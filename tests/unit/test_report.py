@@ -46,7 +46,7 @@ from rfpipe.stages import relight
 from rfpipe.stages.evaluating import evaluate
 from rfpipe.stages.results import write_bundle
 from rfpipe.stages.unseen.comparing import compare
-from rfpipe.store import write_arrays, write_manifest
+from rfpipe.store import open_arrays, write_arrays, write_manifest
 from rfpipe.transport.dense import DenseTransport
 
 
@@ -259,18 +259,16 @@ def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
     assert len(page.images) == 2
 
 
-def test_methods_that_know_no_earlier_level_are_left_out_of_the_figure_of_levels(tmp_path):
-    config = GREY.model_validate(
-        {**GREY.model_dump(), "methods": {"near_far": {}, "symmetric": {}}}
-    )
-    acquired(tmp_path, config)
-    inputs = load_inputs(config, tmp_path, *tables_of(tmp_path))
-    near_far, symmetric = inputs.runs
-    assert len(near_far.facts["levels"]) > 1
-    assert (near_far.knows_levels, symmetric.knows_levels) == (False, True)
-    section = levels_section(inputs)
+def test_methods_that_know_no_earlier_level_are_left_out_of_the_figure_of_levels(results, tmp_path):
+    inputs = load_inputs(BOTH, results, *tables_of(results))
+    symmetric, dual = (run for run in inputs.runs if run.scene == "corner")
+    arrays = {name: dual.read(name) for name in dual.images.names}
+    arrays["levels_relit"] = arrays["levels_relit"][-1:]
+    write_arrays(tmp_path / "whole.zarr", arrays, {})
+    whole = dataclasses.replace(dual, images=open_arrays(tmp_path / "whole.zarr"))
+    section = levels_section(dataclasses.replace(inputs, runs=[symmetric, whole]))
     assert section.blocks[0].sources == [symmetric.source]
-    assert levels_section(dataclasses.replace(inputs, runs=[near_far])) is None
+    assert levels_section(dataclasses.replace(inputs, runs=[whole])) is None
 
 
 @pytest.fixture(scope="module")
