@@ -47,7 +47,7 @@ $(INSTALLED): requirements.lock pyproject.toml
 run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the report's path
 	@rfpipe run $(ARGS) || { status=$$?; \
 	  echo "make: the run stopped. 'make run' goes on where it stopped;" \
-	    "after a kill -9 it is 'make unlock run'." >&2; exit $$status; }
+	    "after a kill -9 it is 'make unlock run', with the same ARGS." >&2; exit $$status; }
 
 thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/
 	@rfpipe run --directory thesis --configfile config/thesis.yaml $(ARGS)
@@ -63,7 +63,7 @@ serve: $(INSTALLED) ## run a rig's acquisition server until Ctrl-C: make serve R
 	@rfpipe serve $(RIG)
 
 unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock run (or thesis, figures)
-	@snakemake --unlock
+	@snakemake --unlock $(ARGS)
 	@if [ -d thesis ]; then \
 	  snakemake --directory thesis --configfile config/thesis.yaml --unlock; fi
 	@if [ -d figures ]; then \

@@ -4,12 +4,14 @@
 lowers a transport's resolution, ``crop`` takes a view or a part of one, ``picture_weights`` makes a
 pattern of a picture; ``acquire`` runs a whole acquisition in this process; ``OperatorRig`` is a rig
 made from a matrix or linear operator, which ``read_matrix`` finds in files of other programs, and
-``CameraModel`` the camera that it may be given. Each is imported when it is first used, so that
-``import rfpipe`` stays quick.
+``CameraModel`` the camera that it may be given; ``errors`` are all that rfpipe raises on purpose.
+All but these are imported when they are first used, so that ``import rfpipe`` stays quick.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
+
+from rfpipe import errors
 
 if TYPE_CHECKING:
     from rfpipe.photometry import CameraModel
@@ -31,6 +33,7 @@ __all__ = [
     "acquire",
     "coarser",
     "crop",
+    "errors",
     "open_collection",
     "open_transport",
     "picture_weights",

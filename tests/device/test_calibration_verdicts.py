@@ -186,7 +186,7 @@ def test_a_calibration_that_is_not_good_is_not_served(
     rig = tmp_path / "rig.yaml"
     rig.write_text(json.dumps(plain))
     done = CliRunner().invoke(app, ["calibrate", str(rig), "--output", str(folder)])
-    assert done.exit_code == 0
+    assert done.exit_code == 1
     assert "not good: rays of camera and projector" in done.output
     refused = CliRunner().invoke(app, ["serve", str(rig)], env={"RFPIPE_TOKEN": "x" * 32})
     assert isinstance(refused.exception, ConfigError)

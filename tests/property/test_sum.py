@@ -23,7 +23,7 @@ def dense_part(shape, channels, rng):
     return DenseTransport(shape, shape, channels, ROWS[:1], {"matrix": matrix})
 
 
-def random_sum(shape, channels, seed, first_levels=None):
+def random_sum(shape, channels, seed):
     """Return a sum of a dense, a signed hierarchical and a multilevel part."""
     rng = np.random.default_rng(seed)
     domain = RayDomain(shape)
@@ -36,7 +36,7 @@ def random_sum(shape, channels, seed, first_levels=None):
         random_transport(shape, channels, seed, signed=True)[0],
         MultilevelTransport.from_pair_sets(domain, domain, channels, [], [pairs]),
     ]
-    return SumTransport(parts, ROWS, first_levels)
+    return SumTransport(parts, ROWS)
 
 
 @settings(max_examples=25, deadline=None)
@@ -56,37 +56,15 @@ def test_it_is_the_sum_of_its_parts_and_its_transpose_that_of_theirs(shape, chan
     assert total.nbytes == sum(part.nbytes for part in total.parts)
 
 
-def test_parts_that_began_later_are_left_out_and_others_truncated_at_their_own_levels():
-    total = random_sum((6, 7), 3, 3, first_levels=[2, 1, 4])
-    dense, hierarchical, multilevel = total.parts
-    pattern = np.random.default_rng(0).random((6, 7))
-    expected = {
-        0: np.zeros((6, 7, 3)),
-        1: hierarchical.truncate(0).relight(pattern),
-        3: dense.relight(pattern) + hierarchical.truncate(2).relight(pattern),
-        5: dense.relight(pattern)
-        + hierarchical.relight(pattern)
-        + multilevel.truncate(1).relight(pattern),
-        20: total.relight(pattern),
-    }
-    assert total.last_level == 7
-    for level, image in expected.items():
-        truncated = total.truncate(level)
-        np.testing.assert_allclose(truncated.relight(pattern), image, atol=1e-4)
-        assert len(truncated.levels) == min(level + 1, len(ROWS))
-
-
 @pytest.mark.parametrize("number_format", ["float32", "uint16", "uint8"])
 def test_it_is_kept_by_the_store_and_read_within_the_memory_budget(tmp_path, number_format):
-    within = random_sum((6, 7), 3, 5, first_levels=[0, 2, 1])
-    total = SumTransport([within, dense_part((6, 7), 3, np.random.default_rng(1))], ROWS, [0, 3])
+    within = random_sum((6, 7), 3, 5)
+    total = SumTransport([within, dense_part((6, 7), 3, np.random.default_rng(1))], ROWS)
     path = tmp_path / "transport.zarr"
     first = save_transport(total, path, number_format, scene="test")
     opened, streamed = open_transport(path), open_transport(path, memory_budget=0)
     assert isinstance(opened, SumTransport)
     assert (opened.camera_shape, opened.projector_shape, opened.channels) == ((6, 7), (6, 7), 3)
-    assert opened.first_levels == (0, 3)
-    assert opened.parts[0].first_levels == (0, 2, 1)
     assert opened.levels.equals(total.levels)
     files = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
     assert 0 < opened.parts[0].nbytes < opened.nbytes == files
@@ -95,9 +73,6 @@ def test_it_is_kept_by_the_store_and_read_within_the_memory_budget(tmp_path, num
     bound = {"float32": 0, "uint16": 1e-4, "uint8": 2e-2}[number_format]
     assert np.abs(opened.relight(pattern) - exact).max() <= bound * np.abs(exact).max()
     np.testing.assert_array_equal(streamed.relight(pattern), opened.relight(pattern))
-    np.testing.assert_array_equal(
-        streamed.truncate(4).relight(pattern), opened.truncate(4).relight(pattern)
-    )
     assert save_transport(opened, tmp_path / "again", number_format, scene="test") == first
     for chunk in path.glob("part_00_part_01_*/c/*"):
         chunk.unlink()
@@ -116,8 +91,3 @@ def test_parts_that_do_not_fit_together_are_refused():
     for other in (dense_part((5, 4), 3, rng), dense_part((4, 5), 1, rng)):
         with pytest.raises(InputError, match=r"part 1 of a sum has .*, part 0 has .*\(4, 5\).* 3"):
             SumTransport([part, other], ROWS)
-    for first_levels in ([0], [0, -1], []):
-        with pytest.raises(InputError, match="one level for each"):
-            SumTransport([part, part], ROWS, first_levels)
-    with pytest.raises(InputError, match="level -1"):
-        SumTransport([part, part], ROWS).truncate(-1)

@@ -58,14 +58,6 @@ def test_relighting_and_its_transpose(matrix: np.ndarray) -> None:
         np.testing.assert_allclose(operator.T @ np.eye(20), matrix[channel].T, rtol=1e-6)
 
 
-def test_truncation_changes_nothing(matrix: np.ndarray) -> None:
-    transport = acquire_matrix(BruteForce(), matrix, (4, 5), (6, 7)).transport
-    assert transport.truncate(0) is transport
-    assert transport.truncate(5) is transport
-    with pytest.raises(InputError, match="level -1 of a transport; levels count from 0"):
-        transport.truncate(-1)
-
-
 def test_states_restore_and_transports_are_stored(matrix: np.ndarray, tmp_path: Path) -> None:
     method = BruteForce()
     run = acquire_matrix(method, matrix, (4, 5), (6, 7))

@@ -1,6 +1,7 @@
 """The commands, on a transport small enough to know by heart: T = x x^T, one x a channel."""
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -316,9 +317,17 @@ def test_run_looks_for_the_settings_files_in_the_folder_that_it_is_given(
     examples = Path(__file__).parents[1] / "examples"
     glass = (examples / "frosted_glass.py").read_text().replace("FrostedGlass", "Glass")
     Path("elsewhere/glass.py").write_text(glass)
+    assert "glass by" in run("validate", "settings.yaml", "--directory", "elsewhere")
+    assert "glass" in run("plan", "settings.yaml", "--directory", "elsewhere")
     command = ["rfpipe", "run", *options, "--directory", "elsewhere"]
     monkeypatch.setattr(sys, "argv", command)
     with pytest.raises(SystemExit) as caught:
         main()
     assert caught.value.code == 0
     assert Path("elsewhere/done.txt").exists()
+
+
+def test_make_unlock_frees_the_folder_that_the_run_was_given() -> None:
+    asked = ["make", "-n", "unlock", "ARGS=--directory mine --configfile mine.yaml"]
+    told = subprocess.run(asked, cwd=CONFIG.parents[1], check=True, capture_output=True, text=True)
+    assert "snakemake --unlock --directory mine --configfile mine.yaml" in told.stdout

@@ -77,8 +77,13 @@ def test_thesis_file_has_the_default_scenes_at_full_size_and_a_light_field() -> 
     assert plane.options()["tolerance"] == 1.5e-4
 
 
-def test_empty_file_means_defaults(tmp_path: Path) -> None:
-    assert load_config(write(tmp_path, "")) == Config()
+@pytest.mark.parametrize("text", ["", "# nothing yet\n", "{}"])
+def test_an_empty_file_is_refused_and_one_setting_leaves_the_others(
+    tmp_path: Path, text: str
+) -> None:
+    with pytest.raises(ConfigError, match=r"\.yaml: is empty; expected"):
+        load_config(write(tmp_path, text))
+    assert load_config(write(tmp_path, "seed: 1")) == Config()
 
 
 def test_every_setting_has_a_description() -> None:

@@ -75,7 +75,6 @@ def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path, caplog) 
     save_transport(result.transport, tmp_path / "transport.zarr")
     stored = open_transport(tmp_path / "transport.zarr")
     pd.testing.assert_frame_equal(stored.history, result.history)
-    assert len(stored.truncate(2).history) == 2
     told = [record.message for record in caplog.records if "estimated error" in record.message]
     assert len(told) == 5
     assert told[0] == (

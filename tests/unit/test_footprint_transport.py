@@ -9,7 +9,6 @@ import pytest
 from scipy.sparse import csr_array, random_array
 from tests.helpers import dense
 
-from rfpipe.errors import InputError
 from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.footprints.transport import FootprintTransport
@@ -103,13 +102,9 @@ def test_the_store_keeps_it_unrounded(shapes, number_format, tmp_path: Path) -> 
     assert save_transport(stored, tmp_path / "again", number_format) == digest
 
 
-def test_bytes_are_those_of_its_arrays_and_it_has_no_levels() -> None:
+def test_bytes_are_those_of_its_arrays() -> None:
     transport, _ = made((3, 5), (7, 2))
     arrays, about = transport.pack()
     assert transport.nbytes == sum(array.nbytes for array in arrays.values())
     assert about["kind"] == "footprints"
     assert {array.dtype.name for array in arrays.values()} == {"float32", "int32"}
-    assert transport.last_level == 0
-    assert transport.truncate(0) is transport.truncate(5) is transport
-    with pytest.raises(InputError, match="level -1 of a transport; levels count from 0"):
-        transport.truncate(-1)

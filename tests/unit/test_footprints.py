@@ -14,8 +14,8 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.methods import options_of
+from rfpipe.methods.conjugate_gradients import conjugate_gradients
 from rfpipe.methods.footprints import candidates, rounds
-from rfpipe.methods.footprints.fit import conjugate_gradients
 from rfpipe.methods.footprints.matching import Templates
 from rfpipe.methods.footprints.method import Footprints
 from rfpipe.methods.footprints.patterns import random_patterns

@@ -156,19 +156,6 @@ def test_transports_are_stored_and_their_transposes_belong_to_them(tmp_path: Pat
     assert run.transport.nbytes < 256 * 256 * 4 / 2
 
 
-def test_truncation_keeps_the_terms_of_the_levels_above() -> None:
-    run = acquire_matrix(LowRank(), of_rank(60), (16, 16), (16, 16))
-    ranks = run.states[-1].ranks
-    last = len(ranks) - 1
-    assert [run.transport.truncate(level).rank for level in range(last + 1)] == list(ranks)
-    np.testing.assert_array_equal(dense(run.transport.truncate(last)), dense(run.transport))
-    coarse = run.transport.truncate(1)
-    assert [row["level"] for row in coarse.level_rows] == [0, 1]
-    assert coarse.nbytes < run.transport.nbytes
-    with pytest.raises(InputError, match="level -1 of a transport; levels count from 0"):
-        run.transport.truncate(-1)
-
-
 def test_terms_of_two_domains() -> None:
     random = np.random.default_rng(4)
     left, right = random.random((3, 2, 6)), random.random((3, 2, 20))
@@ -177,7 +164,6 @@ def test_terms_of_two_domains() -> None:
         "left": left.astype(np.float32),
         "right": right.astype(np.float32),
         "strengths": strengths.astype(np.float32),
-        "term_level": np.zeros(2, np.int32),
     }
     transport = LowRankTransport((2, 3), (4, 5), 3, [], arrays)
     expected = np.einsum("cr,crm,crn->cmn", strengths, left, right)

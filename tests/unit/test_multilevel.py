@@ -70,12 +70,6 @@ def test_truncation_adds_up_what_lies_below(transport: MultilevelTransport) -> N
     np.testing.assert_array_equal(same.relight(np.eye(4)), transport.relight(np.eye(4)))
 
 
-@pytest.mark.parametrize("level", [-1, 3])
-def test_truncation_at_no_level(transport: MultilevelTransport, level: int) -> None:
-    with pytest.raises(InputError, match=rf"level {level} of a transport with levels 0\.\.2"):
-        transport.truncate(level)
-
-
 def test_folding_nothing_gives_nothing() -> None:
     tree = BlockTree(RayDomain((4, 4)))
     folded = fold(tree, 1, [], channels=3, pixels=2)

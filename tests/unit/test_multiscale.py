@@ -192,7 +192,6 @@ def test_light_between_few_patterns_is_that_of_the_matrix(shape: tuple[int, ...]
         "diagonal": random.random((3, rays)).astype(np.float32),
         "left": random.random((3, 2, rays)).astype(np.float32),
         "strengths": random.standard_normal((3, 2)).astype(np.float32),
-        "term_level": np.zeros(2, np.int32),
     }
     direct = LowRankTransport(shape, shape, 3, ROWS, arrays)
     matrix = {"matrix": dense(direct).astype(np.float32)}
@@ -259,18 +258,15 @@ def test_a_sum_keeps_it_beside_other_parts(tmp_path: Path) -> None:
         "diagonal": np.random.default_rng(2).random((3, 42)).astype(np.float32),
         "left": np.zeros((3, 0, 42), np.float32),
         "strengths": np.zeros((3, 0), np.float32),
-        "term_level": np.zeros(0, np.int32),
     }
     smooth = made((6, 7))
     parts = [LowRankTransport((6, 7), (6, 7), 3, [], direct), smooth]
-    total = SumTransport(parts, ROWS, [0, 1])
+    total = SumTransport(parts, ROWS)
     save_transport(total, tmp_path / "transport.zarr")
     stored = open_transport(tmp_path / "transport.zarr")
     assert isinstance(stored, SumTransport)
     np.testing.assert_array_equal(dense(stored), dense(total))
     diagonal = np.stack([np.diag(one) for one in direct["diagonal"]])
-    np.testing.assert_array_equal(dense(stored.truncate(0)), diagonal)
-    np.testing.assert_array_equal(dense(stored.truncate(1)), dense(total))
     scale = np.abs(dense(total)).max()
     np.testing.assert_allclose(dense(total) - diagonal, dense(smooth), atol=1e-6 * scale)
     assert total.nbytes == parts[0].nbytes + smooth.nbytes
@@ -282,14 +278,6 @@ def test_bytes_are_those_of_its_arrays() -> None:
     assert transport.nbytes == sum(array.nbytes for array in arrays.values())
     assert about["kind"] == "multiscale"
     assert {array.dtype.name for array in arrays.values()} == {"float32", "int32"}
-
-
-def test_it_has_no_levels_to_truncate() -> None:
-    transport = made((6, 7))
-    assert transport.last_level == 0
-    assert transport.truncate(0) is transport.truncate(5) is transport
-    with pytest.raises(InputError, match="level -1 of a transport; levels count from 0"):
-        transport.truncate(-1)
 
 
 def test_another_picture_is_refused() -> None:

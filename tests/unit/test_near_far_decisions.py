@@ -98,6 +98,7 @@ def test_blocks_that_would_take_more_than_a_hierarchy_are_followed_by_one(
     options = ErrorOptions(target_error=target)
     state = replace(after_a_round, level=len(ROUNDS) + 3, rows=rows, options=options)
     assert decided(state, [0.5, 0.4, 0.28, 0.2]).following == expected
+    assert decided(state, [0.5, 0.4, 0.28, 0.0]).following == "done"
 
 
 def test_the_first_estimate_ends_it_where_nothing_is_indirect(after_a_round: NearFarState) -> None:

@@ -87,6 +87,16 @@ def test_cores_are_those_of_the_dense_least_squares(
     np.testing.assert_allclose(near, found, atol=1e-3 * float(np.abs(found).max()))
 
 
+@pytest.mark.parametrize("share", [0, -1])
+def test_the_fit_ends_where_rounding_is_all_that_is_left(
+    monkeypatch: pytest.MonkeyPatch, share: int
+) -> None:
+    basis = MultiscaleBasis((5, 6), functions_over(1, np.ones((1, 5, 6), np.bool_)))
+    seen = observed(basis, made_up_frames(30, 4))
+    monkeypatch.setattr(near_far_solve, "_normal", lambda _seen, _deviations, known: share * known)
+    assert not solve(seen, np.ones(len(basis.first), np.float32), 1e-6, 100).any()
+
+
 def test_pixels_taken_together_lose_next_to_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = reference_scene("IV", (32, 32), channels=1)
     matrix, basis = (
@@ -122,7 +132,7 @@ def test_channels_are_found_from_what_all_of_them_told_and_dark_ones_stay_dark()
     model = fit(shape, pictures)
     assert not model.cores[2].any()
     pattern = (np.arange(576) % 24 < 8).astype(np.float32)
-    transport = as_transport(shape, [], model, pictures, 0)
+    transport = as_transport(shape, [], model, pictures)
     image = transport.forward(np.broadcast_to(pattern, (1, 3, 576)), range(3))[0]
     for found, expected in zip(image[:2], (matrix @ pattern)[:2], strict=True):
         assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)

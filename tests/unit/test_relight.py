@@ -50,6 +50,7 @@ def test_all_images_agree_with_the_scenes_matrix(transports, method):
     assert relative_rms(arrays["relit"], arrays["truth"]) < 0.05
     assert relative_rms(arrays["line_relit"], arrays["line_truth"]) < 0.05
     np.testing.assert_allclose(arrays["levels_relit"][-1], arrays["relit"][0], atol=1e-6)
+    assert len(arrays["levels_relit"]) == len(transports[method].known_levels)
     assert all(np.isfinite(array).all() for array in arrays.values())
 
 

@@ -36,6 +36,7 @@ from rfpipe.report.inputs import load_inputs
 from rfpipe.report.light_fields import view_errors
 from rfpipe.report.page import make_sections
 from rfpipe.report.pictures import amplification
+from rfpipe.report.sections import levels_section
 from rfpipe.report.single_responses import error_sources
 from rfpipe.report.tables import costs, levels_table, table_5_1
 from rfpipe.report.text import number, percent, size
@@ -45,7 +46,7 @@ from rfpipe.stages import relight
 from rfpipe.stages.evaluating import evaluate
 from rfpipe.stages.results import write_bundle
 from rfpipe.stages.unseen.comparing import compare
-from rfpipe.store import write_arrays, write_manifest
+from rfpipe.store import open_arrays, write_arrays, write_manifest
 from rfpipe.transport.dense import DenseTransport
 
 
@@ -256,6 +257,18 @@ def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
     figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
     assert figures == {"scene_grey", "fig_2_1_brute_force"}  # no option that trades patterns
     assert len(page.images) == 2
+
+
+def test_methods_that_know_no_earlier_level_are_left_out_of_the_figure_of_levels(results, tmp_path):
+    inputs = load_inputs(BOTH, results, *tables_of(results))
+    symmetric, dual = (run for run in inputs.runs if run.scene == "corner")
+    arrays = {name: dual.read(name) for name in dual.images.names}
+    arrays["levels_relit"] = arrays["levels_relit"][-1:]
+    write_arrays(tmp_path / "whole.zarr", arrays, {})
+    whole = dataclasses.replace(dual, images=open_arrays(tmp_path / "whole.zarr"))
+    section = levels_section(dataclasses.replace(inputs, runs=[symmetric, whole]))
+    assert section.blocks[0].sources == [symmetric.source]
+    assert levels_section(dataclasses.replace(inputs, runs=[whole])) is None
 
 
 @pytest.fixture(scope="module")

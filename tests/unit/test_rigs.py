@@ -311,7 +311,12 @@ def test_rigs_transports_and_results_say_what_they_are() -> None:
     about = "DenseTransport(camera (4, 5), projector (3, 7), 3 channels, 0.00504 MB)"
     assert repr(result.transport) == about
     assert repr(result.transport.T) == f"{about}.T"
-    assert repr(result).startswith(f"AcquisitionResult(transport={about}, patterns=21, ")
+    assert repr(result) == f"AcquisitionResult(21 patterns, {result.seconds:.3g} s, {about})"
+
+
+def test_a_matrix_in_place_of_a_rig_says_how_to_make_one() -> None:
+    with pytest.raises(InputError, match=r"ndarray is no rig; .*OperatorRig\(matrix"):
+        rfpipe.acquire(np.eye(4))  # type: ignore[arg-type]
 
 
 def test_an_almost_dark_floodlit_image_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from rfpipe.config import Config
+from rfpipe.stages.acquire import acquire
 from rfpipe.stages.evaluating import evaluate, sweep
 from rfpipe.stages.evaluating.evaluate import error_rows
 from rfpipe.stages.evaluating.sweep import stored
@@ -57,13 +58,23 @@ def test_times_stand_apart_from_the_manifest_which_is_the_same_in_every_run(swep
     assert all(float(row["processing_s"]) > 0 for row in times)
 
 
-def test_an_unchanged_sweep_is_kept_and_a_changed_one_made_anew(swept):
-    before = (swept / "sweep.csv").read_bytes()
-    (swept / "sweep.json").unlink()
-    sweep.run(CONFIG, "corner", "symmetric", swept, "code")
-    assert (swept / "sweep.csv").read_bytes() == before
-    sweep.run(CONFIG, "corner", "symmetric", swept, "other code")
-    assert (swept / "sweep.csv").read_bytes() != before
+def test_a_sweep_that_is_stopped_keeps_its_points(swept, tmp_path, monkeypatch):
+    acquired = []
+
+    def counted(rig, *method, **options):
+        acquired.append(options.get("tolerance"))
+        if acquired == [None, 0.03, 0.003]:  # the first is to load the kernels
+            raise KeyboardInterrupt
+        return acquire(rig, *method, **options)
+
+    monkeypatch.setattr("rfpipe.stages.acquire.acquire", counted)
+    with pytest.raises(KeyboardInterrupt):
+        sweep.run(CONFIG, "corner", "symmetric", tmp_path, "code")
+    assert verify(tmp_path).findings == []
+    sweep.run(CONFIG, "corner", "symmetric", tmp_path, "code")
+    assert acquired == [None, 0.03, 0.003, None, 0.003]
+    assert (tmp_path / "sweep.json").read_bytes() == (swept / "sweep.json").read_bytes()
+    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in swept.iterdir()}
 
 
 def test_settings_of_the_acquisition_are_passed_on():

@@ -178,6 +178,20 @@ def test_measured_costs_have_no_extrapolation_without_a_fit() -> None:
     assert fitted["extrapolated"] == pytest.approx(20 + 10 * np.log2(512 * 512 / 25) / 2)
 
 
+@pytest.mark.parametrize("positions", [1, 5, 160])
+def test_a_field_is_extrapolated_to_the_positions_of_the_thesis(positions: int) -> None:
+    row = {
+        "table": "3.1", "figure": "Fig. 3.9, 80 positions", "world": "still_life_arc",
+        "camera_rays": 64, "rays": 25, "patterns": 20 * positions, "megabytes": 1.0,
+        "processing_s": 6.0, "error": 0.1, "positions": positions,
+    }  # fmt: skip
+    grown = [{"scene": "box", "levels": n, "rays": 4**n, "patterns": 10 * n} for n in (3, 4, 5)]
+    (found,) = cost_rows(_inputs(arc=[row], growth=grown))
+    assert found["extrapolated"] == pytest.approx(80 * (20 + 10 * np.log2(162_900 / 25) / 2))
+    assert found["scan"] == 25 * positions
+    assert f"{positions} positions" in found["ours"]
+
+
 def test_a_view_turned_keeps_its_distance_and_goes_right_and_up() -> None:
     view = View((0, 0, 4), (0, 0, 0))
     origin = np.array(turned(view, 30, 20)["origin"])

@@ -15,8 +15,10 @@ from rfpipe.scenes import reference_scene, relighting_patterns
 from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
 from rfpipe.store import write_arrays
 from rfpipe.transport import Transport, open_transport, save_transport
+from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.hierarchical import leaves, truncation
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
+from rfpipe.transport.sum import SumTransport
 
 SHAPE = (24, 28)
 
@@ -51,6 +53,27 @@ def test_a_format_costs_what_the_documentation_says(
         assert relative_rms(found, exact) <= total
         if (pattern == 0).any():
             assert unlit_rms(found, exact, pattern) <= unlit
+
+
+def test_only_a_hierarchy_knows_what_it_was_at_an_earlier_level(transport: Transport) -> None:
+    rows, last = transport.level_rows, transport.last_level
+    assert list(transport.known_levels) == [row["level"] for row in rows]
+    matrix = {"matrix": np.ones((3, 6, 6), np.float32)}
+    for whole in (SumTransport([transport], rows), DenseTransport((2, 3), (2, 3), 3, rows, matrix)):
+        assert whole.truncate(last) is whole
+        with pytest.raises(InputError, match=f"known after level {last} alone"):
+            whole.truncate(last - 1)
+    for level in (-1, last + 1):
+        with pytest.raises(InputError, match=f"known after level 0 to {last}"):
+            transport.truncate(level)
+
+
+def test_what_is_no_store_says_what_it_is_and_what_to_do(tmp_path: Path) -> None:
+    np.savez(tmp_path / "matrix.npz", np.eye(4))
+    with pytest.raises(StoreError, match=r"matrix\.npz: a file, no store; .*rfpipe\.read_matrix"):
+        open_transport(tmp_path / "matrix.npz")
+    with pytest.raises(StoreError, match=r"no such file or folder; give the transport\.zarr"):
+        open_transport(tmp_path / "missing" / "transport.zarr")
 
 
 def test_the_fewer_bits_the_smaller(transport: Transport, dual: Transport, tmp_path: Path) -> None:

@@ -99,6 +99,9 @@ def test_a_bound_names_what_is_above_it() -> None:
     check_bound({"vase by dual": facts}, 0.05, "report")
     with pytest.raises(VerificationError, match=r"vase by dual is off by 3.00%.*'spots'.*2.00%"):
         check_bound({"vase by dual": facts}, 0.02, "report")
+    dark = {"mean_error": None, "worst_error": None, "worst_picture": "spots", "noise": None}
+    with pytest.raises(VerificationError, match="jug by dual has no picture with light"):
+        check_bound({"vase by dual": facts, "jug by dual": dark}, 0.05, "report")
     with pytest.raises(InputError, match="verification is 11"):
         rfpipe.acquire(rfpipe.OperatorRig(np.eye(4), (2, 2), (2, 2)), verification=11)
 

@@ -43,9 +43,9 @@ class Dark(Measured):
     black : ndarray of float32, shape (E, ...)
         Their mean.
     level : ndarray of float64, shape (E,)
-        Median over photosites of that mean.
+        Mean of ``black`` over the photosites that aren't hot.
     variance : ndarray of float64, shape (E,)
-        Median over photosites of the variance between frames, made unbiased.
+        Mean over the same photosites of the variance between frames, made unbiased.
     black_level_counts, black_level_error : float
         At an exposure time of zero, from the exposures that light of the all-off picture, if any,
         doesn't saturate.

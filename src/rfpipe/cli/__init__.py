@@ -19,7 +19,7 @@ from rfpipe.cli.info import info, open_checked, times
 from rfpipe.cli.keep import keep
 from rfpipe.cli.plan import plan
 from rfpipe.cli.publish import publish
-from rfpipe.cli.run import PASSED_ON, run
+from rfpipe.cli.run import PASSED_ON, Directory, run, working_in
 from rfpipe.cli.verify import verify
 from rfpipe.cli.view import view
 from rfpipe.errors import InputError, RfpipeError
@@ -79,21 +79,23 @@ TransportPath = Annotated[
 
 
 @app.command()
-def validate(config: ConfigPath) -> None:
+def validate(config: ConfigPath, directory: Directory = Path()) -> None:
     """Check a settings file, a run's or a rig's; say every mistake in it."""
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
 
-    if is_rig(read_yaml(config)):
-        rig = load_rig_config(config)
-        what = "a bench in software" if rig.bench is not None else f"a rig, {rig.kind}"
-        typer.echo(f"{config}: valid. The settings of {what}, for rfpipe calibrate and serve")
-        return
-    settings = load_config(config)
-    lines = [f"{scene} by {', '.join(settings.methods_of(scene))}" for scene in settings.scenes]
-    if len(lines) > _LISTED:
-        lines[_LISTED:] = [f"and {len(lines) - _LISTED} more"]
-    typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions: {'; '.join(lines)}")
+    with working_in(directory, config) as path:
+        if is_rig(read_yaml(path)):
+            rig = load_rig_config(path)
+            what = "a bench in software" if rig.bench is not None else f"a rig, {rig.kind}"
+            typer.echo(f"{config}: valid. The settings of {what}, for rfpipe calibrate and serve")
+            return
+        settings = load_config(path)
+        named = [f"{scene} by {', '.join(settings.methods_of(scene))}" for scene in settings.scenes]
+        if len(named) > _LISTED:
+            named[_LISTED:] = [f"and {len(named) - _LISTED} more"]
+        count = len(settings.acquisitions)
+        typer.echo(f"{config}: valid. {count} acquisitions: {'; '.join(named)}")
 
 
 @app.command()

@@ -26,7 +26,8 @@ def calibrate(
     """Calibrate a rig: what it sees, noise, responses, correspondence, rays, symmetry; a report.
 
     Steps that are done and good, for the same devices and settings, are not repeated; a whole
-    calibration that is not good is done anew. The report is written whatever happens.
+    calibration that is not good is done anew. The report is written whatever happens. Exit status
+    1 when a step is not good, or could not be measured.
     """
     import logging
     from contextlib import suppress
@@ -56,5 +57,4 @@ def calibrate(
             if one["standing"] in ("poor", "failed")
         )
         typer.echo(f"not good: {names}. rfpipe serve refuses such a rig", err=True)
-    if any(one["standing"] == "failed" for one in verdicts.values()):
         raise typer.Exit(1)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rfpipe.cli.run import Directory, working_in
+
 if TYPE_CHECKING:
     from rfpipe.stages.capturing.forecast import Forecast
 
@@ -22,10 +24,11 @@ def plan(
     folder: Annotated[
         Path,
         typer.Option(
-            help="Where the results are to lie, for the disk's free space; acquisitions that are "
-            "there are learnt from."
+            help="Where the results are to lie, seen from the run's folder, for the disk's free "
+            "space; acquisitions that are there are learnt from."
         ),
     ] = Path("results"),
+    directory: Directory = Path(),
 ) -> None:
     """Tell what a run will take, before the lamp is switched on: patterns, time, memory and disk.
 
@@ -44,12 +47,13 @@ def plan(
     from rfpipe.stages.jobs.workers import machine_memory_mb
     from rfpipe.store.files import free_bytes
 
-    settings = load_config(config)
-    found = forecast(settings, sensor_from_config(settings.camera), taken_in(folder))
-    simulated = settings.capture.rig == "simulated"
-    costs = JobCosts(settings, folder)
-    memory = [costs.predict("memory_mb", "acquire", one.scene, one.method) for one in found]
-    typer.echo(table(found, free_bytes(folder), simulated=simulated, memory_mb=memory))
+    with working_in(directory, config) as path:
+        settings = load_config(path)
+        found = forecast(settings, sensor_from_config(settings.camera), taken_in(folder))
+        simulated = settings.capture.rig == "simulated"
+        costs = JobCosts(settings, folder)
+        memory = [costs.predict("memory_mb", "acquire", one.scene, one.method) for one in found]
+        typer.echo(table(found, free_bytes(folder), simulated=simulated, memory_mb=memory))
     scarce = _scarce(found, memory, machine_memory_mb())
     if scarce:
         typer.echo(scarce)

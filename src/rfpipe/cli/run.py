@@ -8,14 +8,20 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import chdir
+from contextlib import chdir, contextmanager
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
 from rfpipe.errors import InputError
 
-__all__ = ["PASSED_ON", "run"]
+__all__ = ["PASSED_ON", "Directory", "run", "working_in"]
+
+Directory = Annotated[
+    Path,
+    typer.Option("--directory", "-d", help="The run's folder, as 'rfpipe run' takes it."),
+]
 
 PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
 """How the command is registered: all that follows its name is for Snakemake."""
@@ -39,8 +45,7 @@ def run(context: typer.Context) -> None:
     for file in files:
         read_yaml(file)
     if len(files) == 1:
-        settings = Path(files[0]).absolute()
-        with chdir(folder if folder.is_dir() else Path()):  # where Snakemake looks for their files
+        with working_in(folder, Path(files[0])) as settings:
             load_config(settings)
     beside = Path(sys.executable).with_name("snakemake")
     program = str(beside) if beside.exists() else shutil.which("snakemake") or "snakemake"
@@ -50,6 +55,17 @@ def run(context: typer.Context) -> None:
     report = folder / _REPORT
     if report.is_file():
         typer.echo(f"report: {os.path.normpath(report)}")
+
+
+@contextmanager
+def working_in(folder: Path, settings: Path) -> Iterator[Path]:
+    """Go to a run's folder, where the files are looked for that its settings name.
+
+    Yields the settings' path as it is from there.
+    """
+    from_there = settings.absolute() if folder != Path() else settings
+    with chdir(folder if folder.is_dir() else Path()):
+        yield from_there
 
 
 def _to_its_end(command: list[str]) -> int:

@@ -19,13 +19,14 @@ _MORE_THAN_ONE_NUMBER = re.compile(r"[-+]?(0[0-9_]+|[0-9][0-9_]*(:[0-9]{1,2})+(\
 
 
 def read_yaml(path: str | Path) -> object:
-    """Read a YAML file; an empty one is no settings.
+    """Read a YAML file.
 
     Raises
     ------
     ConfigError
-        When it can't be read, isn't UTF-8 or YAML, has a key twice or one that is no text, is
-        nested deeper than 100, or holds what may be meant as one of two numbers: with its place.
+        When it can't be read, is empty, isn't UTF-8 or YAML, has a key twice or one that is no
+        text, is nested deeper than 100, or holds what may be meant as one of two numbers: with its
+        place.
     """
     try:
         content = Path(path).read_bytes()
@@ -44,7 +45,9 @@ def read_yaml(path: str | Path) -> object:
     except yaml.YAMLError as error:
         said = str(error).replace('"<unicode string>"', f'"{path}"')
         raise ConfigError(f"{path}: is not valid YAML: {said}") from error
-    return {} if data is None else data
+    if data in (None, {}):
+        raise ConfigError(f"{path}: is empty; expected 'key: value' lines, see config/README.md")
+    return data
 
 
 def parse_yaml(text: str) -> Any:

@@ -68,9 +68,9 @@ def near_far_models(series: Series, rows: list[dict[str, Any]]) -> Iterator[tupl
         series.variance[told],
     )
     model = fit(shape, pictures)
-    smooth = as_transport(shape, rows, model, pictures, 0)
+    smooth = as_transport(shape, rows, model, pictures)
     yield "near_far", smooth
     canvas = canvas_of(shape, pictures)
     left = estimate(canvas, all_pictures(canvas, pictures, None), smooth)
     rest = left.transport(canvas)
-    yield "near_far and what it leaves", as_transport(shape, rows, model, pictures, 0, [(rest, 0)])
+    yield "near_far and what it leaves", as_transport(shape, rows, model, pictures, [rest])

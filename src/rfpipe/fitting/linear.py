@@ -79,7 +79,6 @@ class Linear:
             "left": self.left,
             "right": np.broadcast_to(self.right, (channels, terms, lights)).copy(),
             "strengths": np.ones((channels, terms), np.float32),
-            "term_level": np.zeros(terms, np.int32),
         }
         return LowRankTransport(*shapes, channels, rows, arrays)
 

@@ -139,6 +139,11 @@ class Run:
         """Whether the level of the leaf is known that holds each entry along a line."""
         return "line_levels" in self.images.names
 
+    @property
+    def knows_levels(self) -> bool:
+        """Whether its transport is known as of earlier levels than the last."""
+        return self.images.shape("levels_relit")[0] > 1
+
     @cached_property
     def white(self) -> float:
         """Radiance shown as white: the maximum of the floodlit image, the true one if known."""

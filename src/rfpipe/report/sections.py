@@ -195,7 +195,7 @@ def methods_section(inputs: Inputs) -> Section | None:
 
 def levels_section(inputs: Inputs) -> Section | None:
     """Fig. 5.7, for the last scene, with indirect light if there is one."""
-    with_levels = [run for run in inputs.runs if len(run.facts["levels"]) > 1]
+    with_levels = [run for run in inputs.runs if run.knows_levels]
     if not with_levels:
         return None
     indirect = [run for run in with_levels if run.has_indirect_light]
@@ -208,7 +208,8 @@ def levels_section(inputs: Inputs) -> Section | None:
         "each level of its subdivision into smaller blocks; patterns shown up to there, the "
         "relative RMS error in total, and below the difference from the truth. Where blocks are "
         "stored as products of two images, a picture has full resolution at every level, but the "
-        "light of a lit pixel is spread over its whole block."
+        "light of a lit pixel is spread over its whole block. Methods that fit all their pictures "
+        "together are left out: they don't tell what they knew at an earlier level."
     )
     drawing, sources = pictures.levels_figure(runs), [run.source for run in runs]
     figure = Illustration("Fig. 5.7", caption, "fig_5_7", drawing, "Fig. 5.7", sources)

@@ -81,6 +81,10 @@ class AcquisitionResult:
     verification: Verification | None = None
     reciprocity: tuple[dict[str, Any], ...] = ()
 
+    def __repr__(self) -> str:
+        about = f"{self.patterns} patterns, {self.seconds:.3g} s, {self.transport}"
+        return f"AcquisitionResult({about})"
+
     @property
     def levels(self) -> pd.DataFrame:
         """The table of levels, see `Transport.levels`."""
@@ -160,11 +164,17 @@ def acquire(
     Raises
     ------
     InputError
-        If the method lacks an option, one is out of range, or the method does not fit the rig.
+        If the method lacks an option, one is out of range, the method does not fit the rig, or
+        the rig is none.
     CaptureError
         If the rig fails or returns what can't be a picture, or isn't coaxial and the method needs
         it.
     """
+    if not hasattr(rig, "capture"):
+        raise InputError(
+            f"{type(rig).__name__} is no rig; make one of a matrix or linear operator: "
+            "rfpipe.OperatorRig(matrix, camera_shape=(h, w), projector_shape=(h, w))"
+        )
     chosen = get_method(method)
     asked = options_of(chosen, **options)
     chosen = chosen.with_options(asked)

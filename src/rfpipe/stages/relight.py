@@ -74,8 +74,8 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     dict of ndarray
         ``patterns`` (P, *projector_shape), ``relit`` and ``truth`` (P, *camera_shape, C): the
         reference patterns. ``floodlit_relit``, ``floodlit_truth``, ``albedo`` (*camera_shape, C).
-        ``levels_relit`` (L, *camera_shape, C): the vertical bar relit by the transport truncated
-        at each level.
+        ``levels_relit`` (L, *camera_shape, C): the vertical bar relit by the transport as of each
+        of its `Transport.known_levels`.
 
         Of images: ``half_relit``, ``half_truth`` (H, W, C). ``line_relit``, ``line_truth``
         (W, W', C): the entries of T between the camera's rays of its middle row, down, and the
@@ -139,11 +139,10 @@ def relit_of_captured(transport: Transport, floodlit: Float) -> dict[str, NDArra
 
 
 def _relit(transport: Transport, patterns: Float) -> dict[str, NDArray[Any]]:
-    """Relight by the reference patterns, and by the first with the transport cut at each level."""
-    n_levels = 1 + max((int(entry["level"]) for entry in transport.level_rows), default=0)
+    """Relight by the reference patterns, and by the first with the transport at known levels."""
     floodlight = np.ones((1, *transport.projector_shape), np.float32)
     relit = transport.relight_batch(np.concatenate([patterns, floodlight]))
-    cut = [transport.truncate(level).relight(patterns[0]) for level in range(n_levels)]
+    cut = [transport.truncate(level).relight(patterns[0]) for level in transport.known_levels]
     return {
         "patterns": patterns,
         "relit": relit[:-1],

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.errors import InputError
 from rfpipe.store.parts import take_runs
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
@@ -144,14 +143,11 @@ class CoaxialTransport(HoldingTransport[Held]):
 class ArrayTransport(HoldingTransport[Arrays]):
     """A transport made of a few named arrays, none of which is rounded in a store.
 
-    They are read when first used, and kept. Unless a class says otherwise, it has no levels.
+    They are read when first used, and kept.
     """
 
     def _bytes_in_memory(self) -> int:
         return sum(array.nbytes for array in self._held.values())
-
-    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:  # noqa: ARG002
-        return self
 
     def _packed(self, number_format: NumberFormat) -> dict[str, NDArray[Any]]:  # noqa: ARG002
         return dict(self._held)
@@ -178,8 +174,13 @@ class LevelTransport(HoldingTransport[Sequence[S]]):
 
     @property
     def last_level(self) -> int:
-        """Finest level that `truncate` tells apart: that of single rays."""
+        """The last of `known_levels`: that of single rays."""
         return max(self._block_levels, default=self.finest)
+
+    @property
+    def known_levels(self) -> range:
+        """All levels: what is found below a level adds up to what the level had measured."""
+        return range(self.last_level + 1)
 
     @property
     def finest(self) -> int:
@@ -194,10 +195,13 @@ class LevelTransport(HoldingTransport[Sequence[S]]):
 
     def truncate(self, level: int) -> Transport:
         """Return the transport as if the acquisition had stopped after `level` (Fig. 5.7)."""
-        if not 0 <= level <= self.last_level:
-            raise InputError(f"level {level} of a transport with levels 0..{self.last_level}")
+        super().truncate(level)  # refuses a level that there isn't
         rows = [row for row in self.level_rows if row["level"] <= level]
         return self._truncated(self._block_levels.get(level, level), rows)
+
+    @abstractmethod
+    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
+        """Return the transport at a level of the blocks, `level_rows` its table of levels."""
 
     def _bytes_in_memory(self) -> int:
         return sum(found.nbytes for found in self._held)

@@ -191,15 +191,26 @@ class Transport(Light):
         Raises
         ------
         InputError
-            If there is no such level.
+            If `level` is none of `known_levels`.
         """
-        if level < 0:
-            raise InputError(f"level {level} of a transport; levels count from 0")
-        return self._truncated(level, [row for row in self.level_rows if row["level"] <= level])
+        known = self.known_levels
+        if level not in known:
+            when = f"{known[0]} to {known[-1]}"
+            if len(known) == 1:
+                when = (
+                    f"{known[0]} alone, since all its pictures are fitted together. To see what "
+                    "fewer make of it, acquire it again with a limit of patterns"
+                )
+            raise InputError(f"level {level} of a {type(self).__name__}, known after level {when}")
+        return self
 
-    @abstractmethod
-    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
-        """Return the transport after a level that there is, `level_rows` its table of levels."""
+    @property
+    def known_levels(self) -> range:
+        """Levels after which the transport is known: the last one, where it is fitted as a whole.
+
+        What fewer pictures would have made of such a transport, it doesn't tell.
+        """
+        return range(self.last_level, self.last_level + 1)
 
     @property
     def nbytes(self) -> int:
@@ -230,7 +241,7 @@ class Transport(Light):
 
     @property
     def last_level(self) -> int:
-        """Finest level that `truncate` tells apart."""
+        """The last of `known_levels`."""
         return max((int(row["level"]) for row in self.level_rows), default=0)
 
     @property

@@ -104,12 +104,11 @@ def _with_terms(transport: Transport, rays: NDArray[np.int64], columns: Float) -
         "left": np.zeros_like(columns),
         "right": np.ascontiguousarray(columns),
         "strengths": np.ones(columns.shape[:2], np.float32),
-        "term_level": np.zeros(len(rays), np.int32),
     }
     arrays["left"][:, np.arange(len(rays)), rays] = 1
     domain = transport.camera_shape
     added = LowRankTransport(domain, domain, transport.channels, [], arrays)
-    return SumTransport([transport, added], transport.level_rows, [0, transport.last_level])
+    return SumTransport([transport, added], transport.level_rows)
 
 
 def _is_symmetric(transport: Transport, known: NDArray[np.bool_]) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpipe.errors import InputError
 from rfpipe.transport.arrays import Arrays, ArrayTransport
-from rfpipe.transport.base import Float, Transport
+from rfpipe.transport.base import Float
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -27,10 +27,9 @@ class LowRankTransport(ArrayTransport):
     held : mapping of str to ndarray
         ``left``, float32 ``(channels, rank, camera rays)``: the images u, radiance or unitless.
         ``strengths``, float32 ``(channels, rank)``: the factors s, of any sign.
-        ``term_level``, int ``(rank,)``: the level of the acquisition from which on a term is
-        there. ``right``, as ``left`` over projector rays: the images v; left out where T is
-        symmetric, v = u. ``diagonal``, float32 ``(channels, rays)``: d, left out where there is
-        none. They may be read lazily. Terms cancel, so that no store rounds them.
+        ``right``, as ``left`` over projector rays: the images v; left out where T is symmetric,
+        v = u. ``diagonal``, float32 ``(channels, rays)``: d, left out where there is none. They
+        may be read lazily. Terms cancel, so that no store rounds them.
 
     Raises
     ------
@@ -86,17 +85,6 @@ class LowRankTransport(ArrayTransport):
             found += (received.T @ diags_array(self._held["diagonal"][channel]) @ sent).toarray()
         return np.asarray(found, np.float32)
 
-    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
-        """Return the transport with the terms only that were there after `level`.
-
-        Their images are those of the whole acquisition, less noisy than they were then.
-        """
-        kept = self._held["term_level"] <= level
-        arrays = dict(self._held)
-        arrays |= {name: arrays[name][:, kept] for name in _BY_TERM if name in arrays}
-        arrays["term_level"] = arrays["term_level"][kept]
-        return self._holding(level_rows, arrays)
-
     @property
     def _right(self) -> Float:
         return self._held["right" if "right" in self._held else "left"]
@@ -112,6 +100,3 @@ class LowRankTransport(ArrayTransport):
                 plane += given[:, k] * self._held["diagonal"][c]
             planes.append(plane.astype(np.float32))
         return np.stack(planes, axis=1)
-
-
-_BY_TERM = ("left", "right", "strengths")

@@ -33,6 +33,12 @@ def find_transport(path: str | Path) -> Path | Place:
 
 
 def _transport_at(place: Path | Place) -> Path | Place:
+    if isinstance(place, Path) and not place.is_dir():
+        what = "a file, no store" if place.exists() else "no such file or folder"
+        raise StoreError(
+            f"{place}: {what}; give the {STORE_NAME} that an acquisition wrote, or a folder, zip "
+            "file or address that has one. A matrix in a file is read by rfpipe.read_matrix"
+        )
     if _is_store(place):
         return place
     place = within_packed(place) or place
@@ -54,9 +60,9 @@ def _transport_at(place: Path | Place) -> Path | Place:
 
 
 def _is_store(place: Path | Place) -> bool:
-    """Whether a place is to be opened as it is: a store, or a path that can only be said not to."""
+    """Whether a place is to be opened as it is."""
     if isinstance(place, Path):
-        return (place / METADATA).exists() or not place.is_dir()
+        return (place / METADATA).exists()
     if place.key:
         return place.key.endswith(".zarr")
     return bool(place.read_many([METADATA]))  # a zip file of a store alone

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.transport.base import Float, Transport
-from rfpipe.transport.multilevel.transport import MultilevelTransport
 from rfpipe.transport.storage import unpack_transport
 from rfpipe.transport.stored import Bundle, PartOfBundle, bytes_in_memory, fits
 from rfpipe.units import NumberFormat
@@ -29,17 +28,13 @@ class SumTransport(Transport):
         At least one, of any kinds; sums of sums are allowed.
     level_rows : list of dict
         The rows of `levels`.
-    first_levels : sequence of int, optional
-        The level of the sum's acquisition at which that of each part began: the level 0 of the
-        part. By default 0 for all.
     nbytes : int, optional
         Bytes on disk; by default the sum of the parts'.
 
     Raises
     ------
     InputError
-        If there is no part, if parts differ in their domains or channels, or if there isn't one
-        first level of at least 0 for each.
+        If there is no part, or if parts differ in their domains or channels.
     """
 
     kind = "sum"
@@ -48,25 +43,15 @@ class SumTransport(Transport):
         self,
         parts: Sequence[Transport],
         level_rows: list[dict[str, Any]],
-        first_levels: Sequence[int] | None = None,
         nbytes: int | None = None,
     ) -> None:
         self.parts = tuple(parts)
-        self.first_levels = tuple([0] * len(self.parts) if first_levels is None else first_levels)
-        _check(self.parts, self.first_levels)
+        _check(self.parts)
         part = self.parts[0]
         super().__init__(part.camera_shape, part.projector_shape, part.channels, level_rows, nbytes)
 
     def _bytes_in_memory(self) -> int:
         return sum(part.nbytes for part in self.parts)
-
-    @property
-    def last_level(self) -> int:
-        """Finest level that `truncate` tells apart, in any part."""
-        return max(
-            first + part.last_level
-            for part, first in zip(self.parts, self.first_levels, strict=True)
-        )
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``."""
@@ -85,24 +70,7 @@ class SumTransport(Transport):
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
         """Return the parts that pass light between some rays, see `Light.between_some`."""
         parts: Any = [part.between_some(seen, lit) for part in self.parts]
-        return SumTransport(parts, self.level_rows, self.first_levels)
-
-    def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
-        """Leave out parts that began later, and truncate the others at their own levels.
-
-        Before the first part began, nothing was known: all is dark.
-        """
-        begun = [
-            (part if level - first >= part.last_level else part.truncate(level - first), first)
-            for part, first in zip(self.parts, self.first_levels, strict=True)
-            if first <= level
-        ]
-        if not begun:
-            return MultilevelTransport(
-                self.camera_shape, self.projector_shape, self.channels, level_rows, []
-            )
-        parts, first_levels = zip(*begun, strict=True)
-        return SumTransport(parts, level_rows, first_levels)
+        return SumTransport(parts, self.level_rows)
 
     def pack(
         self, number_format: NumberFormat = "float32"
@@ -118,7 +86,6 @@ class SumTransport(Transport):
             "kind": self.kind,
             "number_format": number_format,
             "levels": self.level_rows,
-            "first_levels": list(self.first_levels),
             "parts": about,
         }
 
@@ -135,7 +102,7 @@ class SumTransport(Transport):
             parts.append(unpack_transport(part, memory_budget))
             if fits(part, memory_budget):
                 memory_budget -= bytes_in_memory(part)
-        return cls(parts, about["levels"], about["first_levels"], bundle.nbytes_stored)
+        return cls(parts, about["levels"], bundle.nbytes_stored)
 
 
 def _prefix(index: int) -> str:
@@ -143,14 +110,9 @@ def _prefix(index: int) -> str:
     return f"part_{index:02d}_"
 
 
-def _check(parts: Sequence[Transport], first_levels: Sequence[int]) -> None:
+def _check(parts: Sequence[Transport]) -> None:
     if not parts:
         raise InputError("a sum of no transports; give at least one part")
-    if len(first_levels) != len(parts) or min(first_levels) < 0:
-        raise InputError(
-            f"first levels {list(first_levels)} for {len(parts)} parts; give one level for each, "
-            "counted from 0"
-        )
     expected = _extent(parts[0])
     for index, part in enumerate(parts):
         if _extent(part) != expected:

@@ -126,7 +126,7 @@ def write_view(view: View, output: Path, largest: int = LARGEST) -> Written:
     if output.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{output}: expected the name of a page, one that ends in .html")
     transport = view.transport
-    packed = pack_program(lower(transport, range(transport.last_level + 1)))
+    packed = pack_program(lower(transport, transport.known_levels))
     every, last = packed.manifest["levels"], packed.manifest["levels"][-1:]
     beside, still = _compared(view)
     others = 0 if beside is None else beside.nbytes

@@ -22,7 +22,6 @@ from rfpipe.transport.hierarchical.leaves import LeafSet, leaf_offsets, runs
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multilevel.transport import MultilevelTransport
-from rfpipe.transport.multiscale.basis import SCALE, coarsest_scale
 from rfpipe.transport.multiscale.transport import MultiscaleTransport
 from rfpipe.transport.sum import SumTransport
 from rfpipe.transport.wavelet.transport import WaveletTransport
@@ -33,8 +32,6 @@ __all__ = ["lower"]
 
 # Values a channel of an operation that workers may share out among them.
 _SHARE = 2**17
-# As near/far acquisition tells near range from far range.
-_NEAR = 4
 
 
 def lower(transport: Transport, levels: Sequence[int] | None = None) -> Program:
@@ -52,12 +49,11 @@ def lower(transport: Transport, levels: Sequence[int] | None = None) -> Program:
     InputError
         If there is no such level, or the transport is of no kind that is known here.
     """
-    last = transport.last_level
     builder = Builder(transport)
-    for level in [last] if levels is None else levels:
+    for level in [transport.last_level] if levels is None else levels:
         builder.begin_level(level)
         counts: Counter[str] = Counter()
-        for part, name in _parts(transport if level >= last else transport.truncate(level)):
+        for part, name in _parts(transport.truncate(level)):
             counts[name] += 1
             builder.begin_part(name, counts[name])
             _lower_part(builder, part)
@@ -175,10 +171,7 @@ def _name_of(part: Transport) -> str:
         arrays = part.pack()[0]
         if "pairs" not in arrays or not len(arrays["functions"]):
             return "indirect"
-        scales = part.basis.functions[:, SCALE]
-        coarser = np.maximum(*scales[arrays["pairs"]])
-        is_near = (coarser * _NEAR < coarsest_scale(part.shape)).all()
-        return "near" if is_near else "far"
+        return "near" if part.basis.is_near(*arrays["pairs"]).all() else "far"
     return "residual"
 
 
@@ -264,19 +257,17 @@ def _lower_dense(builder: Builder, transport: DenseTransport) -> None:
 
 
 def _lower_low_rank(builder: Builder, transport: LowRankTransport) -> None:
-    """The diagonal; and the terms, those of each level of the acquisition by themselves."""
+    """The diagonal, and the terms."""
     arrays = transport.pack()[0]
     if "diagonal" in arrays:
         builder.add("scale", PROJECTOR, CAMERA, {"values": arrays["diagonal"]})
     right = arrays.get("right", arrays["left"])
-    for level in np.unique(arrays["term_level"]):
-        builder.begin_chain(f"terms of level {level}")
-        own = arrays["term_level"] == level
-        count = int(own.sum())
+    if count := transport.rank:
+        builder.begin_chain("terms")
         shares, strengths = builder.buffer("shares", count), builder.buffer("terms", count)
-        builder.add("dense", PROJECTOR, shares, {"values": right[:, own]})
-        builder.add("scale", shares, strengths, {"values": arrays["strengths"][:, own]})
-        builder.add("dense", strengths, CAMERA, {"values": arrays["left"][:, own]}, transposed=True)
+        builder.add("dense", PROJECTOR, shares, {"values": right})
+        builder.add("scale", shares, strengths, {"values": arrays["strengths"]})
+        builder.add("dense", strengths, CAMERA, {"values": arrays["left"]}, transposed=True)
 
 
 def _lower_multiscale(builder: Builder, transport: MultiscaleTransport) -> None:

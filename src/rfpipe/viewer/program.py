@@ -127,7 +127,7 @@ class Program:
     camera_shape, projector_shape : tuple of int
     channels : int
     levels : list of int
-        The levels at which the transport can be seen, see `Transport.truncate`.
+        The levels at which the transport can be seen, of its `Transport.known_levels`.
     buffers : list of int
         Positions of each buffer; the first two are `PROJECTOR` and `CAMERA`.
     operations : list of Operation

@@ -33,7 +33,7 @@ def read_yaml_rows(path: Path) -> list[Row]:
     defaults: dict[Path_, object] = {}
     places: dict[Path_, str] = {}
     if isinstance(data, Mapping):
-        nodes = {key.value: (key, value) for key, value in node.value} if data else {}
+        nodes = {key.value: (key, value) for key, value in node.value}
         strange = [key for key in data if key not in _KEYS]
         if strange or not isinstance(data.get("defaults", {}), Mapping):
             at = _place(nodes[strange[0] if strange else "defaults"][0])

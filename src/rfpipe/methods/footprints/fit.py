@@ -6,13 +6,13 @@ and what is found of indirect light does not depend on how well direct light is 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rfpipe.methods.conjugate_gradients import conjugate_gradients
 from rfpipe.methods.footprints.candidates import Precision
 from rfpipe.methods.footprints.functions import Functions
 from rfpipe.methods.footprints.kernels import (
@@ -269,49 +269,3 @@ class Exchange:
             [both, both, weight[first] * power[len(basis) + second]]
         ).astype(np.float32)
         return diagonal
-
-
-def conjugate_gradients(
-    normal: Callable[[Float], Float],
-    goal: Float,
-    scaling: Float,
-    start: Float,
-    tolerance: float,
-    most: int,
-) -> Float:
-    """Solve ``normal(x) = goal``, normal symmetric and positive.
-
-    Parameters
-    ----------
-    normal : callable
-    goal, start : ndarray of float32, shape (n,)
-    scaling : ndarray of float32, shape (n,)
-        About the inverse of normal's diagonal.
-    tolerance : float
-        Part of the goal's norm that may be left.
-    most : int
-        Iterations at most.
-    """
-    known = start
-    rest = goal - normal(start) if start.any() else goal
-    direction = step = scaling * rest
-    energy, enough = _dot(rest, step), tolerance**2 * _dot(goal, scaling * goal)
-    for _ in range(most):
-        if energy <= enough:
-            break
-        image = normal(direction)
-        curvature = _dot(direction, image)
-        if curvature <= 0:  # rounding is all that is left
-            break
-        length = np.float32(energy / curvature)
-        known = known + length * direction
-        rest = rest - length * image
-        step = scaling * rest
-        before, energy = energy, _dot(rest, step)
-        direction = step + np.float32(energy / before) * direction
-    return known
-
-
-def _dot(a: Float, b: Float) -> float:
-    # not BLAS: its threads would change the sum's last bits
-    return float(np.einsum("i,i->", a, b, dtype=np.float64))

@@ -16,7 +16,7 @@ from rfpipe.methods.footprints import handover
 from rfpipe.methods.footprints.model import find
 from rfpipe.methods.footprints.patterns import random_patterns
 from rfpipe.methods.footprints.series import Series
-from rfpipe.methods.footprints.state import ROUNDS, FootprintState, in_round, kind_of
+from rfpipe.methods.footprints.state import ROUNDS, FootprintState, in_round
 from rfpipe.methods.footprints.transport import arrays_of_model, nearness, spread_evenly
 from rfpipe.methods.held_out.estimate import Estimate, error_of
 from rfpipe.methods.held_out.patterns import HELD_OUT
@@ -169,14 +169,9 @@ def model_of(state: FootprintState) -> FootprintTransport:
 def _candidates(state: FootprintState) -> Iterator[Transport]:
     """Yield the model, and the hierarchy if there is one."""
     rows = list(state.rows)
-    fitted = max((row["level"] for row in rows if row["patterns"] and _is_round(row)), default=0)
-    yield SumTransport([model_of(state)], rows, [fitted])
+    yield SumTransport([model_of(state)], rows)
     if state.dual is not None:
-        yield SumTransport([Dual().transport(state.dual)], rows, [len(ROUNDS)])
-
-
-def _is_round(row: dict[str, int]) -> bool:
-    return kind_of(row["level"]) == "round"
+        yield SumTransport([Dual().transport(state.dual)], rows)
 
 
 def _estimate(state: FootprintState, transport: Transport) -> Estimate:

@@ -19,7 +19,7 @@ from rfpipe.methods.near_far.beyond import MOST_CELLS, all_pictures, canvas_of, 
 from rfpipe.methods.near_far.model import fit
 from rfpipe.methods.near_far.patterns import block_patterns, probe_patterns
 from rfpipe.methods.near_far.pictures import Pictures, completed
-from rfpipe.methods.near_far.state import BLOCKS, ROUNDS, Kind, NearFarState, kind_of
+from rfpipe.methods.near_far.state import BLOCKS, ROUNDS, NearFarState, kind_of
 from rfpipe.methods.near_far.transport import LightRange, as_transport, light_range
 from rfpipe.methods.residual.estimate import Residual
 from rfpipe.methods.residual.estimate import estimate as estimate_residual
@@ -203,16 +203,15 @@ def _candidates(state: NearFarState) -> Iterator[Transport]:
 def _with_rest(state: NearFarState, rest: Transport, of_hierarchy: bool) -> Transport:
     """Return smooth light, or the hierarchy, and what it leaves."""
     assert state.pictures is not None
-    parts: list[tuple[Transport, int]] = [(rest, _last_level(state, "smooth", "residual"))]
+    parts = [rest]
     if of_hierarchy:
         assert state.symmetric is not None
-        parts.insert(0, (Symmetric().transport(state.symmetric), _BEFORE_HIERARCHY))
+        parts.insert(0, Symmetric().transport(state.symmetric))
     return as_transport(
         state.projector.shape,
         list(state.rows),
         None if of_hierarchy else state.model,
         state.pictures,
-        _last_level(state, "smooth"),
         parts,
     )
 
@@ -224,19 +223,9 @@ def _bases(state: NearFarState) -> Iterator[tuple[bool, Transport]]:
         dark = np.zeros((state.channels, state.projector.size), np.float32)
         nothing = dark[None][:0]
         pictures = Pictures(dark, dark, nothing[:, 0] > 0, nothing, nothing)
-    fitted = _last_level(state, "smooth")
-    yield False, as_transport(state.projector.shape, rows, state.model, pictures, fitted)
+    yield False, as_transport(state.projector.shape, rows, state.model, pictures)
     if state.symmetric is not None:
-        yield (
-            True,
-            SumTransport([Symmetric().transport(state.symmetric)], rows, [_BEFORE_HIERARCHY]),
-        )
-
-
-def _last_level(state: NearFarState, *kinds: Kind) -> int:
-    """Return the last level of some kinds that had patterns, 0 if none had."""
-    shown = (row["level"] for row in state.rows if row["patterns"])
-    return max((each for each in shown if kind_of(each, state.hierarchy) in kinds), default=0)
+        yield True, SumTransport([Symmetric().transport(state.symmetric)], rows)
 
 
 def _estimate(state: NearFarState, transport: Transport) -> Estimate:
@@ -262,8 +251,10 @@ def _costly(state: NearFarState) -> bool:
         return False
     asked = [row["patterns"] for row in state.rows if row["patterns"]]
     before = shown - sum(asked[-2:])
-    power = np.log(found[0].error / found[-1].error) / np.log(shown / before)
-    return not _cheaper(state, max(power, _STALLED_BLOCKS))
+    power = _STALLED_BLOCKS
+    if found[0].error > found[-1].error > 0:
+        power = max(power, np.log(found[0].error / found[-1].error) / np.log(shown / before))
+    return not _cheaper(state, power)
 
 
 def _nearly(state: NearFarState) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float
+from rfpipe.methods.conjugate_gradients import conjugate_gradients
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.transport.multiscale.basis import MultiscaleBasis
 from rfpipe.transport.multiscale.transport import bounced
@@ -225,27 +227,12 @@ def solve(
     ndarray of float32, shape (pairs,)
     """
     gradient = deviations * _adjoint(seen, _weighed(seen.seen_dark, seen.seen_lit))
-    scaling = 1 / (1 + _diagonal(seen) * np.square(deviations))
-    known = np.zeros_like(gradient)
+    scaling = np.float32(1) / (1 + _diagonal(seen) * np.square(deviations))
+    begun = np.zeros_like(gradient)
     if start is not None:
-        np.divide(start, deviations, out=known, where=deviations > 0)
-    rest = gradient - _normal(seen, deviations, known) if start is not None else gradient
-    step = scaling * rest
-    direction = step.copy()
-    energy = _dot(rest, step)
-    goal = tolerance**2 * _dot(gradient, scaling * gradient)
-    for _ in range(most):
-        if energy <= goal:
-            break
-        image = _normal(seen, deviations, direction)
-        length = np.float32(energy / _dot(direction, image))
-        known += np.multiply(direction, length, out=step)
-        rest -= np.multiply(image, length, out=image)
-        np.multiply(scaling, rest, out=step)
-        before, energy = energy, _dot(rest, step)
-        direction *= np.float32(energy / before)
-        direction += step
-    return deviations * known
+        np.divide(start, deviations, out=begun, where=deviations > 0)
+    normal = partial(_normal, seen, deviations)
+    return deviations * conjugate_gradients(normal, gradient, scaling, begun, tolerance, most)
 
 
 def residual(basis: MultiscaleBasis, pictures: Pictures, cores: Float) -> Float:
@@ -298,11 +285,6 @@ def _diagonal(seen: Observations) -> Float:
     other = np.where(basis.first == basis.second, 0, weight[basis.second] * light[basis.first])
     diagonal: Float = one + other
     return diagonal
-
-
-def _dot(a: Float, b: Float) -> float:
-    # not BLAS: its threads change the sum's last bits, and wait for each other on a busy machine
-    return float(np.einsum("i,i->", a, b, dtype=np.float64))
 
 
 def _patches(basis: MultiscaleBasis) -> csr_array[np.float32]:

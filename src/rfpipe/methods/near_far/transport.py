@@ -15,14 +15,10 @@ from rfpipe.methods.near_far.model import Model
 from rfpipe.methods.near_far.pictures import Pictures
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multiscale.basis import coarsest_scale
 from rfpipe.transport.multiscale.transport import MultiscaleTransport, bounced
 from rfpipe.transport.sum import SumTransport
 
 __all__ = ["LightRange", "as_transport", "indirect", "light_range"]
-
-# Pairs of functions whose coarser one is finer than this part of the coarsest scale are near range.
-_NEAR = 4
 
 
 def indirect(model: Model, floodlit: Float, light: Float) -> Float:
@@ -84,8 +80,7 @@ def as_transport(
     rows: list[dict[str, Any]],
     model: Model | None,
     pictures: Pictures,
-    fitted: int,
-    more: Sequence[tuple[Transport, int]] = (),
+    more: Sequence[Transport] = (),
 ) -> SumTransport:
     """Return direct light, near-range and far-range light where there is any, as a sum.
 
@@ -100,27 +95,21 @@ def as_transport(
     model : Model or None
         None before there is one: all light counts as direct.
     pictures : Pictures
-    fitted : int
-        The last level that the model was fitted after.
-    more : sequence of (Transport, int)
-        Other parts of indirect light, and the levels at which they begin.
+    more : sequence of Transport
+        Other parts of indirect light.
     """
-    parts = [*(() if model is None else _parts(shape, model, pictures, fitted)), *more]
+    parts = [*(() if model is None else _parts(shape, model, pictures)), *more]
     everything = np.ones((1, pictures.channels, pictures.floodlit.shape[1]), np.float32)
     direct = pictures.floodlit.copy()
-    for part, _ in parts:
+    for part in parts:
         direct -= part.forward(everything, range(pictures.channels))[0]
-    begun = [(_direct(shape, direct * pictures.known), 0), *parts]
-    return SumTransport([part for part, _ in begun], rows, [first for _, first in begun])
+    return SumTransport([_direct(shape, direct * pictures.known), *parts], rows)
 
 
-def _parts(
-    shape: tuple[int, ...], model: Model, pictures: Pictures, fitted: int
-) -> Iterator[tuple[Transport, int]]:
-    """Yield near-range and far-range light, where there is any, and when they begin."""
+def _parts(shape: tuple[int, ...], model: Model, pictures: Pictures) -> Iterator[Transport]:
+    """Yield near-range and far-range light, where there is any."""
     basis = model.basis
-    coarser = np.maximum(basis.scales[basis.first], basis.scales[basis.second])
-    near = coarser * _NEAR < coarsest_scale(shape)
+    near = basis.is_near(*basis.pairs)
     for chosen in (near, ~near):
         found: NDArray[np.bool_] = chosen & model.cores.any(axis=0)
         if not found.any():
@@ -132,7 +121,7 @@ def _parts(
             "pairs": pairs,
             "cores": np.ascontiguousarray(model.cores[:, found]),
         }
-        yield MultiscaleTransport(shape, pictures.channels, [], arrays), fitted
+        yield MultiscaleTransport(shape, pictures.channels, [], arrays)
 
 
 def _direct(shape: tuple[int, ...], diagonal: Float) -> LowRankTransport:
@@ -141,6 +130,5 @@ def _direct(shape: tuple[int, ...], diagonal: Float) -> LowRankTransport:
         "diagonal": diagonal.astype(np.float32),
         "left": np.zeros((channels, 0, rays), np.float32),
         "strengths": np.zeros((channels, 0), np.float32),
-        "term_level": np.zeros(0, np.int32),
     }
     return LowRankTransport(shape, shape, channels, [], arrays)

@@ -111,7 +111,10 @@ class Posterior:
             if energy <= 0 or _dot(rest, rest) <= goal:
                 break
             image = self._applied(direction)
-            length = np.float32(energy / _dot(direction, image))
+            curvature = _dot(direction, image)
+            if curvature <= 0:  # rounding is all that is left
+                break
+            length = np.float32(energy / curvature)
             dual, rest = dual + length * direction, rest - length * image
             step = self._preconditioned(rest)
             before, energy = energy, _dot(rest, step)

@@ -45,8 +45,6 @@ class LowRankState(MethodState):
         Mean variance of a pixel of each.
     fit : Fit
         To all of them.
-    ranks : tuple of int
-        Terms of the fit after each level.
     done : bool
         Whether no more patterns are asked for.
     """
@@ -55,7 +53,6 @@ class LowRankState(MethodState):
     fit: Fit
     images: tuple[Float, ...] = ()
     noise: tuple[NDArray[np.float64], ...] = ()
-    ranks: tuple[int, ...] = ()
     done: bool = False
 
     @property
@@ -85,9 +82,7 @@ class LowRank(PackingMethod[LowRankState]):
     Options = ErrorOptions
     trades = "patterns"
     trials = (50, 100, 200, 500)
-    packing = Packing(
-        ("level", "ranks", "done", "rows"), groups={"fit": ""}, latest=("images", "noise")
-    )
+    packing = Packing(("level", "done", "rows"), groups={"fit": ""}, latest=("images", "noise"))
 
     def expected_patterns(
         self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
@@ -138,17 +133,14 @@ class LowRank(PackingMethod[LowRankState]):
             state = replace(state, fit=_fit_all(state))
         rank = state.fit.strengths.shape[1]
         row = level_row(level, count, nodes=1, rank1=rank, scalar=state.projector.size, **found)
-        return state.after(row, ranks=(*state.ranks, rank))
+        return state.after(row)
 
     def transport(self, state: LowRankState) -> LowRankTransport:
         """Return the diagonal and the terms, the strongest first."""
-        ranks = np.maximum.accumulate(np.array([0, *state.ranks], np.int64))[1:]
-        term = np.arange(state.fit.strengths.shape[1])
         arrays = {
             "left": state.fit.left,
             "strengths": state.fit.strengths,
             "diagonal": state.fit.diagonal,
-            "term_level": np.searchsorted(ranks, term, side="right").astype(np.int32),
         }
         shape = state.projector.shape
         return LowRankTransport(shape, shape, state.channels, list(state.rows), arrays)

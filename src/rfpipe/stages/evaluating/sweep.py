@@ -5,19 +5,17 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.results import write_bundle
+from rfpipe.stages.results import standing, write_bundle
 from rfpipe.stages.settings import acquire_options
-from rfpipe.store import write_manifest
-from rfpipe.store.files import digest_of, write_atomically
+from rfpipe.store import open_arrays, read_manifest, write_manifest
+from rfpipe.store.files import digest_of, remove_tree, write_atomically
 from rfpipe.units import RADIANCE_UNIT, NumberFormat
 
 if TYPE_CHECKING:
@@ -25,31 +23,12 @@ if TYPE_CHECKING:
     from rfpipe.config.base import MethodSettings
     from rfpipe.transport import Transport
 
-__all__ = ["TIMES_COLUMNS", "Sweep", "is_swept", "run", "stored", "sweep_option", "trials"]
+__all__ = ["TIMES_COLUMNS", "is_swept", "run", "stored", "trials"]
 
 TIMES_COLUMNS = ("value", "processing_s", "simulation_s")
 """Wall seconds measured here, of processing and of simulating the pictures."""
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """What `sweep_option` found, one entry a value of the option.
-
-    Attributes
-    ----------
-    relit : ndarray of float32, shape (T, P, *shape, C)
-        The reference patterns relit, radiance.
-    rows : list of dict
-        ``option`` and its ``value``, ``patterns`` shown, ``bytes`` stored: the same in every run.
-    times : list of dict
-        `TIMES_COLUMNS`.
-    """
-
-    relit: NDArray[np.float32]
-    rows: list[dict[str, Any]]
-    times: list[dict[str, float]]
 
 
 @contextmanager
@@ -61,47 +40,6 @@ def stored(transport: Transport, number_format: NumberFormat) -> Iterator[Transp
         path = Path(folder) / "transport.zarr"
         save_transport(transport, path, number_format)
         yield open_transport(path)
-
-
-def sweep_option(config: Config, scene: str, method: str) -> Sweep:
-    """Acquire one scene with one method at several values of the option that trades patterns.
-
-    Parameters
-    ----------
-    config : Config
-    scene, method : str
-        A name in ``config.scenes``; one of its methods, with an option by which it ``trades``.
-
-    Returns
-    -------
-    Sweep
-    """
-    from rfpipe.photometry import sensor_from_config
-    from rfpipe.rigs import SimulatedRig
-    from rfpipe.scenes import scene_from_config, scene_patterns
-    from rfpipe.stages.acquire import acquire
-
-    exact = scene_from_config(config.scenes[scene], many_patterns=True)
-    rig = SimulatedRig(exact, sensor_from_config(config.camera), config.seed)
-    section = config.methods_of(scene)[method]
-    option, values = trials(config, method, section)
-    asked = acquire_options(config, method, section)
-    _warm_up(asked["method"])
-    patterns = np.stack(list(scene_patterns(exact).values()))
-    relit: list[NDArray[np.float32]] = []
-    rows: list[dict[str, Any]] = []
-    times: list[dict[str, float]] = []
-    for value in values:
-        result = acquire(rig, progress=False, **{**asked, option: value})
-        with stored(result.transport, config.storage.number_format) as transport:
-            relit.append(transport.relight_batch(patterns))
-            nbytes = transport.nbytes
-        row = {"option": option, "value": value, "patterns": result.patterns, "bytes": nbytes}
-        rows.append(row)
-        seconds = (value, result.processing_seconds, result.capture_seconds)
-        times.append(dict(zip(TIMES_COLUMNS, seconds, strict=True)))
-        _log.info("%s, %s: %s", scene, method, row)
-    return Sweep(np.stack(relit), rows, times)
 
 
 def is_swept(config: Config, scene: str, method: str) -> bool:
@@ -133,40 +71,89 @@ def _warm_up(method: str) -> None:
 
 
 def run(config: Config, scene: str, method: str, folder: Path, code: str) -> None:
-    """Run `sweep_option`; write ``sweep.zarr``, ``sweep.csv`` and ``sweep.json``.
+    """Acquire a scene with a method at several values of the option that trades patterns.
 
-    The CSV table holds the times, which differ from run to run; the rest doesn't.
+    Writes ``sweep.zarr``, ``sweep.csv`` and ``sweep.json``: the reference patterns relit at each
+    value, and its patterns and bytes. The CSV table holds the times, `TIMES_COLUMNS`, which differ
+    from run to run; the rest doesn't. Until all are there, each value's point is kept apart, so
+    that a sweep that was stopped goes on at the next.
 
     Parameters
     ----------
     config : Config
     scene, method : str
+        A name in ``config.scenes``; one of its methods, with an option by which it ``trades``.
     folder : Path
         ``results/{scene}/{method}``.
     code : str
         Digest of the code behind the stage.
     """
+    times, manifest, kept = (folder / name for name in ("sweep.csv", "sweep.json", "sweep_points"))
+    section = config.methods_of(scene)[method]
+    option, values = trials(config, method, section)
+    made_from = {
+        "method": method,
+        "scene": config.scenes[scene],
+        "camera": config.camera,
+        "seed": config.seed,
+        "acquisition": acquire_options(config, method, section),
+        "storage": config.storage,
+        "code": code,
+    }
+    whole = fingerprint({**made_from, "trials": (option, values)})
+    points = {
+        kept / f"{value}.json": (value, fingerprint({**made_from, option: value}))
+        for value in values
+    }
+    missing = {point: made for point, made in points.items() if not standing(point, made[1])}
+    if missing:
+        _acquire(config, scene, method, missing)
+    _put_together(list(points), times, manifest, whole, {"scene": scene, "method": method})
+    remove_tree(kept)
+
+
+def _acquire(
+    config: Config, scene: str, method: str, points: dict[Path, tuple[float, str]]
+) -> None:
+    """Acquire a scene at some values; write a bundle for each, by its manifest and fingerprint."""
+    from rfpipe.photometry import sensor_from_config
+    from rfpipe.rigs import SimulatedRig
+    from rfpipe.scenes import scene_from_config, scene_patterns
+    from rfpipe.stages.acquire import acquire
+
+    exact = scene_from_config(config.scenes[scene], many_patterns=True)
+    rig = SimulatedRig(exact, sensor_from_config(config.camera), config.seed)
+    section = config.methods_of(scene)[method]
+    option, _ = trials(config, method, section)
+    asked = acquire_options(config, method, section)
+    _warm_up(asked["method"])
+    patterns = np.stack(list(scene_patterns(exact).values()))
+    for point, (value, made_from) in points.items():
+        result = acquire(rig, progress=False, **{**asked, option: value})
+        with stored(result.transport, config.storage.number_format) as transport:
+            relit, nbytes = transport.relight_batch(patterns), transport.nbytes
+        row = {"option": option, "value": value, "patterns": result.patterns, "bytes": nbytes}
+        seconds = (value, result.processing_seconds, result.capture_seconds)
+        took = dict(zip(TIMES_COLUMNS, seconds, strict=True))
+        facts = {"stage": "sweep", "row": row, "seconds": took, "units": RADIANCE_UNIT}
+        write_bundle(point, made_from, {"relit": relit}, facts)
+        _log.info("%s, %s: %s", scene, method, row)
+
+
+def _put_together(
+    points: list[Path], times: Path, manifest: Path, made_from: str, about: dict[str, str]
+) -> None:
+    """Write the sweep of all points, and their table of times."""
     import pandas as pd
 
-    times, manifest = folder / "sweep.csv", folder / "sweep.json"
-    section = config.methods_of(scene)[method]
-    made_from = fingerprint(
-        {
-            "method": method,
-            "scene": config.scenes[scene],
-            "camera": config.camera,
-            "seed": config.seed,
-            "trials": trials(config, method, section),
-            "acquisition": acquire_options(config, method, section),
-            "storage": config.storage,
-            "code": code,
-        }
-    )
-    found = sweep_option(config, scene, method)
-    table = pd.DataFrame(found.times).to_csv(index=False, lineterminator="\n").encode()
+    facts = [read_manifest(point) for point in points]
+    rows = [each["seconds"] for each in facts]
+    table = pd.DataFrame(rows).to_csv(index=False, lineterminator="\n").encode()
     write_atomically(times, table)
     # apart from the sweep's manifest, which is the same in every run
-    write_manifest(folder / "sweep_times.json", {"table": times.name, "times": digest_of(table)})
-    about = {"stage": "sweep", "scene": scene, "method": method}
-    facts = {**about, "rows": found.rows, "units": RADIANCE_UNIT}
-    write_bundle(manifest, made_from, {"relit": found.relit}, facts)
+    write_manifest(
+        times.with_name("sweep_times.json"), {"table": times.name, "times": digest_of(table)}
+    )
+    relit = np.stack([open_arrays(point.with_suffix(".zarr")).read("relit") for point in points])
+    found = {"stage": "sweep", **about, "rows": [each["row"] for each in facts]}
+    write_bundle(manifest, made_from, {"relit": relit}, {**found, "units": RADIANCE_UNIT})

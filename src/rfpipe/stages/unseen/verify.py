@@ -118,11 +118,14 @@ def check_bound(manifests: Mapping[str, Mapping[str, Any]], bound: float, where:
     Raises
     ------
     VerificationError
-        Names each acquisition that is above it, and its worst picture.
+        Names each acquisition that is above it, and its worst picture; or none of whose pictures
+        has light above noise.
     """
     above = [
         f"{name} is off by {facts['mean_error']:.2%} on average, by {facts['worst_error']:.2%} "
         f"under '{facts['worst_picture']}' (noise floor {facts['noise']:.2%})"
+        if facts["mean_error"] is not None
+        else f"{name} has no picture with light above its noise: give it more light or exposure"
         for name, facts in manifests.items()
         if facts["mean_error"] is None or facts["mean_error"] > bound
     ]

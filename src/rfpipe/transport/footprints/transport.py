@@ -40,11 +40,6 @@ class FootprintTransport(ArrayTransport):
 
     kind = "footprints"
 
-    @property
-    def last_level(self) -> int:
-        """0: it is measured as a whole."""
-        return 0
-
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, projector rays)``."""
         planes = []

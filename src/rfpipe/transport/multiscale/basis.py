@@ -26,6 +26,8 @@ REACH = 2
 """Spacings of the coarser function within which two functions are a pair."""
 
 _COARSEST_CELLS = 20
+# Pairs of functions whose coarser one is finer than this part of the coarsest scale are near range.
+_NEAR = 4
 
 SCALE, VIEW, ROW, COLUMN = range(4)
 """The columns of a table of functions."""
@@ -71,6 +73,12 @@ class MultiscaleBasis:
     def scales(self) -> Functions:
         """Scale of each function, in pixels."""
         return self.functions[:, SCALE]
+
+    def is_near(self, first: Functions, second: Functions) -> NDArray[np.bool_]:
+        """Tell which pairs of functions are near range, by their numbers; else they are far."""
+        coarser = np.maximum(self.scales[first], self.scales[second])
+        near: NDArray[np.bool_] = coarser * _NEAR < coarsest_scale(self.shape)
+        return near
 
     @property
     def centres(self) -> NDArray[np.float64]:

@@ -42,11 +42,6 @@ class MultiscaleTransport(CoaxialTransport[Arrays], ArrayTransport):
         """The functions."""
         return MultiscaleBasis(self.camera_shape, self._held["functions"])
 
-    @property
-    def last_level(self) -> int:
-        """0: it is measured as a whole."""
-        return 0
-
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``."""
         images = np.empty(patterns.shape, np.float32)

@@ -33,11 +33,6 @@ class WaveletTransport(CoaxialTransport[Arrays], ArrayTransport):
         """The grid of the wavelets."""
         return Cells(self.shape, int(self._held["side"][0]))
 
-    @property
-    def last_level(self) -> int:
-        """0: it is measured as a whole."""
-        return 0
-
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``."""
         from rfpipe.transport.multiscale.kernels import couple
