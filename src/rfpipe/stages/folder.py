@@ -207,8 +207,8 @@ def advice_on_damage(manifest: Path) -> Iterator[None]:
 def clear(error: DamagedStageError) -> bool:
     """Remove the manifest of a damaged stage, so that it is made anew; tell whether it is.
 
-    So are those of its level that follow from it. Captures are left to the user, who knows whether the scene still stands there: of theirs,
-    headers alone are restored.
+    So are those of its level that follow from it. Captures are left to the user, who knows whether
+    the scene still stands there: of theirs, headers alone are restored.
     """
     manifest = error.manifest
     if manifest.stem == "capture":

@@ -1,0 +1,139 @@
+"""What a change makes again: Snakemake decides it by settings and one digest of the code."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.workflow.harness import CONFIG, DUAL, Workflow
+
+import rfpipe
+from rfpipe.store import read_manifest
+
+LEVELS = 4
+ALL = {"schedule", "capture_simulated", "merge", "normalize", "refine", "assemble"}
+
+
+def jobs(output: str) -> Counter[str]:
+    """Jobs that ran, by their rules."""
+    return Counter(re.findall(r"Finished jobid: \d+ \(Rule: (\w+)\)", output))
+
+
+def shown(workflow: Workflow) -> list[str]:
+    """Digests of the patterns of each level."""
+    folder = workflow.path("tiny/dual")
+    return [read_manifest(path)["shown"] for path in sorted(folder.glob("L*/schedule.json"))]
+
+
+def test_a_first_run_and_the_next_one(undisturbed: Workflow) -> None:
+    ran = jobs((undisturbed.folder / "output").read_text())
+    assert set(ran) == ALL
+    assert "Nothing to be done" in undisturbed.run(DUAL)
+
+
+@pytest.mark.parametrize(
+    ("changes", "runs"),
+    [
+        ({"report": {"title": "another"}}, {}),
+        ({"resources": {"memory_gib": 0.5}}, {}),
+        (
+            {"merge": {"mask_defects": False}},
+            {"merge": LEVELS, "normalize": LEVELS, "refine": LEVELS, "assemble": 1},
+        ),
+        ({"storage": {"number_format": "float32"}}, {"assemble": 1}),
+        ({"camera": {"bits": 10}}, {"capture_simulated": LEVELS, "merge": LEVELS}),
+    ],
+    ids=["title", "memory", "merge", "number format", "bit depth"],
+)
+def test_another_setting(copy: Workflow, changes: dict[str, Any], runs: dict[str, int]) -> None:
+    before = shown(copy)
+    copy.configure(**changes)
+    ran = jobs(copy.run(DUAL))
+    assert {name: ran[name] for name in runs} == runs
+    if "capture_simulated" not in runs:
+        captured = sum(old != new for old, new in zip(before, shown(copy), strict=True))
+        assert ran["capture_simulated"] == captured
+    if not runs:
+        assert not ran
+    assert "Nothing to be done" in copy.run(DUAL)
+
+
+def test_another_tolerance_captures_what_other_patterns_ask(copy: Workflow) -> None:
+    before = shown(copy)
+    copy.configure(methods={**CONFIG["methods"], "dual": {"tolerance": 0.1}})
+    ran = jobs(copy.run(DUAL))
+    changed = sum(old != new for old, new in zip(before, shown(copy), strict=True))
+    assert 0 < changed < LEVELS  # or the test shows nothing
+    assert ran["capture_simulated"] == ran["merge"] == changed
+    assert ran["refine"] == LEVELS
+
+
+def comment(source: str) -> str:
+    """Add a comment and a docstring."""
+    return source.replace('"""Stage:', '# a comment\n"""Another text. Stage:')
+
+
+def line(source: str) -> str:
+    """Change what a stage does."""
+    return source.replace('"stage": "refine"', '"stage": "refine", "edited": True')
+
+
+@pytest.mark.parametrize(
+    ("edit", "runs"),
+    [(comment, set()), (line, ALL - {"capture_simulated"})],
+    ids=["comment", "line of refine"],
+)
+def test_edited_code(
+    copy: Workflow, tmp_path: Path, edit: Callable[[str], str], runs: set[str]
+) -> None:
+    copy.source = tmp_path / "source"
+    package = copy.source / "rfpipe"
+    shutil.copytree(Path(rfpipe.__file__).parent, package)
+    refine = package / "stages" / "refine.py"
+    before = refine.read_text()
+    refine.write_text(edit(before))
+    assert refine.read_text() != before
+    assert set(jobs(copy.run(DUAL))) == runs
+
+
+def test_a_stage_is_forced_or_stopped_at(copy: Workflow) -> None:
+    before = copy.contents("tiny/dual")
+    forced = jobs(copy.run(DUAL, "--forcerun", "merge"))
+    assert forced == {"merge": LEVELS, "normalize": LEVELS, "refine": LEVELS, "assemble": 1}
+    assert copy.contents("tiny/dual") == before
+    shutil.rmtree(copy.path("tiny/dual"))
+    until = jobs(copy.run(DUAL, "--until", "merge"))
+    assert until == {"schedule": 1, "capture_simulated": 1, "merge": 1}
+
+
+def test_looking_changes_nothing(tmp_path: Path) -> None:
+    workflow = Workflow(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    planned = workflow.run(DUAL, "--dry-run")
+    assert {name for name in ALL if re.search(rf"^{name} +1$", planned, re.MULTILINE)} == ALL
+    graph = workflow.run(DUAL, "--rulegraph", "dot")
+    assert {name for name in ALL if f'label = "{name}"' in graph} == ALL
+    left = {path for path in tmp_path.rglob("*") if ".snakemake" not in path.parts}
+    assert sorted(left) == before
+
+
+def test_one_job_an_acquisition_goes_on_with_what_stages_left(
+    copy: Workflow, undisturbed: Workflow
+) -> None:
+    copy.configure(resources={"jobs": "acquisition"})
+    folder = copy.path("tiny/dual")
+    (folder / "transport.json").unlink()
+    for name in ("L02", "L03"):
+        shutil.rmtree(folder / name)
+    assert jobs(copy.run(DUAL)) == {"acquire": 1}
+    assert copy.contents("tiny/dual") == undisturbed.contents("tiny/dual")
+    copy.configure()
+    for path in [folder / "transport.json", *folder.glob("L03/*.json")]:
+        path.unlink()
+    assert set(jobs(copy.run(DUAL))) == ALL
+    assert copy.contents("tiny/dual") == undisturbed.contents("tiny/dual")
