@@ -13,7 +13,6 @@ from benchmarks.methods.pictures import spots
 from benchmarks.methods.rows import COLUMNS, newest
 from benchmarks.methods.scenes import KINDS, stage_of
 from benchmarks.methods.summary import failures, sections, summary_of, tightest
-from tests.physical import require_llvm
 
 from rfpipe.errors import InputError
 from rfpipe.methods import get_method, method_names
@@ -190,8 +189,8 @@ def test_spots_lie_in_each_view():
         assert (picture.sum(axis=(1, 2)) == 4).all()
 
 
+@pytest.mark.needs("llvm")
 def test_a_box_has_a_crease_around_its_back(tmp_path):
-    require_llvm()
     stage = stage_of("red_wall_box", 16, 1, 16, 1, tmp_path)
     strip = stage.patterns["crease"]
     assert strip[8].astype(bool).tolist() == strip[:, 8].astype(bool).tolist()
