@@ -108,6 +108,7 @@ class TestWebcamBench(RigContract):
         return rig_from_config(parse_rig_config(settings(linear), "rig.yaml"))
 
 
+@pytest.mark.slow
 def test_calibrated_it_acquires_and_relights_the_scene(kind: Kind, tmp_path: Path) -> None:
     folder = tmp_path / "calibration"
     calibrate_rig(parse_rig_config(settings(kind), "rig.yaml"), folder)

@@ -203,6 +203,7 @@ def one_file(run: Path) -> type[Handler]:
     return type("OneFile", (Handler,), {"asked": [], "content": content})
 
 
+@pytest.mark.slow
 def test_a_slow_line_is_waited_for_and_one_that_stalls_asked_again(
     one_file: type[Handler], monkeypatch: pytest.MonkeyPatch
 ) -> None:
