@@ -10,6 +10,8 @@ RIG ?= config/bench.yaml
 FIGURES ?= config/figures.yaml
 LOCK_OPTIONS := --upgrade --universal --python-version 3.11 --generate-hashes --no-header \
   --no-annotate --quiet
+# one worker more than cores: much of the tests is waiting
+PYTEST := pytest -n 3 --dist worksteal
 # more options for snakemake, as in: make run ARGS="--dry-run"
 ARGS ?=
 
@@ -21,13 +23,13 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-.PHONY: help install run thesis figures calibrate serve unlock test validators lint format bench \
-  benchmark config lock clean
+.PHONY: help install run thesis figures calibrate serve unlock test test-all validators lint \
+  format bench benchmark config lock clean
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
 	@echo
-	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 	@echo
 	@echo "Start with 'make run'. Settings: config/README.md."
 
@@ -69,9 +71,11 @@ unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock r
 	@if [ -d figures ]; then \
 	  snakemake --directory figures --configfile $(FIGURES) --unlock; fi
 
-test: lint ## check everything: lint, types, layers, workflow, tests
-	@# whole files to each, and one more than cores: much of the workflow's tests is waiting
-	pytest -n 3 --dist loadfile --no-loadscope-reorder
+test: $(INSTALLED) ## run the quick tests, which need nothing more: at most 5 minutes on 2 cores
+	$(PYTEST) -m "not slow and not needs"
+
+test-all: $(INSTALLED) ## run all tests; those that need more of the system say what (tests/needs.py)
+	$(PYTEST)
 
 validators: $(INSTALLED) ## install what some tests check published runs by, into .venv-validators
 	uv venv --quiet --allow-existing --python $(VENV)/bin/python .venv-validators

@@ -1,45 +1,14 @@
-"""A real browser without a window: Chromium, as the system has it."""
+"""The viewer's pages in a real browser."""
 
 from __future__ import annotations
 
-import os
-import shutil
 from base64 import b64decode
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-
-_NAMES = ("chromium", "chromium-browser", "google-chrome")
-
-
-def need_chromium() -> str:
-    """Return the path of Chromium; skip a test where there is none, or fail where required."""
-    found = next(filter(None, map(shutil.which, _NAMES)), None)
-    if found is None:
-        hint = "apt-get install chromium"
-        if os.environ.get("RFPIPE_REQUIRE_CHROMIUM"):
-            pytest.fail(f"RFPIPE_REQUIRE_CHROMIUM is set, but there is no Chromium: {hint}")
-        pytest.skip(f"a test in a real browser; to run it: {hint}")
-    return found
-
-
-@contextmanager
-def browser() -> Iterator[Any]:
-    """Chromium while the context lasts."""
-    path = need_chromium()
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        started = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        try:
-            yield started
-        finally:
-            started.close()
 
 
 def opened(chromium: Any, address: str | Path, query: str = "", **context: Any) -> Any:

@@ -17,16 +17,15 @@ from http.server import BaseHTTPRequestHandler
 import pytest
 from tests.ports import free_port
 from tests.serving import listening
-from tests.validators import validators_python
 
 BUCKET = "lab"
 _HOP = {"connection", "keep-alive", "transfer-encoding", "content-length", "date", "server"}
 
 
 @contextmanager
-def s3_server() -> Iterator[str]:
-    """Run an S3 server with one empty bucket, `BUCKET`; its endpoint."""
-    port, python = free_port(), validators_python()
+def s3_server(python: str) -> Iterator[str]:
+    """Run an S3 server with one empty bucket, `BUCKET`, by an interpreter; its endpoint."""
+    port = free_port()
     endpoint = f"http://127.0.0.1:{port}"
     process = subprocess.Popen(
         [python, "-W", "ignore", "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],

@@ -1,7 +1,6 @@
-"""Virtual cameras of the drivers' libraries, for their tests."""
+"""Aravis' virtual cameras, for the tests of its driver."""
 
 import fcntl
-import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,32 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
-from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.bench_cameras import PreparedCamera
-from rfpipe.rigs.cameras.aravis_library import call, load_aravis, release
-from rfpipe.rigs.cameras.gphoto_library import load_gphoto2
-
-
-def need_aravis() -> None:
-    """Skip a test where Aravis isn't installed, or fail where it is required."""
-    _need(load_aravis, "RFPIPE_REQUIRE_ARAVIS", "apt-get install libaravis-0.8-0")
-
-
-def need_gphoto2() -> None:
-    """Skip a test where gphoto2 isn't installed, or fail where it is required."""
-    _need(load_gphoto2, "RFPIPE_REQUIRE_GPHOTO2", "pip install rfpipe[gphoto2]")
-
-
-def _need(load: Any, variable: str, advice: str) -> None:
-    try:
-        load()
-    except CaptureError as error:
-        if os.environ.get(variable):
-            pytest.fail(f"{variable} is set, but: {error}")
-        pytest.skip(f"needs a camera's library; to run it: {advice}")
+from rfpipe.rigs.cameras.aravis_library import call, release
 
 
 class FilledCamera(PreparedCamera):

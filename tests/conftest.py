@@ -5,9 +5,11 @@ import logging
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
+from tests import needs
 
 # Two workers whose BLAS takes both cores each wait for one another. Read when numpy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -20,10 +22,10 @@ settings.load_profile("rfpipe")
 
 _HERE = Path(__file__).parent
 
-# The longest by far: with it one worker compiles the kernels while others do what needs none.
-_FIRST = _HERE / "workflow" / "test_figures.py"
 _WITHOUT_KERNELS = (_HERE / "server", _HERE / "device")
 _WORKFLOW = _HERE / "workflow"
+
+_hidden = needs.hide()
 
 _LOGGERS = (logging.getLogger(), logging.getLogger("rfpipe"), logging.getLogger("rfpipe.server"))
 
@@ -31,21 +33,49 @@ _LOGGERS = (logging.getLogger(), logging.getLogger("rfpipe"), logging.getLogger(
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Whole runs come early: they are the longest, and what comes last can be shared out finely.
 
-    But for one, all come after what needs no kernels, while these are compiled: each of a run's
-    jobs would compile its own.
+    They come after what needs no kernels: these are compiled meanwhile, by the worker that begins
+    in the midst of all tests.
     """
     items.sort(key=_place)
     for item in items:
-        if item.path.parent not in _WITHOUT_KERNELS and isinstance(item, pytest.Function):
+        if not isinstance(item, pytest.Function):
+            continue
+        for name in needs.HINTS:
+            if name in item.fixturenames:
+                item.add_marker(pytest.mark.needs(name))
+        if item.path.parent not in _WITHOUT_KERNELS:
             item.fixturenames.insert(0, "kernels")
 
 
 def _place(item: pytest.Item) -> int:
-    """Tell when a test is due; workers take whole files, whose tests share what is made once."""
-    if item.path == _FIRST:
-        return 0
+    """Tell when a test is due."""
     folder = item.path.parent
-    return 1 if folder in _WITHOUT_KERNELS else 2 if folder == _WORKFLOW else 3
+    return 0 if folder in _WITHOUT_KERNELS else 1 if folder == _WORKFLOW else 2
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    # not in a fixture: the summary then has one line of all of them
+    for mark in item.iter_markers("needs"):
+        needs.need(*mark.args)
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A browser without a window."""
+    from playwright.sync_api import sync_playwright
+
+    path = needs.program("chromium")
+    with sync_playwright() as driver:
+        started = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="session")
+def validators() -> str:
+    """The interpreter that has the programs that published runs are checked by."""
+    return str(needs.VALIDATORS)
 
 
 @pytest.fixture(scope="session")

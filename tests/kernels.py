@@ -18,7 +18,7 @@ from rfpipe.transport import save_transport
 
 def compile_kernels(folder: Path) -> None:
     """Acquire, store and relight a small scene: numba keeps what it compiles."""
-    shape = (24, 24)
+    shape = (12, 12)
     rig = OperatorRig(reference_scene("IV", shape, channels=1), shape, shape, CameraConfig())
     for method in (Symmetric(), Dual(), NearFar(), Footprints()):
         transport = acquire(rig, method, progress=False).transport

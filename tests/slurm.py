@@ -12,12 +12,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import psutil
-import pytest
 from tests.ports import free_port
 from tests.waiting import wait_until
-
-_PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch")
-_PACKAGES = "apt-get install slurmctld slurmd slurm-client munge, and be root"
 
 NODES = ("one", "two")
 
@@ -54,14 +50,6 @@ PartitionName=work Nodes=one,two Default=YES MaxTime=INFINITE State=UP
 """
 # No node has an accounting database: squeue and scontrol ask the scheduler itself. It looks for
 # nodes that don't answer every SlurmdTimeout / 3.
-
-
-def need_slurm() -> None:
-    """Skip a test where Slurm's daemons can't be run, or fail where they are required."""
-    if os.geteuid() != 0 or any(shutil.which(program) is None for program in _PROGRAMS):
-        if os.environ.get("RFPIPE_REQUIRE_SLURM"):
-            pytest.fail(f"RFPIPE_REQUIRE_SLURM is set, but there is no Slurm: {_PACKAGES}")
-        pytest.skip(f"a test of a real Slurm cluster; to run it: {_PACKAGES}")
 
 
 class Slurm:

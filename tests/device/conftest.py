@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.displays import DISPLAYS, need_xvfb
+from tests.displays import DISPLAYS
 
 from rfpipe.rigs.display import VirtualDisplay, memory_display
 from rfpipe.rigs.xvfb import XServer
@@ -15,16 +15,9 @@ from rfpipe.rigs.xvfb import XServer
 os.environ["PYLON_CAMEMU"] = "1"  # before pypylon is loaded
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    # not in a fixture: the summary then has one line of all of them
-    if item.get_closest_marker("xvfb"):
-        need_xvfb()
-
-
 @pytest.fixture(scope="module")
 def x_display() -> Iterator[VirtualDisplay]:
-    """An X server's display of 120 x 160 pixels; for tests marked `xvfb`."""
+    """An X server's display of 120 x 160 pixels; for tests that need `xvfb`."""
     with XServer((120, 160)) as server:
         yield server
 

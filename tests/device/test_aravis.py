@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cameras import FilledCamera, gige_camera, need_aravis
+from tests.cameras import FilledCamera, gige_camera
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
@@ -23,9 +23,7 @@ PICTURE = np.random.default_rng(0).integers(0, 2**16, SHAPE)
 QUICK = {"timeout_seconds": 1.5, "reconnect_seconds": 0.0}
 
 
-@pytest.fixture(autouse=True)
-def _aravis() -> None:
-    need_aravis()
+pytestmark = pytest.mark.needs("aravis")
 
 
 class TestGreyCamera(CameraContract):

@@ -265,7 +265,7 @@ def test_the_devices_count_what_happens() -> None:
         }
 
 
-@pytest.mark.xvfb
+@pytest.mark.needs("xvfb")
 @pytest.mark.parametrize("either_display", ["x server"], indirect=True)
 def test_a_display_that_is_killed_costs_a_pattern(either_display: str) -> None:
     """kill -9 of the X server, in the midst of patterns, of a bracket, and of its window.

@@ -14,6 +14,8 @@ from rfpipe.rigs.build import rig_from_config
 from rfpipe.scenes import scene_from_config
 from rfpipe.scenes.relighting import relighting_patterns
 
+pytestmark = pytest.mark.slow
+
 RAYS = (16, 16)
 SETTINGS = {
     "rays": list(RAYS),

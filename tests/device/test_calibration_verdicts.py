@@ -22,6 +22,8 @@ from rfpipe.rigs.build import rig_from_config
 from rfpipe.rigs.settings import calibration_of
 from rfpipe.rigs.verdicts import VERDICTS_KEY, check_verdicts
 
+pytestmark = pytest.mark.slow
+
 RAYS = 12
 SETTINGS: dict[str, Any] = {
     "rays": [RAYS, RAYS],

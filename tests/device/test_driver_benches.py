@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cameras import need_aravis, need_gphoto2
 
 from rfpipe import acquire
 from rfpipe.calibration import load
@@ -54,7 +53,7 @@ KINDS = {
         {"bits": 8, "black_level_counts": 20, "response_gamma": 1.8},
     ),
 }
-NEEDED = {"aravis": need_aravis, "gphoto2": need_gphoto2, "webcam": lambda: None}
+ARAVIS = pytest.mark.needs("aravis")
 
 
 def settings(kind: Kind, **more: Any) -> dict[str, Any]:
@@ -81,17 +80,16 @@ def settings(kind: Kind, **more: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@pytest.fixture(params=KINDS)
+@pytest.fixture(params=[pytest.param("aravis", marks=ARAVIS), "gphoto2", "webcam"])
 def kind(request: pytest.FixtureRequest) -> Kind:
-    NEEDED[request.param]()
     return KINDS[request.param]
 
 
+@ARAVIS
 class TestAravisBench(RigContract):
     repeatable = False
 
     def make_rig(self):  # type: ignore[no-untyped-def]
-        need_aravis()
         return rig_from_config(parse_rig_config(settings(KINDS["aravis"]), "rig.yaml"))
 
 
@@ -99,7 +97,6 @@ class TestPhotoBench(RigContract):
     repeatable = False
 
     def make_rig(self):  # type: ignore[no-untyped-def]
-        need_gphoto2()
         return rig_from_config(parse_rig_config(settings(KINDS["gphoto2"]), "rig.yaml"))
 
 
@@ -111,6 +108,7 @@ class TestWebcamBench(RigContract):
         return rig_from_config(parse_rig_config(settings(linear), "rig.yaml"))
 
 
+@pytest.mark.slow
 def test_calibrated_it_acquires_and_relights_the_scene(kind: Kind, tmp_path: Path) -> None:
     folder = tmp_path / "calibration"
     calibrate_rig(parse_rig_config(settings(kind), "rig.yaml"), folder)
@@ -131,8 +129,8 @@ def test_calibrated_it_acquires_and_relights_the_scene(kind: Kind, tmp_path: Pat
         assert np.linalg.norm(relit - light) < 0.05 * np.linalg.norm(light), name
 
 
+@ARAVIS
 def test_aravis_takes_sequences_as_it_takes_them_one_by_one() -> None:
-    need_aravis()
     kind = KINDS["aravis"]
     triggered = replace(kind, options={**kind.options, "sequence_line": "Line0"})
     patterns = (np.random.default_rng(0).random((9, *RAYS)) < 0.5).astype(np.float32)
@@ -149,8 +147,8 @@ def test_aravis_takes_sequences_as_it_takes_them_one_by_one() -> None:
     assert np.abs(again - one_by_one).mean() < 0.05 * step
 
 
+@ARAVIS
 def test_a_bench_that_its_virtual_camera_cannot_be_is_explained() -> None:
-    need_aravis()
     twelve = settings(KINDS["aravis"])
     twelve["camera"]["options"] = {"pixel_format": "Mono12"}
     twelve["sensor"]["bits"] = 12

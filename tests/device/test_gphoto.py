@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.cameras import need_gphoto2
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
@@ -34,7 +33,6 @@ def put(folder: Path, counts: np.ndarray = COUNTS, seconds: float = 0.0, **level
 
 @pytest.fixture(autouse=True)
 def _raw_file(tmp_path: Path) -> None:
-    need_gphoto2()
     put(tmp_path)
 
 

@@ -24,6 +24,8 @@ from rfpipe.stages import merge
 from rfpipe.stages.capturing.sensors import read_sensor
 from rfpipe.stages.folder import AcquisitionFolder
 
+pytestmark = pytest.mark.slow
+
 CAMERA, RAYS = (22, 28), (8, 10)
 PATTERNS = 80
 

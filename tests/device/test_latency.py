@@ -9,6 +9,8 @@ from rfpipe.calibration.latency import PICTURES, latency_findings, measure_laten
 from rfpipe.errors import CaptureError
 from rfpipe.rigs.build import devices_from_config
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def _in_memory(monkeypatch: pytest.MonkeyPatch) -> None:

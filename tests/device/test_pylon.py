@@ -14,6 +14,8 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs.pylon import PylonCamera
 from rfpipe.testing import CameraContract
 
+pytestmark = pytest.mark.slow
+
 SENSOR = CameraModel(exposures=(0.001, 0.01, 0.1))
 SHAPE = (40, 48)
 QUICK = {"timeout_seconds": 1.5, "reconnect_seconds": 0.0}

@@ -84,7 +84,7 @@ def test_it_waits_until_the_picture_settled(display: VirtualDisplay) -> None:
         assert time.monotonic() - start >= 0.2
 
 
-@pytest.mark.xvfb
+@pytest.mark.needs("xvfb")
 def test_what_another_window_hid_is_drawn_again(x_display: VirtualDisplay) -> None:
     with WindowProjector(x_display.name, settle_seconds=0) as projector:
         projector.show(np.ones(projector.shape, np.float32))
@@ -113,7 +113,7 @@ def test_a_window_that_was_killed_is_opened_again(display: VirtualDisplay) -> No
         assert projector.statistics["reopened"] == 1
 
 
-@pytest.mark.xvfb
+@pytest.mark.needs("xvfb")
 def test_a_window_that_is_moved_is_put_back(x_display: VirtualDisplay) -> None:
     from Xlib.display import Display
 
@@ -148,7 +148,7 @@ def test_a_lost_display_is_an_error_and_not_the_end(kind: str) -> None:
         projector.show(white)
 
 
-@pytest.mark.xvfb
+@pytest.mark.needs("xvfb")
 def test_a_display_that_comes_back_goes_on(caplog: pytest.LogCaptureFixture) -> None:
     white = np.ones((40, 50), np.float32)
     with (
@@ -170,7 +170,7 @@ def test_a_display_that_comes_back_goes_on(caplog: pytest.LogCaptureFixture) -> 
     assert "going on" in caplog.text
 
 
-@pytest.mark.xvfb
+@pytest.mark.needs("xvfb")
 def test_a_display_that_flickers_is_waited_for() -> None:
     white = np.ones((40, 50), np.float32)
     with (
@@ -184,7 +184,7 @@ def test_a_display_that_flickers_is_waited_for() -> None:
         assert projector.statistics["reopened"] == 1
 
 
-@pytest.mark.xvfb
+@pytest.mark.needs("xvfb")
 def test_a_server_whose_display_was_taken_comes_back_on_another(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -213,7 +213,7 @@ def test_a_lost_display_is_not_waited_for_by_who_closes() -> None:
     assert time.monotonic() - began < 30
 
 
-@pytest.mark.xvfb
+@pytest.mark.needs("xvfb")
 def test_it_tells_when_its_picture_was_hidden(x_display: VirtualDisplay) -> None:
     with WindowProjector(x_display.name, settle_seconds=0) as projector:
         white = np.ones(projector.shape, np.float32)

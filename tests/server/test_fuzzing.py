@@ -31,6 +31,8 @@ from tests.server.harness import RIGHT, Running, SlowRig, running
 from rfpipe.rigs.messages import MEDIA_TYPE
 from rfpipe.rigs.wire import encode_patterns
 
+pytestmark = pytest.mark.slow
+
 CHECKS = [
     not_a_server_error,
     status_code_conformance,

@@ -23,6 +23,8 @@ from tests.server.test_attacks import crowd
 from rfpipe.rigs.messages import MEDIA_TYPE, Message, pack
 from rfpipe.rigs.wire import encode_patterns
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (1080, 1920)
 
 LARGE_RIG = """

@@ -13,7 +13,6 @@ from benchmarks.methods.pictures import spots
 from benchmarks.methods.rows import COLUMNS, newest
 from benchmarks.methods.scenes import KINDS, stage_of
 from benchmarks.methods.summary import failures, sections, summary_of, tightest
-from tests.physical import require_llvm
 
 from rfpipe.errors import InputError
 from rfpipe.methods import get_method, method_names
@@ -52,6 +51,7 @@ def test_the_held_out_half_is_neither_empty_nor_all():
     assert not is_held_out(f"seed {first.seed}")  # those are looked at last
 
 
+@pytest.mark.slow
 def test_the_table_has_a_row_an_acquisition(run):
     table = newest(run / "acquisitions.csv")
     assert list(table.columns) == list(COLUMNS)
@@ -76,6 +76,7 @@ def test_the_table_has_a_row_an_acquisition(run):
     assert set(sections(table)) == {"open", "held out"}
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_run_again(run, monkeypatch):
     before = (run / "acquisitions.csv").read_bytes()
     monkeypatch.setattr(benchmark, "measure", lambda *_: pytest.fail("it was run again"))
@@ -86,6 +87,7 @@ def test_what_is_there_is_not_run_again(run, monkeypatch):
     assert len({row["key"] for row in kept}) == len(kept) == 2 * len(method_names())
 
 
+@pytest.mark.slow
 def test_the_page_says_what_was_run_and_what_was_not(run):
     page = run.with_suffix(".md").read_text()
     asked = len(SCENES) * len(method_names())
@@ -108,6 +110,7 @@ def test_a_table_of_other_columns_is_refused(tmp_path):
         benchmark.main([*SMALL, "--folder", str(tmp_path)])
 
 
+@pytest.mark.slow
 def test_a_method_that_refuses_or_fails_is_a_row_that_says_so(monkeypatch, tmp_path):
     case = Case("wedge_iv", 96, 1, 16, "full", 1, "compressive", "patterns", 50)
     refused = measure(case, tmp_path)
@@ -123,6 +126,7 @@ def test_a_method_that_refuses_or_fails_is_a_row_that_says_so(monkeypatch, tmp_p
     assert (failed["status"], failed["why"]) == ("failed", "ZeroDivisionError: by the way")
 
 
+@pytest.mark.slow
 def test_less_light_is_more_noise(tmp_path):
     case = Case("wedge_iv", 8, 1, 16, "full", 1, "brute_force", "", 0)
     full = measure(case, tmp_path)
@@ -190,8 +194,8 @@ def test_spots_lie_in_each_view():
         assert (picture.sum(axis=(1, 2)) == 4).all()
 
 
+@pytest.mark.needs("llvm")
 def test_a_box_has_a_crease_around_its_back(tmp_path):
-    require_llvm()
     stage = stage_of("red_wall_box", 16, 1, 16, 1, tmp_path)
     strip = stage.patterns["crease"]
     assert strip[8].astype(bool).tolist() == strip[:, 8].astype(bool).tolist()

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rfpipe.stages.acquisitions import acquire_all
-from tests.browsers import browser
 from tests.collections_ import acquire_item
 from typer.testing import CliRunner
 
@@ -21,12 +19,6 @@ from rfpipe.store.files import hidden_sibling
 
 HEADER = "name,kind,surfaces,shape,channels,about.title\n"
 STATES = ("done", "failed", "running", "stopped", "unknown", "waiting")
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

@@ -216,9 +216,13 @@ def test_a_packed_run_is_read_from_a_web_server(
 
 
 def test_a_packed_run_is_read_from_a_bucket(
-    run: tuple[Config, Path], packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: tuple[Config, Path],
+    packed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    validators: str,
 ) -> None:
-    with s3_server() as endpoint:
+    with s3_server(validators) as endpoint:
         for file in filter(Path.is_file, packed.rglob("*")):
             name = file.relative_to(packed.parent).as_posix()
             put(f"{endpoint}/{BUCKET}/{name}", file.read_bytes())

@@ -116,14 +116,14 @@ def test_rays_that_are_not_there_are_refused(run: Path) -> None:
 
 
 def test_a_view_is_fetched_from_a_bucket_by_ranges(
-    run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, validators: str
 ) -> None:
     """Of nine views one shares in a fifth of the pairs, a part of it in fewer of their blocks."""
     pack(run, [file for _, file in files_of_store(run / STORE, STORE)], tmp_path / "packed", {})
     light = np.random.default_rng(3).random(SHAPE, np.float32)
     expected = rfpipe.open_transport(run / STORE).relight(light)
     stored = sum(file.stat().st_size for _, file in files_of_store(run / STORE, STORE))
-    with s3_server() as behind, proxy(behind) as bucket:
+    with s3_server(validators) as behind, proxy(behind) as bucket:
         for name, file in [*files_of_store(run / STORE, STORE), ("crate.zip", run / "crate.zip")]:
             put(f"{behind}/{BUCKET}/{name}", file.read_bytes())
         for file in filter(Path.is_file, (tmp_path / "packed").rglob("*")):

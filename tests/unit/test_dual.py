@@ -146,6 +146,7 @@ def test_no_energy_is_stored_at_two_levels(wedge: np.ndarray) -> None:
     assert covered.max() == 1
 
 
+@pytest.mark.slow
 def test_patterns_of_the_textured_wedge() -> None:
     """The threshold means what it meant in the thesis-like prototype: some 533 patterns."""
     matrix = reference_scene("IV", (64, 64), channels=1).dense(0).astype(np.float32)

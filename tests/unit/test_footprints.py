@@ -177,6 +177,7 @@ def test_a_diffuse_scene_is_good_after_few_patterns() -> None:
     assert 1 / 1.6 < told / error < 1.6
 
 
+@pytest.mark.slow
 def test_other_shapes_colours_and_densities() -> None:
     camera, projector = (22, 30), (35, 27)
     matrix, _ = scene(camera, projector, channels=3)
@@ -185,6 +186,7 @@ def test_other_shapes_colours_and_densities() -> None:
     assert errors(matrix, result.transport, projector) < 0.04
 
 
+@pytest.mark.slow
 def test_a_mirror_goes_to_dual_photography_and_says_how_good_it_is() -> None:
     random = np.random.default_rng(0)
     size = 16 * 16
@@ -209,6 +211,7 @@ def test_too_many_pixels_go_to_dual_photography_at_once(monkeypatch: pytest.Monk
     assert errors(matrix, result.transport, (20, 20)) < 0.024
 
 
+@pytest.mark.slow
 def test_a_limit_of_patterns_is_kept() -> None:
     shape = (16, 16)
     matrix, _ = scene(shape, shape)
@@ -277,6 +280,7 @@ def test_it_resumes_after_any_round_to_the_last_bit() -> None:
             np.testing.assert_array_equal(found[name], array)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shapes", [((1, 1), (1, 1)), ((1, 9), (12, 11)), ((2, 9, 9), (2, 11, 10))])
 def test_small_and_stacked_domains_end(shapes: Any) -> None:
     camera, projector = shapes

@@ -154,6 +154,7 @@ def test_rays_that_see_nothing_of_the_middle_lie_beside_their_neighbours() -> No
     assert chart.shape == (8, 10)
 
 
+@pytest.mark.slow
 def test_many_pixels_match_where_a_grid_of_them_does(monkeypatch: pytest.MonkeyPatch) -> None:
     image, camera = (24, 30), RayDomain((2, 24, 30))
     lit = np.concatenate([np.ones((1, *image), bool), random_patterns(image, 1, 24)])
@@ -192,6 +193,7 @@ def test_a_light_field_is_good_after_few_patterns_and_resumes_to_the_last_bit() 
         np.testing.assert_array_equal(found[name], array)
 
 
+@pytest.mark.slow
 def test_colours_are_fitted_each_by_itself() -> None:
     matrix = room(3)
     done = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=3e-4, target_error=0.1)
@@ -199,6 +201,7 @@ def test_colours_are_fitted_each_by_itself() -> None:
     assert errors(done.transport, matrix) < 0.04
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("black", ["both", "projector"])
 def test_a_view_that_sees_nothing(black: str) -> None:
     matrix = room().copy()
@@ -211,6 +214,7 @@ def test_a_view_that_sees_nothing(black: str) -> None:
     assert relative_rms(found @ shown, truth @ shown) < 0.02
 
 
+@pytest.mark.slow
 def test_cameras_that_stand_beside_the_projectors() -> None:
     # two cameras' views of what three projectors light, one turned upside down
     matrix = room().reshape(VIEWS, *IMAGE, -1)[[0, 2], ::-1].reshape(1, 240, 360)

@@ -34,8 +34,8 @@ _folders = itertools.count()
 
 
 @pytest.fixture(scope="module")
-def server() -> Iterator[str]:
-    with s3_server() as endpoint:
+def server(validators: str) -> Iterator[str]:
+    with s3_server(validators) as endpoint:
         yield endpoint
 
 

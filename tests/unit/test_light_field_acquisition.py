@@ -12,6 +12,8 @@ from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.relight import images_of, one_view_at_a_time
 from rfpipe.testing import dot_test
 
+pytestmark = pytest.mark.slow
+
 # Relative errors allowed in total at a tolerance of 2e-3; about 1.5 times what was measured. A spot
 # of twelve pixels a view is little light for the tolerance, which is of the floodlit maximum.
 MARKS = {"spot": 0.05, "vertical_bar": 0.02, "one_view": 0.01, "noise": 0.008}

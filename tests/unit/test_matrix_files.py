@@ -31,7 +31,8 @@ def read(path: Path, **options):
 
 
 def hdf5_of_matlab(path: Path, array: np.ndarray) -> None:
-    h5py = pytest.importorskip("h5py", reason="pip install rfpipe[pictures]")
+    import h5py
+
     with h5py.File(path, "w", userblock_size=512) as file:
         file.create_dataset("T", data=array.transpose()).attrs["MATLAB_class"] = np.bytes_("double")
         held = sparse.csc_array(BY_COLUMNS[0])
@@ -69,7 +70,8 @@ def test_matlab_files_of_either_kind(tmp_path: Path) -> None:
 
 
 def test_hdf5_and_zarr_with_channels_of_their_own(tmp_path: Path) -> None:
-    h5py = pytest.importorskip("h5py", reason="pip install rfpipe[pictures]")
+    import h5py
+
     with h5py.File(tmp_path / "t.h5", "w") as file:
         for index, channel in enumerate(T):
             held = sparse.csr_array(channel)

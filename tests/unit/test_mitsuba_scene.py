@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydantic import ValidationError
-from tests.physical import require_llvm
 
 from rfpipe.errors import InputError
 from rfpipe.scenes.kinds.mitsuba import Mitsuba, MitsubaOptions
-from rfpipe.scenes.mitsuba import recording, variant
+from rfpipe.scenes.mitsuba import recording
 from rfpipe.store.manifest import read_manifest
 from rfpipe.testing import SceneContract
 
@@ -28,9 +27,7 @@ THINGS = """
 <emitter type="constant"/>"""
 
 
-@pytest.fixture(autouse=True)
-def _llvm() -> None:
-    require_llvm()
+pytestmark = pytest.mark.needs("llvm")
 
 
 def options(tmp_path: Path, scene: str | Path = "two_blocks", **given) -> MitsubaOptions:
@@ -206,15 +203,3 @@ def test_the_manifest_names_versions_and_light(tmp_path: Path) -> None:
     found = read_manifest(scene.recording.folder / "recording.json")
     assert found["light"]["bounces"] == 2
     assert "mitsuba" in found["versions"]
-
-
-def test_without_a_usable_llvm_patterns_are_rendered_with_a_warning(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "libLLVM-15.so.1").touch()
-    monkeypatch.setattr(variant, "_PLACES", (f"{tmp_path}/libLLVM*",))
-    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
-    assert variant.usable_llvm() is None
-    (tmp_path / "libLLVM.so.19.1").touch()
-    (tmp_path / "libLLVM.so.22.1").touch()
-    assert variant.usable_llvm() == tmp_path / "libLLVM.so.22.1"

@@ -124,6 +124,7 @@ def test_a_scene_of_direct_light_ends_after_the_first_round_with_no_error_beyond
     assert max(errors(scene, noisy.transport)) < 1.5 * floodlit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [mirror, permutation, caustics])
 @pytest.mark.parametrize("noise", [None, CameraConfig()])
 def test_where_nothing_is_smooth_symmetric_photography_takes_over(
@@ -158,6 +159,7 @@ def test_where_nothing_is_smooth_symmetric_photography_takes_over(
     assert found.history["patterns"].iloc[-1] == found.patterns
 
 
+@pytest.mark.slow
 def test_a_few_caustics_in_a_small_picture_cost_little_more_than_symmetric_photography() -> None:
     scene = CASES["caustics"]()
     found, rival = run(scene, "near_far", None), run(scene, "symmetric", None, tolerance=0.01)
@@ -219,7 +221,7 @@ def test_the_transport_is_a_sum_of_parts_that_a_store_keeps(tmp_path: Path) -> N
     assert transport.nbytes < 40**4 * 4 / 5
 
 
-@pytest.mark.parametrize("limit", [1, 2, 3, 4, 8, 9, 10, 12, 20, 30])
+@pytest.mark.parametrize("limit", [1, 3, 4, 9, 10, 30])
 @pytest.mark.parametrize("case", ["prime_sides", "mirror"])
 def test_a_number_of_patterns_is_a_limit_and_nothing_takes_over(case: str, limit: int) -> None:
     scene = CASES[case]()
@@ -258,6 +260,7 @@ def test_the_result_does_not_depend_on_the_memory() -> None:
 # --- hard cases
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_every_hard_case_ends(name: str) -> None:
@@ -326,7 +329,8 @@ class Defective:
         return radiance, variance
 
 
-@pytest.mark.parametrize("which", [(0,), (0, 1), (3,)])
+@pytest.mark.slow
+@pytest.mark.parametrize("which", [(0, 1), (3,)])
 @pytest.mark.parametrize("defect", ["saturated", "black", "hot"])
 @pytest.mark.filterwarnings("error::RuntimeWarning")
 def test_pictures_gone_wrong_make_an_error_but_no_nonsense(

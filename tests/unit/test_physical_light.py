@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.physical import require_llvm
 
 from rfpipe.errors import InputError
 from rfpipe.scenes.mitsuba.rendering import Renderer
@@ -31,9 +30,7 @@ AHEAD = View((0, 0, 3), (0, 0, 0), degrees=20)
 LETTER = painted(lettering(["F"]))
 
 
-@pytest.fixture(autouse=True)
-def _llvm() -> None:
-    require_llvm()
+pytestmark = pytest.mark.needs("llvm")
 
 
 def world(*shapes: dict, camera: View = AHEAD, projector: View | None = None, **given) -> World:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from tests.physical import require_llvm
 
 from rfpipe.scenes.mitsuba.views import Views
 from rfpipe.scenes.mitsuba.world import load_scene
@@ -37,10 +36,11 @@ def test_a_world_is_plain_data_and_the_same_each_time(name: str) -> None:
     assert world.describe()["digest"] not in others
 
 
+@pytest.mark.needs("llvm")
 @pytest.mark.parametrize("name", WORLDS)
 def test_each_view_of_a_world_sees_something(name: str) -> None:
-    mi = pytest.importorskip("mitsuba")
-    require_llvm()
+    import mitsuba as mi
+
     world = WORLDS[name]
     scene = load_scene(world)
     from rfpipe.scenes.mitsuba.pinholes import Pinholes

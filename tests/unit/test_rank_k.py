@@ -66,6 +66,7 @@ def rank_k_leaves(found, matrix):
             yield np.linalg.norm(terms - block), np.linalg.norm(block)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_errors_fall_with_the_tolerance_and_no_leaf_blows_up(name):
     matrix = room(name)

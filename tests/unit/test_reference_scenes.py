@@ -11,6 +11,8 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene, relighting_patterns
 
+pytestmark = pytest.mark.slow
+
 SHAPE = (64, 64)
 HARD_PATTERNS = ("vertical_bar", "horizontal_bar", "binary")
 

@@ -203,6 +203,7 @@ def one_file(run: Path) -> type[Handler]:
     return type("OneFile", (Handler,), {"asked": [], "content": content})
 
 
+@pytest.mark.slow
 def test_a_slow_line_is_waited_for_and_one_that_stalls_asked_again(
     one_file: type[Handler], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -393,9 +394,9 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.fixture(scope="module")
-def bucket(run: Path) -> Iterator[str]:
+def bucket(run: Path, validators: str) -> Iterator[str]:
     """A bucket of a local S3 server, with the run in it; its endpoint."""
-    with s3_server() as endpoint:
+    with s3_server(validators) as endpoint:
         files = [*files_of_store(run / DESK, DESK), *files_of_store(run / SHELF, SHELF)]
         for name, file in [*files, ("crate.zip", run / "crate.zip")]:
             put(f"{endpoint}/{BUCKET}/{name}", file.read_bytes())

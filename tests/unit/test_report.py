@@ -142,6 +142,7 @@ def test_the_title_is_text_and_not_markup(page):
     assert "<small>" not in page.source
 
 
+@pytest.mark.slow
 def test_the_same_results_give_the_same_bytes(results, tmp_path):
     again = tmp_path / "results"
     shutil.copytree(results, again)
@@ -280,6 +281,7 @@ def with_field(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_light_field_has_its_own_pictures_and_leaves_the_others_alone(with_field):
     figures = {path.stem for path in (with_field / "report" / "figures").glob("*.png")}
     assert figures == {
@@ -327,6 +329,7 @@ def test_errors_between_views_are_those_of_their_pictures(with_field):
     assert len(written) == 36
 
 
+@pytest.mark.slow
 def test_a_light_field_alone_makes_a_report(tmp_path):
     alone = FIELD.model_copy(update={"scenes": {"field": FIELD.scenes["field"]}, "camera": None})
     acquired(tmp_path, alone)

@@ -27,6 +27,8 @@ from rfpipe.report.placing import Place
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.store.files import digest_of
 
+pytestmark = pytest.mark.slow
+
 DOCS = Path(__file__).parents[2] / "docs"
 RANDOM = np.random.default_rng(0)
 IMAGE = RANDOM.random((5, 7, 3)).astype(np.float32)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.stats import spearmanr
-from tests.browsers import browser, opened, wait_until
+from tests.browsers import opened, wait_until
 from tests.unit.test_viewer_program import planar
 from tests.viewers import transport_of
 
@@ -24,12 +24,6 @@ from rfpipe.pictures.images import read_image, write_image
 from rfpipe.viewer import Compared, View, write_view
 
 SHAPE = (20, 24)
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")
@@ -382,7 +376,8 @@ def test_a_folder_opened_from_disk_says_what_to_do(chromium: Any, tmp_path: Path
 
 
 def test_the_kernel_is_that_of_its_source() -> None:
-    wasmtime = pytest.importorskip("wasmtime")
+    import wasmtime
+
     kernel = files("rfpipe.viewer").joinpath("kernel")
     source = kernel.joinpath("kernels.wat").read_text("utf-8")
     assert bytes(wasmtime.wat2wasm(source)) == kernel.joinpath("kernels.wasm").read_bytes()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.browsers import browser, opened, picture_of
+from tests.browsers import opened, picture_of
 from tests.unit.test_viewer_program import lights, planar
 from tests.viewers import KINDS, rounded, transport_of
 
@@ -16,12 +15,6 @@ from rfpipe.transport.base import Transport
 from rfpipe.viewer import View, write_view
 
 KERNELS = ("", "?kernel=javascript")
-
-
-@pytest.fixture(scope="module")
-def chromium() -> Iterator[Any]:
-    with browser() as started:
-        yield started
 
 
 def written(transport: Transport, folder: Path) -> Path:

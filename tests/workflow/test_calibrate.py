@@ -3,8 +3,11 @@
 import re
 from pathlib import Path
 
+import pytest
 import yaml
 from tests.workflow.harness import Workflow
+
+pytestmark = pytest.mark.slow
 
 RIG = {
     "rays": [8, 8],

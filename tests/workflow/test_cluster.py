@@ -26,6 +26,8 @@ from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merging import merger as merging
 from rfpipe.stages.plan import Plan
 
+pytestmark = pytest.mark.slow
+
 
 def local_cluster(workers: int) -> Any:
     # a worker that dies shall not be tried again

@@ -15,8 +15,6 @@ from rfpipe.report import check_report
 from rfpipe.report.entries import TableEntry
 from rfpipe.report.thesis import CLAIMS
 
-pytest.importorskip("mitsuba")
-
 _PLANE = {"shape": [8, 9], "sweep": False}
 _SYMMETRIC = {"methods": {"symmetric": {}}}  # the one scene tells dual photography's figures
 _SCENES = {
@@ -29,6 +27,17 @@ _PATIENCE_SECONDS = 1200.0  # each study traces, and compiles, its own scenes
 _TABLES = ["Table 3.1", "Table 5.1"]
 
 
+def test_without_llvm_make_figures_says_what_to_install_before_its_first_job(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "none")
+    workflow = Workflow(tmp_path, {"report": {"figures": {}}})
+    assert "apt-get install libllvm19" in workflow.run(succeeds=False)
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.needs("llvm")
 def test_make_figures_leaves_no_figure_missing_or_blank(
     tmp_path: Path, undisturbed: Workflow
 ) -> None:

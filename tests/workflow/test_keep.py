@@ -27,7 +27,10 @@ rule relit:
 
 
 def test_a_run_keeps_its_results_in_a_bucket(
-    of_ones_own: Workflow, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    of_ones_own: Workflow,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    validators: str,
 ) -> None:
     workflow = of_ones_own.copy_to(tmp_path / "run")
     settings = yaml.safe_load(workflow.config.read_text())
@@ -35,7 +38,7 @@ def test_a_run_keeps_its_results_in_a_bucket(
     workflow.config.write_text(yaml.safe_dump(settings))
     said = workflow.run("--default-storage-provider", "s3", "--dry-run", succeeds=False)
     assert "set storage.keep_at in place of it" in said
-    with s3_server() as server, proxy(server) as seen:
+    with s3_server(validators) as server, proxy(server) as seen:
         use(monkeypatch, seen.endpoint)
         seen.deny = True
         said = workflow.run(succeeds=False)

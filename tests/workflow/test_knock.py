@@ -18,6 +18,8 @@ from rfpipe.config import parse_rig_config
 from rfpipe.errors import CaptureError
 from rfpipe.rigs.build import rig_from_config
 
+pytestmark = pytest.mark.slow
+
 HEIGHT, WIDTH = SHAPE = (12, 16)
 PIXELS = 8  # of the projector, a ray
 SCENE = {"kind": "wedge", "surfaces": ["white", "texture"], "shape": list(SHAPE), "channels": 1}

@@ -269,7 +269,6 @@ def test_another_rig_has_no_patterns_to_write(tmp_path: Path) -> None:
 
 
 def test_a_raw_file_is_a_mosaic_with_its_exposure_time(tmp_path: Path) -> None:
-    pytest.importorskip("rawpy", reason="pip install rfpipe[pictures]")
     mosaic = np.random.default_rng(1).integers(0, 60000, (32, 48)).astype(np.uint16)
     (tmp_path / "a.dng").write_bytes(dng_bytes(mosaic, 0.25))
     picture = read_picture(tmp_path / "a.dng")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from tests.physical import require_llvm
+import pytest
 from tests.workflow.harness import Workflow
 
 from rfpipe import open_transport
@@ -20,8 +20,8 @@ CASES = {
 }
 
 
+@pytest.mark.needs("llvm")
 def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path, studies: Workflow) -> None:
-    require_llvm()
     workflow = Workflow(tmp_path)
     workflow.take_studies(studies)
     light = {"kind": "mitsuba", "samples": 64, "bounces": 3}

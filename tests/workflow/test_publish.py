@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.validators import validators_python
 from tests.workflow.harness import ROOT, Workflow
 
 import rfpipe
@@ -67,15 +66,15 @@ def crate(undisturbed: Workflow, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return folder
 
 
-def printed(script: str, *arguments: object) -> object:
+def printed(python: str, script: str, *arguments: object) -> object:
     """What a script prints last; the validators' own warnings are theirs."""
-    command = [validators_python(), "-W", "ignore", "-c", script, *map(str, arguments)]
+    command = [python, "-W", "ignore", "-c", script, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_it_is_a_workflow_run_crate(crate: Path, tmp_path: Path) -> None:
+def test_it_is_a_workflow_run_crate(crate: Path, tmp_path: Path, validators: str) -> None:
     source = importlib.resources.files("rocrate").joinpath("data/ro-crate.jsonld")
     context = json.loads(source.read_text())
     for term, place in zip(_MOVED, _PLACES, strict=True):
@@ -84,16 +83,16 @@ def test_it_is_a_workflow_run_crate(crate: Path, tmp_path: Path) -> None:
         del context["@context"][term]
     (tmp_path / "context.json").write_text(json.dumps(context))
     arguments = (tmp_path / "context.json", tmp_path / "cache", "workflow-run-crate")
-    assert printed(_VALIDATE_CRATE, crate.with_suffix(".zip"), *arguments) == [True, []]
+    assert printed(validators, _VALIDATE_CRATE, crate.with_suffix(".zip"), *arguments) == [True, []]
 
 
-def test_croissant_and_datacite_are_valid(crate: Path) -> None:
-    assert printed(_VALIDATE_CROISSANT, crate / "croissant.json") == [[], 0]
+def test_croissant_and_datacite_are_valid(crate: Path, validators: str) -> None:
+    assert printed(validators, _VALIDATE_CROISSANT, crate / "croissant.json") == [[], 0]
     script = (
         "import json, sys; from datacite import schema45; "
         "schema45.validator.validate(json.load(open(sys.argv[1]))); print(1)"
     )
-    assert printed(script, crate / "datacite.json") == 1
+    assert printed(validators, script, crate / "datacite.json") == 1
 
 
 def test_the_graph_names_every_file_and_how_it_came_about(crate: Path) -> None:

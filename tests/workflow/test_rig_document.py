@@ -23,6 +23,8 @@ from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.relight import images_of
 from rfpipe.store import open_arrays
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 NEEDED = (
     "Makefile", "README.md", "Snakefile", "config", "profiles", "pyproject.toml",

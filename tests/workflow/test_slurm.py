@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from tests.slurm import Slurm, need_slurm
+from tests.slurm import Slurm
 from tests.workflow.harness import GLASS, LONG, ROOT, TINY, Workflow, freeze_writer, journal
 
 PROFILES = ROOT / "workflow" / "profiles"
@@ -20,7 +20,6 @@ QUICK = {
 
 @pytest.fixture(scope="module")
 def daemons(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Slurm]:
-    need_slurm()
     with Slurm(tmp_path_factory.mktemp("slurm") / "cluster") as cluster:
         yield cluster
 

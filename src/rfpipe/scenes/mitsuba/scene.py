@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -15,7 +14,7 @@ from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
 from rfpipe.scenes.mitsuba.light import Light
 from rfpipe.scenes.mitsuba.recording import Recording, record
-from rfpipe.scenes.mitsuba.variant import VECTORISED, load_mitsuba
+from rfpipe.scenes.mitsuba.variant import need_llvm
 from rfpipe.scenes.mitsuba.views import Views
 from rfpipe.scenes.mitsuba.world import World, load_scene
 
@@ -74,13 +73,6 @@ class MitsubaScene(Scene):
             (world.caustics if caustics is None else caustics) and not rendered,
             seed,
         )
-        if not rendered and load_mitsuba().variant() != VECTORISED:
-            warnings.warn(
-                f"scene {world.name}: a transport is recorded with LLVM alone, so each pattern is "
-                "rendered instead",
-                stacklevel=2,
-            )
-            rendered = True
         self.rendered = rendered
 
     def describe(self) -> dict[str, Any]:
@@ -99,10 +91,16 @@ class MitsubaScene(Scene):
 
     @cached_property
     def recording(self) -> Recording:
-        """The recorded matrix; recorded now, unless it was before."""
+        """The recorded matrix; recorded now, unless it was before.
+
+        Raises
+        ------
+        InputError
+            When it wasn't, and there is no LLVM to record it with.
+        """
         described = {**self.describe(), "channels": 3}
         return record(
-            lambda: load_scene(self.world),
+            self._loaded,
             self.camera,
             self.projector,
             self.light,
@@ -110,13 +108,18 @@ class MitsubaScene(Scene):
             coaxial=self.coaxial,
         )
 
+    def _loaded(self) -> Any:
+        need_llvm(f"scene {self.world.name}: light: recorded")
+        return load_scene(self.world)
+
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
         """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape).
 
         Raises
         ------
         InputError
-            If the patterns don't have N rays each, or no light comes back to the camera.
+            If the patterns don't have N rays each, no light comes back to the camera, or the
+            transport can't be recorded here.
         """
         return apply_in_batches(
             self._rendered if self.rendered else self._recorded,

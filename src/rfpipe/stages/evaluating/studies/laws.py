@@ -161,8 +161,8 @@ def _energy(config: Config) -> Rows:
 
 
 def _noise(scene: Any, part: str = "whole") -> float:
-    """Relative noise of a half-lit picture; 0 where scenes are rendered."""
-    return 0.0 if scene.rendered else float(scene.recording.noise["half_lit"][part])
+    """Relative noise of a half-lit picture."""
+    return float(scene.recording.noise["half_lit"][part])
 
 
 def _relative(one: Double, other: Double) -> float:

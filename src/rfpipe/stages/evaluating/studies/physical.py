@@ -36,9 +36,6 @@ Arrays = dict[str, NDArray[Any]]
 
 _FILLED = 0.8  # of the full well, at most, by the floodlit picture
 
-# What a machine without LLVM renders, pattern by pattern, in minutes.
-_SLOW_SIDE, _SLOW_SAMPLES = 16, 64
-
 
 def physical_scene(config: Config, name: str, **changes: Any) -> MitsubaScene:
     """Return one of `rfpipe.scenes.mitsuba.worlds.WORLDS` at the size of the figures.
@@ -46,15 +43,13 @@ def physical_scene(config: Config, name: str, **changes: Any) -> MitsubaScene:
     Parameters
     ----------
     config : Config
-        Its ``report.figures`` says how large and how exact. Where there is no LLVM, scenes are
-        rendered pattern by pattern, smaller and coarser.
+        Its ``report.figures`` says how large and how exact.
     name : str
     **changes
         Other options of `rfpipe.scenes.kinds.mitsuba.MitsubaOptions`.
     """
     from rfpipe.config.figures import FiguresConfig
     from rfpipe.scenes.kinds.mitsuba import Mitsuba, MitsubaOptions
-    from rfpipe.scenes.mitsuba.variant import usable_llvm
 
     asked = config.report.figures or FiguresConfig()
     options = {
@@ -63,11 +58,6 @@ def physical_scene(config: Config, name: str, **changes: Any) -> MitsubaScene:
         "cache": asked.cache,
         **changes,
     }
-    if usable_llvm() is None:
-        for shape in ("shape", "projector_shape"):
-            if options.get(shape):
-                options[shape] = tuple(min(length, _SLOW_SIDE) for length in options[shape])
-        options["samples"] = min(options["samples"], _SLOW_SAMPLES)
     made = Mitsuba.make(MitsubaOptions(kind="mitsuba", scene=name, **options))
     return cast("MitsubaScene", made)
 
@@ -179,6 +169,6 @@ def cost(
         "megabytes": result.transport.nbytes / 1e6,
         "processing_s": result.processing_seconds,
         "error": relative_rms(*images),
-        "noise": None if scene.rendered else scene.recording.noise["half_lit"]["whole"],
+        "noise": scene.recording.noise["half_lit"]["whole"],
         **more,
     }

@@ -1,0 +1,97 @@
+"""What tests need that a bare machine lacks: libraries and programs of the system.
+
+A test says so by ``@pytest.mark.needs("xvfb")``, or by a fixture of that name, and is skipped where
+it isn't here. The environment variable RFPIPE_SYSTEM_LIBRARIES changes that: where they are
+``required`` the test fails, and ``hidden`` none of them is found, as on a bare machine.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+
+__all__ = ["HINTS", "hide", "need", "program"]
+
+HINTS = {
+    "aravis": "apt-get install libaravis-0.8-0",
+    "chromium": "apt-get install chromium",
+    "llvm": "apt-get install libllvm19",
+    "slurm": "apt-get install slurmctld slurmd slurm-client munge, and be root",
+    "validators": "make validators",
+    "xvfb": "apt-get install xvfb",
+}
+"""How each is installed."""
+
+VALIDATORS = Path(__file__).parents[1] / ".venv-validators" / "bin" / "python"
+
+_PROGRAMS = {
+    "chromium": ("chromium", "chromium-browser", "google-chrome"),
+    "slurm": ("munged", "slurmctld", "slurmd", "sbatch"),
+    "xvfb": ("Xvfb",),
+}
+
+_VARIABLE = "RFPIPE_SYSTEM_LIBRARIES"
+_MODE = os.environ.get(_VARIABLE, "")
+assert _MODE in ("", "required", "hidden"), f"{_VARIABLE} is {_MODE}: required, hidden or unset"
+
+
+def need(name: str) -> None:
+    """Skip a test that needs what isn't here, or fail it where that is required."""
+    if _MODE != "hidden" and _is_here(name):
+        return
+    by_root_alone = name == "slurm" and os.geteuid() != 0
+    tell = pytest.fail if _MODE == "required" and not by_root_alone else pytest.skip
+    tell(f"needs {name}: {HINTS[name]}")
+
+
+def program(name: str) -> str | None:
+    """Return the path of a program, by the first of its names that is found."""
+    return next(filter(None, map(shutil.which, _PROGRAMS[name])), None)
+
+
+def _is_here(name: str) -> bool:
+    if name == "llvm":
+        from rfpipe.scenes.mitsuba.variant import usable_llvm
+
+        return usable_llvm() is not None
+    if name == "aravis":
+        from rfpipe.errors import CaptureError
+        from rfpipe.rigs.cameras.aravis_library import load_aravis
+
+        try:
+            return bool(load_aravis())
+        except CaptureError:
+            return False
+    if name == "validators":
+        return VALIDATORS.exists()
+    if name == "slurm":
+        return os.geteuid() == 0 and all(map(shutil.which, _PROGRAMS[name]))
+    return program(name) is not None
+
+
+def hide() -> TemporaryDirectory[str] | None:
+    """Hide them, where that is asked for, from this process and those that it starts.
+
+    Each folder of programs with one of them gives way to a folder of links to the others, in a
+    folder that is returned; it goes with what is returned.
+    """
+    if _MODE != "hidden":
+        return None
+    os.environ["DRJIT_LIBLLVM_PATH"] = "hidden"
+    hidden = {each for names in _PROGRAMS.values() for each in names}
+    made = TemporaryDirectory(prefix="rfpipe-hidden-")
+    folders = os.environ["PATH"].split(os.pathsep)
+    for number, folder in enumerate(folders):
+        found = {path.name: path for path in Path(folder).glob("*")}
+        if hidden & set(found):
+            links = Path(made.name) / str(number)
+            links.mkdir()
+            for name in set(found) - hidden:
+                (links / name).symlink_to(found[name])
+            folders[number] = str(links)
+    os.environ["PATH"] = os.pathsep.join(folders)
+    return made
