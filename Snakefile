@@ -16,7 +16,6 @@ acquisition, a single job takes an acquisition through the same stages, to the s
 import os
 from pathlib import Path
 
-from rfpipe.errors import RfpipeError
 from rfpipe.stages.jobs.failures import FailedJobs
 from rfpipe.stages.jobs.groups import check_groups
 from rfpipe.stages.jobs.notify import notify
@@ -55,26 +54,12 @@ else:
 
 
 include: "workflow/rules/verify.smk"
+include: "workflow/rules/pages.smk"
 include: "workflow/rules/relight.smk"
 include: "workflow/rules/view.smk"
 include: "workflow/rules/report.smk"
 include: "workflow/rules/keep.smk"
 include: "workflow/rules/calibrate.smk"
-
-
-def list_collection():
-    """Write the catalogue of a collection, whatever became of it until now."""
-    if SETTINGS.collection is None:
-        return
-    from rfpipe.report.catalogue import write_catalogue
-
-    try:
-        counts = write_catalogue(SETTINGS, Path("results"))
-    except RfpipeError as error:  # a page more or less doesn't change how a run ended
-        print(f"rfpipe: no catalogue: {error}")
-        return
-    states = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
-    print(f"rfpipe: results/catalogue/index.html: {states}")
 
 
 rule all:

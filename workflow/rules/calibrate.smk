@@ -3,32 +3,20 @@
 if SETTINGS.rig_file is not None:
 
     from rfpipe.calibration import steps_of
+    from rfpipe.calibration.job import settings_of_step
     from rfpipe.config import load_rig_config
 
     RIG = load_rig_config(SETTINGS.rig_file)
     CALIBRATION = RIG.calibration or "calibration"
     CALIBRATION_STEPS = {step.name: step for step in steps_of(RIG.calibrate)}
 
-    def calibration_needs(wildcards):
-        """Manifests of the steps that a step builds on."""
-        needs = CALIBRATION_STEPS[wildcards.step].needs
-        return [f"{CALIBRATION}/steps/{name}.json" for name in needs]
-
-    def calibration_settings(wildcards):
-        """The rig's settings, with those of the calibration that shape this step alone."""
-        step = CALIBRATION_STEPS[wildcards.step]
-        shaping = RIG.calibrate.model_dump(
-            mode="json", include={"coaxial", *step.settings}
-        )
-        rig = RIG.model_dump(
-            mode="json", exclude={"calibrate", "calibration", "seconds_per_pattern"}
-        )
-        return {**rig, "calibrate": shaping}
-
     rule calibration_step:
         """What one step of the calibration shows, takes and finds."""
         input:
-            calibration_needs,
+            lambda wildcards: [
+                f"{CALIBRATION}/steps/{name}.json"
+                for name in CALIBRATION_STEPS[wildcards.step].needs
+            ],
         output:
             f"{CALIBRATION}/steps/{{step}}.json",
         log:
@@ -40,7 +28,9 @@ if SETTINGS.rig_file is not None:
         resources:
             rig=1,
         params:
-            rig=calibration_settings,
+            rig=lambda wildcards: settings_of_step(
+                RIG, CALIBRATION_STEPS[wildcards.step]
+            ),
         script:
             "../scripts/calibration_step.py"
 

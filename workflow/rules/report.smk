@@ -1,31 +1,7 @@
-from rfpipe.stages.evaluating.studies import FIGURES, STUDIES
-
 # Simulated scenes on which the methods are compared: no part of what a rig's report is about.
 SHOWN_STUDIES = STUDIES if SETTINGS.capture.rig == "simulated" else []
 if SETTINGS.report.figures is not None:
     SHOWN_STUDIES = [*SHOWN_STUDIES, *FIGURES]
-
-
-def study_settings(wildcards):
-    """The settings of the studies, which have scenes of their own."""
-    shown = ["figures"] if wildcards.study in FIGURES else ["resolutions"]
-    settings = {
-        **SHAPING,
-        "capture": {**SHAPING["capture"], "rig": "simulated"},
-        "report": {name: SHAPING["report"][name] for name in shown},
-    }
-    del settings["scenes"], settings["verification"]
-    return settings
-
-
-def every_item(wildcards):
-    """What the catalogue tells of each scene and method beside its transport."""
-    relit = [
-        f"results/{scene}/{method}/relight.json"
-        for scene, method in SETTINGS.acquisitions
-        if SETTINGS.scenes[scene].has_truth
-    ]
-    return [*relit, *every_verification(wildcards), *every_view(wildcards)]
 
 
 PAGE_TEMPLATE = Path(rfpipe.__file__).parent / "report" / "page.html.j2"

@@ -1,33 +1,3 @@
-from rfpipe.provenance import fingerprint
-from rfpipe.store.files import digest_of
-
-
-def every_view(wildcards):
-    """The page of each scene and method on which one paints with light."""
-    return [
-        f"results/report/view/{scene}_{method}.html"
-        for scene, method in SETTINGS.acquisitions
-    ]
-
-
-def other_acquisitions(wildcards):
-    """The transports of a scene by its other methods."""
-    return [
-        f"results/{wildcards.scene}/{method}/transport.json"
-        for method in SETTINGS.methods_of(wildcards.scene)
-        if method != wildcards.method
-    ]
-
-
-# What the pages run, which is no Python.
-VIEWER_WEB = fingerprint(
-    [
-        digest_of(path.read_bytes())
-        for path in sorted((Path(rfpipe.__file__).parent / "viewer").glob("*/*.*"))
-    ]
-)
-
-
 rule view:
     """A page for each acquisition: light the scene in a browser, wipe to another method's."""
     input:

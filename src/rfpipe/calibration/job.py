@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 from rfpipe.calibration.folder import CalibrationFolder, calibrate
+from rfpipe.calibration.steps import Step
 from rfpipe.calibration.watched import Progress
 from rfpipe.config import RigConfig
 from rfpipe.rigs.build import devices_from_config
 
-__all__ = ["calibrate_rig", "uncalibrated"]
+__all__ = ["calibrate_rig", "settings_of_step", "uncalibrated"]
 
 
 def uncalibrated(config: RigConfig) -> RigConfig:
@@ -21,6 +23,13 @@ def uncalibrated(config: RigConfig) -> RigConfig:
         options = projector.options.model_copy(update={"response": None})
         projector = projector.model_copy(update={"options": options})
     return config.model_copy(update={"calibration": None, "projector": projector})
+
+
+def settings_of_step(config: RigConfig, step: Step) -> dict[str, Any]:
+    """Return a rig's settings as plain data, with those of the calibration that shape a step."""
+    shaping = config.calibrate.model_dump(mode="json", include={"coaxial", *step.settings})
+    elsewhere = {"calibrate", "calibration", "seconds_per_pattern"}
+    return {**config.model_dump(mode="json", exclude=elsewhere), "calibrate": shaping}
 
 
 def calibrate_rig(
