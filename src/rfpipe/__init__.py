@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from rfpipe.transport.collection import Collection, open_collection
     from rfpipe.transport.cropped import crop
     from rfpipe.transport.matrix_files import read_matrix
+    from rfpipe.version import __version__
     from rfpipe.weights import picture_weights
-
-    __version__: str
 
 __all__ = [
     "CameraModel",
@@ -44,6 +43,7 @@ _HOMES = {
     "CameraModel": "rfpipe.photometry",
     "Collection": "rfpipe.transport.collection",
     "OperatorRig": "rfpipe.rigs",
+    "__version__": "rfpipe.version",
     "acquire": "rfpipe.stages.acquire",
     "coarser": "rfpipe.transport",
     "crop": "rfpipe.transport.cropped",
@@ -55,14 +55,9 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> object:
-    if name == "__version__":
-        from importlib.metadata import version
-
-        value: object = version("rfpipe")
-    elif name in _HOMES:
-        value = getattr(import_module(_HOMES[name]), name)
-    else:
+    if name not in _HOMES:
         raise AttributeError(f"module 'rfpipe' has no attribute {name!r}")
+    value: object = getattr(import_module(_HOMES[name]), name)
     globals()[name] = value
     return value
 

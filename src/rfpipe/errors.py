@@ -27,6 +27,7 @@ __all__ = [
     "TransferError",
     "UnreachableError",
     "VerificationError",
+    "installing",
     "without_password",
 ]
 
@@ -38,6 +39,14 @@ _USER = re.compile(r"(:/+)[^/\s'\"]*@")
 def without_password(text: str) -> str:
     """Return a text in which no URL shows the name and the password of a user."""
     return _USER.sub(r"\1", text)
+
+
+def installing(extra: str) -> str:
+    """Return how to install an extra of rfpipe, for the end of a message.
+
+    From a clone, as long as no package index has it: there, another program is called rfpipe.
+    """
+    return f"run pip install '.[{extra}]' in your clone of rfpipe"
 
 
 class RfpipeError(Exception):

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from rfpipe.errors import InputError
+from rfpipe.version import __version__
 
 __all__ = [
     "code_digest",
@@ -26,7 +27,7 @@ __all__ = [
 _DIGEST_BYTES = 16  # blake2b-128: short enough for a manifest, no accidental collisions
 _WORD = 2**32  # numpy's SeedSequence mixes 32-bit words
 _PACKAGE = Path(__file__).parent
-_RECORDED_PACKAGES = ("numba", "numpy", "rfpipe", "rustworkx", "scipy", "zarr")
+_RECORDED_PACKAGES = ("numba", "numpy", "rustworkx", "scipy", "zarr")
 
 # Of rfpipe: what shows results, serves them or runs jobs, and shapes none.
 _SHAPES_NOTHING = (
@@ -135,7 +136,7 @@ def versions() -> dict[str, str]:
 @cache
 def _versions() -> dict[str, str]:
     # kept, since a package's version is looked for on the disk, and every manifest names it
-    found = {"python": platform.python_version()}
+    found = {"python": platform.python_version(), "rfpipe": __version__}
     for name in _RECORDED_PACKAGES:
         with suppress(metadata.PackageNotFoundError):
             found[name] = metadata.version(name)

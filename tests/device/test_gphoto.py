@@ -257,5 +257,5 @@ def test_a_missing_package_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "gphoto2", None)
-    with pytest.raises(CaptureError, match=r"pip install 'rfpipe\[gphoto2\]'"):
+    with pytest.raises(CaptureError, match=r"pip install '\.\[gphoto2\]'"):
         camera_of(tmp_path)

@@ -173,5 +173,5 @@ def test_settings_ask_for_eight_bits() -> None:
 
 def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "cv2", None)
-    with pytest.raises(CaptureError, match=r"pip install 'rfpipe\[webcam\]'"):
+    with pytest.raises(CaptureError, match=r"pip install '\.\[webcam\]'"):
         Webcam(SENSOR)

@@ -20,6 +20,29 @@ BLOCKS = [
 ]
 
 
+def texts() -> list[Path]:
+    """All files that somebody writes, as far as they are text."""
+    folders = ("benchmarks", "config", "docs", "profiles", "src", "tests", "workflow")
+    files = [path for path in ROOT.iterdir() if path.is_file() and path.suffix != ".lock"]
+    files += [path for folder in folders for path in (ROOT / folder).rglob("*")]
+    kinds = {"", ".cff", ".csv", ".ipynb", ".j2", ".js", ".md", ".py", ".sh", ".toml", ".yaml"}
+    return [path for path in files if path.is_file() and path.suffix in kinds]
+
+
+def test_no_text_installs_by_name_what_is_not_published() -> None:
+    """On the package index, rfpipe is another program."""
+    by_name = re.compile(
+        r"""\brfpipe\[[a-z]|\binstall(\s+-\S+)*\s+["'`]?(rfpipe|reflectance-fields)\b"""
+    )
+    found = [
+        f"{path.relative_to(ROOT)}: {match[0]}"
+        for path in texts()
+        for match in by_name.finditer(path.read_text("utf-8", errors="ignore"))
+        if path != Path(__file__)
+    ]
+    assert found == []
+
+
 @pytest.mark.parametrize("block", BLOCKS)
 def test_settings_in_documents_are_valid(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(EXAMPLES)  # where the documents' own classes are

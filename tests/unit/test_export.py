@@ -253,7 +253,7 @@ def test_movies_that_can_t_be_written(tmp_path: Path, monkeypatch) -> None:
     with pytest.raises(StoreError, match="writing failed"):
         write_movie(tmp_path / "file" / "movie.mp4", [picture], 25)
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(StoreError, match=r"pip install 'rfpipe\[export\]'"):
+    with pytest.raises(StoreError, match=r"pip install '\.\[export\]'"):
         write_movie(tmp_path / "movie.mp4", [picture], 25)
 
 

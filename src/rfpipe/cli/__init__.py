@@ -23,6 +23,7 @@ from rfpipe.cli.run import PASSED_ON, Directory, run, working_in
 from rfpipe.cli.verify import verify
 from rfpipe.cli.view import view
 from rfpipe.errors import InputError, RfpipeError
+from rfpipe.version import __version__
 
 if TYPE_CHECKING:
     import numpy as np
@@ -52,9 +53,7 @@ def _common(
     ] = False,
 ) -> None:
     if version:
-        from importlib.metadata import version as version_of
-
-        typer.echo(f"rfpipe {version_of('rfpipe')}")
+        typer.echo(f"rfpipe {__version__}")
         raise typer.Exit
 
 

@@ -10,7 +10,7 @@ __all__ = ["FiguresConfig"]
 
 
 class FiguresConfig(Settings):
-    """The thesis' figures on physically based scenes, which need the extra rfpipe[mitsuba]."""
+    """The thesis' figures on physically based scenes, which need the extra mitsuba."""
 
     side: Extent = Field(48, description="Sides of the square pictures, in pixels, 1 to 4096.")
     samples: int = Field(

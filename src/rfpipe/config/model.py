@@ -82,7 +82,7 @@ class ReportConfig(Settings):
     figures: FiguresConfig | None = Field(
         None,
         description="The thesis' figures on physically based scenes, or null for none: side, "
-        "samples, positions and cache; they need the extra rfpipe[mitsuba].",
+        "samples, positions and cache; they need the extra mitsuba.",
     )
 
 

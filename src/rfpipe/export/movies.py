@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError, StoreError
+from rfpipe.errors import InputError, StoreError, installing
 from rfpipe.store.files import storage_errors, whole_file
 
 __all__ = ["MOVIE_FILES", "write_movie"]
@@ -51,8 +51,8 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -
         import av
     except ImportError as error:
         raise StoreError(
-            f"movies are written by PyAV, which can't be loaded: {error}. Install it: "
-            "pip install 'rfpipe[export]'"
+            f"movies are written by PyAV, which can't be loaded: {error}. To install it, "
+            f"{installing('export')}"
         ) from error
     with storage_errors(path, "writing", resumes=False), whole_file(path) as partial:
         try:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError
+from rfpipe.errors import InputError, installing
 
 __all__ = ["Raw", "read_raw"]
 
@@ -60,8 +60,8 @@ def read_raw(source: Path | bytes, name: str = "") -> Raw:
         import rawpy
     except ImportError as error:
         raise InputError(
-            f"{name}: is a raw file, and {error.name} is missing to read it; install it with pip "
-            "install rfpipe[pictures]"
+            f"{name}: is a raw file, and {error.name} is missing to read it; "
+            f"{installing('pictures')}"
         ) from error
     try:
         opened = io.BytesIO(source) if isinstance(source, bytes) else str(source)

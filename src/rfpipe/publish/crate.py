@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import quote
 
-from rfpipe.errors import StoreError
+from rfpipe.errors import StoreError, installing
 from rfpipe.provenance import versions
 from rfpipe.publish.citation import UNPUBLISHED, Citation
 
@@ -38,9 +38,7 @@ def need_rocrate() -> None:
     try:
         import rocrate.rocrate  # noqa: F401
     except ImportError as error:
-        raise StoreError(
-            "to publish needs the extra publish; run 'pip install rfpipe[publish]'"
-        ) from error
+        raise StoreError(f"to publish, {installing('publish')}") from error
 
 
 def crate_metadata(

@@ -21,7 +21,7 @@ _EXAMPLE = '''\
 """Relight this publication: python read.py [its folder, zip file or address]."""
 import sys
 import numpy as np
-import rfpipe  # version {version}; for addresses with its extra: rfpipe[publish]
+import rfpipe  # version {version}; for addresses with its extra, publish
 where = sys.argv[1] if len(sys.argv) > 1 else sys.path[0]
 transport = rfpipe.open_transport(f"{{where}}/{name}")
 light = np.zeros(transport.projector_shape, np.float32)
@@ -50,9 +50,11 @@ address that serves either; over the network it fetches only what it reads:
     python {example} crate.zip
     python {example} https://example.org/crate.zip     # or s3://bucket/crate.zip
 
-It was written by rfpipe {version}, which relights it: `python -m pip install rfpipe`, or from its
-sources; `rfpipe[publish]` reads addresses, too. Without rfpipe, any reader of zarr 3 opens the
-stores: `zarr.open_group("{name}")`.
+It was written by rfpipe {version}, which relights it. Install that from a clone of its repository,
+*rfpipe: acquire, store and relight the light transport between a projector and a camera*: there,
+run `pip install .`, or `pip install '.[publish]'` to read addresses, too. On package indexes,
+another program has its name. Without rfpipe, any reader of zarr 3 opens the stores:
+`zarr.open_group("{name}")`.
 
 Whether all files are what they were: `rfpipe verify`, or `sha256sum -c {manifest}`.
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rfpipe.config.base import Settings
-from rfpipe.errors import CaptureError, InputError
+from rfpipe.errors import CaptureError, InputError, installing
 from rfpipe.rigs import dlpc900_messages as say
 from rfpipe.rigs.devices import Closing, check_picture
 
@@ -245,7 +245,7 @@ def open_usb(serial: str | None) -> Transport:
         import hid
     except ImportError as error:
         raise CaptureError(
-            f"hidapi can't be loaded: {error}. Install it: pip install 'rfpipe[dlp]'"
+            f"hidapi can't be loaded: {error}. To install it, {installing('dlp')}"
         ) from error
     device: Any = hid.device()
     try:

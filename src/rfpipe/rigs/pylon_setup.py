@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-from rfpipe.errors import CaptureError
+from rfpipe.errors import CaptureError, installing
 from rfpipe.rigs.cameras.genicam import RefusedError, Value
 
 __all__ = ["PylonNodes", "load_pylon", "said"]
@@ -71,7 +71,7 @@ def load_pylon() -> tuple[Any, Any]:
             from pypylon import genicam, pylon
     except ImportError as error:
         raise CaptureError(
-            f"pypylon can't be loaded: {error}. Install it: pip install 'rfpipe[rig]'"
+            f"pypylon can't be loaded: {error}. To install it, {installing('rig')}"
         ) from error
     return pylon, genicam
 

@@ -13,7 +13,7 @@ from datetime import timedelta
 from typing import IO, Any, cast
 from urllib.parse import SplitResult, unquote, urlsplit
 
-from rfpipe.errors import InputError, StoreError, UnreachableError
+from rfpipe.errors import InputError, StoreError, UnreachableError, installing
 from rfpipe.store.places import Place, Range
 
 __all__ = ["CREDENTIALS", "ObjectPlace", "connect", "open_ranged", "reason_of"]
@@ -267,8 +267,8 @@ def connect(
         from obstore.store import HTTPStore, S3Store
     except ImportError as error:
         raise StoreError(
-            f"{address}: to read behind an address needs the extra publish; run "
-            "'pip install rfpipe[publish]', or download it"
+            f"{address}: to read behind an address needs the extra publish; download it, or "
+            f"{installing('publish')}"
         ) from error
     host = parts.netloc.rpartition("@")[2]
     root = f"{parts.scheme}://{host}"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError, StoreError
+from rfpipe.errors import InputError, StoreError, installing
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_array
@@ -96,9 +96,7 @@ def _read(path: Path, name: str | None) -> Any:
     except InputError:
         raise
     except ImportError as error:
-        raise InputError(
-            f"{path}: needs {error.name}; install it with pip install rfpipe[pictures]"
-        ) from error
+        raise InputError(f"{path}: needs {error.name}; {installing('pictures')}") from error
     except Exception as error:  # whatever the formats' libraries raise
         raise InputError(f"{path}: can't be read as {suffix}: {error}") from error
 

@@ -75,7 +75,7 @@ def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Tran
         pack`` made, ``packed/jug/near_far/transport.zarr``. Each may lie on a server and is then
         read from there by ranges, no more of it than is used: ``https://host/crate.zip``,
         ``s3://bucket/run/results/desk/symmetric/transport.zarr``. That needs the extra
-        ``rfpipe[publish]``; S3 takes credentials, region and endpoint from the usual variables of
+        ``publish``; S3 takes credentials, region and endpoint from the usual variables of
         the environment (``AWS_...``), and goes unsigned without credentials.
     memory_budget : int
         Bytes. A transport whose arrays are larger is read anew, part by part, each time that it

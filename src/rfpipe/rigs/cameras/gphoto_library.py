@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rfpipe.errors import CaptureError
+from rfpipe.errors import CaptureError, installing
 
 __all__ = ["Photo", "connected", "load_gphoto2", "use_virtual"]
 
@@ -21,7 +21,7 @@ def load_gphoto2() -> Any:
         import gphoto2
     except ImportError as error:
         raise CaptureError(
-            f"gphoto2 can't be loaded: {error}. Install it: pip install 'rfpipe[gphoto2]'"
+            f"gphoto2 can't be loaded: {error}. To install it, {installing('gphoto2')}"
         ) from error
     return gphoto2
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rfpipe.config.base import Settings, Text
-from rfpipe.errors import CaptureError, InputError
+from rfpipe.errors import CaptureError, InputError, installing
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.cameras.bracket import BracketCamera, options_of
 from rfpipe.rigs.cameras.options import PictureExtent, Reconnects, ReconnectSeconds, Retries
@@ -303,7 +303,7 @@ def load_opencv() -> Any:
         import cv2
     except ImportError as error:
         raise CaptureError(
-            f"OpenCV can't be loaded: {error}. Install it: pip install 'rfpipe[webcam]'"
+            f"OpenCV can't be loaded: {error}. To install it, {installing('webcam')}"
         ) from error
     return cv2
 

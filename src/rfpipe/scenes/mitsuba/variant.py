@@ -14,7 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from rfpipe.errors import InputError
+from rfpipe.errors import InputError, installing
 
 __all__ = ["load_mitsuba", "need_llvm", "usable_llvm"]
 
@@ -55,7 +55,7 @@ def load_mitsuba() -> Any:
     except ImportError as error:
         raise InputError(
             "a scene of kind mitsuba needs Mitsuba 3, which isn't installed: "
-            "python -m pip install 'rfpipe[mitsuba]'"
+            f"{installing('mitsuba')}"
         ) from error
     if mitsuba.variant() is None:
         mitsuba.set_variant(_VECTORISED if library is not None else _SCALAR)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.errors import StoreError
+from rfpipe.errors import StoreError, installing
 from rfpipe.transport.algebra import AT_A_TIME
 from rfpipe.transport.files.contents import ABOUT, Contents
+from rfpipe.version import __version__
 
 if TYPE_CHECKING:
     import h5py
@@ -27,7 +27,7 @@ def write_hdf5(path: Path, contents: Contents) -> None:
     """Write the dataset ``T`` (C, rows, columns), what stands beside it, and attributes."""
     with new_file(path) as file:
         file.attrs["about"] = ABOUT
-        file.attrs["rfpipe"] = version("rfpipe")
+        file.attrs["rfpipe"] = __version__
         for name, array in contents.arrays().items():
             file[name] = array
         _, rows, columns = contents.shape
@@ -52,8 +52,8 @@ def new_file(path: Path, **options: Any) -> Iterator[h5py.File]:
         import h5py
     except ImportError as error:
         raise StoreError(
-            f"HDF5 and MAT files are written by h5py, which can't be loaded: {error}. Install it: "
-            "pip install 'rfpipe[export]', or write an .npz"
+            f"HDF5 and MAT files are written by h5py, which can't be loaded: {error}. Write an "
+            f".npz, or {installing('export')}"
         ) from error
     with h5py.File(path, "w", **options) as file:
         yield file

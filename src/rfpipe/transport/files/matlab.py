@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.transport.files.contents import ABOUT, Contents
 from rfpipe.transport.files.hdf5 import COMPRESSED, chunk, new_file
+from rfpipe.version import __version__
 
 if TYPE_CHECKING:
     import h5py
@@ -58,7 +58,7 @@ def _variable(
 
 def _write_header(path: Path) -> None:
     """Fill the block before the HDF5 part by which MATLAB knows the version."""
-    text = f"MATLAB 7.3 MAT-file, Platform: rfpipe {version('rfpipe')}, HDF5 schema 1.00 ."
+    text = f"MATLAB 7.3 MAT-file, Platform: rfpipe {__version__}, HDF5 schema 1.00 ."
     header = text.encode()[:_TEXT_BYTES].ljust(_TEXT_BYTES)
     header += bytes(8) + b"\x00\x02" + b"IM"  # no subsystem; version 2.0; little-endian
     with path.open("r+b") as file:
