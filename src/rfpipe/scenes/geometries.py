@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.scenes.furniture import block
 from rfpipe.scenes.geometry import Plane, Sphere, Surface, Vector
 
-__all__ = ["GEOMETRIES"]
+__all__ = ["GEOMETRIES", "TINTS", "names_of"]
 
 _FARTHEST = (0.0, 0.0, 3.0)  # point on the axis where the planes of a crease or corner meet
 _CORNER_DIRECTIONS = {
@@ -22,6 +23,10 @@ _LOOKING_DOWN = 35  # degrees
 _CREASE = np.array([0.0, -0.5, 3.5])
 _RADIUS = 0.5
 _ASIDE, _BEFORE_WALL = -0.25, 0.35  # of the sphere: from the axis, and its gap to the wall
+
+# The coloured room: its floor and ceiling end at the picture's lower and upper edge, its walls at
+# those of a picture of 96 x 108 pixels, all at half the room's depth or a little more.
+_HALF_WIDTH, _HALF_HEIGHT, _DEPTH = 1.125, 1.0, 3.0
 
 
 def _wedge(opening: float, *, turned: float = 0.0, tipped: float = 0.0) -> tuple[Plane, Plane]:
@@ -59,6 +64,20 @@ def _sphere_on_plane() -> tuple[Surface, ...]:
     )
 
 
+def _coloured_room() -> tuple[Surface, ...]:
+    """A room open towards the rig, with a block and a sphere on its floor."""
+    x, y, z = _HALF_WIDTH, _HALF_HEIGHT, _DEPTH
+    return (
+        Plane("left wall", (-x, 0, 0), (1, 0, 0)),
+        Plane("right wall", (x, 0, 0), (-1, 0, 0)),
+        Plane("floor", (0, y, 0), (0, -1, 0)),
+        Plane("ceiling", (0, -y, 0), (0, 1, 0)),
+        Plane("back wall", (0, 0, z), (0, 0, -1)),
+        *block("block", (-0.42, y, 2.45), side=0.5, height=1.05, turned=-30),
+        Sphere("sphere", (0.42, y - 0.34, 2.3), 0.34),
+    )
+
+
 def _rotation(axis: int, degrees: float) -> NDArray[np.float64]:
     """Matrix that rotates by some degrees around axis 0 (x) or 2 (z)."""
     sine, cosine = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
@@ -89,6 +108,25 @@ GEOMETRIES: dict[str, tuple[Surface, ...]] = {
     "tilted_wedge": _wedge(90, turned=25, tipped=20),
     "corner": _corner(),
     "sphere_on_plane": _sphere_on_plane(),
+    "coloured_room": _coloured_room(),
 }
-"""Surfaces of each geometry, in the order in which their albedo is given. Each pixel sees the
-nearest one; the planes bound the camera's room."""
+"""Surfaces of each geometry, in the order in which their albedo is given, those of one name once.
+Each pixel sees the nearest one; the planes bound the camera's room."""
+
+TINTS: dict[str, dict[str, Vector]] = {
+    "coloured_room": {
+        "left wall": (1.02, 0.25, 0.15),
+        "right wall": (0.15, 0.62, 0.38),
+        "floor": (0.95, 0.93, 0.90),
+        "ceiling": (0.95, 0.93, 0.90),
+        "back wall": (0.95, 0.93, 0.90),
+        "block": (1.0, 1.0, 0.98),
+        "sphere": (1.0, 0.72, 0.22),
+    },
+}
+"""Colours of geometries that have colours of their own: factors of the albedo, by surface."""
+
+
+def names_of(geometry: str) -> tuple[str, ...]:
+    """Return the names of a geometry's surfaces, the faces of a block as one."""
+    return tuple(dict.fromkeys(surface.name for surface in GEOMETRIES[geometry]))

@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.pinhole import Pinhole, Vector
 
 __all__ = [
     "Plane",
     "Points",
+    "Rectangle",
     "Sight",
     "Sphere",
     "Surface",
@@ -86,6 +88,57 @@ class Plane:
 
 
 @dataclass(frozen=True)
+class Rectangle:
+    """An opaque rectangle in the room that reflects on its front; its back is black.
+
+    Parameters
+    ----------
+    name
+        What it is called in descriptions and errors.
+    centre
+        Scene units.
+    edge_u, edge_v
+        From the centre to the middle of two neighbouring edges, scene units, at right angles;
+        the front is where ``edge_v x edge_u`` points. Seen from there with edge_u to the right,
+        edge_v points down, as the rows of a picture do.
+    """
+
+    name: str
+    centre: Vector
+    edge_u: Vector
+    edge_v: Vector
+
+    @property
+    def plane(self) -> Plane:
+        """The plane in which it lies."""
+        normal = np.cross(self.edge_v, self.edge_u)
+        return Plane(self.name, self.centre, (float(normal[0]), float(normal[1]), float(normal[2])))
+
+    @property
+    def occluder(self) -> Occluder:
+        """What it hides."""
+        return Occluder(self.centre, self.edge_u, self.edge_v)
+
+    def heights(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Signed distances of points (..., 3) from its plane, positive before its front."""
+        return self.plane.heights(points)
+
+    def normals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Unit normals (..., 3) of its front at points (..., 3) of it."""
+        return self.plane.normals(points)
+
+    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Depths at which rays (N, 3) meet its front or its back, infinite where they don't."""
+        here = self.occluder.coordinates(origin)
+        sunk, *along = self.occluder.coordinates(np.asarray(self.centre) + rays).T
+        with np.errstate(divide="ignore", invalid="ignore"):  # rays within the rectangle's plane
+            depth = -here[0] / sunk
+            u, v = (start + depth * part for start, part in zip(here[1:], along, strict=True))
+            hit = (depth > 0) & (np.abs(u) <= 1) & (np.abs(v) <= 1)
+        return np.where(hit, depth, np.inf)
+
+
+@dataclass(frozen=True)
 class Sphere:
     """An opaque sphere in the room, seen from outside.
 
@@ -125,7 +178,7 @@ class Sphere:
         return depth
 
 
-Surface: TypeAlias = Plane | Sphere
+Surface: TypeAlias = Plane | Rectangle | Sphere
 
 
 class Visible(Protocol):
@@ -145,7 +198,8 @@ class Points:
     Parameters
     ----------
     surfaces
-        The planes of the scene, and after them a sphere among them, if there is one.
+        The planes and rectangles of the scene, which hide what is behind them, and after them a
+        sphere among them, if there is one.
     surface
         int64 (N,): index into `surfaces` of the one on which each point lies.
     positions
@@ -164,8 +218,14 @@ class Points:
 
     @property
     def planes(self) -> tuple[Plane, ...]:
-        """The planes of the scene."""
-        return tuple(each for each in self.surfaces if isinstance(each, Plane))
+        """The planes of the scene, and those in which its rectangles lie."""
+        flat = (each for each in self.surfaces if not isinstance(each, Sphere))
+        return tuple(each.plane if isinstance(each, Rectangle) else each for each in flat)
+
+    @property
+    def occluders(self) -> tuple[Occluder, ...]:
+        """What the scene's rectangles hide."""
+        return tuple(each.occluder for each in self.surfaces if isinstance(each, Rectangle))
 
     @property
     def sphere(self) -> Sphere | None:
@@ -219,8 +279,8 @@ def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Surfa
     shape
         Height and width of the image in pixels, each at least 1.
     surfaces
-        The planes that bound the camera's room, and after them a sphere in it, if there is one;
-        the nearest surface is seen.
+        The planes that bound the camera's room, the rectangles in it, and last a sphere, if there
+        is one; the nearest surface is seen.
 
     Returns
     -------
@@ -232,10 +292,10 @@ def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Surfa
         If the shape isn't two positive numbers, a pixel sees none of the surfaces, or another
         than the last surface is a sphere.
     """
-    if not all(isinstance(surface, Plane) for surface in surfaces[:-1]):
+    if any(isinstance(surface, Sphere) for surface in surfaces[:-1]):
         raise InputError(
-            f"surfaces {', '.join(surface.name for surface in surfaces)}: expected planes, and at "
-            "most one sphere, the last"
+            f"surfaces {', '.join(surface.name for surface in surfaces)}: expected at most one "
+            "sphere, the last"
         )
     pinhole = Pinhole(shape)
     sight = sight_of(pinhole, surfaces)

@@ -93,7 +93,6 @@ class LightFieldScene(CoaxialScene, DiffuseScene):
             grid.points(texels),
             albedo[texels],
             bounces=bounces,
-            occluders=[panel.occluder for panel in panels if not panel.encloses],
             compress=compress,
             patches=grid.patches(texels, _PATCH),
         )

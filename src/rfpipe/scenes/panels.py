@@ -9,26 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.scenes.diffuse import Patches
-from rfpipe.scenes.geometry import Plane, Points, Vector
-from rfpipe.scenes.occluders import Occluder
+from rfpipe.scenes.geometry import Points, Rectangle, Vector
 
 __all__ = ["Panel", "TexelGrid"]
 
 
 @dataclass(frozen=True)
-class Panel:
-    """An opaque rectangle that reflects on its front; its back is black.
+class Panel(Rectangle):
+    """A rectangle with texels.
 
     Parameters
     ----------
-    name
-        What it is called in descriptions and errors.
-    centre
-        Scene units.
-    edge_u, edge_v
-        From the centre to the middle of two neighbouring edges, scene units, at right angles;
-        the front is where ``edge_v x edge_u`` points. Seen from there with edge_u to the right,
-        edge_v points down, as the rows of a picture do.
+    name, centre, edge_u, edge_v
+        As of any `Rectangle`.
     surface
         ``"white"`` or ``"texture"``.
     tint
@@ -37,38 +30,9 @@ class Panel:
         Whether it bounds the room, so that nothing of the scene is behind it.
     """
 
-    name: str
-    centre: Vector
-    edge_u: Vector
-    edge_v: Vector
     surface: str
     tint: Vector
     encloses: bool = False
-
-    @property
-    def plane(self) -> Plane:
-        """The plane in which it lies."""
-        normal = np.cross(self.edge_v, self.edge_u)
-        return Plane(self.name, self.centre, (float(normal[0]), float(normal[1]), float(normal[2])))
-
-    @property
-    def occluder(self) -> Occluder:
-        """What it hides."""
-        return Occluder(self.centre, self.edge_u, self.edge_v)
-
-    def normals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit normals (..., 3) of its front at points (..., 3) of it."""
-        return self.plane.normals(points)
-
-    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Depths at which rays (N, 3) meet its front or its back, infinite where they don't."""
-        here = self.occluder.coordinates(origin)
-        sunk, *along = self.occluder.coordinates(np.asarray(self.centre) + rays).T
-        with np.errstate(divide="ignore", invalid="ignore"):  # rays within the panel's plane
-            depth = -here[0] / sunk
-            u, v = (start + depth * part for start, part in zip(here[1:], along, strict=True))
-            hit = (depth > 0) & (np.abs(u) <= 1) & (np.abs(v) <= 1)
-        return np.where(hit, depth, np.inf)
 
 
 class TexelGrid:
@@ -133,7 +97,7 @@ class TexelGrid:
         )
         areas = self._areas[panel]
         return Points(
-            tuple(panel.plane for panel in self.panels),
+            tuple(panel.plane if panel.encloses else panel for panel in self.panels),
             panel,
             centre + u * edge_u + v * edge_v,
             areas,

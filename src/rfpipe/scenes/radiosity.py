@@ -107,7 +107,7 @@ class RadiosityScene(CoaxialScene, DiffuseScene):
         return {
             **super().describe(),
             "shape": list(self.shape),
-            "planes": [asdict(plane) for plane in self.points.planes],
+            "planes": [asdict(each) for each in self.points.surfaces if each is not sphere],
             "occluders": [asdict(occluder) for occluder in self.occluders],
             **({} if sphere is None else {"sphere": asdict(sphere)}),
             **({} if self.light == 1 else {"light": self.light}),

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.scenes.aside import AsideScene
-from rfpipe.scenes.geometries import GEOMETRIES
+from rfpipe.scenes.geometries import GEOMETRIES, TINTS, names_of
 from rfpipe.scenes.geometry import Surface, SurfacePoints, surface_points
 from rfpipe.scenes.light_field import LightFieldScene
 from rfpipe.scenes.occluders import Occluder
@@ -54,7 +54,7 @@ def planes_scene(
     geometry
         A key of `GEOMETRIES`, such as ``"wedge"`` or ``"corner"``.
     surfaces
-        ``"white"`` or ``"texture"`` for each surface, in the order of `GEOMETRIES`.
+        ``"white"`` or ``"texture"`` for each name of a surface, in the order of `GEOMETRIES`.
     shape
         Height and width of the ray domain in pixels.
     channels
@@ -80,7 +80,8 @@ def planes_scene(
     """
     facing = _checked(geometry, surfaces)
     points = surface_points(shape, facing)
-    pages = _pages(surfaces, points.shape, channels, seed).reshape(len(facing), -1, channels)
+    pages = _pages(geometry, surfaces, points.shape, channels, seed)
+    pages = pages.reshape(len(facing), -1, channels)
     albedo = pages[points.surface, np.arange(len(points.surface))]
     return RadiosityScene(
         points,
@@ -130,7 +131,7 @@ def aside_scene(
     """
     facing = _checked(geometry, surfaces)
     camera = Pinhole(shape)
-    pages = _pages(surfaces, shape, channels, seed)
+    pages = _pages(geometry, surfaces, shape, channels, seed)
 
     def albedo(positions: NDArray[np.float64], surface: NDArray[np.int64]) -> NDArray[np.float64]:
         place = np.nan_to_num(camera.project(positions))
@@ -155,18 +156,20 @@ def _checked(geometry: str, surfaces: Sequence[str]) -> tuple[Surface, ...]:
     """Return the surfaces of a geometry; raise InputError where the settings don't fit it."""
     if geometry not in GEOMETRIES:
         raise InputError(f"geometry {geometry!r}: expected one of {', '.join(GEOMETRIES)}")
-    facing = GEOMETRIES[geometry]
-    require_kinds(surfaces, geometry, [surface.name for surface in facing])
-    return facing
+    require_kinds(surfaces, geometry, names_of(geometry))
+    return GEOMETRIES[geometry]
 
 
 def _pages(
-    surfaces: Sequence[str], shape: tuple[int, int], channels: int, seed: int
+    geometry: str, surfaces: Sequence[str], shape: tuple[int, int], channels: int, seed: int
 ) -> NDArray[np.float64]:
     """Albedo of each surface, as the camera would see it everywhere: (surfaces, H, W, C)."""
-    return np.stack(
-        [surface_albedo(kind, shape, channels, seed, index) for index, kind in enumerate(surfaces)]
-    )
+    tints = TINTS.get(geometry, {})
+    pages = {
+        name: surface_albedo(kind, shape, channels, seed, index, tints.get(name))
+        for index, (name, kind) in enumerate(zip(names_of(geometry), surfaces, strict=True))
+    }
+    return np.stack([pages[surface.name] for surface in GEOMETRIES[geometry]])
 
 
 def _dimmed(points: SurfacePoints) -> float:

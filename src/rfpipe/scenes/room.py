@@ -11,8 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rfpipe.scenes.furniture import block, lying, standing
+from rfpipe.scenes.geometry import Rectangle, Vector
 from rfpipe.scenes.panels import Panel
-from rfpipe.scenes.pinhole import Vector
 from rfpipe.scenes.textures import require_kinds
 from rfpipe.scenes.views import DISTANCE
 
@@ -56,56 +57,33 @@ def room_panels(surfaces: Sequence[str]) -> tuple[Panel, ...]:
         For another number of surfaces, or an unknown one.
     """
     require_kinds(surfaces, "room", ROOM_SURFACES)
-    left, right, floor = surfaces
     middle = _FLOOR + 0.1 - _WALL  # a little of the walls goes below the floor: no gap
     below = (0, _FLOOR, _CORNER - _WALL + 0.1)
+    walls = (
+        standing("left wall", (0, middle, _CORNER), (_WALL, _WALL), 45),
+        standing("right wall", (0, middle, _CORNER), (_WALL, _WALL), -45),
+        lying("floor", below, (_WALL, _WALL), 0),
+    )
+    things = (
+        *block("box", (-0.28, _FLOOR, 0.02), side=0.42, height=0.5, turned=32),
+        standing("poster", (0.42, _FLOOR - 0.3, -0.12), (0.26, 0.3), -20),
+        lying("card", (-0.38, -0.42, -0.1), (0.22, 0.15), 15),
+    )
     return (
-        _panel("left wall", (0, middle, _CORNER), (_WALL, _WALL), 45, left, encloses=True),
-        _panel("right wall", (0, middle, _CORNER), (_WALL, _WALL), -45, right, encloses=True),
-        _panel("floor", below, (_WALL, _WALL), 0, floor, lies=True, encloses=True),
-        *_box("box", (-0.28, _FLOOR, 0.02), side=0.42, height=0.5, turned=32),
-        _panel("poster", (0.42, _FLOOR - 0.3, -0.12), (0.26, 0.3), -20, "texture"),
-        _panel("card", (-0.38, -0.42, -0.1), (0.22, 0.15), 15, "texture", lies=True),
+        *(_seen(wall, kind, encloses=True) for wall, kind in zip(walls, surfaces, strict=True)),
+        *(_seen(thing, "texture") for thing in things),
     )
 
 
-def _box(
-    name: str, foot: Vector, *, side: float, height: float, turned: float
-) -> tuple[Panel, ...]:
-    """A box on the floor: its four sides and its lid."""
-    x, y, z = foot
-    half = side / 2
-    sides = []
-    for angle in (turned, turned - 90, turned + 90, turned + 180):
-        sine, cosine = np.sin(np.radians(angle)), np.cos(np.radians(angle))
-        centre = (x + half * float(sine), y - height / 2, z - half * float(cosine))
-        sides.append(_panel(name, centre, (half, height / 2), angle, "texture"))
-    lid = _panel(name, (x, y - height, z), (half, half), turned, "texture", lies=True)
-    return (*sides, lid)
-
-
-def _panel(
-    name: str,
-    centre: Vector,
-    half: tuple[float, float],
-    turned: float,
-    surface: str,
-    *,
-    lies: bool = False,
-    encloses: bool = False,
-) -> Panel:
-    """A panel as the views see it, looking down: half its width, and its height or depth.
-
-    One that stands faces the views turned by 0 degrees, and right by 90; one that lies faces up.
-    """
-    sine, cosine = (float(f(np.radians(turned))) for f in (np.sin, np.cos))
-    across = _seen((half[0] * cosine, 0.0, half[0] * sine))
-    down = _seen((half[1] * sine, 0.0, -half[1] * cosine) if lies else (0.0, half[1], 0.0))
-    x, y, z = _seen(centre)
+def _seen(rectangle: Rectangle, surface: str, *, encloses: bool = False) -> Panel:
+    """Return a panel as the views see it, looking down."""
+    x, y, z = _tipped(rectangle.centre)
+    across, down = _tipped(rectangle.edge_u), _tipped(rectangle.edge_v)
+    name = rectangle.name
     return Panel(name, (x, y, z + DISTANCE), across, down, surface, _TINTS[name], encloses)
 
 
-def _seen(vector: Vector) -> Vector:
+def _tipped(vector: Vector) -> Vector:
     """Turn a vector of the room's frame into the views'."""
     sine, cosine = (float(f(np.radians(_LOOKING_DOWN))) for f in (np.sin, np.cos))
     x, y, z = vector

@@ -1,4 +1,4 @@
-"""Rooms of a few surfaces [thesis Fig. 2.1]: a plane, wedges, a corner, a sphere on a plane."""
+"""Rooms of a few surfaces [thesis Fig. 2.1]: planes, wedges, corners, things that stand in them."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from rfpipe.scenes.pinhole import Pinhole, Vector
 from rfpipe.scenes.reference import aside_scene, planes_scene
 
 __all__ = [
+    "ColouredRoom",
+    "ColouredRoomOptions",
     "Corner",
     "CornerOptions",
     "OccluderOptions",
@@ -152,6 +154,19 @@ class SphereOptions(SurfacesOptions):
     surfaces: tuple[SurfaceName, ...] = Field(description=f"Floor, wall and sphere. {_ALBEDO}")
 
 
+class ColouredRoomOptions(SurfacesOptions):
+    """A room of five planes, a block and a sphere."""
+
+    surface_names: ClassVar[tuple[str, ...]] = (
+        *("left wall", "right wall", "floor", "ceiling", "back wall", "block", "sphere"),
+    )
+    surfaces: tuple[SurfaceName, ...] = Field(
+        ("white", "white", "white", "white", "white", "white", "white"),
+        description="Left wall, right wall, floor, ceiling, back wall, block and sphere, each in "
+        f"its colour. {_ALBEDO}",
+    )
+
+
 class _Surfaces(SceneKind):
     """A room of `GEOMETRIES`."""
 
@@ -215,3 +230,10 @@ class SphereOnPlane(_Surfaces):
 
     Options: ClassVar[type[SceneSettings]] = SphereOptions
     geometry = "sphere_on_plane"
+
+
+class ColouredRoom(_Surfaces):
+    """A room with a red and a green wall, in which a white block and a golden sphere stand."""
+
+    Options: ClassVar[type[SceneSettings]] = ColouredRoomOptions
+    geometry = "coloured_room"
