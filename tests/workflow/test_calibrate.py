@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import pytest
 import yaml
 from tests.workflow.harness import Workflow
 
@@ -31,6 +32,7 @@ STEPS = {
 }
 
 
+@pytest.mark.slow
 def test_calibrate_is_a_target_of_its_own(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path / "run")
     (workflow.folder / "rig.yaml").write_text(yaml.safe_dump(RIG))

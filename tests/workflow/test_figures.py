@@ -29,6 +29,7 @@ _PATIENCE_SECONDS = 1200.0  # each study traces, and compiles, its own scenes
 _TABLES = ["Table 3.1", "Table 5.1"]
 
 
+@pytest.mark.slow
 def test_make_figures_leaves_no_figure_missing_or_blank(
     tmp_path: Path, undisturbed: Workflow
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 from tests.physical import require_llvm
 from tests.workflow.harness import Workflow
 
@@ -20,6 +21,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path, studies: Workflow) -> None:
     require_llvm()
     workflow = Workflow(tmp_path)
