@@ -79,7 +79,8 @@ def uses(source: Path, place: Path) -> Iterator[tuple[str, Use]]:
     about = read_manifest(source / "transport.json")
     level = max(range(1, len(about["levels"])), key=lambda n: about["levels"][n]["patterns"])
     parts = ["L00", f"L{level:02d}", "transport.zarr"]
-    for part in [*parts, *(f"L{n:02d}" for n in range(1, level))]:
+    above = AcquisitionFolder(source).levels_above(level)[1:]
+    for part in [*parts, *(f"L{n:02d}" for n in above)]:
         ignored = None if part in parts else shutil.ignore_patterns("capture.zarr", "merge.zarr")
         shutil.copytree(source / part, place / part, ignore=ignored)
     for file in source.glob("*.json"):

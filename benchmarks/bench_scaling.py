@@ -186,7 +186,7 @@ def acquire(config: Any, name: str, shape: tuple[int, int]) -> dict[str, Any]:
     references = (config.capture.black_frames, config.capture.floodlit_frames)
     with TemporaryDirectory(prefix="rfpipe-bench-") as path:
         folder = AcquisitionFolder(Path(path))
-        for level in range(plan.n_levels):
+        for level in folder.levels():
             with clock.during("schedule"):
                 schedule.run(plan, folder, level, "")
             with clock.during("store"):
@@ -204,9 +204,10 @@ def acquire(config: Any, name: str, shape: tuple[int, int]) -> dict[str, Any]:
             with clock.during("refine"):
                 refine.run(plan, folder, level, "", resources)
         with clock.during("assemble"):
-            manifest = folder.path / "transport.json"
-            assemble.run(plan, folder, manifest, name, config.storage.number_format, "")
-        levels = [folder.read_manifest(level, "schedule") for level in range(plan.n_levels)]
+            assemble.run(
+                plan, folder, scene=name, number_format=config.storage.number_format, code=""
+            )
+        levels = [folder.read_manifest(level, "schedule") for level in folder.levels()]
         stored = bytes_on_disk(folder.path / "transport.zarr")
     clock.seconds["store"] -= clock.seconds["simulation"]
     raw = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))

@@ -1,10 +1,10 @@
 """What the workflow costs beyond the stages' own work: results/bench/workflow.csv.
 
 Usage: ``python benchmarks/bench_workflow.py [--default-run]``. Runs the workflow on 2 cores in a
-temporary folder: two of the default run's scenes without the sweep of tolerances, or with
-``--default-run`` all of the default run, some minutes.
+temporary folder: a plane and a wedge by three methods, or with ``--default-run`` all of the default
+run, some minutes.
 
-A row for each stage, means over its jobs: `job_s` as Snakemake measures the job (its
+A row for each rule, means over its jobs: `job_s` as Snakemake measures the job (its
 `benchmark:`), `process_s` from the start of the job's interpreter to its end, `loading_s` of that
 for imports and for compiled kernels from their cache, wherever in the job they happen, and `own_s`,
 the rest: the stage's own work. `overhead_s` is `job_s` less `own_s`. The last row is the whole run:
@@ -30,8 +30,15 @@ import yaml
 OUTPUT = Path("results/bench/workflow.csv")
 ROOT = Path(__file__).parents[1]
 CORES = 2
-SCENES = ("planes_i", "planes_iv")
-RESOLUTIONS = [8, 16]
+SCENE = {"shape": [62, 70], "sweep": False}
+SMALL = {
+    "scenes": {
+        "plane": {"kind": "plane", "surfaces": ["texture"], **SCENE},
+        "wedge": {"kind": "wedge", "surfaces": ["texture", "texture"], **SCENE},
+    },
+    "methods": {"symmetric": {}, "dual": {}, "near_far": {}},
+    "report": {"resolutions": [8, 16]},
+}
 
 # Runs at the start of every interpreter; reports at the end of those that run a job's script.
 SITECUSTOMIZE = r'''
@@ -102,10 +109,9 @@ def main() -> None:
     """Run, and write the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--default-run", action="store_true", help="all of the default run")
-    config = yaml.safe_load((ROOT / "config" / "config.yaml").read_text(encoding="utf-8"))
-    if not parser.parse_args().default_run:
-        config["scenes"] = {name: {**config["scenes"][name], "sweep": False} for name in SCENES}
-        config["report"]["resolutions"] = RESOLUTIONS
+    config: dict[str, object] = SMALL
+    if parser.parse_args().default_run:
+        config = yaml.safe_load((ROOT / "config" / "config.yaml").read_text(encoding="utf-8"))
     with TemporaryDirectory(prefix="rfpipe-bench-") as folder:
         table = measure(Path(folder), config)
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)
@@ -147,23 +153,20 @@ def measure(folder: Path, config: dict[str, object]) -> pd.DataFrame:
 def snakemake_seconds(results: Path) -> pd.DataFrame:
     """Read what Snakemake measured of each job."""
     # the rules' names where the files that they write have others
-    names = {"acquire": "acquire_simulated", **dict.fromkeys(
-        (path.stem for path in results.glob("studies/*.json")), "studies"
-    )}  # fmt: skip
+    names = {"capture": "capture_simulated", "verification": "verify"}
+    names |= dict.fromkeys((path.stem for path in results.glob("studies/*.json")), "studies")
     rows = []
     for path in results.rglob("*.benchmark.tsv"):
         name = path.name.removesuffix(".benchmark.tsv")
-        if name == "transport" or path.parent.name.startswith("L"):
-            continue  # a stage of an acquisition's job, timed by itself
         seconds = float(pd.read_csv(path, sep="\t")["s"].iloc[0])
         rows.append({"stage": names.get(name, name), "job_s": seconds})
     return pd.DataFrame(rows)
 
 
 def summary(inside: pd.DataFrame, seen: pd.DataFrame, wall: float) -> pd.DataFrame:
-    """Return the table: a row a stage, their mean, and the whole run."""
+    """Return the table: a row a rule, their mean, and the whole run."""
     if missing := set(seen["stage"]) ^ set(inside["stage"]):
-        raise SystemExit(f"no times of both kinds for the stages {sorted(missing)}")
+        raise SystemExit(f"no times of both kinds for the rules {sorted(missing)}")
     jobs = len(inside)
     table = inside.groupby("stage").mean().join(seen.groupby("stage").mean())
     table.insert(0, "jobs", inside.groupby("stage").size())

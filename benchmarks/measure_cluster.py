@@ -1,17 +1,15 @@
 """Small scenes on a cluster of this machine: wall time against ideal, bytes against local.
 
 Usage: ``python -m benchmarks.measure_cluster FOLDER [--scenes 40] [--group 8] [--cpus 1] [--kill]
-[--local | --dask N]``. Runs the scenes at 12 x 16 by dual photography through
+[--local]``. Runs the scenes at 12 x 16 by dual photography, a job each, through
 workflow/profiles/slurm on two nodes, as root, with Slurm's packages (docs/clusters.md); --kill
-ends a node in the middle, and brings it back. --local runs them without Slurm, in FOLDER/local;
---dask by ``rfpipe acquire`` on N workers of one thread, of which --kill ends one. No part of
-`make bench`.
+ends a node in the middle, and brings it back. --local runs them without Slurm, in FOLDER/local. No
+part of `make bench`.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -20,9 +18,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pandas as pd
-import psutil
 import yaml
-from distributed import Client
 from tests.slurm import NODES, Slurm
 
 from rfpipe.config import load_config
@@ -42,10 +38,8 @@ def main() -> None:
     arguments.add_argument("--cpus", type=int, default=1)
     arguments.add_argument("--kill", action="store_true")
     arguments.add_argument("--local", action="store_true")
-    arguments.add_argument("--dask", type=int, metavar="N")
     asked = arguments.parse_args()
-    name = f"dask_{asked.dask}" if asked.dask else f"slurm_{asked.group}"
-    folder = asked.folder / ("local" if asked.local else name)
+    folder = asked.folder / ("local" if asked.local else f"slurm_{asked.group}")
     folder.mkdir(parents=True)
     config = folder / "config.yaml"
     config.write_text(yaml.safe_dump(_settings(asked.scenes)), encoding="utf-8")
@@ -61,9 +55,6 @@ def main() -> None:
     killed_after = asked.scenes // 3 if asked.kill else None
     began = time.perf_counter()
     cores = 2 * asked.cpus
-    if asked.dask:
-        _tell_dask(folder, asked.folder / "local", _on_dask(config, asked.dask, killed_after))
-        return
     if asked.local:
         subprocess.run([*command, "--cores", str(cores)], check=True)
     else:
@@ -71,7 +62,7 @@ def main() -> None:
             os.environ.update(slurm.environment)
             command += ["--profile", str(ROOT / "workflow" / "profiles" / "slurm")]
             if asked.group > 1:
-                command += ["--groups", "acquire_simulated=small"]
+                command += ["--groups", "acquire=small"]
                 command += ["--group-components", f"small={asked.group}"]
                 command += ["--cores", str(asked.cpus)]  # those of a group's jobs side by side
             _run(command, slurm, folder, killed_after)
@@ -86,7 +77,7 @@ def _settings(count: int) -> dict[str, object]:
         surfaces += ["white"] * (kind == "corner")
         rays = [12, 16 - number // 16]
         scenes[f"s{number:02d}"] = {"kind": kind, "surfaces": surfaces, "shape": rays}
-    return {"scenes": scenes, "methods": {"dual": {}}}
+    return {"scenes": scenes, "methods": {"dual": {}}, "resources": {"jobs": "acquisition"}}
 
 
 def _run(command: list[str], slurm: Slurm, folder: Path, killed_after: int | None) -> None:
@@ -103,51 +94,6 @@ def _run(command: list[str], slurm: Slurm, folder: Path, killed_after: int | Non
         sys.exit("the run failed")
 
 
-def _on_dask(config: Path, count: int, killed_after: int | None) -> float:
-    """Acquire all on workers of one thread; return the wall time, their start left out."""
-    program = Path(sys.executable).with_name
-    folder = config.parent
-    told = folder / "scheduler.json"
-    start = [str(program("dask")), "scheduler", "--host", "127.0.0.1", "--port", "0"]
-    log = (folder / "dask.log").open("wb")
-    start += ["--no-dashboard", "--scheduler-file", str(told)]
-    processes = [subprocess.Popen(start, stderr=log)]
-    try:
-        while not told.exists():
-            time.sleep(0.1)
-        address = json.loads(told.read_text())["address"]
-        one = [str(program("dask")), "worker", address, "--nthreads", "1", "--no-dashboard"]
-        processes += [subprocess.Popen(one, cwd=folder, stderr=log) for _ in range(count)]
-        with Client(address) as client:
-            client.wait_for_workers(count)
-        began = time.perf_counter()
-        acquire = [str(program("rfpipe")), "acquire", str(config), "--directory", str(folder)]
-        run = subprocess.Popen([*acquire, "--workers", address])
-        while run.poll() is None:
-            done = len(list(folder.glob("results/*/*/transport.json")))
-            if killed_after is not None and done >= killed_after:
-                nanny = psutil.Process(processes[1].pid)  # it starts another one
-                for child in nanny.children():
-                    if any("spawn_main" in part for part in child.cmdline()):
-                        child.kill()
-                        print(f"worker killed after {done} acquisitions")
-                killed_after = None
-            time.sleep(0.1)
-        if run.returncode:
-            sys.exit("the run failed")
-        return time.perf_counter() - began
-    finally:
-        for process in reversed(processes):
-            process.terminate()
-            process.wait()
-
-
-def _tell_dask(folder: Path, other: Path, wall: float) -> None:
-    count = len(list(folder.glob("results/*/*/transport.json")))
-    print(f"{count} acquisitions, {wall:.1f} s")
-    _compare(folder, other)
-
-
 def _tell(folder: Path, other: Path, wall: float, cores: int) -> None:
     scenes = load_config(folder / "config.yaml").scenes
     records = [one for one in records_in(folder / "results", scenes) if one.job == "acquire"]
@@ -162,10 +108,6 @@ def _tell(folder: Path, other: Path, wall: float, cores: int) -> None:
     print(f"processor time of the jobs {table['cpu_seconds'].sum():.0f} s")
     print(f"memory {table['memory_mb'].min():.0f} to {table['memory_mb'].max():.0f} MB; predicted")
     print(f"{min(ratio):.2f} to {max(ratio):.2f} of it")
-    _compare(folder, other)
-
-
-def _compare(folder: Path, other: Path) -> None:
     if other.exists() and other != folder:
         same = _digests(folder) == _digests(other)
         print(f"bytes: {'the same' if same else 'OTHERS'} as in {other}")

@@ -80,6 +80,7 @@ def _settings(chosen: dict[str, Any]) -> dict[str, Any]:
         "methods": {method: {} for method in SMALL},
         "verification": {"pictures": 2},
         "capture": {"keep_raw": False},
+        "resources": {"jobs": "acquisition"},
     }
 
 

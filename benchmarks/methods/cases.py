@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache
 from itertools import product
+from pathlib import Path
 from typing import Any
 
-from benchmarks.methods.scenes import KINDS, settings_of
+from benchmarks.methods.scenes import settings_of
 
 from rfpipe.methods import get_method, method_names
 from rfpipe.methods.registry import options_of
 from rfpipe.photometry import CameraModel
-from rfpipe.provenance import code_fingerprint, fingerprint
-from rfpipe.stages.jobs.code import stage_code
+from rfpipe.plugins import METHODS, source_of
+from rfpipe.provenance import code_digest, fingerprint
 
 __all__ = ["CAMERAS", "SEEDS", "Case", "cases_of", "is_held_out"]
+
+_OWN = [Path(__file__).with_name(name) for name in ("pictures.py", "scenes.py")]
 
 _FULL = CameraModel()
 
@@ -89,8 +91,9 @@ class Case:
 
     @property
     def code(self) -> str:
-        """Fingerprint of the code that acquires, and that makes the scene and its pictures."""
-        return _code(type(get_method(self.method)).__module__, KINDS[self.scene].maker)
+        """Digest of the code that acquires, and that makes the scene and its pictures."""
+        method = source_of(METHODS, self.method)
+        return code_digest(*_OWN, *([method] if method else []))[:16]
 
     @property
     def key(self) -> str:
@@ -111,12 +114,6 @@ class Case:
         """Name the run in a line of the log."""
         told = f", {self.option} {self.value:g}" if self.option else ""
         return f"{self.method}{told} on {self.scene}, {self.light} light, seed {self.seed}"
-
-
-@cache
-def _code(method: str, maker: str) -> str:
-    acquiring = stage_code("stages.acquire", method, maker, "rfpipe.photometry.camera")
-    return fingerprint([acquiring, code_fingerprint("benchmarks.methods.pictures")])[:16]
 
 
 def cases_of(

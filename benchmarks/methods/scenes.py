@@ -38,8 +38,6 @@ class Kind:
     ----------
     what : str
         "physical" or "matt".
-    maker : str
-        Module whose code makes its light.
     settings : callable
         Plain data that tells the scene, of (side, channels, samples, seed).
     make : callable
@@ -47,7 +45,6 @@ class Kind:
     """
 
     what: str
-    maker: str
     settings: Callable[[int, int, int, int], dict[str, Any]]
     make: Callable[[int, int, int, int, Path], Scene]
 
@@ -72,7 +69,7 @@ def _wedge(name: str) -> Kind:
     def make(side: int, channels: int, _samples: int, seed: int, _cache: Path) -> Scene:
         return planes_scene(geometry, surfaces, (side, side), channels=channels, seed=seed)
 
-    return Kind("matt", "rfpipe.scenes.reference", settings, make)
+    return Kind("matt", settings, make)
 
 
 def _world(name: str) -> Kind:
@@ -82,7 +79,7 @@ def _world(name: str) -> Kind:
     def make(side: int, channels: int, samples: int, _seed: int, cache: Path) -> Scene:
         return _mitsuba(name, side, channels, samples, cache)
 
-    return Kind("physical", "rfpipe.scenes.mitsuba.scene", settings, make)
+    return Kind("physical", settings, make)
 
 
 def _mitsuba(name: str, side: int, channels: int, samples: int, cache: Path) -> MitsubaScene:

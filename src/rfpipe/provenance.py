@@ -69,7 +69,7 @@ def fingerprint(value: object) -> str:
 def code_digest(*own: Path, pages: bool = False) -> str:
     """Return the digest of the code that shapes results: rfpipe's and files of a user's own.
 
-    Comments, docstrings, assertions and layout don't count.
+    Comments, what docstrings say, assertions and layout don't count.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ class Acquisition:
         refine.run(self.plan, self.folder, level, CODE)
 
     def transport(self) -> Any:
-        for level in range(self.plan.n_levels):
+        for level in self.folder.levels():
             self.level(level)
         assemble.run(self.plan, self.folder, scene="desk", number_format="float32", code=CODE)
         return open_transport(self.folder.path / "transport.zarr")

@@ -14,7 +14,6 @@ from typer.testing import CliRunner
 from rfpipe.cli import app
 from rfpipe.config import load_config
 from rfpipe.report.catalogue import CATALOGUE, write_catalogue
-from rfpipe.stages.jobs.workers import Resources
 from rfpipe.store.files import hidden_sibling
 
 HEADER = "name,kind,surfaces,shape,channels,about.title\n"
@@ -109,23 +108,15 @@ def test_what_is_left_of_a_scene_that_was_taken_out_is_named(listed: Path) -> No
     assert "their folders are there: taken_out." in listed.read_text()
 
 
-def test_what_was_acquired_with_other_settings_is_told(tmp_path: Path) -> None:
+def test_the_rays_of_a_projector_that_stands_aside_are_told(tmp_path: Path) -> None:
     run = tmp_path / "run.yaml"
     run.write_text("collection: scenes.csv\nmethods: {hadamard: {}}\n")
     rows = "name,kind,surfaces,shape,channels,projector.position,projector.shape\n"
-    rows += 'a,wedge_120,{} white,4 x 4,1,"1.72, 0, 0.54",2 x 2\n'
-    (tmp_path / "scenes.csv").write_text(rows.format("white"))
+    rows += 'a,wedge_120,white white,4 x 4,1,"1.72, 0, 0.54",2 x 2\n'
+    (tmp_path / "scenes.csv").write_text(rows)
     results = tmp_path / "results"
-    acquire_all(load_config(run), results, Resources())
     write_catalogue(load_config(run), results)
-    assert "with other settings" not in (results / CATALOGUE).read_text()
     assert "4 x 4, lit by 2 x 2" in (results / CATALOGUE).read_text()
-    (tmp_path / "scenes.csv").write_text(rows.format("texture"))
-    write_catalogue(load_config(run), results)
-    assert "with other settings" in (results / CATALOGUE).read_text()
-    (tmp_path / "scenes.csv").write_text(rows.format("white"))
-    write_catalogue(load_config(run), results)
-    assert "with other settings" not in (results / CATALOGUE).read_text()
 
 
 def test_what_is_done_isn_t_read_again_until_it_changes(

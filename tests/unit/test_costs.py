@@ -1,4 +1,4 @@
-"""What jobs take: laws that are fitted, records that jobs leave, and what rules ask for."""
+"""What jobs take: laws that are fitted, and records that jobs leave."""
 
 from __future__ import annotations
 
@@ -9,14 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rfpipe.config import Config, SceneSettings
+from rfpipe.config import SceneSettings
 from rfpipe.costs import (
-    JobCosts,
     Record,
     Subject,
     fit_laws,
-    jobs,
-    machine_memory_mb,
     read_shipped,
     records_in,
     write_records,
@@ -24,6 +21,7 @@ from rfpipe.costs import (
 from rfpipe.costs.model import fit_law
 from rfpipe.scenes import scene_from_config
 from rfpipe.scenes.kinds.surfaces import WedgeOptions
+from rfpipe.stages.jobs import workers
 from rfpipe.stages.jobs.job import USAGE
 from rfpipe.store import write_manifest
 
@@ -130,35 +128,6 @@ def test_what_is_not_in_the_table_is_taken_for_the_dearest() -> None:
     assert laws.predict("memory_mb", "studies", subject(500)) is None
 
 
-def settings(**changes: object) -> Config:
-    scene = {"kind": "wedge", "surfaces": ["white", "white"], "shape": [40, 48]}
-    made = {"scenes": {"a": scene}, "methods": {"dual": {}}, **changes}
-    return Config.model_validate(made)
-
-
-def test_each_attempt_asks_for_more(tmp_path: Path) -> None:
-    costs = JobCosts(settings(), tmp_path)
-    predicted = costs.predict("memory_mb", "acquire", "a", "dual")
-    assert predicted is not None
-    asked = [costs.memory_mb("acquire", "a", "dual", attempt) for attempt in (1, 2, 3)]
-    assert predicted < asked[0] < asked[1] < asked[2]
-    minutes = [costs.runtime("acquire", "a", "dual", attempt) for attempt in (1, 2)]
-    assert minutes[1] == 2 * minutes[0] >= 20
-    # brackets of 5,760 samples, 16 bits and four exposures, for some hundreds of patterns
-    assert 10 < costs.disk_mb("a", "dual") < 1000
-    assert costs.memory_mb("studies", "a", "dual") == 4295  # resources.memory_gib
-
-
-def test_a_job_with_the_rig_asks_for_the_rigs_time(tmp_path: Path) -> None:
-    scenes = {"a": {"kind": "captured", "shape": [40, 48]}}
-    quick, slow = (
-        JobCosts(settings(scenes=scenes, capture=capture), tmp_path)
-        for capture in ({"rig": "remote", "seconds_per_pattern": each} for each in (0.1, 20.0))
-    )
-    assert slow.runtime("acquire", "a", "dual") > 10 * quick.runtime("acquire", "a", "dual")
-    assert slow.runtime("view", "a", "dual") == quick.runtime("view", "a", "dual")
-
-
 def test_memory_of_the_shipped_jobs_is_told_from_jobs_of_other_sizes() -> None:
     shipped = read_shipped()
     assert {one.job for one in shipped} >= {"acquire", "relight", "verification"}
@@ -178,47 +147,10 @@ def test_the_machines_memory_is_what_its_group_leaves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     limit = tmp_path / "memory.max"
-    monkeypatch.setattr(jobs, "_GROUP_LIMIT", limit)
-    whole = machine_memory_mb()
+    monkeypatch.setattr(workers, "_GROUP_LIMIT", limit)
+    whole = workers.machine_memory_mb()
     assert whole > 100
     limit.write_text("max\n")
-    assert machine_memory_mb() == whole
+    assert workers.machine_memory_mb() == whole
     limit.write_text("64000000\n")
-    assert machine_memory_mb() == 64
-
-
-def test_a_level_asks_for_what_such_levels_took(tmp_path: Path) -> None:
-    scene = {"kind": "wedge", "surfaces": ["white", "white"]}
-    shapes = {"a": [40, 48], "b": [40, 96], "c": [4, 4]}
-    costs = JobCosts(
-        settings(scenes={name: {**scene, "shape": shape} for name, shape in shapes.items()}),
-        tmp_path,
-    )
-    whole = costs.memory_mb("acquire", "b", "dual")
-    assert costs.memory_mb("acquire", "b", "dual", level=3) == whole
-    for name, took in (("a", (1000.0, 3000.0)), ("c", (9000.0, 9.0))):
-        log = tmp_path / name / "dual/level_03.log"
-        log.parent.mkdir(parents=True)
-        log.write_text(f"2026 INFO {USAGE % took}\n")
-    # twice the picture: at most twice of all; c is too small to tell
-    assert costs.memory_mb("acquire", "b", "dual", level=3) == 2600 + 300
-    assert costs.runtime("acquire", "b", "dual", level=3) == 400
-    assert costs.memory_mb("acquire", "a", "dual", attempt=2, level=3) == 1.5 * (1300 + 300)
-    assert costs.memory_mb("acquire", "b", "dual", level=2) == whole
-
-
-def test_a_job_of_the_run_asks_for_what_it_took_before(tmp_path: Path) -> None:
-    costs, log = JobCosts(settings(resources={"memory_gib": 2}), tmp_path), tmp_path / "report.log"
-    assert costs.memory_of_log(log) == 2148
-    log.write_text("killed in the middle\n")
-    assert costs.memory_of_log(log, 2) == 3222
-    log.write_text(f"2026 INFO {USAGE % (500.0, 9.0)}\n")
-    assert costs.memory_of_log(log) == 950
-
-
-def test_a_scene_may_have_memory_of_its_own(tmp_path: Path) -> None:
-    scene = {"kind": "wedge", "surfaces": ["white", "white"], "shape": [40, 48]}
-    scenes = {"a": scene, "b": {**scene, "settings": {"resources": {"memory_gib": 1}}}}
-    costs = JobCosts(settings(scenes=scenes), tmp_path)
-    asked = [costs.memory_mb("studies", name, "dual") for name in scenes]
-    assert asked == [4295, 1074]
+    assert workers.machine_memory_mb() == 64

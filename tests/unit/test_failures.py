@@ -10,16 +10,16 @@ from snakemake_interface_logger_plugins.common import LogEvent
 from rfpipe.stages.jobs.failures import FailedJobs
 
 LOG = """
-rule acquire_simulated:
+rule acquire:
     output: results/glass/dual/transport.json
     resources: tmpdir=<TBD>, mem_mb=572
 glass/dual/L00/capture: level 0: 16 patterns
 ValueError: the glass broke
 RuleException:
-CalledProcessError in file "acquire_simulated.smk", line 24:
-Command 'set -euo pipefail;  python acquire_simulated.py' {ended}
+CalledProcessError in file "acquire.smk", line 24:
+Command 'set -euo pipefail;  python acquire.py' {ended}
 [Mon Nov 23 09:41:42 2026]
-Error in rule acquire_simulated:
+Error in rule acquire:
     message: None
 Shutting down, this might take some time.
 Exiting because a job execution failed. Look above for error messages

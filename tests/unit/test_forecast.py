@@ -97,11 +97,10 @@ def test_the_command_says_what_does_not_fit(
     assert "5 of 5 are guesses on the high side" in result.output
     assert "may not fit" not in result.output
     assert "of memory, and this machine" not in result.output
-    from rfpipe import costs
+    from rfpipe.stages.jobs import workers
     from rfpipe.store import files
 
-    monkeypatch.setattr(costs, "machine_memory_mb", lambda: 128)
-
+    monkeypatch.setattr(workers, "machine_memory_mb", lambda: 128)
     monkeypatch.setattr(files, "free_bytes", lambda _folder: 10)
     result = runner.invoke(app, ["plan", str(config)])
     assert "may not fit" in result.output

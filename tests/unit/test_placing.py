@@ -14,7 +14,6 @@ from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.stages import captures, hardware
 from rfpipe.stages.capturing.placing import Placing
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.plan import Plan
 
 WRITE = "import os, sys; open(sys.argv[1], 'a').write(os.environ['RFPIPE_SCENE'] + chr(10))"
 
@@ -71,9 +70,9 @@ def test_a_capture_places_its_scene_before_it_connects_to_the_rig(
         rig_placing=placed_by(tmp_path)[0].command,
     )
     monkeypatch.setenv("RFPIPE_TOKEN", "a" * 32)
-    plan = Plan("dual", "dual", (4, 5), (4, 5), 3, {"tolerance": 1e-3})
+    rays = {"camera_shape": (4, 5), "projector_shape": (4, 5), "channels": 3}
     with pytest.raises(CaptureError, match="no rig here"):
-        captures.by_server(plan, resources)(AcquisitionFolder(tmp_path / "jug/dual"), 0)
+        captures.by_server(rays, resources)(AcquisitionFolder(tmp_path / "jug/dual"), 0)
     assert seen == ["jug\n"]
 
 

@@ -1,9 +1,9 @@
 """Fingerprints, versions and seeded generators."""
 
-import ast
+import os
+import re
+import subprocess
 import sys
-import textwrap
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,17 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import rfpipe
+from rfpipe import provenance
 from rfpipe.config import Config
 from rfpipe.errors import InputError
-from rfpipe.provenance import (
-    code_fingerprint,
-    fingerprint,
-    generator,
-    import_fingerprint,
-    imported_sources,
-    versions,
-)
+from rfpipe.provenance import code_digest, fingerprint, generator, versions
 
 PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False),
@@ -77,161 +70,111 @@ def test_fingerprint_refuses_what_has_no_stable_bytes(value: object) -> None:
         fingerprint(value)
 
 
-def test_code_fingerprint_follows_the_sources(
+SOURCE = """\
+import math
+
+LIMITS = frozenset({"a", "b", "c"})
+
+
+class Shape:
+    '''A square.'''
+
+    side = 2
+
+    def area(self, scale=1.0):
+        return scale * self.side**2
+
+
+def kept(name):
+    '''Return some.'''
+    return [each for each in LIMITS if each != name]
+"""
+
+
+def digest_of(folder: Path, source: str, name: str = "mine.py") -> str:
+    path = folder / fingerprint(source) / name
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(source)
+    return code_digest(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("import math", "# a comment\nimport math"),
+        ("A square.", "A figure.\n\n    It has sides."),
+        ("Return some.", "Return those that stay."),
+        ("import math\n", "import math\n\n\n\n"),
+        ("[each for each in LIMITS if", "[\n        each for each in LIMITS\n        if"),
+        ("    return [each", "    assert name\n    return [each"),
+    ],
+    ids=["comment", "docstring of a class", "of a function", "lines", "layout", "assertion"],
+)  # fmt: skip
+def test_what_does_nothing_changes_no_digest(tmp_path: Path, old: str, new: str) -> None:
+    assert old in SOURCE
+    assert digest_of(tmp_path, SOURCE.replace(old, new)) == digest_of(tmp_path, SOURCE)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("import math", "import cmath as math"),
+        ('"c"', '"d"'),
+        ("side = 2", "side = 2.0"),
+        ("scale=1.0", "scale=2.0"),
+        ("scale * self", "scale + self"),
+        ("self.side", "self.edge"),
+        ("each != name", "each == name"),
+    ],
+)
+def test_what_does_something_else_changes_the_digest(tmp_path: Path, old: str, new: str) -> None:
+    assert old in SOURCE
+    assert digest_of(tmp_path, SOURCE.replace(old, new)) != digest_of(tmp_path, SOURCE)
+
+
+def test_the_digest_is_the_same_in_every_process(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(SOURCE)
+    program = "import sys; from rfpipe.provenance import code_digest; from pathlib import Path\n"
+    program += "print(code_digest(Path(sys.argv[1])))"
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", program, str(mine)], stdout=subprocess.PIPE, check=True,
+            env={**os.environ, "PYTHONHASHSEED": seed},
+        ).stdout
+        for seed in ("1", "2", "3")
+    }  # fmt: skip
+    assert len(found) == 1
+
+
+def test_code_that_shows_results_counts_for_pages_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    package = tmp_path / "fingerprinted"
-    (package / "inner").mkdir(parents=True)
-    for name in ("__init__.py", "alone.py", "inner/__init__.py", "inner/deep.py"):
-        (package / name).write_text("x = 1\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
+    def digests(name: str) -> tuple[str, str]:
+        """Digests, without and with pages, where one module differs."""
+        package = tmp_path / name.replace("/", "_")
+        for each in ("methods/dual.py", "report/page.py", "stages/jobs/job.py"):
+            (package / each).parent.mkdir(parents=True, exist_ok=True)
+            (package / each).write_text(f"x = {each == name}\n")
+        monkeypatch.setattr(provenance, "_PACKAGE", package)
+        code_digest.cache_clear()
+        return code_digest(), code_digest(pages=True)
 
-    everything = code_fingerprint("fingerprinted")
-    alone = code_fingerprint("fingerprinted.alone")
-    pair = code_fingerprint("fingerprinted.inner", "fingerprinted.alone")
-    assert len({everything, alone, pair}) == 3
-    assert pair == code_fingerprint("fingerprinted.alone", "fingerprinted.inner")
-
-    (package / "inner/deep.py").write_text("x = 2\n")
-    assert code_fingerprint("fingerprinted") != everything
-    assert code_fingerprint("fingerprinted.inner", "fingerprinted.alone") != pair
-    assert code_fingerprint("fingerprinted.alone") == alone
-    assert "fingerprinted" not in sys.modules
-
-
-@pytest.mark.parametrize("name", ["rfpipe.absent", "no_such_package", "sys"])
-def test_code_fingerprint_of_no_module(name: str) -> None:
-    with pytest.raises(InputError, match=name):
-        code_fingerprint(name)
+    before, of_pages = digests("none")
+    assert digests("methods/dual.py")[0] != before
+    for name in ("report/page.py", "stages/jobs/job.py"):
+        assert digests(name)[0] == before
+        assert digests(name)[1] != of_pages
+    code_digest.cache_clear()
 
 
-SOURCES = {
-    "__init__.py": "",
-    "stage.py": """
-        from __future__ import annotations
-        import os, shapes.whole
-        from typing import TYPE_CHECKING
-        from shapes import (
-            alone,  # with a comment (and more)
-            NAME,
-        )
-        if TYPE_CHECKING:
-            from shapes.typed import Typed
-
-            import shapes.typed_too
-        from .inner import near as nearby
-        def work():
-            from shapes.late import work
-        if True:
-            from shapes.registry import get
-    """,
-    "whole.py": "", "alone.py": "", "typed.py": "", "typed_too.py": "", "late.py": "import json",
-    "unused.py": "",
-    "inner/__init__.py": "from . import beside",
-    "inner/near.py": "from ..far import away",
-    "inner/beside.py": "",
-    "far.py": "",
-    "registry.py": """
-        import importlib
-        NAMES = {"one": "shapes.one", "other": ("shapes.other", "Class"), "none": "shapes.none"}
-        def get(name):
-            return importlib.import_module(NAMES[name])
-    """,
-    "one.py": "", "other.py": "",
-}  # fmt: skip
-
-
-@pytest.fixture
-def shapes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for name, text in SOURCES.items():
-        path = tmp_path / "shapes" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(textwrap.dedent(text))
-    monkeypatch.syspath_prepend(str(tmp_path))
-    return tmp_path / "shapes"
-
-
-def test_imported_sources_are_all_that_a_module_reaches(shapes: Path) -> None:
-    always = "alone far inner inner.beside inner.near late registry stage whole"
-    reached = {"shapes", *(f"shapes.{name}" for name in always.split())}
-    chosen = imported_sources("shapes.stage", "shapes.one", choosing=["shapes.registry"])
-    assert set(chosen) == {*reached, "shapes.one"}
-    assert set(imported_sources("shapes.stage")) == {*reached, "shapes.one", "shapes.other"}
-    assert chosen["shapes.inner"] == shapes / "inner/__init__.py"
-    without = imported_sources(
-        "shapes.stage", choosing=["shapes.registry"], without=["shapes.inner.near"]
-    )
-    assert set(without) == reached - {"shapes.inner.near", "shapes.far"}
-    assert "shapes" not in sys.modules
-
-
-def test_a_package_left_out_is_left_out_with_all_it_contains(shapes: Path) -> None:
-    assert shapes.is_dir()
-    without = imported_sources("shapes.stage", without=["shapes.inner", "shapes.registry"])
-    assert not {"shapes.inner", "shapes.inner.near", "shapes.far"} & set(without)
-
-
-def test_import_fingerprint_follows_what_is_reached_alone(shapes: Path) -> None:
-    before = import_fingerprint("shapes.stage")
-    for name in ("unused.py", "typed.py", "typed_too.py"):
-        (shapes / name).write_text("edited = True\n")
-    assert import_fingerprint("shapes.stage") == before
-    for name in ("late.py", "far.py", "inner/__init__.py", "other.py", "stage.py"):
-        (shapes / name).write_text((shapes / name).read_text() + "# edited\n")
-        assert import_fingerprint("shapes.stage") != before
-        before = import_fingerprint("shapes.stage")
-
-
-def test_a_file_of_the_users_own_counts_with_what_it_imports(shapes: Path, tmp_path: Path) -> None:
-    mine = tmp_path / "mine.py"
-    mine.write_text("from rfpipe.errors import InputError\n")
-    assert set(imported_sources(str(mine), choosing=["rfpipe"])) == {
-        "mine.py",
-        "rfpipe",
-        "rfpipe.errors",
-    }
-    before = import_fingerprint("shapes.stage", str(mine))
-    mine.write_text("from rfpipe.errors import StoreError\n")
-    assert import_fingerprint("shapes.stage", str(mine)) != before
-
-
-@pytest.mark.parametrize("name", ["rfpipe.absent", "no_such_package", "sys", "no/such/file.py"])
-def test_imported_sources_of_no_module(name: str) -> None:
-    with pytest.raises(InputError, match=name):
-        imported_sources(name)
-
-
-def test_imports_are_found_as_the_parser_finds_them() -> None:
-    # reading lines takes a tenth of the time, and must find as much
-    folder = Path(rfpipe.__file__).parent
-    for path in folder.rglob("*.py"):
-        name = ".".join(["rfpipe", *path.relative_to(folder).with_suffix("").parts])
-        module = name.removesuffix(".__init__")
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        names = {name for name in parsed_imports(tree) if name.startswith("rfpipe")}
-        found = imported_sources(module, choosing=["rfpipe", module])
-        assert {name for name in names if is_module(folder.parent, name)} <= set(found), path
-
-
-def parsed_imports(node: ast.AST) -> Iterator[str]:
-    """Absolute imports below a node, but for those behind TYPE_CHECKING; packages included."""
-    if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-        return
-    if isinstance(node, ast.Import):
-        found = [alias.name for alias in node.names]
-    elif isinstance(node, ast.ImportFrom):
-        found = [f"{node.module}.{alias.name}" for alias in node.names]
-    else:
-        found = []
-    for name in found:
-        yield from (name.rsplit(".", i)[0] for i in range(name.count(".") + 1))
-    for child in ast.iter_child_nodes(node):
-        yield from parsed_imports(child)
-
-
-def is_module(folder: Path, name: str) -> bool:
-    place = folder.joinpath(*name.split("."))
-    return place.with_suffix(".py").exists() or (place / "__init__.py").exists()
+@pytest.mark.parametrize("source", [None, "def\n"], ids=["absent", "no Python"])
+def test_a_file_that_is_no_code_is_refused(tmp_path: Path, source: str | None) -> None:
+    path = tmp_path / "mine.py"
+    if source is not None:
+        path.write_text(source)
+    with pytest.raises(InputError, match=re.escape(str(path))):
+        code_digest(path)
 
 
 def test_versions_name_what_shapes_a_result() -> None:

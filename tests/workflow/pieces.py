@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.waiting import wait_until
 
 from rfpipe.errors import DamagedStageError
 
@@ -47,18 +46,6 @@ class Dying:
         return self.work(first, last)
 
 
-@dataclass(frozen=True)
-class FirstLast:
-    """Of its pieces the first ends last: it waits for the flag of who has got all others."""
-
-    flag: Path
-
-    def __call__(self, first: int, _last: int) -> int:
-        if first == 0:
-            wait_until(self.flag.exists, "the other pieces")
-        return first
-
-
 class LocalError(Exception):
     """An error that can't be made of its message."""
 
@@ -85,9 +72,3 @@ def fails(first: int, _last: int) -> None:
         raise DamagedStageError("a stage is damaged", Path("L01/merge.json"))
     if first == 2:
         raise LocalError("this", "that")
-
-
-def deadly(first: int, _last: int) -> int:
-    if first == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return first

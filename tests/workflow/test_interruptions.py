@@ -10,7 +10,6 @@ import pytest
 from tests.waiting import wait_until
 from tests.workflow.harness import (
     LONG,
-    STAGES,
     TINY,
     Workflow,
     freeze_writer,
@@ -35,7 +34,6 @@ def test_a_capture_killed_in_the_middle_goes_on_at_its_pattern(
     assert 12 <= len(before) < 40
     assert not workflow.path(f"{BRUTE}/L00/capture.json").exists()
 
-    assert "locked" in workflow.run(LONG, succeeds=False)
     workflow.run("--unlock")
     output = workflow.run(LONG)
 
@@ -45,6 +43,7 @@ def test_a_capture_killed_in_the_middle_goes_on_at_its_pattern(
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
 
+@pytest.mark.slow
 def test_an_orphaned_capture_keeps_a_second_writer_out(
     tmp_path: Path, undisturbed: Workflow
 ) -> None:
@@ -66,6 +65,7 @@ def test_an_orphaned_capture_keeps_a_second_writer_out(
     process.communicate()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_stopped_capture_closes_its_store_and_goes_on(
     tmp_path: Path, undisturbed: Workflow, number: signal.Signals
@@ -87,14 +87,12 @@ def test_a_stopped_capture_closes_its_store_and_goes_on(
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_a_stage_killed_in_the_middle_is_done_again(
-    copy: Workflow, undisturbed: Workflow, stage: str
-) -> None:
+@pytest.mark.slow
+def test_a_stage_killed_in_the_middle_is_done_again(copy: Workflow, undisturbed: Workflow) -> None:
     for _ in range(10):  # until the kill is quicker than the stage
-        log = undo(copy, 3, stage)
+        log = undo(copy, 3, "merge")
         process = copy.start(TINY)
-        wait_until(log.exists, f"the {stage} of level 3")
+        wait_until(log.exists, "the merge of level 3")
         kill_group(process, signal.SIGKILL)
         process.communicate()
         copy.unlock()

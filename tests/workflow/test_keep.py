@@ -26,6 +26,7 @@ rule relit:
 """
 
 
+@pytest.mark.slow
 def test_a_run_keeps_its_results_in_a_bucket(
     of_ones_own: Workflow,
     tmp_path: Path,

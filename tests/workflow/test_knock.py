@@ -88,6 +88,7 @@ def test_a_bench_that_stands_still_is_left_alone(method: str) -> None:
     assert Acquired(method, None).ended is None
 
 
+@pytest.mark.slow
 def test_a_run_by_a_method_for_any_rig_notices_it_by_looks(tmp_path: Path) -> None:
     before = 40
     server = Server(tmp_path, {})

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 from tests.workflow.harness import Workflow, freeze_writer, journal, kill_group
 
 from rfpipe import acquire, open_transport
@@ -24,6 +25,7 @@ WEDGE = {
 }
 
 
+@pytest.mark.slow
 def test_a_run_killed_between_probes_ends_as_an_acquisition_in_process(
     tmp_path: Path, studies: Workflow
 ) -> None:

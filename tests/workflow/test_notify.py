@@ -21,6 +21,7 @@ def writer(told: Path) -> str:
     return shlex.join([sys.executable, "-c", code, str(told)])
 
 
+@pytest.mark.slow
 def test_a_run_tells_when_it_is_done_and_when_it_failed(copy: Workflow) -> None:
     told = copy.folder / "told by a run"
     copy.configure(notify=writer(told))

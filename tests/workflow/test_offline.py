@@ -123,6 +123,7 @@ def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> Non
     assert "nothing more is asked for" in command("import", sheet)
 
 
+@pytest.mark.slow
 def test_the_workflow_goes_on_from_pictures_that_a_script_took(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path)
     settings = {**SETTINGS, "camera": QUIET, "methods": {"brute_force": {}}}

@@ -25,6 +25,7 @@ class TestColumnScan(MethodContract):
         return get_method(f"{EXAMPLE}:ColumnScan")
 
 
+@pytest.mark.slow
 def test_it_runs_in_the_workflow_beside_rfpipe_s_own(of_ones_own: Workflow) -> None:
     workflow = of_ones_own
     page = workflow.path("report/index.html").read_text(encoding="utf-8")

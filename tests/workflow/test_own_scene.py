@@ -29,6 +29,7 @@ class TestFrostedGlass(SceneContract):
         return made(channels=3)
 
 
+@pytest.mark.slow
 def test_it_runs_in_the_workflow_beside_rfpipe_s_own(of_ones_own: Workflow) -> None:
     workflow = of_ones_own
     page = workflow.path("report/index.html").read_text(encoding="utf-8")

@@ -1,14 +1,12 @@
-"""Work by threads, processes and dask's workers: the same bytes, whoever dies meanwhile."""
+"""Work by threads and dask's workers: the same bytes, whoever dies meanwhile."""
 
 from __future__ import annotations
 
 import errno
 import logging
 import os
-import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,20 +14,15 @@ from typing import Any
 
 import numba
 import numpy as np
-import psutil
 import pytest
-import yaml
 from distributed import Client, LocalCluster
-from rfpipe.stages.acquisitions import acquire_all
 from tests.waiting import wait_until
 from tests.workflow.clusters import address_of, kept_workers
 from tests.workflow.pieces import (
     SHAPE,
     Dying,
-    FirstLast,
     LocalError,
     Noise,
-    deadly,
     fails,
     identity,
     identity_of,
@@ -38,19 +31,15 @@ from tests.workflow.pieces import (
 from tests.workflow.stagewise import contents
 
 from rfpipe import OperatorRig, acquire
-from rfpipe.config import parse_config
 from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, InputError, StoreError
 from rfpipe.export import relit_files
 from rfpipe.provenance import generator
-from rfpipe.report.catalogue.items import item_of
 from rfpipe.stages.evaluating.evaluate import errors_table, speed_error_table
 from rfpipe.stages.jobs import cluster as cluster_module
 from rfpipe.stages.jobs import sent as sent_module
-from rfpipe.stages.jobs import workers as workers_module
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources, Workers
 from rfpipe.stages.results import write_bundle
-from rfpipe.store import StoreLock
 from rfpipe.transport import save_transport
 
 PIECES = [(index, index + 1) for index in range(6)]
@@ -70,26 +59,24 @@ def address(cluster: LocalCluster) -> str:
     return address_of(cluster)
 
 
-@pytest.fixture(params=["processes", "dask"])
-def elsewhere(request: pytest.FixtureRequest, address: str) -> Resources:
-    where = address if request.param == "dask" else request.param
-    return Resources(threads=2, where=where)
+@pytest.fixture
+def elsewhere(address: str) -> Resources:
+    return Resources(threads=2, where=address)
 
 
 def all_ways(address: str) -> list[Resources]:
-    places = [(1, "threads"), (2, "threads"), (2, "processes"), (2, address)]
+    places = [(1, "threads"), (2, "threads"), (2, address)]
     return [Resources(threads=count, where=where) for count, where in places]
 
 
 def dying_once(monkeypatch: pytest.MonkeyPatch, at: int, flag: Path) -> None:
     """Let whoever comes to a piece first die there."""
-    for name in ("results", "as_done"):
-        really = getattr(Workers, name)
+    really = Workers.results
 
-        def dying(self: Workers, work: Any, pieces: Any, really: Any = really) -> Any:
-            return really(self, Dying(work, at, flag), pieces)
+    def dying(self: Workers, work: Any, pieces: Any) -> Any:
+        return really(self, Dying(work, at, flag), pieces)
 
-        monkeypatch.setattr(workers_module.Workers, name, dying)
+    monkeypatch.setattr(Workers, "results", dying)
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +103,7 @@ def test_pictures_are_relit_to_the_same_bytes(
     ways = all_ways(address)
     left = [relit(transport, tmp_path / str(n), way) for n, way in enumerate(ways)]
     assert len(left[0]) == 33
-    assert left[0] == left[1] == left[2] == left[3]
+    assert left[0] == left[1] == left[2]
     dying_once(monkeypatch, 16, tmp_path / "died")
     assert relit(transport, tmp_path / "again", ways[-1]) == left[0]
     assert (tmp_path / "died").exists()
@@ -150,98 +137,9 @@ def test_errors_are_the_same_numbers(
     here = tables(Resources())
     assert here.count("\n") == 6 + 6 + 2
     assert tables(Resources(threads=2)) == here
-    # a process takes seconds to load the library of colours
-    with_processes = errors_table(manifests, Resources(threads=2, where="processes"))
-    assert here.startswith(with_processes.to_csv())
     dying_once(monkeypatch, 1, tmp_path / "died")
     assert tables(Resources(where=address)) == here
     assert (tmp_path / "died").exists()
-
-
-SCENES = parse_config(
-    {
-        "scenes": {
-            name: {"kind": "plane", "surfaces": [name], "shape": [6, 8], "channels": 1}
-            for name in ("white", "texture")
-        },
-        "methods": {"brute_force": {}},
-    },
-    "the test",
-)
-
-
-def acquired(path: Path, way: Resources) -> dict[str, bytes]:
-    assert [one.error for one in acquire_all(SCENES, path, way)] == [None, None]
-    files = contents(path)
-    return {name: files[name] for name in files if not name.endswith((".log", ".tsv"))}
-
-
-def test_scenes_are_acquired_to_the_same_bytes(
-    tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    left = [acquired(tmp_path / str(n), way) for n, way in enumerate(all_ways(address)[1:])]
-    assert sum(name.endswith("transport.json") for name in left[0]) == 2
-    assert left[0] == left[1] == left[2]
-    dying_once(monkeypatch, 1, tmp_path / "died")
-    assert acquired(tmp_path / "again", Resources(where=address)) == left[0]
-    assert (tmp_path / "died").exists()
-
-
-def test_workers_find_files_where_the_settings_mean_them(
-    tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)  # where none of the workers was started
-    np.save("known.npy", np.eye(48))
-    scene = {"kind": "matrix", "file": "known.npy", "shape": [6, 8], "channels": 1}
-    settings = parse_config({"scenes": {"a": scene}, "methods": {"hadamard": {}}}, "the test")
-    found = acquire_all(settings, Path("results"), Resources(where=address))
-    assert [one.error for one in found] == [None]
-    assert (tmp_path / "results/a/hadamard/transport.json").exists()
-
-
-def test_a_scene_that_fails_does_not_end_the_others(tmp_path: Path) -> None:
-    log = tmp_path / "white/brute_force/acquire.log"
-    log.parent.mkdir(parents=True)
-    log.write_text("of the one that has it")
-    with StoreLock(log.parent):
-        found = acquire_all(SCENES, tmp_path, Resources())
-    assert [one.scene for one in found if one.error] == ["white"]
-    assert "is writing this store" in str(found[0].error)
-    assert log.read_text() == "of the one that has it"
-    assert (tmp_path / "texture/brute_force/transport.json").exists()
-
-
-def test_each_has_the_memory_of_its_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found: list[tuple[str, float]] = []
-
-    def run(
-        plan: object, folder: object, scene: str, *_: object, resources: Resources, **__: Any
-    ) -> None:
-        found.append((scene, resources.memory_gib))
-
-    monkeypatch.setattr("rfpipe.stages.acquisitions.levels.run", run)
-    plane = {"kind": "plane", "surfaces": ["white"], "shape": [6, 8], "channels": 1}
-    own = {**plane, "settings": {"resources": {"memory_gib": 0.5}}}
-    settings = {"scenes": {"a": plane, "b": own}, "methods": {"hadamard": {}}}
-    acquire_all(parse_config({**settings, "resources": {"memory_gib": 2}}, "the test"), tmp_path,
-                Resources())  # fmt: skip
-    assert found == [("a", 2.0), ("b", 0.5)]
-
-
-OWN = """\
-from tests.examples.frosted_glass import FrostedGlass
-
-class Broken(FrostedGlass):
-    def apply(self, patterns):
-        raise KeyError("lens")
-"""
-
-
-def test_a_folder_that_can_t_be_made_does_not_end_the_others(tmp_path: Path) -> None:
-    (tmp_path / "white").write_text("in the way")
-    found = acquire_all(SCENES, tmp_path, Resources())
-    assert [one.scene for one in found if one.error] == ["white"]
-    assert (tmp_path / "texture/brute_force/transport.json").exists()
 
 
 def test_a_log_that_can_t_be_written_is_done_without(capsys: pytest.CaptureFixture[str]) -> None:
@@ -266,106 +164,12 @@ def test_work_that_can_t_be_written_is_refused_as_such(
         send(identity)
 
 
-ACQUIRE_BY_TWO = """\
-import os, sys
-os.sched_getaffinity = lambda _: {0, 1}
-sys.argv = ["rfpipe", "acquire", "run.yaml"]
-from rfpipe.cli import main
-main()
-"""
-
-
-def test_a_bug_of_an_own_scene_does_not_end_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("own.py").write_text(OWN)
-    rays = {"shape": [6, 8], "channels": 1}
-    scenes = {
-        "own": {"kind": "own.py:Broken", **rays},
-        "sound": {"kind": "plane", "surfaces": ["white"], **rays},
-    }
-    settings = parse_config({"scenes": scenes, "methods": {"hadamard": {}}}, "the test")
-    found = acquire_all(settings, Path("results"), Resources())
-    assert [one.error for one in found] == ["KeyError: 'lens'", None]
-    item = item_of(Path("results/own/hadamard"))
-    assert (item.state, item.why) == ("failed", "KeyError: 'lens'")
-
-
-WAITING = """\
-import time
-from pathlib import Path
-from tests.examples.frosted_glass import FrostedGlass
-
-class Waiting(FrostedGlass):
-    def apply(self, patterns):
-        Path("began").touch()
-        while not Path("go_on").exists():
-            time.sleep(0.01)
-        return super().apply(patterns)
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_command_that_is_stopped_says_so_and_leaves_nothing_behind(
-    tmp_path: Path, number: signal.Signals
-) -> None:
-    (tmp_path / "own.py").write_text(WAITING)
-    own = {"kind": "own.py:Waiting", "shape": [6, 8], "channels": 1}
-    settings = {"scenes": {"own": own}, "methods": {"hadamard": {}}}
-    (tmp_path / "run.yaml").write_text(yaml.safe_dump(settings))
-    # also on a machine of one core
-    command = [sys.executable, "-c", ACQUIRE_BY_TWO]
-    search = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
-    with subprocess.Popen(
-        command, cwd=tmp_path, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "PYTHONPATH": search},
-    ) as process:  # fmt: skip
-        wait_until((tmp_path / "began").exists, "a capture")
-        process.send_signal(number)
-        said = process.communicate(timeout=60)[1]
-    assert process.returncode == 130
-    assert "rfpipe: stopped; what is done is kept" in said
-    assert list((tmp_path / "results").glob(".work*")) == []
-    with StoreLock(tmp_path / "results/own/hadamard"):  # nobody works on it any more
-        pass
-
-
-def test_a_rig_is_where_it_is(tmp_path: Path) -> None:
-    settings = SCENES.model_copy(
-        update={"capture": SCENES.capture.model_copy(update={"rig": "hardware"})}
-    )
-    with pytest.raises(InputError, match=r"capture.rig is hardware.*where the rig is"):
-        acquire_all(settings, tmp_path, Resources())
-
-
-def test_a_long_piece_holds_up_no_other(elsewhere: Resources, tmp_path: Path) -> None:
-    died, got_others = tmp_path / "died", tmp_path / "got others"
-    found = []
-    with elsewhere.workers(1, tmp_path) as workers:
-        for first in workers.as_done(Dying(FirstLast(got_others), 3, died), PIECES):
-            found.append(first)
-            if len(found) == len(PIECES) - 1:
-                got_others.touch()
-    assert found[-1] == 0
-    assert sorted(found) == [first for first, _ in PIECES]
-    assert died.exists()
-
-
-def test_a_process_that_dies_costs_its_piece(elsewhere: Resources, tmp_path: Path) -> None:
+def test_a_worker_that_dies_costs_its_piece(elsewhere: Resources, tmp_path: Path) -> None:
     with elsewhere.workers(1, tmp_path) as workers:
         found = list(workers.results(Dying(identity, 3, tmp_path / "died"), PIECES))
     assert [part[1:] for part in found] == PIECES
     assert os.getpid() not in {part[0] for part in found}
     assert [path.name for path in tmp_path.iterdir()] == ["died"]  # no work is left
-
-
-def test_a_piece_that_kills_every_process_is_given_up(tmp_path: Path) -> None:
-    with (
-        pytest.raises(ClusterError, match=r"processes died 4 times.* 3 to 3.*too little memory"),
-        Resources(threads=2, where="processes").workers(1, tmp_path) as workers,
-    ):
-        list(workers.results(deadly, PIECES))
 
 
 def test_errors_come_back_as_they_are(elsewhere: Resources, tmp_path: Path) -> None:
@@ -381,46 +185,6 @@ def test_errors_come_back_as_they_are(elsewhere: Resources, tmp_path: Path) -> N
         elsewhere.workers(1, tmp_path) as workers,
     ):
         list(workers.results(fails, PIECES[2:]))
-
-
-def test_processes_end_with_an_interrupt(tmp_path: Path) -> None:
-    before = set(psutil.Process().children())
-    began = time.monotonic()
-
-    def interrupted() -> None:
-        with Resources(threads=2, where="processes").workers(1, tmp_path) as workers:
-            assert workers.hand_out is not None
-            workers.hand_out(slow)(0, 1)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    _, alive = psutil.wait_procs(set(psutil.Process().children()) - before, timeout=60)
-    running = [child for child in alive if "resource_tracker" not in " ".join(child.cmdline())]
-    assert not running
-    assert time.monotonic() - began < 250
-
-
-def test_a_script_without_a_guard_has_processes_and_takes_them_along(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(
-        "import os, sys, time\n"
-        "from pathlib import Path\n"
-        "from rfpipe.stages.jobs.workers import Resources\n"
-        "from tests.workflow.pieces import identity\n"
-        "with Resources(threads=2, where='processes').workers(1, Path('.')) as workers:\n"
-        "    found = list(workers.results(identity, [(0, 1), (1, 2)]))\n"
-        "    print(*{pid for pid, _, _ in found}, flush=True)\n"
-        "    os.kill(os.getpid(), 9)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, check=False,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
-    )  # fmt: skip
-    assert done.returncode == -signal.SIGKILL, done.stderr
-    pids = [int(pid) for pid in done.stdout.split()]
-    assert pids
-    wait_until(lambda: not any(psutil.pid_exists(pid) for pid in pids), "the end of the processes")
 
 
 def test_workers_that_do_not_see_the_folder_are_refused(
@@ -524,7 +288,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
             process.wait()
 
 
-def test_a_scheduler_that_dies_ends_the_job_and_the_next_goes_on(
+def test_a_scheduler_that_dies_ends_the_job(
     scheduler: tuple[subprocess.Popen[bytes], str], tmp_path: Path
 ) -> None:
     process, address = scheduler
@@ -538,8 +302,6 @@ def test_a_scheduler_that_dies_ends_the_job_and_the_next_goes_on(
 
     with pytest.raises(ClusterError, match=r"the scheduler is gone.*What is done is kept"):
         interrupted()
-    # whatever was cut off goes on without it, here before its first pattern
-    assert acquired(tmp_path / "results", Resources())
 
 
 def job(**resources: Any) -> Any:
@@ -553,8 +315,8 @@ def test_a_job_works_where_settings_or_the_environment_say(
 ) -> None:
     monkeypatch.delenv("RFPIPE_WORKERS", raising=False)
     assert Resources.of_job(job(mem_mib=512)) == Resources(0.5, 3, "threads")
-    asked = job(mem_mib=512, workers="processes")
-    assert Resources.of_job(asked) == Resources(0.5, 3, "processes")
+    asked = job(mem_mib=512, workers="tls://host:8786")
+    assert Resources.of_job(asked) == Resources(0.5, 3, "tls://host:8786")
     monkeypatch.setenv("RFPIPE_WORKERS", "tcp://host:8786")
     assert Resources.of_job(asked) == Resources(0.5, 3, "tcp://host:8786")
     assert Resources.of_job(asked).here == Resources(0.5, 3)

@@ -20,6 +20,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.needs("llvm")
 def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path, studies: Workflow) -> None:
     workflow = Workflow(tmp_path)

@@ -98,6 +98,8 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -
         assert f"capture.zarr and reference.zarr of {acquisition.folder.path}/L*" in str(
             error.value
         )
+    for level in (0, 1):
+        acquisition.merge(level)  # with the settings of before
     assert everything(acquisition.folder.path) == before
 
     # as the message says
@@ -116,6 +118,7 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: Acquisition) -
 def test_damaged_merged_images_need_the_raw_exposures(acquisition: Acquisition, lost: str) -> None:
     level = 0 if lost == "merged_reference" else 1
     damage(acquisition.folder.store(level, lost))
+    acquisition.folder.manifest(level, "merge").unlink()  # as who finds it says
     with pytest.raises(StaleStoreError, match=r"damaged.*To capture all levels again"):
         acquisition.merge(level)
     FrameStore.discard(acquisition.folder.store(level, lost))
@@ -236,6 +239,7 @@ def test_only_a_complete_store_can_be_dropped(tmp_path: Path) -> None:
         FrameStore.open(path)
 
 
+@pytest.mark.slow
 def test_a_run_without_raw_exposures(copy: Workflow, undisturbed: Workflow) -> None:
     folder = copy.path("tiny/symmetric")
     copy.configure(capture={"keep_raw": False})
@@ -247,6 +251,6 @@ def test_a_run_without_raw_exposures(copy: Workflow, undisturbed: Workflow) -> N
     raw = re.compile(r"L\d\d/(capture|reference|symmetry)\.zarr/c\.")
     assert {name for name in expected if name not in left} == set(filter(raw.match, expected))
     assert all(content == expected.get(name, content) for name, content in left.items())
-    output = copy.run(TINY, "--forcerun", "acquire_simulated")
+    output = copy.run(TINY, "--forcerun", "capture_simulated")
     assert "patterns in" not in output
     assert "Nothing to be done" in copy.run(TINY)

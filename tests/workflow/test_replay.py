@@ -20,7 +20,7 @@ from rfpipe.stages.replay import RecordedScene
 def recorded(tmp_path: Path) -> Path:
     """A brute-force recording by a noisy camera."""
     acquisition = Acquisition(tmp_path / "r", matrix_rig(noise=CAMERA), None, "brute_force")
-    for level in range(acquisition.plan.n_levels):
+    for level in acquisition.folder.levels():
         acquisition.level(level)
     return tmp_path / "r"
 

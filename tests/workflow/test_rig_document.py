@@ -63,6 +63,7 @@ def run_commands(folder: Path) -> None:
     assert done.returncode == 0, done.stdout + served
 
 
+@pytest.mark.slow
 def test_its_commands_lead_to_the_scene(tmp_path: Path) -> None:
     run_commands(tmp_path)
     check_pictures(tmp_path)

@@ -27,7 +27,7 @@ def test_the_files_hold_what_an_acquisition_in_process_finds(method: str, tmp_pa
     acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
     asked = ASKED[method]
     acquisition.plan = Plan(method, method, SHAPE, SHAPE, 1, asked)
-    for level in range(acquisition.plan.n_levels):
+    for level in acquisition.folder.levels():
         acquisition.level(level)
     stored = acquisition.assemble()
     result = acquire(
@@ -49,7 +49,7 @@ def test_refining_tells_what_the_method_estimates(
     acquisition.plan = Plan(
         "low_rank", "low_rank", SHAPE, SHAPE, 1, {"target_error": 1e-4, "patterns": 20}
     )
-    for level in range(acquisition.plan.n_levels):
+    for level in acquisition.folder.levels():
         acquisition.level(level)
     told = [record.message for record in caplog.records if "estimated" in record.message]
     assert told == [

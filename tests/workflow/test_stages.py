@@ -39,7 +39,7 @@ from rfpipe.store import read_manifest
 
 def test_a_matrix_is_recovered_from_files(tmp_path: Path) -> None:
     acquisition = Acquisition(tmp_path, matrix_rig())
-    for level in range(acquisition.plan.n_levels):
+    for level in acquisition.folder.levels():
         acquisition.level(level)
     transport = acquisition.assemble()
     pattern = generator(5).random(SHAPE).astype(np.float32)
@@ -48,7 +48,7 @@ def test_a_matrix_is_recovered_from_files(tmp_path: Path) -> None:
     manifest = read_manifest(tmp_path / "transport.json")
     assert manifest["patterns"] == sum(
         read_manifest(tmp_path / f"L{level:02d}/capture.json")["patterns"]
-        for level in range(acquisition.plan.n_levels)
+        for level in acquisition.folder.levels()
     )
 
 
@@ -355,7 +355,7 @@ def test_files_hold_what_is_found_in_process_with_hot_pixels(tmp_path: Path, met
 
     rig = FaultyRig(matrix_rig(noise=CAMERA), heated)
     acquisition = Acquisition(tmp_path, rig, None, method)
-    for level in range(acquisition.plan.n_levels):
+    for level in acquisition.folder.levels():
         acquisition.level(level)
     stored = acquisition.assemble()
     result = acquire(rig, method, progress=False, black_frames=2, floodlit_frames=2)

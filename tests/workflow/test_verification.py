@@ -181,6 +181,7 @@ def test_a_rig_that_stands_still_is_left_alone(tmp_path: Path) -> None:
     assert len(looks) <= len(patterns) / LOOK_PATTERNS + 2 * n_levels + 2
 
 
+@pytest.mark.slow
 def test_the_workflow_has_a_step_for_it(tmp_path: Path) -> None:
     run = Workflow(tmp_path)
     scene = {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [8, 8], "sweep": False}

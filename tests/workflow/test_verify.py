@@ -302,6 +302,7 @@ def test_a_store_without_a_run_can_be_checked_too(intact: Path, tmp_path: Path) 
     assert command_for(finding) == ""
 
 
+@pytest.mark.slow
 def test_a_run_damaged_in_ten_ways_at_once_is_mended_by_the_commands_named(
     copy: Workflow, undisturbed: Workflow
 ) -> None:
