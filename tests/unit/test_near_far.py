@@ -159,14 +159,6 @@ def test_where_nothing_is_smooth_symmetric_photography_takes_over(
     assert found.history["patterns"].iloc[-1] == found.patterns
 
 
-@pytest.mark.slow
-def test_a_few_caustics_in_a_small_picture_cost_little_more_than_symmetric_photography() -> None:
-    scene = CASES["caustics"]()
-    found, rival = run(scene, "near_far", None), run(scene, "symmetric", None, tolerance=0.01)
-    assert found.patterns <= 1.3 * rival.patterns
-    assert np.mean(errors(scene, found.transport)) < 0.01
-
-
 # --- states
 
 

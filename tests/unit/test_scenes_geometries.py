@@ -152,6 +152,7 @@ def test_compressed_form_factors_are_the_dense_ones(geometry, occluders):
     assert packed.nbytes < dense.nbytes
 
 
+@pytest.mark.slow
 def test_form_factors_with_a_sphere_follow_the_formulas_entry_by_entry():
     points = surface_points((18, 20), GEOMETRIES["sphere_on_plane"])
     found = form_factors(points, compress=False).apply(np.eye(360))

@@ -30,6 +30,7 @@ def planar(image: np.ndarray, shape: tuple[int, ...], channels: int) -> np.ndarr
     return np.broadcast_to(image, (len(image), channels)).T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_pictures_are_python_s_both_ways_at_every_level(kind: str, tmp_path: Path) -> None:
     transport = transport_of(kind)
