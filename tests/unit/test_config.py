@@ -333,7 +333,9 @@ def test_an_old_scene_is_refused_with_the_new_spelling() -> None:
 
 def test_an_unknown_kind_is_refused_with_those_there_are() -> None:
     text = message({"scenes": {"mine": {"kind": "wegde"}}})
-    assert "scenes.mine: 'wegde' is unknown; expected one of captured, coloured_room, corner" in text
+    assert (
+        "scenes.mine: 'wegde' is unknown; expected one of captured, coloured_room, corner" in text
+    )
 
 
 def test_the_schema_knows_the_options_of_every_kind() -> None:
