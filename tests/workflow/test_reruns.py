@@ -45,8 +45,14 @@ def test_a_first_run_and_the_next_one(undisturbed: Workflow) -> None:
             {"merge": {"mask_defects": False}},
             {"merge": LEVELS, "normalize": LEVELS, "refine": LEVELS, "assemble": 1},
         ),
-        ({"storage": {"number_format": "float32"}}, {"assemble": 1}),
-        ({"camera": {"bits": 10}}, {"capture_simulated": LEVELS, "merge": LEVELS}),
+        pytest.param(
+            {"storage": {"number_format": "float32"}}, {"assemble": 1}, marks=pytest.mark.slow
+        ),
+        pytest.param(
+            {"camera": {"bits": 10}},
+            {"capture_simulated": LEVELS, "merge": LEVELS},
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["title", "memory", "merge", "number format", "bit depth"],
 )
@@ -63,6 +69,7 @@ def test_another_setting(copy: Workflow, changes: dict[str, Any], runs: dict[str
     assert "Nothing to be done" in copy.run(DUAL)
 
 
+@pytest.mark.slow
 def test_another_tolerance_captures_what_other_patterns_ask(copy: Workflow) -> None:
     before = shown(copy)
     copy.configure(methods={**CONFIG["methods"], "dual": {"tolerance": 0.1}})
@@ -83,6 +90,7 @@ def line(source: str) -> str:
     return source.replace('"stage": "refine"', '"stage": "refine", "edited": True')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "runs"),
     [(comment, set()), (line, ALL - {"capture_simulated"})],
@@ -101,6 +109,7 @@ def test_edited_code(
     assert set(jobs(copy.run(DUAL))) == runs
 
 
+@pytest.mark.slow
 def test_a_stage_is_forced_or_stopped_at(copy: Workflow) -> None:
     before = copy.contents("tiny/dual")
     forced = jobs(copy.run(DUAL, "--forcerun", "merge"))
