@@ -34,7 +34,7 @@ def test_a_capture_killed_in_the_middle_goes_on_at_its_pattern(
     assert 12 <= len(before) < 40
     assert not workflow.path(f"{BRUTE}/L00/capture.json").exists()
 
-    workflow.run("--unlock")
+    workflow.unlock()
     output = workflow.run(LONG)
 
     assert f"{len(before)} of 40 patterns are captured; going on at pattern {len(before)}" in output
@@ -54,7 +54,7 @@ def test_an_orphaned_capture_keeps_a_second_writer_out(
     try:
         assert "locked" in workflow.run(LONG, succeeds=False)  # two runs in one folder
         os.kill(process.pid, signal.SIGKILL)
-        workflow.unlock()
+        workflow.run("--unlock")
         output = workflow.run(LONG, succeeds=False)
         assert f"process {orphan} is writing this store" in output
         assert len(journal(store)) < 40

@@ -16,6 +16,7 @@ import rfpipe
 from rfpipe.store import read_manifest
 
 LEVELS = 4
+SLOW = pytest.mark.slow
 ALL = {"schedule", "capture_simulated", "merge", "normalize", "refine", "assemble"}
 
 
@@ -39,19 +40,15 @@ def test_a_first_run_and_the_next_one(undisturbed: Workflow) -> None:
 @pytest.mark.parametrize(
     ("changes", "runs"),
     [
-        ({"report": {"title": "another"}}, {}),
-        ({"resources": {"memory_gib": 0.5}}, {}),
+        pytest.param({"report": {"title": "another"}}, {}, marks=SLOW),
+        pytest.param({"resources": {"memory_gib": 0.5}}, {}, marks=SLOW),
         (
             {"merge": {"mask_defects": False}},
             {"merge": LEVELS, "normalize": LEVELS, "refine": LEVELS, "assemble": 1},
         ),
+        pytest.param({"storage": {"number_format": "float32"}}, {"assemble": 1}, marks=SLOW),
         pytest.param(
-            {"storage": {"number_format": "float32"}}, {"assemble": 1}, marks=pytest.mark.slow
-        ),
-        pytest.param(
-            {"camera": {"bits": 10}},
-            {"capture_simulated": LEVELS, "merge": LEVELS},
-            marks=pytest.mark.slow,
+            {"camera": {"bits": 10}}, {"capture_simulated": LEVELS, "merge": LEVELS}, marks=SLOW
         ),
     ],
     ids=["title", "memory", "merge", "number format", "bit depth"],
@@ -69,7 +66,7 @@ def test_another_setting(copy: Workflow, changes: dict[str, Any], runs: dict[str
     assert "Nothing to be done" in copy.run(DUAL)
 
 
-@pytest.mark.slow
+@SLOW
 def test_another_tolerance_captures_what_other_patterns_ask(copy: Workflow) -> None:
     before = shown(copy)
     copy.configure(methods={**CONFIG["methods"], "dual": {"tolerance": 0.1}})
@@ -90,10 +87,9 @@ def line(source: str) -> str:
     return source.replace('"stage": "refine"', '"stage": "refine", "edited": True')
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "runs"),
-    [(comment, set()), (line, ALL - {"capture_simulated"})],
+    [pytest.param(comment, set(), marks=SLOW), (line, ALL - {"capture_simulated"})],
     ids=["comment", "line of refine"],
 )
 def test_edited_code(
@@ -109,17 +105,18 @@ def test_edited_code(
     assert set(jobs(copy.run(DUAL))) == runs
 
 
-@pytest.mark.slow
+@SLOW
 def test_a_stage_is_forced_or_stopped_at(copy: Workflow) -> None:
     before = copy.contents("tiny/dual")
     forced = jobs(copy.run(DUAL, "--forcerun", "merge"))
-    assert forced == {"merge": LEVELS, "normalize": LEVELS, "refine": LEVELS}  # to the same bytes
+    assert forced == {"merge": LEVELS, "normalize": LEVELS, "refine": LEVELS, "assemble": 1}
     assert copy.contents("tiny/dual") == before
     shutil.rmtree(copy.path("tiny/dual"))
     until = jobs(copy.run(DUAL, "--until", "merge"))
     assert until == {"schedule": 1, "capture_simulated": 1, "merge": 1}
 
 
+@SLOW
 def test_looking_changes_nothing(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path)
     before = sorted(tmp_path.rglob("*"))
@@ -131,6 +128,7 @@ def test_looking_changes_nothing(tmp_path: Path) -> None:
     assert sorted(left) == before
 
 
+@SLOW
 def test_one_job_an_acquisition_goes_on_with_what_stages_left(
     copy: Workflow, undisturbed: Workflow
 ) -> None:
