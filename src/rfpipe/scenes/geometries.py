@@ -115,13 +115,13 @@ Each pixel sees the nearest one; the planes bound the camera's room."""
 
 TINTS: dict[str, dict[str, Vector]] = {
     "coloured_room": {
-        "left wall": (1.02, 0.25, 0.15),
-        "right wall": (0.15, 0.62, 0.38),
-        "floor": (0.95, 0.93, 0.90),
-        "ceiling": (0.95, 0.93, 0.90),
-        "back wall": (0.95, 0.93, 0.90),
-        "block": (1.0, 1.0, 0.98),
-        "sphere": (1.0, 0.72, 0.22),
+        "left wall": (0.68, 0.17, 0.10),
+        "right wall": (0.10, 0.41, 0.25),
+        "floor": (0.63, 0.61, 0.59),
+        "ceiling": (0.63, 0.61, 0.59),
+        "back wall": (0.63, 0.61, 0.59),
+        "block": (0.66, 0.66, 0.65),
+        "sphere": (0.68, 0.48, 0.15),
     },
 }
 """Colours of geometries that have colours of their own: factors of the albedo, by surface."""
