@@ -102,7 +102,7 @@ bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 benchmark: $(INSTALLED) ## every method on every scene, hours; goes on with docs/benchmark/*.csv
 	@python -m benchmarks.methods $(ARGS)
 
-config: $(INSTALLED) ## write config/config.yaml and the JSON schemas from their models
+config: $(INSTALLED) ## write schemas, config/README.md's tables and rigs from their models
 	python -m rfpipe.config config
 	python -m rfpipe.report docs
 

@@ -1,4 +1,4 @@
-"""Driving a method on a known matrix, in memory and without noise unless asked for."""
+"""Driving a method on a known matrix, in memory and without noise unless asked for; settings."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from rfpipe.config import Config, parse_config
 from rfpipe.methods import Method
 from rfpipe.testing.methods import MatrixImages, MethodRun, matrix_of, run_method
 
-__all__ = ["Acquisition", "MatrixImages", "acquire_matrix", "dense"]
+__all__ = ["Acquisition", "MatrixImages", "acquire_matrix", "dense", "settings_of_a_plane"]
 
 Acquisition = MethodRun
 dense = matrix_of
@@ -30,3 +31,9 @@ def acquire_matrix(
     own = {name: asked[name] for name in method.Options.model_fields if name in asked}
     shapes = camera_shape, projector_shape
     return run_method(method, matrix, *shapes, sigma=sigma, seed=seed, **own)
+
+
+def settings_of_a_plane(**others: Any) -> Config:
+    """Return the settings of a run of one white plane, and others that are given."""
+    scenes = {"plane": {"kind": "plane", "surfaces": ["white"]}}
+    return parse_config({"scenes": scenes, **others}, "the test")

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from tests.helpers import settings_of_a_plane
 
-from rfpipe.config import Config, load_config
+from rfpipe.config import CameraConfig, load_config
 from rfpipe.errors import ConfigError
 from rfpipe.photometry import sensor_from_config
 from rfpipe.scenes import scene_from_config
@@ -51,7 +52,7 @@ def test_rows_are_scenes_with_settings_of_their_own(tmp_path: Path) -> None:
     assert bowl.camera is not None
     assert (jug.camera.exposures, jug.seed, jug.camera.bits) == ((0.1, 0.5), 7, 12)
     assert (bowl.camera.exposures, bowl.seed, bowl.camera.bits) == (
-        Config().camera.exposures,  # type: ignore[union-attr]
+        CameraConfig().exposures,
         1,
         14,
     )
@@ -273,8 +274,8 @@ def test_a_missing_file_is_told_with_where_it_was_looked_for(tmp_path: Path) -> 
 
 
 def test_settings_of_a_run_are_those_of_its_scenes_without_own_ones() -> None:
-    run = Config()
-    assert run.of_scene("planes_i") is run
+    run = settings_of_a_plane()
+    assert run.of_scene("plane") is run
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.helpers import settings_of_a_plane
 
 import rfpipe
-from rfpipe.config import Config
 from rfpipe.errors import CaptureError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes.reference import reference_scene
@@ -17,7 +17,7 @@ from rfpipe.stages.evaluating.studies import faults
 
 @pytest.fixture(scope="module")
 def of_frames() -> dict[str, dict[str, Any]]:
-    return {row["case"]: row for row in faults._frames(Config.model_validate({}))}
+    return {row["case"]: row for row in faults._frames(settings_of_a_plane())}
 
 
 @pytest.mark.parametrize(

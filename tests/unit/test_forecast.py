@@ -88,13 +88,14 @@ def test_the_command_says_what_does_not_fit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = tmp_path / "config.yaml"
-    config.write_text("methods: {dual: {}}")
+    scene = "{kind: wedge, surfaces: [white, white]}"
+    config.write_text(f"scenes: {{one: {scene}, other: {scene}}}\nmethods: {{dual: {{}}}}")
     runner = CliRunner()
     result = runner.invoke(app, ["plan", str(config), "--folder", str(tmp_path / "results")])
     assert result.exit_code == 0
-    assert result.output.count("dual") == 5
-    assert "One after the other: 10 h" in result.output
-    assert "5 of 5 are guesses on the high side" in result.output
+    assert result.output.count("dual") == 2
+    assert "One after the other: 4 h 54 min" in result.output
+    assert "2 of 2 are guesses on the high side" in result.output
     assert "may not fit" not in result.output
     assert "of memory, and this machine" not in result.output
     from rfpipe.stages.jobs import workers

@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.buckets import BUCKET, Faults, proxy, s3_server, use
+from tests.helpers import settings_of_a_plane
 from tests.waiting import wait_until
 from typer.testing import CliRunner
 
 import rfpipe
 from rfpipe.cli import app
-from rfpipe.config import Config, parse_config
+from rfpipe.config import parse_config
 from rfpipe.errors import ConfigError, InputError, IntegrityError, StoreError
 from rfpipe.publish import Kept, find_run, keep
 from rfpipe.store import bucket as bucket_module
@@ -69,7 +70,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     report = folder / "results/report"
     report.mkdir()
     (report / "index.html").write_text("<h1>Report</h1>")
-    settings = {"provenance": {"configuration": Config().shaping()}}
+    settings = {"provenance": {"configuration": settings_of_a_plane().shaping()}}
     (report / "results.json").write_text(json.dumps(settings))
     return folder
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tests.helpers import settings_of_a_plane
 
 from rfpipe import provenance
-from rfpipe.config import Config
 from rfpipe.errors import InputError
 from rfpipe.provenance import code_digest, fingerprint, generator, versions
 
@@ -58,8 +58,9 @@ def test_fingerprint_of_an_array_is_that_of_its_values() -> None:
 
 
 def test_fingerprint_of_settings_follows_their_values() -> None:
-    assert fingerprint(Config()) == fingerprint(Config().model_dump(mode="json"))
-    assert fingerprint(Config(seed=2)) != fingerprint(Config())
+    run = settings_of_a_plane()
+    assert fingerprint(run) == fingerprint(run.model_dump(mode="json"))
+    assert fingerprint(settings_of_a_plane(seed=2)) != fingerprint(run)
 
 
 @pytest.mark.parametrize(

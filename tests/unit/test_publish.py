@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from tests.helpers import settings_of_a_plane
 from typer.testing import CliRunner
 
 import rfpipe
 from rfpipe.cli import app
-from rfpipe.config import Config, parse_config
+from rfpipe.config import parse_config
 from rfpipe.errors import InputError, IntegrityError, RfpipeError
 from rfpipe.publish import Creator, find_run
 from rfpipe.publish import publish as publish_run
@@ -54,7 +55,7 @@ def run(tmp_path: Path) -> Path:
     (report / "tables/errors.csv").write_text(
         "scene,patterns,error,psnr\ndesk,12,0.1,\ndesk,3,1,4.5\n"
     )
-    settings = {"provenance": {"configuration": Config().shaping()}}
+    settings = {"provenance": {"configuration": settings_of_a_plane().shaping()}}
     (report / "results.json").write_text(json.dumps(settings))
     return folder
 
@@ -98,7 +99,7 @@ def test_a_zip_and_a_folder_hold_the_same_files_with_their_digests(run: Path) ->
     assert {name for name in files if not name.startswith("source/")} == expected
     assert not any(str(run).encode() in content for content in files.values())
     settings = parse_config(yaml.safe_load(files["settings.yaml"]), "settings.yaml")
-    assert settings.shaping() == Config().shaping()
+    assert settings.shaping() == settings_of_a_plane().shaping()
 
 
 def test_the_same_run_gives_the_same_bytes(run: Path) -> None:
@@ -234,7 +235,7 @@ def test_a_damaged_or_foreign_transport_is_not_published(run: Path) -> None:
 
 def test_other_settings_than_the_runs_are_refused(run: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.yaml"
-    other.write_text("seed: 7\n")
+    other.write_text(yaml.safe_dump(settings_of_a_plane(seed=7).model_dump(mode="json")))
     with pytest.raises(InputError, match="isn't what this run was made with"):
         published(run, *GIVEN, "--config", other)
     (run / "results/report/results.json").unlink()

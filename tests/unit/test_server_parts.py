@@ -111,7 +111,10 @@ def test_a_captured_scene() -> None:
     ("settings", "message"),
     [
         ({"scenes": DESK}, "capture.rig should be remote or offline for scenes.desk"),
-        ({"capture": REMOTE}, "scenes should be one with capture.rig remote, not planes_i"),
+        (
+            {"scenes": {**DESK, "bowl": DESK["desk"]}, "capture": REMOTE},
+            "scenes should be one with capture.rig remote, not desk, bowl",
+        ),
         (
             {"scenes": {"desk": {**DESK["desk"], "camera_shape": [6, 7]}}, "capture": REMOTE},
             r"scenes.desk.methods should be methods for any rig",

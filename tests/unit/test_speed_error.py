@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from tests.helpers import settings_of_a_plane
 
-from rfpipe.config import Config
 from rfpipe.report.inputs import BENCHMARKS, COLUMNS, Inputs
 from rfpipe.report.speed_error import (
     against_symmetric,
@@ -57,9 +57,8 @@ TABLE = pd.DataFrame(
 
 def inputs_with(table):
     empty = pd.DataFrame()
-    return Inputs(
-        Config(), [], {}, empty, empty, empty, {"speed_error": table}, Path(), (Path(), Path())
-    )
+    run, studies = settings_of_a_plane(), {"speed_error": table}
+    return Inputs(run, [], {}, empty, empty, empty, studies, Path(), (Path(), Path()))
 
 
 def test_patterns_are_interpolated_between_logarithms():

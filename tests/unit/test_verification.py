@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from tests.helpers import settings_of_a_plane
 from tests.unit.test_reciprocity import DIM, SHAPE, beside, wedge
 
 import rfpipe
@@ -108,11 +109,11 @@ def test_a_bound_names_what_is_above_it() -> None:
 
 def test_real_rigs_are_verified_by_default() -> None:
     captured = {"scenes": {"vase": {"kind": "captured", "shape": [8, 8]}}, "methods": {"dual": {}}}
-    assert parse_config({}, "c").verification_pictures == 0
+    assert settings_of_a_plane().verification_pictures == 0
     assert parse_config({**captured, "capture": {"rig": "remote"}}, "c").verification_pictures == 8
     offline = {**captured, "capture": {"rig": "offline"}}
     assert parse_config(offline, "c").verification_pictures == 0
     with pytest.raises(ConfigError, match=r"verification.pictures should be 0 or null"):
         parse_config({**offline, "verification": {"pictures": 3}}, "c")
     with pytest.raises(ConfigError, match=r"verification.pictures should be 1 to 10"):
-        parse_config({"verification": {"fail_above": 0.1}}, "c")
+        settings_of_a_plane(verification={"fail_above": 0.1})

@@ -12,12 +12,12 @@ from typing import Any
 import dask
 import pytest
 from distributed import LocalCluster, Security
+from tests.helpers import settings_of_a_plane
 from tests.waiting import PATIENCE_SECONDS
 from tests.workflow.clusters import address_of, kept_workers
 from tests.workflow.harness import TINY, Workflow, undo
 from tests.workflow.stagewise import CAMERA, SHAPE, Acquisition, contents, damage, matrix_rig
 
-from rfpipe.config import parse_config
 from rfpipe.errors import CaptureError, ClusterError, ConfigError, IntegrityError
 from rfpipe.stages import merge
 from rfpipe.stages.jobs import cluster as cluster_module
@@ -216,7 +216,7 @@ def test_work_that_kills_its_worker(address: str, tmp_path: Path) -> None:
 )
 def test_an_address_that_is_none(wrong: str) -> None:
     with pytest.raises(ConfigError, match=r"resources\.workers"):
-        parse_config({"resources": {"workers": wrong}}, "mine")
+        settings_of_a_plane(resources={"workers": wrong})
 
 
 @pytest.mark.slow

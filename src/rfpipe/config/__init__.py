@@ -1,6 +1,6 @@
 """The settings of a run, and those of a rig: pydantic models, read from YAML.
 
-``python -m rfpipe.config`` writes the default files and the JSON schemas from the models. Each name
+``python -m rfpipe.config`` writes from the models what is made of them. Each name
 is imported when it is first used: a job needs few of the models, and to load all takes as long as
 the work of a small one.
 """
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from rfpipe.config.devices import BenchConfig, RigConfig
     from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
     from rfpipe.config.files import (
-        default_yaml,
         json_schema,
         load_config,
         load_rig_config,
@@ -40,7 +39,6 @@ __all__ = [
     "RigDriver",
     "SceneSettings",
     "StorageConfig",
-    "default_yaml",
     "json_schema",
     "load_config",
     "load_rig_config",
@@ -62,7 +60,6 @@ _HOMES = {
     "RigDriver": "rfpipe.config.drivers",
     "SceneSettings": "rfpipe.config.scenes",
     "StorageConfig": "rfpipe.config.processing",
-    "default_yaml": "rfpipe.config.files",
     "json_schema": "rfpipe.config.files",
     "load_config": "rfpipe.config.files",
     "load_rig_config": "rfpipe.config.files",

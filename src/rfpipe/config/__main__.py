@@ -1,4 +1,4 @@
-"""Write the default settings and their JSON schemas: ``python -m rfpipe.config [FOLDER]``."""
+"""Write JSON schemas, settings of rigs and a list of settings: ``python -m rfpipe.config``."""
 
 import json
 import sys
@@ -8,19 +8,19 @@ from rfpipe.config.files import (
     RIG_SCHEMA_NAME,
     SCHEMA_NAME,
     bench_yaml,
-    default_yaml,
     json_schema,
     rig_json_schema,
     rig_yaml,
 )
+from rfpipe.config.listing import with_listing
 
 
 def main() -> None:
-    """Write the settings files and schemas into a folder, ``config`` when none is given."""
+    """Write what is made of the settings' models in the folder ``config``, or in another one."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "config")
-    folder.mkdir(parents=True, exist_ok=True)
+    readme = folder / "README.md"
     for name, text in (
-        ("config.yaml", default_yaml()),
+        (readme.name, with_listing(readme.read_text(encoding="utf-8"))),
         ("rig.yaml", rig_yaml()),
         ("bench.yaml", bench_yaml()),
         (SCHEMA_NAME, json.dumps(json_schema(), indent=2) + "\n"),

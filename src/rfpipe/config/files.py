@@ -1,4 +1,4 @@
-"""Settings files: YAML in, commented YAML and JSON schema out, and errors that say what to do."""
+"""Settings files: YAML in, commented YAML and JSON schemas out, errors that say what to do."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from rfpipe.config.base import Described, Settings
+from rfpipe.config.base import Settings
 from rfpipe.config.collection import Gathered, check_files, gather
 from rfpipe.config.devices import BenchConfig, RigConfig
 from rfpipe.config.drivers import ProjectorDriver
@@ -22,7 +22,7 @@ from rfpipe.errors import ConfigError
 
 __all__ = [
     "bench_yaml",
-    "default_yaml",
+    "flow",
     "is_rig",
     "json_schema",
     "load_config",
@@ -112,22 +112,13 @@ def rig_json_schema() -> dict[str, Any]:
     return schema_of(RigConfig)
 
 
-def default_yaml() -> str:
-    """Return the default settings as YAML, each with its description as a comment."""
-    head = (
-        "# The default run. Made from the settings' model by `make config`: change the model, or",
-        "# copy this file, change the copy and run it with `snakemake --configfile <copy>`.",
-    )
-    return _file_of(Config(), SCHEMA_NAME, head)
-
-
 def rig_yaml() -> str:
     """Return the default rig, a window and a Basler camera, as commented YAML."""
     head = (
         "# A rig: a window on the projector and a Basler camera. Made from the settings' model by",
         "# `make config`: copy this file, change the copy and serve it with `rfpipe serve <copy>`.",
     )
-    return _file_of(RigConfig(), RIG_SCHEMA_NAME, head)
+    return _file_of(RigConfig(), head)
 
 
 def bench_yaml() -> str:
@@ -145,7 +136,7 @@ def bench_yaml() -> str:
         calibration="calibration",
         seconds_per_pattern=0.2,
     )
-    return _file_of(bench_rig, RIG_SCHEMA_NAME, head)
+    return _file_of(bench_rig, head)
 
 
 def _parsed(kind: type[_S], data: object, source: str, gathered: Gathered | None = None) -> _S:
@@ -164,52 +155,36 @@ def _parsed(kind: type[_S], data: object, source: str, gathered: Gathered | None
         raise ConfigError("\n".join(f"{source}: {line}" for _, line in told)) from None
 
 
-def _file_of(settings: Settings, schema: str, head: Sequence[str]) -> str:
+def flow(value: object) -> str:
+    """Write a plain value on one line of YAML."""
+    text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10_000)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _file_of(settings: RigConfig, head: Sequence[str]) -> str:
     """Write settings as YAML under a head of comments."""
-    lines = [f"# yaml-language-server: $schema={schema}", *head, ""]
-    return "\n".join([*lines, *_yaml_lines(settings, 0, commented=True)]) + "\n"
+    lines = [f"# yaml-language-server: $schema={RIG_SCHEMA_NAME}", *head, ""]
+    return "\n".join([*lines, *_yaml_lines(settings, 0)]) + "\n"
 
 
-def _yaml_lines(settings: BaseModel, indent: int, *, commented: bool) -> list[str]:
-    """Lines of a model's settings, with their descriptions as comments when asked for."""
+def _yaml_lines(settings: BaseModel, indent: int) -> list[str]:
+    """Lines of a model's settings, with their descriptions as comments."""
     margin = " " * indent
     lines: list[str] = []
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
-        if isinstance(settings, Described) and name == settings.key and value is None:
-            continue
-        if commented:
-            lines += textwrap.wrap(
-                str(field.description),
-                _WIDTH,
-                initial_indent=f"{margin}# ",
-                subsequent_indent=f"{margin}# ",
-            )
+        lines += textwrap.wrap(
+            str(field.description),
+            _WIDTH,
+            initial_indent=f"{margin}# ",
+            subsequent_indent=f"{margin}# ",
+        )
         if isinstance(value, BaseModel):
             lines.append(f"{margin}{name}:")
-            lines += _yaml_lines(value, indent + 2, commented=commented)
-        elif value and isinstance(value, dict) and all(map(_is_model, value.values())):
-            lines.append(f"{margin}{name}:")
-            seen: set[type[BaseModel]] = set()
-            for entry, inner in value.items():
-                lines.append(f"{margin}  {entry}:")
-                # entries of one model have the same keys: comments at the first will do
-                first = type(inner) not in seen
-                seen.add(type(inner))
-                lines += _yaml_lines(inner, indent + 4, commented=commented and first)
+            lines += _yaml_lines(value, indent + 2)
         else:
             plain = settings.model_dump(mode="json", include={name})[name]
-            lines.append(f"{margin}{name}: {_flow(plain)}")
+            lines.append(f"{margin}{name}: {flow(plain)}")
         if indent == 0:
             lines.append("")
     return lines if indent else lines[:-1]
-
-
-def _is_model(value: object) -> bool:
-    return isinstance(value, BaseModel)
-
-
-def _flow(value: object) -> str:
-    """Write a plain value on one line of YAML."""
-    text = yaml.safe_dump(value, default_flow_style=True, width=10_000)
-    return text.removesuffix("\n").removesuffix("\n...")

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, SerializeAsAny, field_validator, model_validator
+from pydantic import ConfigDict, Field, SerializeAsAny, field_validator, model_validator
 
 from rfpipe.config.base import (
     Extent,
@@ -51,7 +51,7 @@ _OTHER_FOLDERS = {"catalogue", "references", "report", "studies", "verified"}
 # That verify what a real rig acquires.
 _VERIFICATION_PICTURES = 8
 
-# Those of the default run, in the order of its report.
+# Those of a run that names none, in the order of its report.
 DEFAULT_METHODS = ("near_far", "symmetric", "dual")
 
 
@@ -86,33 +86,22 @@ class ReportConfig(Settings):
     )
 
 
-def _default_scenes() -> dict[str, SceneSettings]:
-    """Scenes I to IV of [Fig. 2.1], at a fifth of their size, and one lit from 35 degrees aside."""
-    return {
-        "planes_i": SceneSettings.of("plane", surfaces=("texture",)),
-        "planes_ii": SceneSettings.of("wedge", surfaces=("white", "white")),
-        "planes_iii": SceneSettings.of("wedge", surfaces=("white", "texture")),
-        "planes_iv": SceneSettings.of("wedge", surfaces=("texture", "texture")),
-        "aside": SceneSettings.of(
-            "wedge_120",
-            surfaces=("texture", "white"),
-            shape=(48, 54),
-            projector={"position": (1.72, 0.0, 0.54), "shape": (40, 46)},
-            methods={"dual": {}},
-            sweep=False,
-        ),
-    }
+def _scenes_or_a_collection(schema: dict[str, Any]) -> None:
+    """Say in a JSON schema that scenes may stand in a collection, which is read before."""
+    schema["anyOf"] = [{"required": [name]} for name in ("scenes", "collection")]
+    del schema["required"]
 
 
 class Config(Settings):
     """All settings of a run."""
 
+    model_config = ConfigDict(json_schema_extra=_scenes_or_a_collection)
+
     seed: int = Field(1, ge=0, description="Seed of the captures' noise, an integer of at least 0.")
     scenes: dict[SectionName, SerializeAsAny[SceneSettings]] = Field(
-        default_factory=_default_scenes,
         min_length=1,
-        description="The scenes by name: lower-case letters, digits and _. The default are "
-        "scenes I to IV of Fig. 2.1, and one whose projector stands aside.",
+        description="The scenes by name: lower-case letters, digits and _. With a collection "
+        "there may be none.",
     )
     collection: Text | None = Field(
         None,
