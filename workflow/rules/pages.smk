@@ -65,8 +65,9 @@ def study_settings(wildcards):
         **SHAPING,
         "capture": {**SHAPING["capture"], "rig": "simulated"},
         "report": {name: SHAPING["report"][name] for name in shown},
+        "scenes": {"none_of_the_run": {"kind": "plane", "surfaces": ["white"]}},
     }
-    del settings["scenes"], settings["verification"]
+    del settings["verification"]
     return settings
 
 
