@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from tests.helpers import settings_of_a_plane
 
-from rfpipe.config import CameraConfig, Config
+from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
 from rfpipe.scenes import hard_cases
 from rfpipe.stages.evaluating import studies
@@ -11,7 +12,7 @@ from rfpipe.stages.evaluating.studies import run_study
 from rfpipe.stages.evaluating.studies.stability import stability_row
 from rfpipe.store import open_arrays, read_manifest
 
-CONFIG = Config.model_validate({"report": {"resolutions": [4, 8]}})
+CONFIG = settings_of_a_plane(report={"resolutions": [4, 8]})
 
 
 def test_patterns_against_resolution_with_brute_force_computed():
@@ -31,7 +32,7 @@ def test_patterns_against_resolution_with_brute_force_computed():
 def test_brute_force_alone_is_computed_too():
     rows, _ = run_study(
         "resolution",
-        Config.model_validate({"report": {"resolutions": [4, 8]}, "methods": {"brute_force": {}}}),
+        settings_of_a_plane(report={"resolutions": [4, 8]}, methods={"brute_force": {}}),
     )
     assert [row["patterns"] for row in rows] == [16, 64]
 
