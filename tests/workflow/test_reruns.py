@@ -139,6 +139,10 @@ def test_one_job_an_acquisition_goes_on_with_what_stages_left(
         shutil.rmtree(folder / name)
     assert jobs(copy.run(DUAL)) == {"acquire": 1}
     assert copy.contents("tiny/dual") == undisturbed.contents("tiny/dual")
+    # of what that job did Snakemake knows no settings
+    copy.configure(merge={"mask_defects": False})
+    assert jobs(copy.run(DUAL))["merge"] == LEVELS
+    assert "Nothing to be done" in copy.run(DUAL)
     copy.configure()
     for path in [folder / "transport.json", *folder.glob("L03/*.json")]:
         path.unlink()

@@ -1,5 +1,7 @@
 # The levels of an acquisition: how many have patterns to show turns out on the way.
 
+from rfpipe.stages.acquisition import STAGES_LOG
+
 
 def refined(wildcards, before=None):
     """The refinements of all levels of an acquisition, or of those before one."""
@@ -16,7 +18,13 @@ def refined(wildcards, before=None):
 
 
 def refined_before(wildcards):
-    """The refinement that tells what a level has to show; none for level 0."""
+    """The refinement that tells what a level has to show.
+
+    Level 0 follows what one job has done of all stages, which left no records of their settings.
+    """
+    by_one_job = Path("results", wildcards.scene, wildcards.method, STAGES_LOG)
+    if int(wildcards.level) == 0:
+        return [str(by_one_job)] if by_one_job.exists() else []
     return refined(wildcards, before=int(wildcards.level))[-1:]
 
 

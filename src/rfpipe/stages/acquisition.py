@@ -22,7 +22,13 @@ from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 
-__all__ = ["run"]
+__all__ = ["STAGES_LOG", "run"]
+
+STAGES_LOG = "stages.log"
+"""Beside the transport: the stages that were done here, of which Snakemake keeps no records.
+
+Where it is newer than level 0's schedule, Snakemake does all stages again; no light is taken again.
+"""
 
 _log = logging.getLogger(__name__)
 
@@ -95,3 +101,5 @@ def _do(manifest: Path, work: Callable[[], None]) -> None:
     if manifest.stat().st_mtime_ns != before:
         times = manifest.with_suffix(".benchmark.tsv")
         times.write_text(f"s\n{perf_counter() - began:.4f}\n", encoding="ascii")
+        with (manifest.parents[1] / STAGES_LOG).open("a", encoding="utf-8") as done:
+            done.write(f"{manifest.parent.name}/{manifest.stem}\n")
