@@ -19,7 +19,12 @@ SIDES = (8, 16, 32, 64, 128)
 def main() -> None:
     """Run the study."""
     config = Config.model_validate(
-        {"camera": None, "methods": {"dual": {}, "symmetric": {}}, "report": {"resolutions": SIDES}}
+        {
+            "scenes": {"iv": {"kind": "wedge", "surfaces": ["texture", "texture"]}},
+            "camera": None,
+            "methods": {"dual": {}, "symmetric": {}},
+            "report": {"resolutions": SIDES},
+        }
     )
     table = pd.DataFrame(resolution_study(config))
     OUTPUT.parent.mkdir(parents=True, exist_ok=True)
