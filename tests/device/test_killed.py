@@ -50,10 +50,11 @@ from rfpipe.stages.plan import Plan
 
 folder, url, token = sys.argv[1:]
 plan = Plan("brute_force", "brute_force", {CAMERA}, {RAYS}, 1)
+rays = hardware.Rays({CAMERA}, {RAYS}, 1)
 acquisition = AcquisitionFolder(Path(folder))
 schedule.run(plan, acquisition, 0, "code")
 hardware.run(
-    plan, acquisition, 0,
+    rays, acquisition, 0,
     url=url, token_file=token, patience_seconds=60.0, references=(8, 8), batch_patterns=1,
 )
 """

@@ -38,12 +38,10 @@ def test_without_llvm_make_figures_says_what_to_install_before_its_first_job(
 
 @pytest.mark.slow
 @pytest.mark.needs("llvm")
-def test_make_figures_leaves_no_figure_missing_or_blank(
-    tmp_path: Path, undisturbed: Workflow
-) -> None:
+def test_make_figures_leaves_no_figure_missing_or_blank(tmp_path: Path, studies: Workflow) -> None:
     """Every figure and table that the thesis has stands in the results, and is drawn."""
     workflow = Workflow(tmp_path)
-    workflow.take_studies(undisturbed)  # those behind the thesis' figures are made here
+    workflow.take_studies(studies)  # those behind the thesis' figures are made here
     workflow.configure(
         scenes=_SCENES,
         methods={"symmetric": {}, "dual": {}},

@@ -109,7 +109,7 @@ def test_edited_code(
 def test_a_stage_is_forced_or_stopped_at(copy: Workflow) -> None:
     before = copy.contents("tiny/dual")
     forced = jobs(copy.run(DUAL, "--forcerun", "merge"))
-    assert forced == {"merge": LEVELS, "normalize": LEVELS, "refine": LEVELS, "assemble": 1}
+    assert forced == {"merge": LEVELS, "normalize": LEVELS, "refine": LEVELS}  # to the same bytes
     assert copy.contents("tiny/dual") == before
     shutil.rmtree(copy.path("tiny/dual"))
     until = jobs(copy.run(DUAL, "--until", "merge"))

@@ -69,7 +69,7 @@ def fit(
     """
     import logging
 
-    from rfpipe.config import load_config
+    from rfpipe.config import parse_config, read_yaml
     from rfpipe.errors import InputError
     from rfpipe.fitting import fit_transport, read_series
     from rfpipe.fitting.folder import FolderOptions
@@ -80,7 +80,10 @@ def fit(
     logging.getLogger("rfpipe").setLevel(logging.INFO)
     camera = None
     if settings is not None:
-        sensor = sensor_from_config(load_config(settings).camera)
+        # a file of a camera alone has no scenes, which those of a run need
+        given = {"scenes": {"pictures": {"kind": "plane", "surfaces": ["white"]}}}
+        given |= read_yaml(settings)
+        sensor = sensor_from_config(parse_config(given, str(settings), [settings.parent]).camera)
         if not isinstance(sensor, CameraModel):
             raise InputError(f"{settings}: camera is null; without --settings pictures are light")
         camera = sensor
