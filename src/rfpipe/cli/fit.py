@@ -81,8 +81,8 @@ def fit(
     camera = None
     if settings is not None:
         # a file of a camera alone has no scenes, which those of a run need
-        given = {"scenes": {"pictures": {"kind": "plane", "surfaces": ["white"]}}}
-        given |= read_yaml(settings)
+        scenes = {"pictures": {"kind": "plane", "surfaces": ["white"]}}
+        given = {"scenes": scenes, **dict(read_yaml(settings))}
         sensor = sensor_from_config(parse_config(given, str(settings), [settings.parent]).camera)
         if not isinstance(sensor, CameraModel):
             raise InputError(f"{settings}: camera is null; without --settings pictures are light")
