@@ -82,7 +82,8 @@ def fit(
     if settings is not None:
         # a file of a camera alone has no scenes, which those of a run need
         scenes = {"pictures": {"kind": "plane", "surfaces": ["white"]}}
-        given = {"scenes": scenes, **dict(read_yaml(settings))}
+        read = read_yaml(settings)
+        given = {"scenes": scenes, **read} if isinstance(read, dict) else read
         sensor = sensor_from_config(parse_config(given, str(settings), [settings.parent]).camera)
         if not isinstance(sensor, CameraModel):
             raise InputError(f"{settings}: camera is null; without --settings pictures are light")
