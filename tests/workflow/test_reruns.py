@@ -73,7 +73,7 @@ def test_another_tolerance_captures_what_other_patterns_ask(copy: Workflow) -> N
     ran = jobs(copy.run(DUAL))
     changed = sum(old != new for old, new in zip(before, shown(copy), strict=True))
     assert 0 < changed < LEVELS  # or the test shows nothing
-    assert ran["capture_simulated"] == ran["merge"] == changed
+    assert ran["capture_simulated"] == changed
     assert ran["refine"] == LEVELS
 
 

@@ -29,9 +29,5 @@ def refined_before(wildcards):
 
 
 def scheduled(wildcards):
-    """The patterns of a level, which all of its stages follow.
-
-    Each names them: Snakemake looks anew, once they are made, at jobs that depend on a checkpoint
-    directly. So nothing is captured or merged again where they turn out the same.
-    """
+    """The patterns of a level: where they turn out the same, they aren't captured again."""
     return checkpoints.schedule.get(**wildcards).output[0]

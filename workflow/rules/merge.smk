@@ -1,7 +1,6 @@
 rule merge:
     """Radiance images with their variance, from the brackets of a level."""
     input:
-        scheduled,
         "results/{scene}/{method}/L{level}/capture.json",
     output:
         "results/{scene}/{method}/L{level}/merge.json",

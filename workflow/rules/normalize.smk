@@ -1,7 +1,6 @@
 rule normalize:
     """The factors by which the images of a level add up to the floodlit image."""
     input:
-        scheduled,
         "results/{scene}/{method}/L{level}/merge.json",
     output:
         "results/{scene}/{method}/L{level}/normalize.json",

@@ -1,7 +1,6 @@
 checkpoint refine:
     """What the images of a level tell of the transport, and which level has something to show next."""
     input:
-        scheduled,
         "results/{scene}/{method}/L{level}/normalize.json",
     output:
         "results/{scene}/{method}/L{level}/refine.json",

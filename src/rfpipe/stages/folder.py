@@ -225,7 +225,7 @@ def with_followers(manifest: Path) -> list[Path]:
 
     Snakemake makes a missing file again only for one that follows from it and is missing, too.
     """
-    stages = ("capture", "merge", "normalize", "refine")
+    stages = ("schedule", "capture", "merge", "normalize", "refine")
     if manifest.stem not in stages:
         return [manifest]
     return [manifest.with_name(f"{stage}.json") for stage in stages[stages.index(manifest.stem) :]]
