@@ -41,6 +41,7 @@ def test_a_node_killed_in_the_middle_of_an_acquisition(
     slurm: Slurm, undisturbed: Workflow, tmp_path: Path
 ) -> None:
     workflow = Workflow(tmp_path / "run")
+    workflow.configure(resources={"memory_gib": 0.5})  # what a node has, also doubled twice
     process = workflow.start(*on("slurm", LONG))
     capture = workflow.path("long/brute_force/L00/capture.zarr")
     freeze_writer(capture, 12)  # so that it isn't done before its node is found
