@@ -73,7 +73,7 @@ rule all:
 
 onstart:
     if SETTINGS.report.figures is not None and not workflow.non_local_exec:
-        from rfpipe.scenes.mitsuba.variant import need_llvm
+        from rfpipe_mitsuba.variant import need_llvm
 
         need_llvm("report.figures")
     if workflow.non_local_exec:

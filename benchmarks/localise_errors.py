@@ -21,12 +21,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 import rfpipe
-from rfpipe.scenes.kinds.mitsuba import Mitsuba, MitsubaOptions
-from rfpipe.scenes.mitsuba.scene import MitsubaScene
-from rfpipe.scenes.mitsuba.worlds import WORLDS
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
+from rfpipe_mitsuba.kind import Mitsuba, MitsubaOptions
+from rfpipe_mitsuba.scene import MitsubaScene
+from rfpipe_mitsuba.worlds import WORLDS
 
 OUTPUT = Path("results/bench")
 SCENES = ("two_blocks", "red_wall_box")
@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 def recorded(scene: str, side: int) -> MitsubaScene:
     """Return a scene whose light is recorded."""
     options = MitsubaOptions(
-        kind="rfpipe.scenes.kinds.mitsuba:Mitsuba", scene=scene, shape=(side, side), samples=16384
+        kind="rfpipe_mitsuba.kind:Mitsuba", scene=scene, shape=(side, side), samples=16384
     )
     made: Any = Mitsuba.make(options)
     return made

@@ -55,7 +55,7 @@ def program(name: str) -> str | None:
 
 def _is_here(name: str) -> bool:
     if name == "llvm":
-        from rfpipe.scenes.mitsuba.variant import usable_llvm
+        from rfpipe_mitsuba.variant import usable_llvm
 
         return usable_llvm() is not None
     if name == "aravis":

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.scenes import CREASE
 
 if TYPE_CHECKING:
-    from rfpipe.scenes.mitsuba.scene import MitsubaScene
+    from rfpipe_mitsuba.scene import MitsubaScene
 
 __all__ = ["crease", "spots"]
 
@@ -71,8 +71,8 @@ def _dot(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
 
 def _hits(scene: MitsubaScene) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Points (V, H, W, 3), normals towards the projector, and a pixel's side there (V, H, W)."""
-    from rfpipe.scenes.mitsuba.variant import load_mitsuba
-    from rfpipe.scenes.mitsuba.world import load_scene
+    from rfpipe_mitsuba.variant import load_mitsuba
+    from rfpipe_mitsuba.world import load_scene
 
     mi = load_mitsuba()
     shapes = load_scene(scene.world)

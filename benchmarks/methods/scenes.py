@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.scenes import Scene, planes_scene, scene_patterns
-from rfpipe.scenes.mitsuba.worlds import WORLDS
+from rfpipe_mitsuba.worlds import WORLDS
 
 if TYPE_CHECKING:
-    from rfpipe.scenes.mitsuba.scene import MitsubaScene
+    from rfpipe_mitsuba.scene import MitsubaScene
 
 __all__ = ["KINDS", "Kind", "Stage", "settings_of", "stage_of"]
 
@@ -84,14 +84,14 @@ def _world(name: str) -> Kind:
 
 def _mitsuba(name: str, side: int, channels: int, samples: int, cache: Path) -> MitsubaScene:
     """Return a world; the views of a stack share about the pixels of one picture."""
-    from rfpipe.scenes.kinds.mitsuba import Mitsuba, MitsubaOptions
+    from rfpipe_mitsuba.kind import Mitsuba, MitsubaOptions
 
     world = WORLDS[name]
     views = max(len(world.cameras), len(world.projectors or ()))
     each = max(min(side, _LEAST_SIDE), round(side / math.sqrt(views)))
     options = MitsubaOptions.model_validate(
         {
-            "kind": "rfpipe.scenes.kinds.mitsuba:Mitsuba",
+            "kind": "rfpipe_mitsuba.kind:Mitsuba",
             "scene": name,
             "shape": (each, each),
             "channels": channels,

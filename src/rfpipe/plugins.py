@@ -28,7 +28,7 @@ __all__ = [
     "find",
     "names",
     "path_of",
-    "source_of",
+    "sources_of",
 ]
 
 METHODS = "rfpipe.methods"
@@ -76,8 +76,10 @@ def path_of(group: str, name: str) -> str:
     return _installed()[group][name]
 
 
-def source_of(group: str, name: str) -> Path | None:
-    """Return the file of what a name or path stands for; None where rfpipe itself has it.
+def sources_of(group: str, name: str) -> tuple[Path, ...]:
+    """Return the files behind a name or path that rfpipe's own digest of code doesn't count.
+
+    None for rfpipe itself, all modules of one of its extras, else the file of the class.
 
     Raises
     ------
@@ -85,10 +87,13 @@ def source_of(group: str, name: str) -> Path | None:
         When there is no such name, module or file.
     """
     module = path_of(group, name).rpartition(":")[0]
-    if module.partition(".")[0] == "rfpipe":
-        return None
+    package = module.partition(".")[0]
+    if package == "rfpipe":
+        return ()
     file = (_file(module) if module.endswith(".py") else _module(module)).__file__
-    return None if file is None else Path(file)
+    if package.startswith("rfpipe_"):
+        return tuple(sorted(Path(str(_module(package).__file__)).parent.rglob("*.py")))
+    return () if file is None else (Path(file),)
 
 
 def find(group: str, name: str) -> Any:

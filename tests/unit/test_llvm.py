@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.kinds.mitsuba import Mitsuba, MitsubaOptions
-from rfpipe.scenes.mitsuba import variant
+from rfpipe_mitsuba import variant
+from rfpipe_mitsuba.kind import Mitsuba, MitsubaOptions
 
 
 def test_the_newest_that_mitsuba_can_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,10 +9,10 @@ import pytest
 from pydantic import ValidationError
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.kinds.mitsuba import Mitsuba, MitsubaOptions
-from rfpipe.scenes.mitsuba import recording
 from rfpipe.store.manifest import read_manifest
 from rfpipe.testing import SceneContract
+from rfpipe_mitsuba import recording
+from rfpipe_mitsuba.kind import Mitsuba, MitsubaOptions
 
 LOOKING = """
 <sensor type="perspective"><float name="fov" value="40"/><transform name="to_world">
@@ -162,7 +162,7 @@ def test_a_recording_that_was_stopped_goes_on(
 
 
 def recording_scene(scene):
-    from rfpipe.scenes.mitsuba.world import load_scene
+    from rfpipe_mitsuba.world import load_scene
 
     return load_scene(scene.world)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 CODE = """
 import shutil
 from tests import needs
-from rfpipe.scenes.mitsuba.variant import usable_llvm
+from rfpipe_mitsuba.variant import usable_llvm
 
 links = needs.hide()
 print(shutil.which("Xvfb"), usable_llvm())

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.mitsuba.rendering import Renderer
-from rfpipe.scenes.mitsuba.scene import MitsubaScene
-from rfpipe.scenes.mitsuba.views import View, Views
-from rfpipe.scenes.mitsuba.world import World
-from rfpipe.scenes.mitsuba.worlds import WORLDS
-from rfpipe.scenes.mitsuba.worlds.parts import (
+from rfpipe_mitsuba.rendering import Renderer
+from rfpipe_mitsuba.scene import MitsubaScene
+from rfpipe_mitsuba.views import View, Views
+from rfpipe_mitsuba.world import World
+from rfpipe_mitsuba.worlds import WORLDS
+from rfpipe_mitsuba.worlds.parts import (
     ball,
     body,
     box,
@@ -23,7 +23,7 @@ from rfpipe.scenes.mitsuba.worlds.parts import (
     sheet,
     turned,
 )
-from rfpipe.scenes.mitsuba.worlds.textures import lettering
+from rfpipe_mitsuba.worlds.textures import lettering
 
 SIZE = 12
 AHEAD = View((0, 0, 3), (0, 0, 0), degrees=20)

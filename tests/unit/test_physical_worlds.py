@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from rfpipe.scenes.mitsuba.views import Views
-from rfpipe.scenes.mitsuba.world import load_scene
-from rfpipe.scenes.mitsuba.worlds import WORLDS, boxes, clear, shiny, still_lifes
-from rfpipe.scenes.mitsuba.worlds.parts import matt, turned
-from rfpipe.scenes.mitsuba.worlds.textures import blots, lettering
+from rfpipe_mitsuba.views import Views
+from rfpipe_mitsuba.world import load_scene
+from rfpipe_mitsuba.worlds import WORLDS, boxes, clear, shiny, still_lifes
+from rfpipe_mitsuba.worlds.parts import matt, turned
+from rfpipe_mitsuba.worlds.textures import blots, lettering
 
 SHARE_SEEN = 0.4  # of a view's pixels that meet a surface, at least
 
@@ -43,7 +43,7 @@ def test_each_view_of_a_world_sees_something(name: str) -> None:
 
     world = WORLDS[name]
     scene = load_scene(world)
-    from rfpipe.scenes.mitsuba.pinholes import Pinholes
+    from rfpipe_mitsuba.pinholes import Pinholes
 
     for side in (world.cameras, world.projectors or ()):
         for view in side[::9]:

@@ -14,9 +14,9 @@ from rfpipe.report.figures.claims import verdicts
 from rfpipe.report.figures.claims_of_runs import _detail
 from rfpipe.report.figures.costs import cost_rows
 from rfpipe.report.figures.fits import line_fit, patterns_at
-from rfpipe.scenes.mitsuba.views import View
 from rfpipe.stages.evaluating.studies.poses import turned
 from rfpipe.stages.evaluating.studies.symmetric_pictures import letters
+from rfpipe_mitsuba.views import View
 
 
 def _inputs(**rows: list[dict[str, Any]]) -> Any:

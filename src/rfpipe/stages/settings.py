@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.plugins import METHODS, SCENES, source_of
+from rfpipe.plugins import METHODS, SCENES, sources_of
 from rfpipe.provenance import code_digest
 
 if TYPE_CHECKING:
@@ -88,8 +88,7 @@ def code_of(config: Config, scene: str, name: str | None = None, *, pages: bool 
     used = [(SCENES, config.scenes[scene].kind)]
     if name is not None:
         used.append((METHODS, config.methods_of(scene)[name].method or name))
-    own = (source_of(*each) for each in used)
-    return code_digest(*(path for path in own if path is not None), pages=pages)
+    return code_digest(*(path for each in used for path in sources_of(*each)), pages=pages)
 
 
 def rig_of(config: Config, scene: str) -> dict[str, Any]:

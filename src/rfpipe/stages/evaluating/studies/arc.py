@@ -21,7 +21,7 @@ from rfpipe.stages.evaluating.studies.physical import (
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
-    from rfpipe.scenes.mitsuba.scene import MitsubaScene
+    from rfpipe_mitsuba.scene import MitsubaScene
 
 __all__ = ["arc_study"]
 
@@ -44,7 +44,7 @@ def arc_study(config: Config) -> tuple[Rows, Arrays]:
         four, ``{name}_truth``.
     """
     from rfpipe.config.figures import FiguresConfig
-    from rfpipe.scenes.mitsuba.worlds import WORLDS
+    from rfpipe_mitsuba.worlds import WORLDS
 
     asked = config.report.figures or FiguresConfig()
     world = WORLDS[_WORLD]

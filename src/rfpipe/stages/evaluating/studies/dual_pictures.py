@@ -24,9 +24,9 @@ from rfpipe.stages.evaluating.studies.poses import aside
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
-    from rfpipe.scenes.mitsuba.scene import MitsubaScene
     from rfpipe.stages.acquire import AcquisitionResult
     from rfpipe.transport.multilevel.transport import MultilevelTransport
+    from rfpipe_mitsuba.scene import MitsubaScene
 
 __all__ = ["bottle_study", "box_study", "right_angles_study", "samples_study", "walk_study"]
 

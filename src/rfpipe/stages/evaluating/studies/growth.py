@@ -21,8 +21,8 @@ from rfpipe.stages.evaluating.studies.poses import aside
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
-    from rfpipe.scenes.mitsuba.scene import MitsubaScene
     from rfpipe.stages.acquire import AcquisitionResult
+    from rfpipe_mitsuba.scene import MitsubaScene
 
 __all__ = ["growth_study"]
 

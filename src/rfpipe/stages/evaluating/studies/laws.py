@@ -40,7 +40,7 @@ def laws_study(config: Config) -> tuple[Rows, Arrays]:
 
 def _duality(config: Config) -> tuple[Rows, Arrays]:
     """Exchange projector and camera: T becomes its transpose [2.12, A]."""
-    from rfpipe.scenes.mitsuba.worlds import WORLDS
+    from rfpipe_mitsuba.worlds import WORLDS
 
     camera = WORLDS["two_blocks"].cameras[0]
     views = [[asdict(camera)], [turned(camera, 22.0, 12.0)]]
@@ -80,7 +80,7 @@ def _blocks(matrix: Double, side: int, length: int = 6) -> Double:
 
 def _symmetry(config: Config) -> Rows:
     """A coaxial rig's matrix equals its transpose [2.10], traced as though it were not one."""
-    from rfpipe.scenes.mitsuba.worlds import WORLDS
+    from rfpipe_mitsuba.worlds import WORLDS
 
     rows = []
     for name in ("two_blocks", "glossy_metal"):

@@ -14,8 +14,8 @@ from rfpipe.stages.evaluating.metrics import relative_rms
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
-    from rfpipe.scenes.mitsuba.scene import MitsubaScene
     from rfpipe.stages.acquire import AcquisitionResult
+    from rfpipe_mitsuba.scene import MitsubaScene
 
 __all__ = [
     "Arrays",
@@ -38,7 +38,7 @@ _FILLED = 0.8  # of the full well, at most, by the floodlit picture
 
 
 def physical_scene(config: Config, name: str, **changes: Any) -> MitsubaScene:
-    """Return one of `rfpipe.scenes.mitsuba.worlds.WORLDS` at the size of the figures.
+    """Return one of `rfpipe_mitsuba.worlds.WORLDS` at the size of the figures.
 
     Parameters
     ----------
@@ -46,10 +46,10 @@ def physical_scene(config: Config, name: str, **changes: Any) -> MitsubaScene:
         Its ``report.figures`` says how large and how exact.
     name : str
     **changes
-        Other options of `rfpipe.scenes.kinds.mitsuba.MitsubaOptions`.
+        Other options of `rfpipe_mitsuba.kind.MitsubaOptions`.
     """
     from rfpipe.config.figures import FiguresConfig
-    from rfpipe.scenes.kinds.mitsuba import Mitsuba, MitsubaOptions
+    from rfpipe_mitsuba.kind import Mitsuba, MitsubaOptions
 
     asked = config.report.figures or FiguresConfig()
     options = {

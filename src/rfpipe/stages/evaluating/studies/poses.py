@@ -11,8 +11,8 @@ from rfpipe.stages.evaluating.studies.physical import physical_scene
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
-    from rfpipe.scenes.mitsuba.scene import MitsubaScene
-    from rfpipe.scenes.mitsuba.views import View
+    from rfpipe_mitsuba.scene import MitsubaScene
+    from rfpipe_mitsuba.views import View
 
 __all__ = ["aside", "turned"]
 
@@ -41,7 +41,7 @@ def aside(
     config: Config, name: str, right: float = _RIGHT, up: float = _UP, **changes: Any
 ) -> MitsubaScene:
     """Return a scene seen by its first camera, the projector degrees to its right and above."""
-    from rfpipe.scenes.mitsuba.worlds import WORLDS
+    from rfpipe_mitsuba.worlds import WORLDS
 
     camera = WORLDS[name].cameras[0]
     rig = {"cameras": [asdict(camera)], "projectors": [turned(camera, right, up)]}

@@ -19,7 +19,7 @@ from rfpipe.stages.evaluating.studies.physical import (
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
-    from rfpipe.scenes.mitsuba.scene import MitsubaScene
+    from rfpipe_mitsuba.scene import MitsubaScene
 
 __all__ = ["bears_study", "flare_study"]
 
@@ -33,7 +33,7 @@ _TIGHT, _LOOSE = 1e-4, 3e-3
 
 def letters(side: int) -> Float:
     """Return bright letters in the middle of a dark picture (side, side)."""
-    from rfpipe.scenes.mitsuba.worlds.textures import lettering
+    from rfpipe_mitsuba.worlds.textures import lettering
 
     dots = lettering(_LETTERS, ink=(1, 1, 1), paper=(0, 0, 0), fine=1)[..., 0]
     rows, columns = dots.shape

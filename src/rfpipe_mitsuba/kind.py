@@ -12,9 +12,9 @@ from rfpipe.config.base import Extent, Settings
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.scenes.base import Scene, SceneKind
-from rfpipe.scenes.mitsuba.views import View, Views
-from rfpipe.scenes.mitsuba.world import World, world_of_file
-from rfpipe.scenes.mitsuba.worlds import WORLDS
+from rfpipe_mitsuba.views import View, Views
+from rfpipe_mitsuba.world import World, world_of_file
+from rfpipe_mitsuba.worlds import WORLDS
 
 __all__ = ["Mitsuba", "MitsubaOptions", "ViewSettings"]
 
@@ -177,7 +177,7 @@ class Mitsuba(SceneKind):
     @classmethod
     def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
         """Build the scene; nothing is traced before the first pattern."""
-        from rfpipe.scenes.mitsuba.scene import MitsubaScene
+        from rfpipe_mitsuba.scene import MitsubaScene
 
         return MitsubaScene(
             options.world,

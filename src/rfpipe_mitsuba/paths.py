@@ -2,7 +2,7 @@
 
 Each vertex of a path is connected with a projector: camera pixel, projector pixel and throughput
 are added to the matrix. Light that comes to its last surface by a mirror or a lens has no such
-connection; `rfpipe.scenes.mitsuba.particles` follows it from the projector.
+connection; `rfpipe_mitsuba.particles` follows it from the projector.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from rfpipe.scenes.mitsuba.pinholes import Pinholes
-from rfpipe.scenes.mitsuba.sums import Sums
+from rfpipe_mitsuba.pinholes import Pinholes
+from rfpipe_mitsuba.sums import Sums
 
 __all__ = ["begin", "is_bent", "is_unbent", "survival", "trace_paths"]
 

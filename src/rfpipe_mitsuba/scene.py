@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-from rfpipe.scenes.mitsuba.light import Light
-from rfpipe.scenes.mitsuba.recording import Recording, record
-from rfpipe.scenes.mitsuba.variant import need_llvm
-from rfpipe.scenes.mitsuba.views import Views
-from rfpipe.scenes.mitsuba.world import World, load_scene
+from rfpipe_mitsuba.light import Light
+from rfpipe_mitsuba.recording import Recording, record
+from rfpipe_mitsuba.variant import need_llvm
+from rfpipe_mitsuba.views import Views
+from rfpipe_mitsuba.world import World, load_scene
 
 __all__ = ["MitsubaScene"]
 
@@ -145,7 +145,7 @@ class MitsubaScene(Scene):
 
     @cached_property
     def _renderer(self) -> Any:
-        from rfpipe.scenes.mitsuba.rendering import Renderer
+        from rfpipe_mitsuba.rendering import Renderer
 
         return Renderer(self.world, self.camera, self.projector, self.light)
 

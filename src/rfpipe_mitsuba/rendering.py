@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.mitsuba.brightness import brightness
-from rfpipe.scenes.mitsuba.variant import load_mitsuba
-from rfpipe.scenes.mitsuba.views import View, Views
-from rfpipe.scenes.mitsuba.world import World, load_scene
+from rfpipe_mitsuba.brightness import brightness
+from rfpipe_mitsuba.variant import load_mitsuba
+from rfpipe_mitsuba.views import View, Views
+from rfpipe_mitsuba.world import World, load_scene
 
 if TYPE_CHECKING:
-    from rfpipe.scenes.mitsuba.light import Light
+    from rfpipe_mitsuba.light import Light
 
 __all__ = ["Renderer"]
 

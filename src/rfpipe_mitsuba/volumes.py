@@ -11,9 +11,9 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from rfpipe.scenes.mitsuba.paths import begin, is_unbent, survival
-from rfpipe.scenes.mitsuba.pinholes import Pinholes
-from rfpipe.scenes.mitsuba.sums import Sums
+from rfpipe_mitsuba.paths import begin, is_unbent, survival
+from rfpipe_mitsuba.pinholes import Pinholes
+from rfpipe_mitsuba.sums import Sums
 
 __all__ = ["trace_volumes"]
 
@@ -32,7 +32,7 @@ def trace_volumes(
 ) -> None:
     """Trace paths from the camera's pixels, and add what they carry to rows of the matrix.
 
-    The same as `rfpipe.scenes.mitsuba.paths.trace_paths`, for scenes with media; each scattering is
+    The same as `rfpipe_mitsuba.paths.trace_paths`, for scenes with media; each scattering is
     a bounce, and a boundary that lets light pass unbent is none. The camera stands outside.
     """
     row, ray, sampler = begin(camera, sums.first, sums.count, samples, seed)

@@ -13,8 +13,8 @@ import numpy as np
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.scenes.mitsuba.variant import load_mitsuba
-from rfpipe.scenes.mitsuba.views import View
+from rfpipe_mitsuba.variant import load_mitsuba
+from rfpipe_mitsuba.views import View
 
 __all__ = ["World", "load_scene", "world_of_file"]
 

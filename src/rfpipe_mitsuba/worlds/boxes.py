@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from rfpipe.scenes.mitsuba.views import Vector, View
-from rfpipe.scenes.mitsuba.world import World
-from rfpipe.scenes.mitsuba.worlds.parts import box, matt, sheet
+from rfpipe_mitsuba.views import Vector, View
+from rfpipe_mitsuba.world import World
+from rfpipe_mitsuba.worlds.parts import box, matt, sheet
 
 __all__ = ["BOXES", "BOX_VIEW", "aside", "walls"]
 

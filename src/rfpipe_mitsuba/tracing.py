@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.provenance import generator
-from rfpipe.scenes.mitsuba.chains import trace_chains
-from rfpipe.scenes.mitsuba.merging import Ends
-from rfpipe.scenes.mitsuba.particles import trace_particles
-from rfpipe.scenes.mitsuba.paths import trace_paths
-from rfpipe.scenes.mitsuba.pinholes import Pinholes
-from rfpipe.scenes.mitsuba.sums import Sums
-from rfpipe.scenes.mitsuba.views import Views
-from rfpipe.scenes.mitsuba.volumes import trace_volumes
+from rfpipe_mitsuba.chains import trace_chains
+from rfpipe_mitsuba.merging import Ends
+from rfpipe_mitsuba.particles import trace_particles
+from rfpipe_mitsuba.paths import trace_paths
+from rfpipe_mitsuba.pinholes import Pinholes
+from rfpipe_mitsuba.sums import Sums
+from rfpipe_mitsuba.views import Views
+from rfpipe_mitsuba.volumes import trace_volumes
 
 if TYPE_CHECKING:
-    from rfpipe.scenes.mitsuba.light import Light
+    from rfpipe_mitsuba.light import Light
 
 __all__ = ["Tracer"]
 

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from rfpipe.scenes.mitsuba.views import Views
+from rfpipe_mitsuba.views import Views
 
 __all__ = ["Look", "Pinholes"]
 

@@ -14,8 +14,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.mitsuba.paths import begin, is_bent, is_unbent
-from rfpipe.scenes.mitsuba.pinholes import Pinholes
+from rfpipe_mitsuba.paths import begin, is_bent, is_unbent
+from rfpipe_mitsuba.pinholes import Pinholes
 
 __all__ = ["ChainEnds", "trace_chains"]
 

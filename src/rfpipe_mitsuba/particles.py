@@ -15,10 +15,10 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from rfpipe.scenes.mitsuba.merging import Ends
-from rfpipe.scenes.mitsuba.paths import begin, is_bent, is_unbent, survival
-from rfpipe.scenes.mitsuba.pinholes import Pinholes
-from rfpipe.scenes.mitsuba.sums import Sums
+from rfpipe_mitsuba.merging import Ends
+from rfpipe_mitsuba.paths import begin, is_bent, is_unbent, survival
+from rfpipe_mitsuba.pinholes import Pinholes
+from rfpipe_mitsuba.sums import Sums
 
 __all__ = ["trace_particles"]
 

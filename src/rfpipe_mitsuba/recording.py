@@ -22,18 +22,18 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, IntegrityError, LockedError, StoreError
 from rfpipe.provenance import generator, versions
-from rfpipe.scenes.mitsuba.brightness import brightness
-from rfpipe.scenes.mitsuba.light import Light
-from rfpipe.scenes.mitsuba.views import Views
 from rfpipe.store import open_arrays, write_arrays
 from rfpipe.store.files import remove_tree
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import read_manifest, write_manifest
+from rfpipe_mitsuba.brightness import brightness
+from rfpipe_mitsuba.light import Light
+from rfpipe_mitsuba.views import Views
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-    from rfpipe.scenes.mitsuba.tracing import Tracer
+    from rfpipe_mitsuba.tracing import Tracer
 
 __all__ = ["Recording", "record"]
 
@@ -136,7 +136,7 @@ def _record(
     coaxial: bool,
     progress: Callable[[str], None],
 ) -> None:
-    from rfpipe.scenes.mitsuba.tracing import Tracer
+    from rfpipe_mitsuba.tracing import Tracer
 
     tracer = Tracer(scene, camera, projector, light)
     rows, columns = _all_traced(tracer, camera, projector, light, folder, progress)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from rfpipe.scenes.mitsuba.variant import load_mitsuba
-from rfpipe.scenes.mitsuba.views import Views
+from rfpipe_mitsuba.variant import load_mitsuba
+from rfpipe_mitsuba.views import Views
 
 __all__ = ["brightness"]
 

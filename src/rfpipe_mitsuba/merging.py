@@ -21,8 +21,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.mitsuba.chains import ChainEnds
-from rfpipe.scenes.mitsuba.light import MERGING_RADIUS
+from rfpipe_mitsuba.chains import ChainEnds
+from rfpipe_mitsuba.light import MERGING_RADIUS
 
 __all__ = ["Ends", "Near"]
 

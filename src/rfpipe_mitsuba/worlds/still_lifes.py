@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from rfpipe.scenes.mitsuba.views import View
-from rfpipe.scenes.mitsuba.world import World
-from rfpipe.scenes.mitsuba.worlds.boxes import BOX_VIEW, aside, walls
-from rfpipe.scenes.mitsuba.worlds.parts import (
+from rfpipe_mitsuba.views import View
+from rfpipe_mitsuba.world import World
+from rfpipe_mitsuba.worlds.boxes import BOX_VIEW, aside, walls
+from rfpipe_mitsuba.worlds.parts import (
     ball,
     box,
     gloss,
@@ -19,7 +19,7 @@ from rfpipe.scenes.mitsuba.worlds.parts import (
     sheet,
     turned,
 )
-from rfpipe.scenes.mitsuba.worlds.textures import blots, checks, lettering
+from rfpipe_mitsuba.worlds.textures import blots, checks, lettering
 
 __all__ = ["STILL_LIFES"]
 

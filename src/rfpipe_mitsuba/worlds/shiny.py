@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from rfpipe.scenes.mitsuba.views import View
-from rfpipe.scenes.mitsuba.world import World
-from rfpipe.scenes.mitsuba.worlds.boxes import aside, walls
-from rfpipe.scenes.mitsuba.worlds.parts import (
+from rfpipe_mitsuba.views import View
+from rfpipe_mitsuba.world import World
+from rfpipe_mitsuba.worlds.boxes import aside, walls
+from rfpipe_mitsuba.worlds.parts import (
     ball,
     box,
     gloss,
@@ -22,7 +22,7 @@ from rfpipe.scenes.mitsuba.worlds.parts import (
     pillar,
     sheet,
 )
-from rfpipe.scenes.mitsuba.worlds.textures import checks, lettering
+from rfpipe_mitsuba.worlds.textures import checks, lettering
 
 __all__ = ["SHINY"]
 
