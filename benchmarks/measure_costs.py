@@ -23,8 +23,8 @@ ROOT = Path(__file__).parents[1]
 OUTPUT = ROOT / "src" / "rfpipe" / "costs" / "measured.csv"
 
 COAXIAL = ("near_far", "symmetric", "dual")
-ANY = (*COAXIAL, "footprints", "low_rank")
-SMALL = (*ANY, "hadamard", "brute_force", "compressive")
+ANY = (*COAXIAL, "footprints")
+SMALL = (*ANY, "hadamard", "brute_force")
 
 # height, width, channels, methods
 SIZES = (

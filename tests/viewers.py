@@ -44,7 +44,12 @@ def transport_of(kind: str) -> Transport:
     scene = planes_scene("wedge", ("texture", "texture"), (20, 24))
     if kind == "one channel":
         scene = planes_scene("wedge", ("white", "white"), (13, 11), channels=1)
-    name = {"symmetric uint8": "symmetric", "one channel": "symmetric"}.get(kind, kind)
+    names = {
+        "symmetric uint8": "symmetric",
+        "one channel": "symmetric",
+        "low_rank": "benchmarks.rivals.low_rank:LowRank",
+    }
+    name = names.get(kind, kind)
     return rfpipe.acquire(SimulatedRig(scene), method=name, progress=False).transport
 
 

@@ -12,13 +12,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.methods.cases import CAMERAS, SEEDS, Case, cases_of
+from benchmarks.methods.cases import CAMERAS, NAMES, SEEDS, Case, cases_of
 from benchmarks.methods.measure import measure
 from benchmarks.methods.page import write_page
 from benchmarks.methods.rows import appending, known_keys
 from benchmarks.methods.scenes import KINDS
-
-from rfpipe.methods import method_names
 
 _log = logging.getLogger("benchmark")
 
@@ -40,7 +38,7 @@ def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Read the command line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.methods", description=__doc__)
     parser.add_argument("--scenes", nargs="+", choices=KINDS, default=list(KINDS))
-    parser.add_argument("--methods", nargs="+", choices=method_names(), default=method_names())
+    parser.add_argument("--methods", nargs="+", choices=NAMES, default=NAMES)
     parser.add_argument("--lights", nargs="+", choices=CAMERAS, default=list(CAMERAS))
     parser.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
     parser.add_argument("--settings", type=int, help="of each method, from the coarsest; all")

@@ -9,14 +9,18 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.methods.scenes import settings_of
+from benchmarks.rivals import RIVALS
 
-from rfpipe.methods import get_method, method_names
+from rfpipe.methods import Method, get_method, method_names
 from rfpipe.methods.registry import options_of
 from rfpipe.photometry import CameraModel
 from rfpipe.plugins import METHODS, source_of
 from rfpipe.provenance import code_digest, fingerprint
 
-__all__ = ["CAMERAS", "SEEDS", "Case", "cases_of", "is_held_out"]
+__all__ = ["CAMERAS", "NAMES", "SEEDS", "Case", "cases_of", "is_held_out", "method_of", "path_of"]
+
+NAMES = (*method_names(), *RIVALS)
+"""The methods that are compared: those installed, and the rivals."""
 
 _OWN = [Path(__file__).with_name(name) for name in ("pictures.py", "scenes.py")]
 
@@ -33,6 +37,16 @@ what methods differ by, and by 3.3 % at 1/4, where they hardly feel it."""
 
 SEEDS = (0, 1, 2)
 """Of the camera's noise, the matt scenes' textures and the random pictures that are relit."""
+
+
+def path_of(name: str) -> str:
+    """Return what `rfpipe.acquire` takes for a name in `NAMES`."""
+    return RIVALS.get(name, name)
+
+
+def method_of(name: str) -> Method[Any]:
+    """Return the method of a name in `NAMES`."""
+    return get_method(path_of(name))
 
 
 def is_held_out(name: str) -> bool:
@@ -78,7 +92,7 @@ class Case:
         """What the method is told; a whole number stays one."""
         if not self.option:
             return {}
-        default = getattr(options_of(get_method(self.method)), self.option)
+        default = getattr(options_of(method_of(self.method)), self.option)
         return {self.option: round(self.value) if isinstance(default, int) else self.value}
 
     @property
@@ -92,13 +106,13 @@ class Case:
     @property
     def code(self) -> str:
         """Digest of the code that acquires, and that makes the scene and its pictures."""
-        method = source_of(METHODS, self.method)
+        method = source_of(METHODS, path_of(self.method))
         return code_digest(*_OWN, *([method] if method else []))[:16]
 
     @property
     def key(self) -> str:
         """Fingerprint of all that shapes the row but the machine."""
-        method = get_method(self.method)
+        method = method_of(self.method)
         plain = {field.name: getattr(self, field.name) for field in fields(self)}
         return fingerprint(
             {
@@ -140,7 +154,7 @@ def cases_of(
     side, channels, samples
         See `Case`.
     """
-    chosen = [get_method(name) for name in methods or method_names()]
+    chosen = [method_of(name) for name in methods or NAMES]
     values = {
         method.name: method.trials[:settings] if method.trades else (0.0,) for method in chosen
     }

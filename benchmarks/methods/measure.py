@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import psutil
-from benchmarks.methods.cases import CAMERAS, Case
+from benchmarks.methods.cases import CAMERAS, Case, path_of
 from benchmarks.methods.scenes import KINDS, Stage, stage_of
 from numpy.typing import NDArray
 
@@ -94,7 +94,7 @@ def _measured(case: Case, cache: Path) -> dict[str, object]:
     stage = stage_of(case.scene, case.side, case.channels, case.samples, case.seed, cache)
     camera = CAMERAS[case.light]
     rig = CountingRig(stage.scene, camera, case.seed)
-    result = rfpipe.acquire(rig, case.method, progress=False, **case.options)
+    result = rfpipe.acquire(rig, path_of(case.method), progress=False, **case.options)
     relit = result.transport.relight_batch(np.stack(list(stage.patterns.values())))
     total, unlit = _errors(stage, relit)
     photo, photo_unlit = _photographed(stage, case.light, case.seed)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from benchmarks.methods.cases import method_of, path_of
 
-from rfpipe.methods import get_method
 from rfpipe.report.drawing import (
     draw_method,
     logarithmic,
@@ -51,8 +51,9 @@ def _curves(rows: pd.DataFrame) -> bytes:
         for method, each in own.groupby("method", sort=True):
             ordered = each.sort_values("patterns")
             draw_method(axis, ordered["patterns"], 100 * ordered["error_mean"], str(method))
+            colour = style(path_of(str(method)))["color"]
             axis.plot(ordered["patterns"], 100 * ordered["error_mean"], linestyle="none",
-                      marker=".", markersize=4, color=style(str(method))["color"])  # fmt: skip
+                      marker=".", markersize=4, color=colour)  # fmt: skip
         axis.axhline(100 * own["photo_mean"].mean(), color="#888888", linestyle=":",
                      linewidth=1, label="a photograph's noise")  # fmt: skip
 
@@ -62,12 +63,12 @@ def _curves(rows: pd.DataFrame) -> bytes:
 
 def _estimates(rows: pd.DataFrame) -> bytes:
     """Draw estimated errors against true ones: filled where scene and seed are open."""
-    methods = [name for name in dict.fromkeys(rows["method"]) if get_method(name).estimates_error]
+    methods = [name for name in dict.fromkeys(rows["method"]) if method_of(name).estimates_error]
     figure, axes = new_figure(1, len(methods), (4 * len(methods), 4))
     ends = 100 * np.array(logarithmic_limits([*rows["error_mean"], *rows["estimated_error"]]))
     for axis, method in zip(axes[0], methods, strict=True):
         own = rows[rows["method"] == method]
-        look = style(method)
+        look = style(path_of(method))
         for section, each in own.groupby("section", sort=True):
             face = look["color"] if section == "open" else "white"
             axis.plot(100 * each["error_mean"], 100 * each["estimated_error"], linestyle="none",
@@ -76,7 +77,7 @@ def _estimates(rows: pd.DataFrame) -> bytes:
         axis.plot(ends, ends, color="#888888", linewidth=0.8, label="equal")
         logarithmic(axis)
         axis.set(xlim=ends, ylim=ends)
-        axis.set_title(get_method(method).title, fontsize=9)
+        axis.set_title(method_of(method).title, fontsize=9)
         axis.set_xlabel("true mean error, %", fontsize=8.5)
         axis.set_ylabel("estimated, %", fontsize=8.5)
     shared_legend(figure)

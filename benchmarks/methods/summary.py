@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-
-from rfpipe.methods import get_method
+from benchmarks.methods.cases import method_of
 
 __all__ = ["OPEN", "failures", "sections", "summary_of", "tightest"]
 
@@ -79,7 +78,7 @@ def tightest(summary: pd.DataFrame) -> pd.DataFrame:
 
 def _rank(method: str, value: float) -> int:
     """Place of a setting among a method's trials, from the coarsest."""
-    trials = get_method(method).trials
+    trials = method_of(method).trials
     return trials.index(value) if value in trials else 0
 
 
@@ -92,7 +91,7 @@ def failures(summary: pd.DataFrame) -> Iterator[dict[str, Any]]:
     by = ["section", "method", "scene", "light"]
     for key, rows in summary.groupby(by, sort=False):
         place = dict(zip(by, key, strict=True))
-        method = get_method(place["method"])
+        method = method_of(place["method"])
         for why in dict.fromkeys(rows["why"][rows["ended"] == 0]):
             yield {**place, "kind": "refused", "what": why}
         done = rows[rows["ended"] > 0].to_dict("records")

@@ -195,8 +195,8 @@ def test_unknown_key_inside_a_scene() -> None:
             "less than 1",
         ),
         (
-            {"methods": {"low_rank": {"patterns": -1}}},
-            "methods.low_rank.patterns",
+            {"methods": {"near_far": {"patterns": -1}}},
+            "methods.near_far.patterns",
             "-1",
             "greater than or equal",
         ),

@@ -24,6 +24,7 @@ from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.history import HISTORY_COLUMNS, estimates, history
 
+LOW_RANK = "benchmarks.rivals.low_rank:LowRank"
 ROWS = [
     {"level": 0, "patterns": 1},
     {"level": 1, "patterns": 14, "estimated_error": 0.08},
@@ -38,7 +39,7 @@ CONFIG = Config.model_validate(
         "scenes": {"corner": WEDGE, "other": WEDGE},
         "methods": {
             "near_far": {"target_error": 0.02},
-            "low_rank": {"target_error": 0.02},
+            "low_rank": {"method": LOW_RANK, "target_error": 0.02},
             "symmetric": {},
         },
     }
@@ -66,7 +67,7 @@ def random_matrix(rays: int = 256) -> np.ndarray:
 def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path, caplog) -> None:
     caplog.set_level(logging.INFO, "rfpipe")
     rig = OperatorRig(random_matrix(), (16, 16), (16, 16))
-    result = acquire(rig, "low_rank", target_error=0.005)
+    result = acquire(rig, LOW_RANK, target_error=0.005)
     assert result.history["patterns"].tolist() == [17, 33, 65, 129, 257]
     assert result.history["patterns"].iloc[-1] == result.patterns
     errors = result.history["estimated_error"]
@@ -81,7 +82,7 @@ def test_an_acquisition_and_its_store_know_what_was_estimated(tmp_path, caplog) 
         f"level 1: estimated error {100 * errors[0]:.2f} % after 17 patterns, 0.5 % asked for"
     )
     caplog.clear()
-    acquire(rig, "low_rank", progress=False, target_error=0.005)
+    acquire(rig, LOW_RANK, progress=False, target_error=0.005)
     assert not caplog.records
 
 
@@ -214,7 +215,7 @@ def results(tmp_path_factory):
     )
     acquired = folder / "corner" / "low_rank"
     rig = SimulatedRig(scene_from_config(config.scenes["corner"]), sensor_from_config(None), 1)
-    result = acquire(rig, "low_rank", progress=False, target_error=0.02)
+    result = acquire(rig, LOW_RANK, progress=False, target_error=0.02)
     digest = save_transport(result.transport, acquired / "transport.zarr")
     about = {"scene": "corner", "method": "low_rank", "options": {"target_error": 0.02}}
     write_manifest(

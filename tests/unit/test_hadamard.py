@@ -12,7 +12,7 @@ from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
 from rfpipe.methods import options_of
 from rfpipe.methods.brute_force import BruteForce
-from rfpipe.methods.rivals.hadamard import Hadamard, s_matrix_order, s_matrix_row
+from rfpipe.methods.hadamard import Hadamard, s_matrix_order, s_matrix_row
 from rfpipe.transport import open_transport, save_transport
 
 

@@ -9,10 +9,8 @@ from rfpipe.methods.auto import Auto
 from rfpipe.methods.brute_force import BruteForce
 from rfpipe.methods.dual import Dual
 from rfpipe.methods.footprints.method import Footprints
+from rfpipe.methods.hadamard import Hadamard
 from rfpipe.methods.near_far.method import NearFar
-from rfpipe.methods.rivals.compressive import Compressive
-from rfpipe.methods.rivals.hadamard import Hadamard
-from rfpipe.methods.rivals.low_rank import LowRank
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.report import methods as shown
 from rfpipe.testing import MethodContract
@@ -72,20 +70,6 @@ class TestNearFar(MethodContract):
         return NearFar()
 
 
-class TestLowRank(MethodContract):
-    options = {"target_error": 1e-4}  # noqa: RUF012
-
-    def make_method(self) -> Method:
-        return LowRank()
-
-
-class TestCompressive(MethodContract):
-    options = {"patterns": 30}  # noqa: RUF012
-
-    def make_method(self) -> Method:
-        return Compressive()
-
-
 class TestDualToATarget(MethodContract):
     options = {"target_error": 1e-4}  # noqa: RUF012
     error = 0.1
@@ -114,7 +98,7 @@ def test_methods_go_by_their_names(name: str) -> None:
 
 def test_methods_are_told_apart() -> None:
     methods = [get_method(name) for name in NAMES]
-    assert len({method.title for method in methods}) == len(NAMES) == 9
+    assert len({method.title for method in methods}) == len(NAMES) == 7
     assert len({method.colour for method in methods}) == len(NAMES)
     assert len({method.marker for method in methods}) == len(NAMES)
     assert [shown.title(name) for name in NAMES] == [method.title for method in methods]
@@ -132,10 +116,6 @@ def test_a_method_is_what_derives_from_method() -> None:
 @pytest.mark.parametrize(
     ("name", "asked", "patterns"),
     [
-        ("compressive", {}, 542),
-        ("compressive", {"patterns": 100}, 100),
-        ("low_rank", {}, 512),
-        ("low_rank", {"patterns": 100}, 100),
         ("near_far", {"patterns": 30}, 30),
         ("hadamard", {}, 4363),
         ("brute_force", {}, 4340),

@@ -15,7 +15,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.scenes import planes_scene
 
 SHAPE = (12, 16)
-METHODS = ("symmetric", "near_far", "low_rank")
+METHODS = ("symmetric", "near_far")
 FEW = {"floodlit_frames": 8, "progress": False, "symmetry_frames": 0}
 DIM = replace(CameraModel(), electrons_per_radiance=CameraModel().electrons_per_radiance / 16)
 

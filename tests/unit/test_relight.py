@@ -29,11 +29,11 @@ SCENE = SceneSettings.of("wedge", surfaces=("white", "texture"), shape=(9, 12), 
 @pytest.fixture(scope="module")
 def transports() -> dict[str, Transport]:
     rig = SimulatedRig(scene_from_config(SCENE))
-    methods = ("symmetric", "dual", "brute_force", "hadamard", "low_rank")
+    methods = ("symmetric", "dual", "brute_force", "hadamard")
     return {method: acquire(rig, method, progress=False).transport for method in methods}
 
 
-@pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force", "hadamard", "low_rank"])
+@pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force", "hadamard"])
 def test_all_images_agree_with_the_scenes_matrix(transports, method):
     scene = scene_from_config(SCENE)
     arrays = relit_arrays(transports[method], scene)

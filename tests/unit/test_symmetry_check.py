@@ -16,7 +16,7 @@ from rfpipe.scenes import planes_scene
 
 SIDE = 16
 SHAPE = (SIDE, SIDE)
-COAXIAL = ("symmetric", "near_far", "low_rank")
+COAXIAL = ("symmetric", "near_far")
 FEW = {"floodlit_frames": 8, "progress": False}
 DIM = replace(CameraModel(), electrons_per_radiance=CameraModel().electrons_per_radiance / 16)
 

@@ -14,8 +14,7 @@ from rfpipe.stages.plan import Plan
 
 ASKED = {
     "hadamard": {},
-    "compressive": {"patterns": 20},
-    "low_rank": {"patterns": 20},
+    "benchmarks.rivals.low_rank:LowRank": {"patterns": 20},
     "near_far": {"patterns": 20},
     "symmetric": {"target_error": 0.02},
     "dual": {"target_error": 0.02},
@@ -47,7 +46,7 @@ def test_refining_tells_what_the_method_estimates(
     caplog.set_level(logging.INFO, "rfpipe")
     acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
     acquisition.plan = Plan(
-        "low_rank", "low_rank", SHAPE, SHAPE, 1, {"target_error": 1e-4, "patterns": 20}
+        "near_far", "near_far", SHAPE, SHAPE, 1, {"target_error": 1e-4, "patterns": 20}
     )
     for level in acquisition.folder.levels():
         acquisition.level(level)

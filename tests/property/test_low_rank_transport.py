@@ -1,15 +1,16 @@
-"""Multiplexing codes, wavelets and low-rank transports of any size."""
+"""Multiplexing codes and low-rank transports of any size."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.helpers import dense
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.rivals.hadamard import decode, s_matrix_order, s_matrix_row
-from rfpipe.methods.rivals.pursuit import pursue, rays_and_wavelets
+from rfpipe.errors import InputError
+from rfpipe.methods.hadamard import decode, s_matrix_order, s_matrix_row
 from rfpipe.testing import dot_test
 from rfpipe.transport.low_rank import LowRankTransport
 
@@ -31,27 +32,6 @@ def test_what_an_s_matrix_codes_is_decoded(rays: int, seed: int) -> None:
     np.testing.assert_allclose(decode(unknown @ shown.T, rays), unknown, atol=1e-6)
 
 
-@given(shape=SHAPES, seed=SEEDS)
-@settings(deadline=None, max_examples=30)
-def test_wavelets_hold_any_picture(shape: tuple[int, ...], seed: int) -> None:
-    wavelets = rays_and_wavelets(RayDomain(shape))[RayDomain(shape).size :]
-    picture = np.random.default_rng(seed).random(RayDomain(shape).size)
-    np.testing.assert_allclose(wavelets.T @ (wavelets @ picture), picture, atol=1e-12)
-
-
-@given(count=st.integers(1, 30), most=st.integers(0, 6), seed=SEEDS)
-@settings(deadline=None, max_examples=30)
-def test_pursuit_leaves_what_is_orthogonal_to_its_atoms(count: int, most: int, seed: int) -> None:
-    random = np.random.default_rng(seed)
-    atoms, signals = random.standard_normal((count, 8)), random.standard_normal((5, 8))
-    chosen, factors = pursue(atoms, signals, np.zeros(5), most)
-    for signal, taken, by in zip(signals, chosen, factors, strict=True):
-        kept = taken[taken >= 0]
-        assert len(set(kept.tolist())) == len(kept)
-        left = signal - by[: len(kept)] @ atoms[kept]
-        np.testing.assert_allclose(atoms[kept] @ left, 0, atol=1e-9)
-
-
 @given(shape=SHAPES, rank=st.integers(0, 4), diagonal=st.booleans(), seed=SEEDS)
 @settings(deadline=None, max_examples=30)
 def test_low_rank_transports_are_what_their_arrays_say(
@@ -69,3 +49,21 @@ def test_low_rank_transports_are_what_their_arrays_say(
     if diagonal:
         expected += np.stack([np.diag(one) for one in arrays["diagonal"]])
     np.testing.assert_allclose(dense(transport), expected, atol=1e-5)
+
+
+def test_terms_of_two_domains() -> None:
+    random = np.random.default_rng(4)
+    left, right = random.random((3, 2, 6)), random.random((3, 2, 20))
+    strengths = random.random((3, 2)) - 0.5
+    arrays = {
+        "left": left.astype(np.float32),
+        "right": right.astype(np.float32),
+        "strengths": strengths.astype(np.float32),
+    }
+    transport = LowRankTransport((2, 3), (4, 5), 3, [], arrays)
+    expected = np.einsum("cr,crm,crn->cmn", strengths, left, right)
+    np.testing.assert_allclose(dense(transport), expected, atol=1e-6)
+    dot_test(transport)
+    del arrays["right"]
+    with pytest.raises(InputError, match="it needs one domain"):
+        LowRankTransport((2, 3), (4, 5), 3, [], arrays)

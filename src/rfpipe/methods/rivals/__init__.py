@@ -1,1 +1,0 @@
-"""Methods from elsewhere, for comparison: Hadamard, compressive sensing, optical low rank."""

@@ -1,0 +1,172 @@
+"""Methods from elsewhere, that the benchmark compares: compressive sensing and optical low rank."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks.rivals.compressive import Compressive, pursue, rays_and_wavelets
+from benchmarks.rivals.low_rank import LowRank
+from benchmarks.rivals.signs import trimmed_mean
+from tests.helpers import MatrixImages, acquire_matrix, dense
+
+from rfpipe import OperatorRig, acquire
+from rfpipe.blocks import RayDomain
+from rfpipe.config import CameraConfig
+from rfpipe.errors import InputError
+from rfpipe.methods import Method, options_of
+from rfpipe.scenes import reference_scene
+from rfpipe.testing import MethodContract
+
+COMPRESSIVE = "benchmarks.rivals.compressive:Compressive"
+LOW_RANK = "benchmarks.rivals.low_rank:LowRank"
+
+
+class TestLowRank(MethodContract):
+    options = {"target_error": 1e-4}  # noqa: RUF012
+
+    def make_method(self) -> Method:
+        return LowRank()
+
+
+class TestCompressive(MethodContract):
+    options = {"patterns": 30}  # noqa: RUF012
+
+    def make_method(self) -> Method:
+        return Compressive()
+
+
+def sparse(rows: int, rays: int, entries: int, seed: int = 0) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    matrix = np.zeros((rows, rays))
+    for row in matrix:
+        row[random.choice(rays, entries, replace=False)] = 0.2 + random.random(entries)
+    return matrix
+
+
+def of_rank(rank: int, rays: int = 256, seed: int = 0) -> np.ndarray:
+    factors = np.random.default_rng(seed).random((rank, rays))
+    return factors.T @ factors / rays
+
+
+def relative(found: np.ndarray, matrix: np.ndarray) -> float:
+    return float(np.linalg.norm(found - matrix) / np.linalg.norm(matrix))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (8, 8), (5, 9), (3, 4, 5)])
+def test_the_dictionary_holds_all_rays_and_an_orthonormal_set_of_wavelets(
+    shape: tuple[int, ...],
+) -> None:
+    rays = RayDomain(shape).size
+    atoms = rays_and_wavelets(RayDomain(shape)).toarray()
+    np.testing.assert_array_equal(atoms[:rays], np.eye(rays))
+    np.testing.assert_allclose(atoms[rays:] @ atoms[rays:].T, np.eye(rays), atol=1e-12)
+
+
+def test_pursuit_finds_the_atoms_and_stops() -> None:
+    random = np.random.default_rng(1)
+    atoms = 3 * random.standard_normal((80, 40))
+    signals = np.stack([2 * atoms[7] - atoms[33], np.zeros(40), 5 * atoms[70]])
+    chosen, factors = pursue(atoms, signals, np.full(3, 1e-12), most=6)
+    assert [set(row[row >= 0].tolist()) for row in chosen] == [{7, 33}, set(), {70}]
+    np.testing.assert_allclose(np.sort(factors[0])[[0, -1]], [-1, 2], atol=1e-9)
+
+
+def test_pursuit_stops_at_the_noise() -> None:
+    random = np.random.default_rng(2)
+    atoms = random.standard_normal((300, 100))
+    noise = 0.1 * random.standard_normal((50, 100))
+    chosen, _ = pursue(atoms, 5 * atoms[:50] + noise, np.full(50, 0.01 * 100 * 1.3), most=20)
+    assert (chosen[:, 0] == np.arange(50)).all()
+    assert (chosen[:, 1:] == -1).mean() > 0.99
+
+
+@pytest.mark.parametrize(("camera", "projector"), [((16, 16), (16, 16)), ((3, 4), (13, 17))])
+def test_a_sparse_matrix_is_recovered_from_a_quarter_of_its_columns(
+    camera: tuple[int, ...], projector: tuple[int, ...]
+) -> None:
+    matrix = sparse(RayDomain(camera).size, RayDomain(projector).size, 4)
+    rig = OperatorRig(matrix, camera, projector)
+    result = acquire(rig, COMPRESSIVE, progress=False, patterns=64)
+    assert result.patterns == 64
+    assert relative(dense(result.transport)[0], matrix) < 1e-4
+    few = acquire(rig, COMPRESSIVE, progress=False, patterns=12)
+    assert relative(dense(few.transport)[0], matrix) > 0.1
+
+
+def test_colours_are_recovered_one_by_one_and_a_dark_one_stays_dark() -> None:
+    matrix = np.stack([sparse(64, 64, 2), sparse(64, 64, 2, seed=1), np.zeros((64, 64))])
+    run = acquire_matrix(Compressive(), matrix, (8, 8), (8, 8))
+    assert run.patterns == [1, 31]
+    np.testing.assert_allclose(dense(run.transport), matrix, atol=1e-4)
+
+
+def test_a_large_domain_is_refused() -> None:
+    with pytest.raises(InputError, match="up to 4096 rays, beyond which it would take hours"):
+        Compressive().start(RayDomain((2, 2)), RayDomain((65, 64)), 1, options_of(Compressive()))
+
+
+@pytest.mark.parametrize("method", [COMPRESSIVE, LOW_RANK])
+def test_a_noisy_scene_is_relit_better_than_by_direct_light_alone(method: str) -> None:
+    scene = reference_scene("II", (16, 16), channels=1).dense(0)
+    rig = OperatorRig(scene, (16, 16), (16, 16), CameraConfig())
+    result = acquire(rig, method, progress=False, patterns=64)
+    pattern = np.zeros((16, 16))
+    pattern[:, 3:5] = 1
+    truth = scene @ pattern.ravel()
+    direct = np.diag(scene) * pattern.ravel()
+    relit = result.transport.relight(pattern).ravel()
+    assert np.linalg.norm(relit - truth) < 0.7 * np.linalg.norm(direct - truth)
+
+
+@pytest.mark.parametrize("method", [Compressive(), LowRank()])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 3), (5, 1), (1, 37), (2, 3, 4)])
+def test_small_domains_of_any_shape(shape: tuple[int, ...], method: Method) -> None:
+    rays = RayDomain(shape).size
+    run = acquire_matrix(method, np.eye(rays), shape, shape)
+    ones = np.ones(shape)
+    np.testing.assert_allclose(run.transport.relight(ones)[..., 0], ones, rtol=1e-3)
+
+
+@pytest.mark.parametrize("diagonal", [0.0, 1.0])
+def test_rank_5_and_a_diagonal_are_recovered_exactly(diagonal: float) -> None:
+    matrix = of_rank(5) + diagonal * np.diag(np.random.default_rng(1).random(256))
+    run = acquire_matrix(LowRank(), matrix, (16, 16), (16, 16))
+    assert sum(run.patterns) <= 65
+    assert relative(dense(run.transport)[0], matrix) < 1e-5
+    assert run.patterns[:3] == [1, 16, 16]
+
+
+def test_no_terms_are_made_of_noise() -> None:
+    matrix = 0.5 * (of_rank(3) + np.eye(256))
+    rig = OperatorRig(matrix, (16, 16), (16, 16), CameraConfig())
+    result = acquire(rig, LOW_RANK, progress=False, target_error=1e-6)
+    assert result.patterns == 257
+    assert result.transport.rank <= 5
+    assert relative(dense(result.transport)[0], matrix) < 5e-3
+
+
+def test_the_number_of_patterns_is_a_limit_that_holds() -> None:
+    rig = OperatorRig(of_rank(100), (16, 16), (16, 16))
+    exact = acquire(rig, LOW_RANK, progress=False, patterns=41, target_error=1e-6)
+    assert exact.levels["patterns"].tolist() == [1, 16, 16, 8, 0, 0]
+
+
+def test_the_held_out_estimate_is_the_error_on_patterns_not_yet_seen() -> None:
+    matrix = of_rank(60) + np.eye(256)
+    method, domain = LowRank(), RayDomain((16, 16))
+    state = method.start(domain, domain, 1, options_of(method, target_error=1e-6))
+    for _ in range(3):
+        before = dense(method.transport(state))[0] if state.level else None
+        schedule = method.schedule(state)
+        state = method.refine(state, MatrixImages(matrix[None], (16, 16), schedule))
+    signs = 2 * schedule.batch(0, 16).reshape(16, -1) - 1
+    true = np.linalg.norm((before - matrix) @ signs.T) / np.linalg.norm(matrix @ signs.T)
+    assert state.rows[-1]["estimated_error"] == pytest.approx(true, rel=1e-3)
+
+
+def test_the_noise_of_a_picture_is_that_of_its_known_pixels() -> None:
+    variance = np.ones((2, 3, 50), np.float32)
+    variance[..., :30] = np.inf
+    variance[..., 30] = 1e6  # saturated
+    np.testing.assert_array_equal(trimmed_mean(variance[..., 31:]), np.ones((2, 3)))
+    assert np.isfinite(trimmed_mean(variance)).all()
