@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,10 +12,10 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from rfpipe.config.base import Settings
-from rfpipe.config.collection import Gathered, check_files, gather
+from rfpipe.config.collection import Collection, check_files, read_collection
 from rfpipe.config.devices import BenchConfig, RigConfig
 from rfpipe.config.drivers import ProjectorDriver
-from rfpipe.config.model import Config
+from rfpipe.config.model import DEFAULT_METHODS, Config
 from rfpipe.config.problems import located, shown
 from rfpipe.config.reading import read_yaml
 from rfpipe.config.schema import schema_of
@@ -37,6 +38,7 @@ SCHEMA_NAME = "config.schema.json"
 RIG_SCHEMA_NAME = "rig.schema.json"
 
 _WIDTH = 98
+_MOST_LINES = 30
 
 _S = TypeVar("_S", bound=Settings)
 
@@ -75,13 +77,34 @@ def parse_config(data: object, source: str, folders: Sequence[Path] = ()) -> Con
     ConfigError
         As for `load_config`.
     """
-    if not isinstance(data, Mapping):
+    collection = _collection(data, folders) if isinstance(data, Mapping) else None
+    if collection is None:
         return _parsed(Config, data, source)
-    gathered = gather(data, folders)
-    settings = _parsed(Config, gathered.data, source, gathered)
-    if gathered.file is not None:
-        check_files(settings, gathered)
+    assert isinstance(data, Mapping)
+    scenes = {**(data.get("scenes") or {}), **collection.scenes}
+    settings = _parsed(Config, {**data, "scenes": scenes}, source, collection)
+    check_files(settings, collection)
     return settings
+
+
+def _collection(data: Mapping[str, Any], folders: Sequence[Path]) -> Collection | None:
+    """Return the collection that settings name, or None."""
+    name = data.get("collection")
+    if not isinstance(name, str) or not name or not isinstance(data.get("scenes") or {}, Mapping):
+        return None  # the model says what is wrong
+    places = [Path(name), *(folder / name for folder in folders)]
+    file = next(filter(Path.is_file, places), None)
+    if file is None:
+        looked = " nor ".join(dict.fromkeys(map(str, places)))
+        raise ConfigError(f"collection is {name!r}; there is no file {looked}")
+    methods = data.get("methods")
+    known = methods if isinstance(methods, Mapping) else dict.fromkeys(DEFAULT_METHODS)
+    collection = read_collection(file, known)
+    for scene in set(data.get("scenes") or {}) & set(collection.scenes):
+        raise ConfigError(
+            f"{file}: {collection.places[scene]}: the settings have a scene {scene}, too"
+        )
+    return collection
 
 
 def load_rig_config(path: str | Path) -> RigConfig:
@@ -139,7 +162,7 @@ def bench_yaml() -> str:
     return _file_of(bench_rig, head)
 
 
-def _parsed(kind: type[_S], data: object, source: str, gathered: Gathered | None = None) -> _S:
+def _parsed(kind: type[_S], data: object, source: str, collection: Collection | None = None) -> _S:
     """Check settings, and say every mistake in them."""
     if not isinstance(data, Mapping):
         raise ConfigError(
@@ -149,10 +172,24 @@ def _parsed(kind: type[_S], data: object, source: str, gathered: Gathered | None
     try:
         return kind.model_validate(dict(data))
     except ValidationError as error:
-        told = located(kind, error, data)
-        if gathered is not None and gathered.file is not None:
-            raise ConfigError("\n".join(gathered.said(told, source))) from None
-        raise ConfigError("\n".join(f"{source}: {line}" for _, line in told)) from None
+        lines = [
+            f"{_place(location, line, collection) or source}: {line}"
+            for location, line in located(kind, error, data)
+        ]
+        if len(lines) > _MOST_LINES:
+            lines[_MOST_LINES:] = [f"... and {len(lines) - _MOST_LINES} more mistakes"]
+        raise ConfigError("\n".join(lines)) from None
+
+
+def _place(location: Sequence[str | int], line: str, collection: Collection | None) -> str | None:
+    """Return where in a collection a mistake is, or None."""
+    if collection is None:
+        return None
+    scene = str(location[1]) if location[:1] == ("scenes",) and len(location) > 1 else ""
+    if not location and (named := re.search(r"scenes\.(\w+)", line)):
+        scene = named[1]
+    row = collection.places.get(scene)
+    return row and f"{collection.file}: {row}"
 
 
 def flow(value: object) -> str:

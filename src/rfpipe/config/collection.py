@@ -1,0 +1,227 @@
+"""A collection: a table in a CSV or YAML file, each of whose rows is a scene of a run."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+import unicodedata
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import reduce
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+import yaml
+
+from rfpipe.config.model import Config
+from rfpipe.config.own import OWN_TO_SCENES, merged
+from rfpipe.config.problems import field_at
+from rfpipe.config.reading import parse_yaml, read_yaml
+from rfpipe.errors import ConfigError
+
+_FOLDER = re.compile(r"(?!(con|prn|aux|nul|(com|lpt)[0-9])$)[a-z][a-z0-9_]{0,99}")
+_DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
+_BETWEEN = re.compile(r"(?<=\d)\s*x\s*(?=\d)|[;,\s]+")
+
+
+@dataclass(frozen=True)
+class Collection:
+    """The scenes of a table.
+
+    Attributes
+    ----------
+    file : Path
+    scenes : dict of dict
+        Settings by the scene's name, as the settings' model takes them.
+    places : dict of str
+        Where each scene stands in the file, such as ``line 3``.
+    """
+
+    file: Path
+    scenes: dict[str, dict[str, Any]] = field(default_factory=dict)
+    places: dict[str, str] = field(default_factory=dict)
+
+
+def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
+    """Read the scenes of a table.
+
+    Parameters
+    ----------
+    file : Path
+        CSV with commas, semicolons or tabs, in UTF-8 or UTF-16, whose header names settings; or
+        YAML, a list of scenes or ``{defaults: ..., scenes: [...]}``.
+    methods : mapping
+        The run's methods by name: those of a scene that sets options of some and chooses none.
+
+    Raises
+    ------
+    ConfigError
+        When the file can't be read; for every row whose name is missing, stands twice or fits no
+        folder, and every cell that isn't YAML though it begins with a bracket.
+    """
+    found, problems = Collection(file), []
+    is_yaml = file.suffix.lower() in (".yaml", ".yml")
+    for place, row in _yaml_rows(file) if is_yaml else _csv_rows(file):
+        name = str(row.pop("name", None) or "")
+        if wrong := _unfit(name, found.places):
+            problems.append(f"{place}: {wrong}")
+            continue
+        found.places[name] = place
+        try:
+            values = row if is_yaml else {key: _value(row[key], key, row) for key in row}
+            found.scenes[name] = _scene(values, methods)
+        except yaml.YAMLError as error:
+            problems.append(f"{place}: {' '.join(str(error).split())}")
+    if not found.places and not problems:
+        problems.append("has no scenes; expected a row for each")
+    if problems:
+        raise ConfigError("\n".join(f"{file}: {problem}" for problem in problems))
+    return found
+
+
+def check_files(settings: Config, collection: Collection) -> None:
+    """Raise ConfigError for every file that a scene of the table names and that isn't there."""
+    missing = [
+        f"{collection.file}: {place}: {option} is {str(file)!r}, which isn't there"
+        for name, place in collection.places.items()
+        for option in type(settings.scenes[name]).files
+        if not (file := Path(getattr(settings.scenes[name], option))).exists()
+    ]
+    if missing:
+        raise ConfigError("\n".join(missing))
+
+
+def _csv_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the filled cells of each row of a CSV file by column, and the row's line."""
+    try:
+        content = file.read_bytes()
+        is_wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+        text = content.decode("utf-16" if is_wide else "utf-8-sig")
+        delimiter = max(",;\t", key=text[: re.search(r"[\r\n]|$", text).start()].count)  # type: ignore[union-attr]
+        reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+        records = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(
+            f"{file}: can't be read as a table: {error}; save it as CSV in the encoding UTF-8"
+        ) from error
+    filled = [
+        (line, cells)
+        for line, cells in records
+        if any(cells) and not cells[0].startswith(("#", "sep="))
+    ]
+    line, header = filled[0] if filled else (1, [])
+    twice = {column for column in header if column and header.count(column) > 1}
+    if "name" not in header or twice:
+        expected = f"{', '.join(sorted(twice))} stands twice" if twice else "has no column 'name'"
+        raise ConfigError(f"{file}: line {line}: the header {expected}; it is {header}")
+    for line, cells in filled[1:]:
+        named = dict(zip(header, cells, strict=False))
+        if astray := [*filter(None, cells[len(header) :]), *filter(None, [named.get("")])]:
+            raise ConfigError(f"{file}: line {line}: {astray[0]!r} stands in a column without name")
+        yield (
+            f"line {line}",
+            {
+                column: _DECIMAL_COMMA.sub(".", cell)
+                if delimiter == ";" and not column.startswith("about.")
+                else cell
+                for column, cell in named.items()
+                if cell
+            },
+        )
+
+
+def _yaml_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield each scene of a YAML file, its settings over the defaults."""
+    data = read_yaml(file)
+    defaults, scenes = {}, data
+    if isinstance(data, Mapping) and set(data) <= {"defaults", "scenes"}:
+        defaults, scenes = data.get("defaults", {}), data.get("scenes", [])
+    if not isinstance(scenes, list) or not all(
+        isinstance(it, Mapping) for it in (*scenes, defaults)
+    ):
+        raise ConfigError(
+            f"{file}: expected a list of scenes, such as '- name: bowl' and so on, or groups "
+            "'defaults' and 'scenes'"
+        )
+    for number, scene in enumerate(scenes, start=1):
+        yield f"scene {number}", merged(_nested(defaults), _nested(scene))
+
+
+def _scene(row: Mapping[str, Any], methods: Mapping[str, object]) -> dict[str, Any]:
+    """Return a scene's settings as the model takes them; those of the run are its ``settings``."""
+    scene = _nested(row)
+    if "methods" in scene:
+        given = scene["methods"]
+        chosen = row.get("methods") or dict.fromkeys(methods)
+        names: dict[str, Any] = {name: {} for name in chosen}
+        scene["methods"] = merged(names, given) if isinstance(given, Mapping) else names
+    own = {name: scene.pop(name) for name in OWN_TO_SCENES - {"seed"} if name in scene}
+    return merged(scene, {"settings": own}) if own else scene
+
+
+def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings in groups: ``{"camera.bits": 12}`` as ``{"camera": {"bits": 12}}``."""
+    found: dict[str, Any] = {}
+    for name, value in sorted(row.items()):  # methods before options of some
+        parts = name.split(".", 1) if name.startswith("about.") else name.split(".")
+        nested: Any = (
+            _nested(value) if isinstance(value, Mapping) and parts[0] != "about" else value
+        )
+        found = merged(found, reduce(lambda inner, part: {part: inner}, reversed(parts), nested))
+    return found
+
+
+def _value(text: str, column: str, row: Mapping[str, str]) -> Any:
+    """Return a cell as the setting takes it: a text, a number, a list of some, or YAML."""
+    path = column.split(".")
+    if path[0] == "about":
+        return text
+    if text in ("null", "~"):
+        return None
+    if text[0] in "[{":
+        return parse_yaml(text)
+    if column == "methods":
+        return _BETWEEN.split(text)
+    where: tuple[str, ...] = ("scenes", "scene", *path)
+    if path[0] in OWN_TO_SCENES - {"seed"} or path[0] == "settings":
+        where = tuple(path[path[0] == "settings" :])
+    model, _ = field_at(Config, where[:-1], {"scenes": {"scene": row}})
+    known = model.model_fields.get(path[-1])
+    types = _types(known.annotation) if known else set()
+    if tuple in types:
+        return [_number(part) for part in _BETWEEN.split(text) if part]
+    return text if str in types else _number(text)
+
+
+def _types(annotation: object) -> set[object]:
+    """Return the types that an annotation consists of."""
+    inner = (_types(each) for each in get_args(annotation))
+    return {annotation, get_origin(annotation)}.union(*inner)
+
+
+def _number(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _unfit(name: str, places: Mapping[str, str]) -> str | None:
+    """Return why a name is none for a scene and its folder, or None."""
+    if not name:
+        return "the scene has no name; give it one, such as bowl_1"
+    if name in places:
+        return f"the name {name} stands in {places[name]} as well; change one"
+    if _FOLDER.fullmatch(name):
+        return None
+    ascii_name = unicodedata.normalize("NFKD", name.lower()).encode("ascii", "ignore").decode()
+    likely = re.sub(r"[^a-z0-9]+", "_", ascii_name).strip("_")[:90]
+    if not _FOLDER.fullmatch(likely):
+        likely = f"item_{likely}"
+    return (
+        f"the name {name[:110]!r} is not fit for a folder; expected a lower-case letter, then at "
+        f"most 99 such, digits and _, as in {likely}; other names can stand in about.title"
+    )
