@@ -72,10 +72,6 @@ rule all:
 
 
 onstart:
-    if SETTINGS.report.figures is not None and not workflow.non_local_exec:
-        from rfpipe_mitsuba.variant import need_llvm
-
-        need_llvm("report.figures")
     if workflow.non_local_exec:
         check_groups(workflow.group_settings.group_components, workflow.cores)
         logger.addHandler(FailedJobs(logger.error))

@@ -14,7 +14,7 @@ from rfpipe.scenes import CoaxialScene, apply_in_batches
 
 
 class GlassOptions(SceneSettings):
-    """What the glass is like; kind, shape, channels, methods and sweep every scene has."""
+    """What the glass is like; kind, shape, channels, and methods every scene has."""
 
     blur: float = Field(1.0, gt=0, le=100, description="Standard deviation in pixels, 0 to 100.")
     albedo: float = Field(0.8, ge=0, lt=1, description="Of the wall, 0 to below 1.")

@@ -130,7 +130,7 @@ def made_up(with_truth: bool = True) -> Inputs:
     ]
     table = pd.DataFrame(errors if with_truth else [], columns=names)
     empty = pd.DataFrame()
-    return Inputs(CONFIG, runs, {}, table, empty, empty, {}, Path(), (Path(), Path()))
+    return Inputs(CONFIG, runs, table, empty, empty, Path(), (Path(), Path()))
 
 
 def test_estimates_stand_beside_the_mean_true_error() -> None:
@@ -223,7 +223,7 @@ def results(tmp_path_factory):
     )
     relight.run(acquired, config.scenes["corner"], "code")
     tables = [folder / "report" / "tables" / f"{name}.csv" for name in ("errors", "speed_error")]
-    evaluate.run([acquired / "relight.json"], [], *tables, 2.0)
+    evaluate.run([acquired / "relight.json"], *tables, 2.0)
     build_report(config, folder, folder / "report" / "index.html", *tables)
     return folder, result
 

@@ -3,23 +3,17 @@
 import dataclasses
 import re
 import shutil
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 from tests.reports import (
-    BENCHES,
     BOTH,
     FIELD,
     GREY,
-    WEDGE,
     Page,
     acquired,
     benchmarked,
-    measured,
-    studied,
     tables_of,
 )
 
@@ -28,19 +22,14 @@ from rfpipe.config.verification import VerificationConfig
 from rfpipe.errors import InputError, StoreError
 from rfpipe.pictures.images import srgb
 from rfpipe.report import build_report
-from rfpipe.report.benchmarks import benchmarks_section
-from rfpipe.report.blocks import Section
 from rfpipe.report.drawing import chunks
 from rfpipe.report.entries import read_results
 from rfpipe.report.inputs import load_inputs
-from rfpipe.report.light_fields import view_errors
 from rfpipe.report.page import make_sections
 from rfpipe.report.pictures import amplification
 from rfpipe.report.sections import levels_section
-from rfpipe.report.single_responses import error_sources
-from rfpipe.report.tables import costs, levels_table, table_5_1
+from rfpipe.report.tables import costs, levels_table
 from rfpipe.report.text import number, percent, size
-from rfpipe.report.thesis import TABLE_3_1, TABLE_5_1, numeral_of
 from rfpipe.scenes import RELIGHTING_PATTERNS
 from rfpipe.stages import relight
 from rfpipe.stages.evaluating import evaluate
@@ -54,7 +43,6 @@ from rfpipe.transport.dense import DenseTransport
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("both") / "results"
     acquired(folder, BOTH)
-    studied(folder)
     benchmarked(folder, BOTH.scenes, BOTH.methods)
     build_report(BOTH, folder, folder / "report" / "index.html", *tables_of(folder))
     return folder
@@ -71,7 +59,7 @@ def test_every_figure_is_embedded_and_lies_beside_the_page(results, page):
     assert names == {
         "scene_flat", "scene_corner",
         "fig_2_1_symmetric", "fig_2_1_dual", "fig_5_9", "fig_5_7", "fig_5_10", "speed_error",
-        "fig_3_8", "fig_b_1", "processing_time",
+        "processing_time",
     }  # fmt: skip
     assert sorted(page.images) == sorted(path.read_bytes() for path in figures.glob("*.png"))
     assert all(image.startswith(b"\x89PNG") for image in page.images)
@@ -81,8 +69,7 @@ def test_every_figure_is_embedded_and_lies_beside_the_page(results, page):
 def test_every_table_lies_beside_the_page(results):
     names = {path.name for path in (results / "report" / "tables").glob("*.csv")}
     assert names == {
-        "results.csv", "errors.csv", "speed_error.csv", "table_5_1.csv", "table_3_1.csv",
-        "error_sources.csv", "levels.csv", "resolution.csv", "stability.csv", "mosaic.csv",
+        "results.csv", "errors.csv", "speed_error.csv", "costs.csv", "levels.csv",
         "processing.csv",
     }  # fmt: skip
 
@@ -97,17 +84,9 @@ def test_the_page_needs_nothing_from_elsewhere(results, page):
             assert (results / "report" / link).is_file()
 
 
-def test_the_page_names_the_thesis_figures_and_its_numbers(page):
-    for name in ("Fig. 2.1", "Fig. 3.8", "Fig. 5.7", "Fig. 5.9", "Fig. 5.10", "Fig. B.1",
-                 "Table 3.1", "Table 5.1", "Speed against error", "Noise model"):  # fmt: skip
+def test_the_page_names_the_thesis_figures(page):
+    for name in ("Fig. 2.1", "Fig. 5.7", "Fig. 5.9", "Fig. 5.10", "Speed against error"):
         assert name in page.words
-    for result in TABLE_5_1.values():
-        assert f"{result.patterns:,}" in page.words
-    for result in TABLE_3_1.values():
-        assert f"{result.patterns:,}" in page.words
-    assert "7,382" in page.words
-    assert "310\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}350" in page.words
-    assert "refused: the floodlit image is all black" in page.words
 
 
 def test_what_verified_a_run_is_shown_beside_the_rig(tmp_path):
@@ -153,55 +132,6 @@ def test_the_same_results_give_the_same_bytes(results, tmp_path):
         assert path.read_bytes() == (again / path.relative_to(results)).read_bytes(), path.name
 
 
-def scale_of(results: Path) -> Section:
-    """Return the section of the benchmarks alone: the others take two seconds of drawing."""
-    return benchmarks_section(load_inputs(BOTH, results, *tables_of(results)))
-
-
-def test_without_benchmarks_there_is_no_word_of_them(results, page):
-    assert "Speed and scale" not in page.words
-    assert "scale" not in page.anchors
-    assert not scale_of(results).blocks
-
-
-def test_time_is_drawn_against_rays_with_its_floor(results, tmp_path):
-    folder = tmp_path / "results"
-    shutil.copytree(results, folder)
-    measured(folder)
-    section = scale_of(folder)
-    (figure,) = [block.figure for block in section.blocks if block.name == "Time against rays"]
-    processing, relighting = figure.axes
-    for axis in (processing, relighting):
-        assert (axis.get_xscale(), axis.get_yscale()) == ("log", "log")
-    drawn = {line.get_label(): line.get_xydata() for line in processing.lines}
-    assert set(drawn) == {"planes iv", "light field", "floor: a copy"}
-    np.testing.assert_allclose(drawn["planes iv"], [[1024, 9.26], [4096, 11.59]])
-    np.testing.assert_allclose(drawn["floor: a copy"][-1], [9360, 0.03])
-    drawn = {line.get_label(): line.get_xydata() for line in relighting.lines}
-    np.testing.assert_allclose(drawn["dense product, numpy"], [[1024, 0.45]])
-    np.testing.assert_allclose(drawn["floor: a copy"], [[1024, 0.08], [4096, 0.14]])
-
-
-@pytest.mark.parametrize("name", BENCHES)
-def test_each_benchmark_is_shown_without_the_others(results, tmp_path, name):
-    folder = tmp_path / "results"
-    shutil.copytree(results, folder)
-    measured(folder, name)
-    assert scale_of(folder).blocks
-
-
-def test_benchmarks_that_were_stopped_or_have_other_columns_are_left_out(results, tmp_path):
-    folder = tmp_path / "results"
-    shutil.copytree(results, folder)
-    measured(folder)
-    bench = folder / "bench"
-    (bench / "scaling.csv").write_text("")
-    (bench / "relight.csv").write_text("height,width\n32,32\n")
-    (bench / "storage.csv").write_text("format,bytes\n")
-    inputs = load_inputs(BOTH, folder, *tables_of(folder))
-    assert set(inputs.benchmarks) == {"merge", "patterns", "workflow"}
-
-
 def test_costs_count_patterns_bytes_and_seconds(results):
     inputs = load_inputs(BOTH, results, *tables_of(results))
     rows = costs(inputs)
@@ -217,23 +147,6 @@ def test_costs_count_patterns_bytes_and_seconds(results):
     assert rows[3]["megabytes"] == pytest.approx(nbytes / 1e6)
 
 
-def test_without_benchmarks_the_sweeps_processing_time_stands_in(results):
-    inputs = load_inputs(BOTH, results, *tables_of(results))
-    alone = type(inputs)(**{**vars(inputs), "times": inputs.times.iloc[:0]})
-    times = pd.read_csv(results / "corner" / "dual" / "sweep.csv").set_index("value")
-    assert costs(alone)[3]["processing_s"] == pytest.approx(
-        times.loc[1e-3, "processing_s"], rel=1e-4
-    )
-
-
-def test_scenes_of_the_thesis_stand_beside_its_numbers(results):
-    inputs = load_inputs(BOTH, results, *tables_of(results))
-    table = table_5_1(inputs)
-    assert [row[0] for row in table.rows[:2]] == ["flat (I)", "corner (IV)"]
-    assert list(table.numbers["thesis_patterns"][:2]) == [809, 841]
-    assert {"Fig. 2.1 (II)", "Fig. 2.1 (III)"} <= {row[0] for row in table.rows}
-
-
 def test_indirect_light_is_amplified_by_a_round_factor(results):
     inputs = load_inputs(BOTH, results, *tables_of(results))
     flat, corner = inputs.of_method("symmetric")
@@ -244,7 +157,7 @@ def test_indirect_light_is_amplified_by_a_round_factor(results):
     assert 0.2 < gain * np.percentile(corner.read("half_truth")[:, :5], 99) / corner.white < 0.75
 
 
-def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
+def test_one_channel_one_method_and_no_camera(tmp_path):
     acquired(tmp_path, GREY)
     view = tmp_path / "report" / "view" / "grey_brute_force.html"
     view.parent.mkdir()
@@ -253,11 +166,11 @@ def test_one_channel_one_method_no_camera_and_nothing_studied(tmp_path):
     page = Page(tmp_path / "report" / "index.html")
     assert "view/grey_brute_force.html" in page.links
     assert "exact radiance, no noise" in page.words
-    for missing in ("Fig. 5.9", "Fig. 5.7", "Fig. 5.10", "Fig. 3.8", "Fig. B.1", "Table 5.1"):
+    for missing in ("Fig. 5.9", "Fig. 5.7", "Fig. 5.10"):
         assert missing not in page.words
     figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
-    assert figures == {"scene_grey", "fig_2_1_brute_force"}  # no option that trades patterns
-    assert len(page.images) == 2
+    assert figures == {"scene_grey", "fig_2_1_brute_force", "speed_error"}
+    assert len(page.images) == 3
 
 
 def test_methods_that_know_no_earlier_level_are_left_out_of_the_figure_of_levels(results, tmp_path):
@@ -285,48 +198,26 @@ def with_field(tmp_path_factory):
 def test_a_light_field_has_its_own_pictures_and_leaves_the_others_alone(with_field):
     figures = {path.stem for path in (with_field / "report" / "figures").glob("*.png")}
     assert figures == {
-        "scene_corner", "scene_field", "fig_5_8_a_field_symmetric", "fig_5_8_b_field_symmetric",
+        "scene_corner", "scene_field",
         "fig_2_1_symmetric", "fig_2_1_dual", "fig_5_9", "fig_5_7", "fig_5_10", "speed_error",
         "processing_time",
     }  # fmt: skip
     page = Page(with_field / "report" / "index.html")
     times = "\N{NO-BREAK SPACE}\N{MULTIPLICATION SIGN}\N{NO-BREAK SPACE}"
     assert f"8{times}10 and 2{times}3{times}6{times}9 rays" in page.words
-    assert "Fig. 5.8 (a), the light moves" in page.words
-    assert "corner (IV) relit with the vertical bar" in page.words  # Fig. 5.7
+    assert "corner relit with the vertical bar" in page.words  # Fig. 5.7
     assert "37° by 29°" in page.words
 
 
-def test_a_light_field_stands_beside_the_thesis_own(with_field):
+def test_levels_of_a_light_field_are_added_up_apart(with_field):
     inputs = load_inputs(FIELD, with_field, *tables_of(with_field))
     (field,) = inputs.light_fields
     assert (field.rays, field.middle_view) == (2 * 3 * 6 * 9, 4)
     assert not field.has_indirect_light
-    table = table_5_1(inputs)
-    row = table.rows[1]
-    assert row[0] == "field"
-    assert row[-2:] == ["3,368", "233,657"]
-    assert table.numbers["thesis_patterns"][1] == 3368
-    assert sum("8D" in cell[0] for cell in table.rows) == 0  # not named again below
     levels = levels_table(inputs)
     assert {row[0] for row in levels.rows} == {
         "Symmetric photography", "Symmetric photography, light fields", "Dual photography",
     }  # fmt: skip
-
-
-def test_errors_between_views_are_those_of_their_pictures(with_field):
-    inputs = load_inputs(FIELD, with_field, *tables_of(with_field))
-    (field,) = inputs.light_fields
-    table = view_errors(inputs)
-    numbers = table.numbers
-    assert len(numbers) == 36
-    assert [row[2] for row in table.rows] == ["1, 1", "1, 2", "1, 3", "2, 1", "2, 2", "2, 3"]
-    relit, truth = field.read("views_relit"), field.read("views_truth")
-    error = np.linalg.norm(relit[4, 2] - truth[4, 2]) / np.linalg.norm(truth[4, 2])
-    assert numbers.set_index(["light", "view"]).loc[(4, 2), "rms"] == pytest.approx(error)
-    assert (numbers["rms"] < 0.05).all()
-    written = pd.read_csv(with_field / "report" / "tables" / "view_errors.csv")
-    assert len(written) == 36
 
 
 @pytest.mark.slow
@@ -338,8 +229,7 @@ def test_a_light_field_alone_makes_a_report(tmp_path):
     assert "the middle view, relit with the vertical bar" in page.words
     figures = {path.stem for path in (tmp_path / "report" / "figures").glob("*.png")}
     assert figures == {
-        "scene_field", "fig_5_8_a_field_symmetric", "fig_5_8_b_field_symmetric", "fig_5_7",
-        "fig_5_10",
+        "scene_field", "fig_5_7", "fig_5_10", "speed_error",
     }  # fmt: skip
 
 
@@ -348,7 +238,7 @@ def test_it_begins_with_each_scene_beside_truth_and_one_table(results, page):
     first, second = make_sections(inputs)[:2]
     assert (first.anchor, second.anchor) == ("glance", "speed")
     gallery, table = first.blocks
-    assert [picture.name for picture in gallery.pictures] == ["flat (I)", "corner (IV)"]
+    assert [picture.name for picture in gallery.pictures] == ["flat", "corner"]
     for picture in gallery.pictures:
         assert [light.what for light in picture.light] == ["floodlit", "relit", "truth"]
         assert {light.shown.shape for light in picture.light} == {(8, 10, 3)}
@@ -369,32 +259,14 @@ def test_it_begins_with_each_scene_beside_truth_and_one_table(results, page):
 
 def test_long_tables_are_folded_and_every_table_names_rows_and_columns(page):
     folded = re.findall(r"<summary>(.*?)</summary>", page.source)
-    for name in ("Errors by pattern", "Cost at each step", "Hard cases", "Patterns", "Levels"):
+    for name in ("Errors by pattern", "Error after each level", "Levels"):
         assert name in folded
-    for name in ("What it took", "Table 5.1, symmetric photography", "Blocks or noise"):
+    for name in ("What it took", "Costs"):
         assert name not in folded
     tables = re.findall(r"<table>.*?</table>", page.source, re.DOTALL)
     assert all('scope="col"' in table and "<caption>" in table for table in tables)
     assert all('scope="row' in table for table in tables)
     assert all(re.findall(r'<img [^>]*alt="([^"]+)"', page.source))
-
-
-def test_averaging_tells_noise_from_what_blocks_do(results):
-    inputs = load_inputs(BOTH, results, *tables_of(results))
-    run = inputs.of_scene("corner")[0]
-    truth, random = run.read("truth"), np.random.default_rng(0)
-    wanted = {"noise": truth * random.choice([0.9, 1.1], truth.shape), "blocks": 1.1 * truth}
-    found = {}
-    for name, relit in wanted.items():
-        images = {**{key: run.read(key) for key in ("patterns", "truth")}, "relit": relit}
-        altered = dataclasses.replace(run, images=SimpleNamespace(read=images.get))
-        (found[name],) = error_sources([altered]).to_dict("records")
-    assert found["blocks"]["error"] == pytest.approx(0.1)
-    assert found["blocks"]["error_averaged"] == pytest.approx(0.1)
-    assert found["blocks"]["worst_light"] == pytest.approx(0.1)
-    assert found["noise"]["error"] == pytest.approx(0.1)
-    assert found["noise"]["error_averaged"] < 0.05
-    assert {run.scene for run in inputs.runs} - set(error_sources(inputs.runs)["scene"]) == {"flat"}
 
 
 class Aside:
@@ -419,7 +291,7 @@ def captured(method, folder, arrays, scene):
              "coaxial": False, "options": {}, "patterns": 12, "bytes": 4000,
              "levels": [level]}  # fmt: skip
     write_manifest(folder / scene / method / "relight.json", facts)
-    evaluate.run([folder / scene / method / "relight.json"], [], *tables_of(folder), 2.0)
+    evaluate.run([folder / scene / method / "relight.json"], *tables_of(folder), 2.0)
 
 
 ASIDE = Config.model_validate(
@@ -468,7 +340,6 @@ def test_a_scene_without_truth_is_shown_without_error(tmp_path):
     assert gallery.pictures[0].compared is None
     assert table.table.columns[-1] == "stored, MB"
     assert "The truth of a real scene is not known" in page.words
-    assert "errs as it does" not in page.words
 
 
 def test_without_anything_relit_there_is_no_report(tmp_path):
@@ -477,14 +348,6 @@ def test_without_anything_relit_there_is_no_report(tmp_path):
         table.write_text("scene,method\n")
     with pytest.raises(StoreError, match="no relit acquisition of the scenes grey"):
         build_report(GREY, tmp_path, tmp_path / "report" / "index.html", *tables_of(tmp_path))
-
-
-def test_scenes_are_known_by_what_they_are_and_not_by_their_names():
-    assert numeral_of(BOTH.scenes["flat"]) == "I"
-    assert numeral_of(BOTH.scenes["corner"]) == "IV"
-    plate = {"centre": [0, 0, 2], "edge_u": [1, 0, 0], "edge_v": [0, 1, 0]}
-    blocked = Config.model_validate({"scenes": {"x": {**WEDGE, "occluders": [plate]}}})
-    assert numeral_of(blocked.scenes["x"]) is None
 
 
 def test_srgb_follows_the_standards_curve():

@@ -99,7 +99,6 @@ def test_a_captured_scene() -> None:
         {"scenes": DESK, "capture": REMOTE, "methods": {"symmetric": {}}}, "test"
     ).scenes["desk"]
     assert scene.is_captured
-    assert not scene.is_swept
     assert scene.camera_ray_shape == scene.ray_shape == (4, 5)
     with pytest.raises(InputError, match="can't be simulated"):
         scene_from_config(scene)

@@ -16,7 +16,6 @@ from tests.workflow.harness import (
     GLASS,
     LONG,
     OWN_METHODS,
-    STUDIES,
     TINY,
     Workflow,
 )
@@ -38,24 +37,12 @@ TARGETS = (TINY, DUAL, LONG)
 
 
 @pytest.fixture(scope="session")
-def studies(shared: Path, undisturbed: Workflow) -> Workflow:
-    """Run what the report shows beside the scenes; left as it is."""
-
-    def run(workflow: Workflow) -> str:
-        shutil.copytree(undisturbed.folder, workflow.folder, dirs_exist_ok=True)
-        return workflow.run(*STUDIES)
-
-    return _once(shared / "studies", run)
-
-
-@pytest.fixture(scope="session")
-def of_ones_own(shared: Path, studies: Workflow) -> Workflow:
+def of_ones_own(shared: Path, kernels: None) -> Workflow:
     """Run a scene and a method of the user's own beside rfpipe's, up to the report."""
 
     def run(workflow: Workflow) -> str:
         for name in ("column_scan.py", "frosted_glass.py"):
             shutil.copy(_EXAMPLES / name, workflow.folder)
-        workflow.take_studies(studies)
         workflow.configure(
             scenes={"tiny": CONFIG["scenes"]["tiny"], "glass": GLASS},
             methods={**OWN_METHODS, "brute_force": {}},

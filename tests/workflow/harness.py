@@ -13,8 +13,6 @@ import yaml
 from tests.waiting import PATIENCE_SECONDS, wait_until
 from tests.workflow.starter import SNAKEMAKE, run_snakemake
 
-from rfpipe.stages.evaluating.studies import STUDIES as ALL_STUDIES
-
 ROOT = Path(__file__).parents[2]
 
 CONFIG: dict[str, Any] = {
@@ -25,14 +23,12 @@ CONFIG: dict[str, Any] = {
     "methods": {"symmetric": {}, "dual": {}, "brute_force": {}},
     # one pattern at a time, for captures that can be stopped anywhere
     "capture": {"batch_patterns": 1, "black_frames": 4, "floodlit_frames": 4},
-    "report": {"resolutions": [4, 8]},
 }
 """`tiny` has 5 stages on each of its levels; `long` by brute force captures 40 patterns."""
 
 TINY = "results/tiny/symmetric/transport.json"
 DUAL = "results/tiny/dual/transport.json"
 LONG = "results/long/brute_force/transport.json"
-STUDIES = tuple(f"results/studies/{name}.json" for name in ALL_STUDIES)
 
 GLASS = {"kind": "frosted_glass.py:FrostedGlass", "shape": [6, 8], "channels": 1, "blur": 0.7}
 OWN_METHODS = {
@@ -110,10 +106,6 @@ class Workflow:
             for path in sorted(folder.rglob("*"))
             if path.is_file() and not path.name.endswith((".log", ".asked", "benchmark.tsv"))
         }
-
-    def take_studies(self, other: Workflow) -> None:
-        """Take from another run what doesn't depend on the scenes of either."""
-        shutil.copytree(other.path("studies"), self.path("studies"))
 
     def copy_to(self, folder: Path) -> Workflow:
         """Copy the whole run, Snakemake's records and times included."""

@@ -38,8 +38,6 @@ _OF_SNAKEMAKE = (
     "rfpipe.methods.dual",
     "rfpipe.methods.symmetric.method",
     "rfpipe.scenes.kinds.surfaces",
-    "rfpipe.stages.evaluating.studies",
-    "rfpipe.stages.evaluating.sweep",
     "rfpipe.stages.jobs.failures",
     "rfpipe.stages.jobs.groups",
     "rfpipe.stages.jobs.notify",

@@ -21,17 +21,13 @@ WEDGE = {
     "kind": "wedge",
     "surfaces": ["texture", "white"],
     "shape": [24, 26],
-    "sweep": False,
 }
 
 
 @pytest.mark.slow
-def test_a_run_killed_between_probes_ends_as_an_acquisition_in_process(
-    tmp_path: Path, studies: Workflow
-) -> None:
+def test_a_run_killed_between_probes_ends_as_an_acquisition_in_process(tmp_path: Path) -> None:
     for attempt in range(10):  # until the kill is quicker than the other probes
         workflow = Workflow(tmp_path / str(attempt))
-        workflow.take_studies(studies)
         workflow.configure(scenes={"wedge": WEDGE}, methods={"near_far": {}})
         store = workflow.path("wedge/near_far/L02/capture.zarr")
         process = workflow.start("results/wedge/near_far/transport.json")

@@ -34,7 +34,7 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, InputError, StoreError
 from rfpipe.export import relit_files
 from rfpipe.provenance import generator
-from rfpipe.stages.evaluating.evaluate import errors_table, speed_error_table
+from rfpipe.stages.evaluating.evaluate import errors_table
 from rfpipe.stages.jobs import cluster as cluster_module
 from rfpipe.stages.jobs import sent as sent_module
 from rfpipe.stages.jobs.job import stage_log
@@ -118,24 +118,19 @@ def test_two_patterns_of_one_name_are_refused(transport: Path, tmp_path: Path) -
 def test_errors_are_the_same_numbers(
     tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    manifests, sweeps = [], []
+    manifests = []
     for n in range(3):
         images = generator(n).random((2, *SHAPE, 3), np.float32)
         facts = {"scene": f"s{n}", "method": "m", "names": ["a", "b"], "coaxial": True}
         manifests.append(tmp_path / str(n) / "relight.json")
         arrays = {"relit": images * np.float32(1.1), "truth": images, "patterns": images[..., 0]}
         write_bundle(manifests[-1], "", {**arrays, "floodlit_truth": images[0]}, facts)
-        sweeps.append(tmp_path / str(n) / "sweep.json")
-        rows = [{"option": "o", "value": 1, "patterns": 9, "bytes": 5}]
-        write_bundle(sweeps[-1], "", {"relit": images[None]}, {**facts, "rows": rows})
-        sweeps[-1].with_suffix(".csv").write_text("value,processing_s,simulation_s\n1,2,3\n")
 
     def tables(way: Resources) -> str:
-        errors = errors_table(manifests, way).to_csv()
-        return errors + speed_error_table(manifests, sweeps, 2.0, way).to_csv()
+        return errors_table(manifests, way).to_csv()
 
     here = tables(Resources())
-    assert here.count("\n") == 6 + 6 + 2
+    assert here.count("\n") == 6 + 1
     assert tables(Resources(threads=2)) == here
     dying_once(monkeypatch, 1, tmp_path / "died")
     assert tables(Resources(where=address)) == here

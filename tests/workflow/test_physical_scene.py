@@ -22,9 +22,8 @@ CASES = {
 
 @pytest.mark.slow
 @pytest.mark.needs("llvm")
-def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path, studies: Workflow) -> None:
+def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path)
-    workflow.take_studies(studies)
     light = {"kind": "mitsuba", "samples": 64, "bounces": 3}
     workflow.configure(
         scenes={name: light | case for name, case in CASES.items()},

@@ -184,7 +184,7 @@ def test_a_rig_that_stands_still_is_left_alone(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_workflow_has_a_step_for_it(tmp_path: Path) -> None:
     run = Workflow(tmp_path)
-    scene = {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [8, 8], "sweep": False}
+    scene = {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [8, 8]}
     verification = {"pictures": 5, "fail_above": 1e-5}
     settings = {"scenes": {"tiny": scene}, "methods": {"symmetric": {}}}
     run.configure(**settings, verification=verification)

@@ -17,22 +17,3 @@ rule relight:
         code=lambda wildcards: code_of(SETTINGS, wildcards.scene),
     script:
         "../scripts/relight.py"
-
-
-rule sweep:
-    """Speed against error: the same acquisition at other tolerances, in one process."""
-    output:
-        "results/{scene}/{method}/sweep.json",
-    log:
-        "results/{scene}/{method}/sweep.log",
-    benchmark:
-        "results/{scene}/{method}/sweep.benchmark.tsv"
-    conda:
-        "../envs/rfpipe.yaml"
-    resources:
-        **ASKED,
-    params:
-        settings=sweep_settings,
-        code=lambda wildcards: code_of(SETTINGS, wildcards.scene, wildcards.method),
-    script:
-        "../scripts/sweep.py"

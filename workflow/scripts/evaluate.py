@@ -7,7 +7,6 @@ from rfpipe.stages.jobs.workers import Resources
 start(snakemake.log[0])
 evaluate.run(
     [Path(path) for path in snakemake.input.relit],
-    [Path(path) for path in snakemake.input.swept],
     Path(snakemake.output.errors),
     Path(snakemake.output.speed_error),
     snakemake.params.seconds_per_pattern,

@@ -12,7 +12,6 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import ConfigDict, Field, SerializeAsAny, field_validator, model_validator
 
 from rfpipe.config.base import (
-    Extent,
     MethodSettings,
     SectionName,
     SectionsOf,
@@ -23,7 +22,6 @@ from rfpipe.config.base import (
 )
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.capture import CaptureConfig
-from rfpipe.config.figures import FiguresConfig
 from rfpipe.config.offline import OfflineConfig
 from rfpipe.config.own import OWN_TO_SCENES, check_own, merged
 from rfpipe.config.processing import MergeConfig, Normalization, ResourcesConfig, StorageConfig
@@ -46,7 +44,7 @@ __all__ = [
 ]
 
 # Folders of a run's results that are no scene's.
-_OTHER_FOLDERS = {"catalogue", "references", "report", "studies", "verified"}
+_OTHER_FOLDERS = {"catalogue", "references", "report", "verified"}
 
 # That verify what a real rig acquires.
 _VERIFICATION_PICTURES = 8
@@ -66,23 +64,6 @@ class ReportConfig(Settings):
 
     title: Text | None = Field(
         None, description="The report's title; null: Light transport, of as many scenes as it has."
-    )
-    trials: dict[SectionName, tuple[float, ...]] = Field(
-        default_factory=dict,
-        description="For the plot of speed against error, by method: values of the option by which "
-        "it trades patterns for accuracy, such as {symmetric: [0.01, 0.001]}. A method that isn't "
-        "named has values of its own; an empty list means none.",
-    )
-    resolutions: tuple[Extent, ...] = Field(
-        (8, 16, 32, 64),
-        min_length=1,
-        description="Sides, in pixels, of the square domains in the plot of patterns against "
-        "resolution [Fig. 3.8], 1 to 4096.",
-    )
-    figures: FiguresConfig | None = Field(
-        None,
-        description="The thesis' figures on physically based scenes, or null for none: side, "
-        "samples, positions and cache; they need the extra mitsuba.",
     )
 
 

@@ -70,11 +70,6 @@ class SceneSettings(Described):
         description="What else is to be known of it, such as {number: 1992.14.3}, for the "
         "catalogue; it shapes nothing.",
     )
-    sweep: bool = Field(
-        True,
-        description="Whether to acquire the scene again with other options, for the plot of speed "
-        "against error: true or false.",
-    )
 
     @classmethod
     def of(cls, kind: str, **options: Any) -> Self:
@@ -89,7 +84,7 @@ class SceneSettings(Described):
 
     def itself(self) -> dict[str, Any]:
         """Return as plain data what is true of it, however and before whatever it is acquired."""
-        other = {"methods", "sweep", "rig", "settings", "about"}
+        other = {"methods", "rig", "settings", "about"}
         return self.model_dump(mode="json", exclude=other)
 
     @property
@@ -126,11 +121,6 @@ class SceneSettings(Described):
     def has_truth(self) -> bool:
         """Whether its light under any pattern is known, to compare with."""
         return not self.is_captured
-
-    @property
-    def is_swept(self) -> bool:
-        """Whether it is acquired with several options; a real one isn't."""
-        return self.sweep and not self.is_captured
 
     def own_options(self) -> dict[str, Any]:
         """Return the options that the kind has beside those of any scene, as plain data."""

@@ -28,10 +28,10 @@ __all__ = [
     "write_records",
 ]
 
-JOBS = ("acquire", "relight", "verification", "view", "sweep")
+JOBS = ("acquire", "relight", "verification", "view")
 """Jobs of an acquisition, each with its benchmark file beside the transport."""
 
-_SIMULATING = ("acquire", "relight", "verification", "sweep")
+_SIMULATING = ("acquire", "relight", "verification")
 """Those that make a simulated scene."""
 
 Usage = tuple[float, float]

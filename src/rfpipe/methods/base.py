@@ -140,8 +140,6 @@ class Method(ABC, Generic[State]):
         Whether it rests on ``T = T^T``.
     estimates_error : bool
         Whether its rows of levels have an ``estimated_error``.
-    thesis_table : str or None
-        Number of the thesis' table with the method's costs.
     Options : type of Options
         Its options: a pydantic model.
     trades : str or None
@@ -157,7 +155,6 @@ class Method(ABC, Generic[State]):
     line: str = "-"
     needs_coaxial_rig: bool = False
     estimates_error: bool = False
-    thesis_table: str | None = None
     Options: type[Options] = Options
     trades: str | None = None
     trials: tuple[float, ...] = ()

@@ -99,7 +99,6 @@ class Dual(Descent[DualState]):
     title = "Dual photography"
     colour = "#c4611a"
     marker = "s"
-    thesis_table = "3.1"
     thesis_patterns = 7_382  # of scene IV
     tolerance_share = 0.3
     Options = DualOptions

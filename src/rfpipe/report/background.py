@@ -1,111 +1,18 @@
-"""The sections on studies beside the scenes, on processing time and on the set-up."""
+"""The sections on processing time and on the set-up."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rfpipe.provenance import versions
-from rfpipe.report import charts, hard_cases, methods, pictures, tables
-from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation, table_of
-from rfpipe.report.inputs import Inputs, Study
-from rfpipe.report.text import fixed, number, percent, ray_size, size, wishes, words
+from rfpipe.report import charts, tables
+from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation
+from rfpipe.report.inputs import Inputs
+from rfpipe.report.text import ray_size, words
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["setup_section", "studies_sections", "times_section"]
-
-
-def studies_sections(inputs: Inputs) -> list[Section]:
-    """What the studies found, those that were made."""
-    found = inputs.studies
-    return [draw(inputs, found[name]) for name, draw in _STUDIES.items() if name in found]
-
-
-def _resolution_section(inputs: Inputs, study: Study) -> Section:
-    """Fig. 3.8."""
-    import pandas as pd
-
-    numbers = pd.DataFrame(study.rows)
-    caption = (
-        "Patterns for scene IV (two textured planes at an angle, grey, exact radiance; "
-        f"{wishes(inputs.config)}) against the projector's resolution; the "
-        "texture is as fine as the pixels at each. Left on a linear scale, where growth as "
-        "O(log pq) is a straight line; right with brute force, which takes one pattern a pixel."
-    )
-    figure = charts.resolution_figure(numbers)
-    return Section(
-        "resolution",
-        "Patterns against resolution (Fig. 3.8)",
-        [
-            Illustration("Fig. 3.8", caption, "fig_3_8", figure, "Fig. 3.8"),
-            Tabulation("Patterns", "By method and resolution.", _resolution_table(numbers)),
-        ],
-        sources=[study.source],
-    )
-
-
-def _resolution_table(numbers: pd.DataFrame) -> Table:
-    patterns = numbers.pivot(index="method", columns="side", values="patterns")
-    return table_of(
-        patterns.loc[numbers["method"].unique()].reset_index(),
-        [("method", "method", methods.title)],
-        [(size(int(side), int(side)), side, number) for side in patterns.columns],
-        csv="resolution.csv",
-        numbers=numbers,
-    )
-
-
-def _mosaic_section(inputs: Inputs, study: Study) -> Section:
-    """Fig. B.1."""
-    caption = (
-        "Colour bars on two planes, lit one pixel at a time before a camera with a Bayer mosaic; "
-        "the images' sum against the floodlit image, before and after normalization. Above: this "
-        "project's way, the whole bracket and a linear interpolation of the mosaic, loses "
-        "nothing. Below: one short exposure, medians of colour differences and a threshold at the "
-        "noise, as cameras had it, give the dim and pale sum that the thesis shows; "
-        "normalization restores it."
-    )
-    about = (
-        "Light and colour contrast of the sum relative to the floodlit image; relative RMS error "
-        "of the sum against the floodlit image, and of the single-pixel images against the truth."
-    )
-    drawing = pictures.mosaic_figure(study)
-    return Section(
-        "normalization",
-        "Colour normalization (Fig. B.1)",
-        [
-            Illustration("Fig. B.1", caption, "fig_b_1", drawing, "Fig. B.1"),
-            Tabulation("Normalization", about, _mosaic_table(study)),
-        ],
-        [f"The runs above use the normalization {_shown(inputs.config.normalization)}."],
-        [study.source],
-    )
-
-
-def _mosaic_table(study: Study) -> Table:
-    chains = {"linear": "whole bracket, linear", "median": "short exposure, median"}
-    return table_of(
-        study.rows,
-        [("interpolation", "chain", chains.__getitem__), ("normalization", "normalization", words)],
-        [
-            ("light", "energy", fixed(1, 100)),
-            ("colour contrast", "colour_contrast", fixed(1, 100)),
-            ("of the sum", "rms", percent),
-            ("of single images", "image_error", fixed(0, 100)),
-        ],
-        [("", 2), ("sum, % of floodlit", 2), ("relative error, %", 2)],
-        csv="mosaic.csv",
-    )
-
-
-_STUDIES = {
-    "resolution": _resolution_section,
-    "mosaic": _mosaic_section,
-    "stability": hard_cases.hard_cases_section,
-}
+__all__ = ["setup_section", "times_section"]
 
 
 def times_section(inputs: Inputs) -> Section:
@@ -121,8 +28,7 @@ def times_section(inputs: Inputs) -> Section:
         blocks.append(Illustration("Time by stage", caption, "processing_time", figure))
     about = (
         f"Processing (everything but the {inputs.capture_named}) of each run, and for each HDR "
-        "image: of the stages on files, and of the same acquisition in memory, as measured in the "
-        "sweep of tolerances."
+        "image."
     )
     blocks.append(Tabulation("Processing time", about, tables.processing_table(inputs)))
     sources = [*inputs.run_sources, *inputs.time_sources]

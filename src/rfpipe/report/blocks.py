@@ -74,14 +74,12 @@ class Illustration:
     name : str
         Its heading, such as "Fig. 5.10".
     caption : str
-        What is seen, with scales and units, for a reader who doesn't know the code. Exposure and
-        the thesis' claim are added to it.
+        What is seen, with scales and units, for a reader who doesn't know the code. Exposure is
+        added to it.
     slug : str
         Name of its files, without folder and suffix.
     figure : Figure or Drawing
         A `Drawing` where it shows light.
-    thesis : str
-        The thesis' own figure, one of `rfpipe.report.thesis.CLAIMS`; "" where it has none.
     sources : sequence of str
         Files that it was made from, their paths from the results folder; those of its section by
         default.
@@ -95,7 +93,6 @@ class Illustration:
     caption: str
     slug: str
     figure: Figure | Drawing
-    thesis: str = ""
     sources: Sequence[str] = ()
     alt: str = ""
     is_folded: bool = False
@@ -178,8 +175,6 @@ class Tabulation:
     table : Table
     is_folded : bool
         Whether a reader has to open it.
-    thesis : str
-        The thesis' own table, as in `Illustration`.
     sources : sequence of str
         As in `Illustration`.
     """
@@ -188,7 +183,6 @@ class Tabulation:
     caption: str
     table: Table
     is_folded: bool = True
-    thesis: str = ""
     sources: Sequence[str] = ()
 
 

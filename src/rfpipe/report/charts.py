@@ -1,4 +1,4 @@
-"""Plots: leaves a level, patterns against resolution, speed against error, processing time."""
+"""Plots: leaves a level, speed against error, processing time."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 __all__ = [
     "has_leaves_of_nodes",
     "leaves_figure",
-    "resolution_figure",
     "speed_error_figure",
     "times_figure",
 ]
@@ -91,65 +90,22 @@ def _stack_levels(axis: Axes, run: Run) -> None:
     axis.set(xticks=x, ylim=(0, 100), yticks=[0, 50, 100])
 
 
-def resolution_figure(study: pd.DataFrame) -> Figure:
-    """Draw patterns against the projector's resolution [Fig. 3.8].
-
-    Parameters
-    ----------
-    study : DataFrame
-        Rows of `rfpipe.stages.evaluating.studies.resolution.resolution_study`.
-    """
-    figure, axes = new_figure(1, 2, (8.6, 3.3))
-    sides = study.drop_duplicates("rays").sort_values("rays")
-    for axis, is_logarithmic in zip(axes[0], (False, True), strict=True):
-        for method, rows in study.groupby("method", sort=False):
-            if is_logarithmic or method != methods.BRUTE_FORCE:
-                draw_method(axis, rows["rays"], rows["patterns"], str(method))
-        axis.set_xscale("log", base=2)
-        axis.set_xticks(sides["rays"], [f"{side}²" for side in sides["side"]])
-        axis.set_xlabel("projector pixels", fontsize=8.5)
-        axis.set_ylabel("patterns", fontsize=8.5)
-        axis.grid(True, linewidth=0.4, color="#dddddd")
-        if is_logarithmic:
-            axis.set_yscale("log")
-        else:
-            axis.set_ylim(bottom=0)
-        axis.legend(fontsize=8, frameon=False)
-    return figure
-
-
 def speed_error_figure(inputs: Inputs, scenes: Sequence[str]) -> Figure:
-    """Draw the errors against the patterns, a column for each scene.
-
-    Parameters
-    ----------
-    inputs : Inputs
-    scenes : sequence of str
-        Names, four at most to stay legible.
-    """
-    figure, axes = new_figure(
-        2, len(scenes), (2.55 * len(scenes) + 0.5, 5.4), sharex="col", sharey="row"
-    )
+    """Draw the errors against the patterns, level by level, a panel for each scene."""
+    figure, axes = new_figure(1, len(scenes), (2.55 * len(scenes) + 0.5, 3.2), sharey="row")
     table = inputs.speed_error
-    kinds = {"rms_total": "error, %", "rms_unlit": "error on unlit pixels, %"}
-    for column, scene in zip(axes.T, scenes, strict=True):
-        own = table[table["scene"] == scene]
+    for axis, scene in zip(axes[0], scenes, strict=True):
         run = inputs.of_scene(scene)[0]
-        for axis, name in zip(column, kinds, strict=True):
-            logarithmic(axis)
-            _draw_errors(axis, own, name)
-            axis.axvline(run.rays, color="#5c5c5c", linewidth=0.9, linestyle=":",
-                         label="patterns of brute force")  # fmt: skip
-        column[0].set_title(run.title, fontsize=9.5, pad=8)
-        column[-1].set_xlabel("patterns", fontsize=8)
-        _number_minutes(column[0], inputs.config.capture.seconds_per_pattern / 60)
-        if own["rms_unlit"].isna().all():
-            why = "no indirect light" if run.is_coaxial else "no pixel is\nknown to be unlit"
-            column[1].text(0.5, 0.5, why, ha="center", va="center", fontsize=8.5,
-                           transform=column[1].transAxes, color="#555555")  # fmt: skip
-    for axis, (name, label) in zip(axes[:, 0], kinds.items(), strict=True):
-        label_left(axis, label)
-        axis.set_ylim(*logarithmic_limits(100 * table[name]))
+        logarithmic(axis)
+        for method, levels in table[table["scene"] == scene].groupby("method", sort=False):
+            draw_method(axis, levels["patterns"], 100 * levels["error"], str(method))
+        axis.axvline(run.rays, color="#5c5c5c", linewidth=0.9, linestyle=":",
+                     label="patterns of brute force")  # fmt: skip
+        axis.set_title(run.title, fontsize=9.5, pad=8)
+        axis.set_xlabel("patterns", fontsize=8)
+        _number_minutes(axis, inputs.config.capture.seconds_per_pattern / 60)
+    label_left(axes[0, 0], "error, %")
+    axes[0, 0].set_ylim(*logarithmic_limits(100 * table["error"]))
     shared_legend(figure)
     return figure
 
@@ -161,17 +117,6 @@ def _number_minutes(axis: Axes, minutes: float) -> None:
     number_axis(above.xaxis)
     above.tick_params(labelsize=8, width=0.6, length=3)
     above.set_xlabel("capture, min", fontsize=8)
-
-
-def _draw_errors(axis: Axes, table: pd.DataFrame, name: str) -> None:
-    """Draw each method's mean over the relighting patterns, and their range as a band."""
-    for method, rows in table.dropna(subset=[name]).groupby("method", sort=False):
-        by_value = rows.groupby("value")
-        shown = by_value["patterns"].first()
-        mean, low, high = (100 * by_value[name].agg(f) for f in ("mean", "min", "max"))
-        band = methods.colour(str(method))
-        axis.fill_between(shown, low, high, color=band, alpha=0.14, linewidth=0)
-        draw_method(axis, shown, mean, str(method))
 
 
 def times_figure(times: pd.DataFrame, capture_named: str) -> Figure:

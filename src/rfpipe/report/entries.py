@@ -26,7 +26,6 @@ __all__ = [
     "SectionEntry",
     "Source",
     "TableEntry",
-    "ThesisClaim",
     "Value",
     "VerificationEntry",
     "VerifiedPicture",
@@ -56,13 +55,6 @@ class Source(_Entry):
 
     file: str = Field(description="Its path from the results folder.")
     digest: str = Field(description="SHA-256 of its bytes, the first 128 bits in hexadecimal.")
-
-
-class ThesisClaim(_Entry):
-    """The thesis' own figure or table, and what it shows there."""
-
-    name: str = Field(description='Such as "Fig. 5.7" or "Table 3.1".')
-    claim: str
 
 
 class Exposure(_Entry):
@@ -114,7 +106,6 @@ class FigureEntry(_Entry):
     name: str
     caption: str
     alt: str = Field(description="What it says, for those who can't see it.")
-    thesis: ThesisClaim | None
     png: str = Field(description="The file for screens, from the page's folder.")
     png_digest: str
     width: int = Field(gt=0, description="Pixels.")
@@ -132,7 +123,6 @@ class TableEntry(_Entry):
     kind: Literal["table"] = "table"
     name: str
     caption: str
-    thesis: ThesisClaim | None
     groups: list[tuple[str, int]] = Field(description="Headings over so many columns each.")
     columns: list[str]
     rows: list[list[str]] = Field(description="Cells as the page shows them.")

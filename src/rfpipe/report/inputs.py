@@ -15,7 +15,6 @@ from rfpipe.config import Config, SceneSettings
 from rfpipe.report import methods
 from rfpipe.report.blocks import Column
 from rfpipe.report.light import Light
-from rfpipe.report.thesis import numeral_of
 from rfpipe.stages.relight import right_half
 from rfpipe.stages.unseen.verify import MANIFEST as VERIFIED
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
@@ -23,33 +22,7 @@ from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["BENCHMARKS", "COLUMNS", "PLACE", "Inputs", "Run", "Study", "load_inputs"]
-
-PLACE = ("scene", "geometry", "height", "width", "channels", "noise", "seed")
-"""Columns of the benchmark ``speed_error`` that tell what was acquired."""
-
-COLUMNS = (
-    "method", *PLACE, "setting",
-    "patterns", "estimated_error", "error_mean", "error_worst", "worst_pattern",
-    "unlit_mean", "unlit_worst", "processing_seconds", "transport_mb",
-)  # fmt: skip
-"""Columns of its table, a row a run; errors are relative RMS over the relighting patterns, in
-total and on the unlit pixels, and `estimated_error` the method's own, blank or NaN where it has
-none. The columns up to `setting` tell runs apart."""
-
-BENCHMARKS = {
-    "scaling": {
-        "scene", "views", "height", "width", "rays", "tolerance", "patterns",
-        "processing_s_per_image", "floor_s_per_image", "stored_mb", "peak_mb",
-    },
-    "relight": {"rays", "relight_ms"},
-    "storage": set[str](),
-    "merge": set[str](),
-    "patterns": {"method", "side", "rays", "patterns"},
-    "workflow": {"stage", "jobs", "job_s", "own_s", "overhead_s"},
-    "speed_error": set(COLUMNS),
-}  # fmt: skip
-"""Benchmarks that the report shows, with the columns that it needs of each."""
+__all__ = ["Inputs", "Run", "load_inputs"]
 
 
 @dataclass(frozen=True)
@@ -93,9 +66,8 @@ class Run:
 
     @property
     def title(self) -> str:
-        """The scene's name, with its number in Fig. 2.1 if it has one."""
-        numeral = numeral_of(self.settings)
-        return self.scene if numeral is None else f"{self.scene} ({numeral})"
+        """The scene's name."""
+        return self.scene
 
     @property
     def method_title(self) -> str:
@@ -182,20 +154,6 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Study:
-    """A study's table and images; see `rfpipe.stages.evaluating.studies`."""
-
-    name: str
-    rows: list[dict[str, Any]]
-    images: ArrayBundle
-
-    @property
-    def source(self) -> str:
-        """Its manifest, from the results folder."""
-        return f"studies/{self.name}.json"
-
-
-@dataclass(frozen=True)
 class Inputs:
     """All that a report shows.
 
@@ -204,14 +162,11 @@ class Inputs:
     config : Config
     runs : list of Run
         In the configuration's order.
-    studies : dict of str to Study
     errors, speed_error : DataFrame
         See `rfpipe.stages.evaluating.evaluate`.
     times : DataFrame
         ``scene``, ``method``, ``level`` (-1 for the transport's assembly), ``stage``,
         ``seconds`` of each stage of each level; may be empty.
-    benchmarks : dict of str to DataFrame
-        Tables that ``make bench`` left, by their names in `BENCHMARKS`; empty without any.
     results : Path
         Where it was all found; sources are named by their paths from there.
     tables : tuple of Path
@@ -220,11 +175,9 @@ class Inputs:
 
     config: Config
     runs: list[Run]
-    studies: dict[str, Study]
     errors: pd.DataFrame
     speed_error: pd.DataFrame
     times: pd.DataFrame
-    benchmarks: dict[str, pd.DataFrame]
     results: Path
     tables: tuple[Path, Path]
 
@@ -310,8 +263,7 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
     ----------
     config : Config
     results : Path
-        Holds ``{scene}/{method}/relight.json``, ``studies/{study}.json`` and
-        ``bench/{benchmark}.csv``; what is missing is not reported.
+        Holds ``{scene}/{method}/relight.json``; what is missing is not reported.
     errors, speed_error : Path
         The tables of the evaluate stage.
     """
@@ -330,21 +282,13 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         verified = _verified(folder / VERIFIED) if config.verification_pictures else ({}, None)
         runs.append(Run(scene, method, config.scenes[scene], facts, images, acquired, *verified))
         times += [{"scene": scene, "method": method, **row} for row in _job_times(folder)]
-    studies = {
-        path.stem: Study(
-            path.stem, read_manifest(path)["rows"], open_arrays(path.with_suffix(".zarr"))
-        )
-        for path in sorted((results / "studies").glob("*.json"))
-    }
     methods.know(config)
     return Inputs(
         config,
         runs,
-        studies,
         pd.read_csv(errors),
         pd.read_csv(speed_error),
         pd.DataFrame(times, columns=["scene", "method", "level", "stage", "seconds"]),
-        _benchmarks(results / "bench"),
         results,
         (errors, speed_error),
     )
@@ -355,21 +299,6 @@ def _verified(manifest: Path) -> tuple[dict[str, Any], ArrayBundle | None]:
     if not manifest.exists():
         return {}, None
     return read_manifest(manifest), open_arrays(manifest.with_suffix(".zarr"))
-
-
-def _benchmarks(folder: Path) -> dict[str, pd.DataFrame]:
-    """Read the tables of the benchmarks; one that was stopped before its first row is missing."""
-    import pandas as pd
-
-    found = {}
-    for name, needed in BENCHMARKS.items():
-        path = folder / f"{name}.csv"
-        if not path.exists() or not path.stat().st_size:
-            continue
-        table = pd.read_csv(path)
-        if len(table) and needed <= set(table.columns):
-            found[name] = table
-    return found
 
 
 def _time_files(folder: Path) -> list[Path]:

@@ -16,26 +16,13 @@ if TYPE_CHECKING:
     from rfpipe.config import Config
 
 __all__ = [
-    "BRUTE_FORCE",
-    "NEAR_FAR",
-    "SYMMETRIC",
     "colour",
     "know",
     "listed",
-    "of_table",
     "style",
     "swatches",
     "title",
 ]
-
-BRUTE_FORCE = "brute_force"
-"""The yardstick: one pattern a projector pixel."""
-
-SYMMETRIC = "symmetric"
-"""The yardstick of a benchmark."""
-
-NEAR_FAR = "near_far"
-"""The method that a benchmark sets beside it."""
 
 _GREY = "#6b6b6b"
 
@@ -78,11 +65,6 @@ def style(method: str) -> dict[str, Any]:
     """Return matplotlib's colour, marker and kind of line of a method's curve."""
     marker, line = _told(method, "marker", "o"), _told(method, "line", "-")
     return {"color": colour(method), "marker": marker, "linestyle": line}
-
-
-def of_table(number: str, methods: Iterable[str]) -> list[str]:
-    """Return those of some methods whose costs a table of the thesis has, by its number."""
-    return [method for method in methods if _told(method, "thesis_table", "") == number]
 
 
 def swatches(methods: Iterable[str]) -> dict[str, str]:

@@ -17,10 +17,8 @@ __all__ = ["provenance_of"]
 def provenance_of(inputs: Inputs) -> Provenance:
     """Say what a report was made from."""
     shaping = inputs.config.shaping()
-    benches = [f"bench/{name}.csv" for name in inputs.benchmarks]
-    studies = [study.source for study in inputs.studies.values()]
     verified = [run.verification_source for run in inputs.runs if run.verified]
-    files = [*inputs.run_sources, *verified, *studies, *inputs.error_sources, *benches]
+    files = [*inputs.run_sources, *verified, *inputs.error_sources]
     return Provenance(
         versions=versions(),
         seed=inputs.config.seed,
@@ -39,7 +37,7 @@ def _acquisition(run: Run, cost: dict[str, Any], accepted: float | None) -> Acqu
         scene=run.scene,
         method=run.method,
         options=run.facts["options"],
-        scene_settings=run.settings.model_dump(mode="json", exclude={"methods", "sweep"}),
+        scene_settings=run.settings.model_dump(mode="json", exclude={"methods"}),
         transport_digest=run.acquired.get("digest"),
         relit_digest=run.images.digest,
         versions=run.facts.get("versions", {}),

@@ -11,15 +11,10 @@ from rfpipe.config import Config
 from rfpipe.errors import StoreError
 from rfpipe.report import (
     background,
-    benchmarks,
     estimates,
-    figures,
     glance,
-    light_fields,
     methods,
     sections,
-    single_responses,
-    speed_error,
     verdicts,
     verification,
 )
@@ -124,32 +119,22 @@ def make_sections(inputs: Inputs) -> list[Section]:
     if inputs.has_truth:
         pictures = [
             sections.methods_section(inputs),
-            single_responses.single_responses_section(inputs),
             sections.errors_section(inputs),
-            light_fields.light_fields_section(inputs),
             sections.matrices_section(inputs),
             sections.levels_section(inputs),
         ]
     else:
         pictures = [sections.captured_section(inputs)]
-    of_thesis = figures.figures_sections(inputs)  # with Tables 3.1 and 5.1 of their own
-    # the thesis' scenes are no yardstick for a captured one
-    is_simulated = inputs.config.capture.rig == "simulated"
-    costs = [sections.cost_section(inputs)] if is_simulated and not of_thesis else []
     candidates = [
         glance.glance_section(inputs),
         verification.verification_section(inputs),
-        *of_thesis,
         sections.speed_section(inputs),
         *pictures,
         verdicts.verdicts_section(inputs),
-        *costs,
+        sections.cost_section(inputs),
         estimates.estimates_section(inputs),
         sections.leaves_section(inputs),
-        *background.studies_sections(inputs),
         background.times_section(inputs),
-        benchmarks.benchmarks_section(inputs),
-        speed_error.rivals_section(inputs),
         background.setup_section(inputs),
     ]
     return [section for section in candidates if section is not None and section.blocks]

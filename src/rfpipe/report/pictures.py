@@ -22,7 +22,7 @@ from rfpipe.report.drawing import (
     show_panels,
     unlit_gain,
 )
-from rfpipe.report.inputs import Run, Study
+from rfpipe.report.inputs import Run
 from rfpipe.report.light import Light
 from rfpipe.report.text import TIMES, words
 from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
@@ -39,7 +39,6 @@ __all__ = [
     "levels_figure",
     "matrices_figure",
     "methods_figure",
-    "mosaic_figure",
 ]
 
 DECADES = 7
@@ -147,38 +146,6 @@ def _levels_relit(run: Run, truth: Light) -> list[tuple[str, Light, str]]:
             below = f"patterns {patterns:,}, error {relative_rms(image, truth.radiance):.1%}"
             panels.append((title, run.light(f"{run.method_title}, {title}", image), below))
     return panels
-
-
-def mosaic_figure(study: Study) -> Drawing:
-    """Show the sum of single-pixel images before and after normalization [Fig. B.1]."""
-    chains = list(dict.fromkeys(row["chain"] for row in study.rows))
-    modes = list(dict.fromkeys(row["normalization"] for row in study.rows))
-    about = {(row["chain"], row["normalization"]): row for row in study.rows}
-    shapes = [study.images.shape(f"floodlit_{chains[0]}")]
-    drawing = new_panels(len(chains), len(modes) + 1, shapes, 2.4, 0.62)
-    names = {
-        "none": "sum of all images",
-        "per_channel": "normalized per channel",
-        "total_energy": "normalized by total energy",
-    }
-    for row, chain in zip(drawing.axes, chains, strict=True):
-        floodlit = study.images.read(f"floodlit_{chain}")
-        of, white = _CHAINS[chain].replace("\n", " "), float(floodlit.max())
-        drawing.show(row[0], Light(of, "floodlit", floodlit, white))
-        label_left(row[0], _CHAINS[chain])
-        for axis, mode in zip(row[1:], modes, strict=True):
-            image = study.images.read(f"sum_{chain}_{mode}")
-            facts = about[chain, mode]
-            below = f"light {facts['energy']:.0%}, colour contrast {facts['colour_contrast']:.0%}"
-            drawing.show(axis, Light(of, names[mode], image, white), below)
-    head(drawing.axes[0], ["floodlit", *(names[mode] for mode in modes)])
-    return drawing
-
-
-_CHAINS = {
-    "linear": "whole bracket,\nlinear interpolation",
-    "median": "one short exposure,\nmedian interpolation",
-}
 
 
 def captured_figure(run: Run) -> Drawing:

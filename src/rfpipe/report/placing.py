@@ -21,7 +21,6 @@ from rfpipe.report.entries import (
     SectionEntry,
     Source,
     TableEntry,
-    ThesisClaim,
 )
 from rfpipe.report.light import (
     ERROR_COLOURS,
@@ -31,7 +30,6 @@ from rfpipe.report.light import (
     round_limit,
     write_exr,
 )
-from rfpipe.report.thesis import CLAIMS
 from rfpipe.stages.evaluating.evaluate import write_table
 from rfpipe.store.files import digest_of, write_atomically
 
@@ -99,7 +97,6 @@ class Place:
         entry = TableEntry(
             name=block.name,
             caption=block.caption,
-            thesis=_claim(block.thesis),
             groups=list(table.groups),
             columns=table.columns,
             rows=table.rows,
@@ -118,7 +115,7 @@ class Place:
         figure, light = (drawn.figure, drawn.light) if isinstance(drawn, Drawing) else (drawn, [])
         alt = block.alt or f"{block.name}: see the caption."
         image = png(figure)
-        about = {"name": block.name, "alt": alt, "thesis": _claim(block.thesis)}
+        about = {"name": block.name, "alt": alt}
         caption = _joined(block.caption, exposure_text(light))
         placed = self._figure(
             block.slug, image, light, panels_of(figure), sources, caption=caption, **about
@@ -149,7 +146,6 @@ class Place:
             sources,
             name=picture.name,
             alt=alt,
-            thesis=None,
             caption=_joined(picture.caption, said),
         )
         return {**placed, "panels": list(panels), "gap": gap, "has_scale": scale is not None}
@@ -188,10 +184,6 @@ class Place:
 
     def _sources(self, files: Sequence[str]) -> list[Source]:
         return [source_of(file, self.root) for file in dict.fromkeys(files)]
-
-
-def _claim(name: str) -> ThesisClaim | None:
-    return ThesisClaim(name=name, claim=CLAIMS[name]) if name else None
 
 
 def _exposure(light: Light) -> Exposure:

@@ -9,8 +9,7 @@ from rfpipe.report import charts, methods, pictures, tables
 from rfpipe.report.blocks import Block, Illustration, Section, Tabulation
 from rfpipe.report.drawing import UNLIT_GAIN, chunks
 from rfpipe.report.inputs import Inputs
-from rfpipe.report.text import number, percent, size, wishes, words
-from rfpipe.report.thesis import DUAL_ON_SCENE_IV, PLANES_SHAPE, numeral_of
+from rfpipe.report.text import number, percent, wishes, words
 
 __all__ = [
     "captured_section",
@@ -116,7 +115,6 @@ def matrices_section(inputs: Inputs) -> Section:
                     caption,
                     f"fig_2_1_{method}{suffix}",
                     pictures.matrices_figure(runs),
-                    "Fig. 2.1",
                     [run.source for run in runs],
                     is_folded=method != inputs.methods[0],
                 )
@@ -132,35 +130,16 @@ def _parts(items: Sequence[Any]) -> Iterator[tuple[Sequence[Any], str]]:
 
 
 def cost_section(inputs: Inputs) -> Section:
-    """Tables 5.1 and 3.1."""
+    """Size, time and patterns, as Tables 3.1 and 5.1 have them."""
     per_pattern = inputs.config.capture.seconds_per_pattern
-    height, width = PLANES_SHAPE
-    common = (
+    caption = (
         f"Time is capture at {per_pattern:g} s a pattern plus the processing measured here"
         f"{inputs.without_references}; size is bytes on disk, compressed, 1 MB = 10⁶ bytes. "
+        "Brute force is computed: one pattern a ray, T as float32."
     )
-    blocks: list[Block] = []
-    if methods.of_table("5.1", inputs.methods):
-        caption = common + (
-            f"The thesis' scenes I to IV have {size(height, width)} = {height * width:,} rays, its "
-            f"gummy bears {size(240, 340)}, its light field {size(3, 3)} views of "
-            f"{size(130, 200)}; 2 s a HDR image, processing included, on a computer of 2006."
-        )
-        name, table = "Table 5.1, symmetric photography", tables.table_5_1(inputs)
-        thesis = "Table 5.1"
-        blocks.append(Tabulation(name, caption, table, is_folded=False, thesis=thesis))
-    if methods.of_table("3.1", inputs.methods):
-        caption = common + (
-            "A brute-force scan is computed: one pattern a ray, T as float32. The thesis' scenes "
-            "are others (box, bottle, a moving camera), at 25 patterns a minute; on scene IV of "
-            f"Fig. 2.1 at {size(height, width)} its dual photography took {DUAL_ON_SCENE_IV:,} "
-            "patterns."
-        )
-        name, table = "Table 3.1, dual photography", tables.table_3_1(inputs)
-        thesis = "Table 3.1"
-        blocks.append(Tabulation(name, caption, table, is_folded=False, thesis=thesis))
-    title = "Size, time and patterns (Tables 5.1 and 3.1)"
-    return Section("cost", title, blocks, sources=inputs.run_sources)
+    block = Tabulation("Costs", caption, tables.cost_table(inputs), is_folded=False)
+    title = "Size, time and patterns (Tables 3.1 and 5.1)"
+    return Section("cost", title, [block], sources=inputs.run_sources)
 
 
 def methods_section(inputs: Inputs) -> Section | None:
@@ -173,8 +152,7 @@ def methods_section(inputs: Inputs) -> Section | None:
         "The right half of each scene is lit. The left half shows indirect light alone, light "
         "that came by way of another surface, and is amplified by the factor given, the same in a "
         "row. Relative RMS error on the left half; below each picture its difference from the "
-        "truth, amplified as the pictures are. The thesis compares symmetric and dual photography "
-        f"on scene IV at {size(*PLANES_SHAPE)} rays."
+        "truth, amplified as the pictures are."
     )
     return Section(
         "methods",
@@ -185,7 +163,6 @@ def methods_section(inputs: Inputs) -> Section | None:
                 caption,
                 f"fig_5_9{suffix}",
                 pictures.methods_figure(part),
-                "Fig. 5.9",
                 [run.source for runs in part for run in runs],
             )
             for part, suffix in _parts(scenes)
@@ -212,7 +189,7 @@ def levels_section(inputs: Inputs) -> Section | None:
         "together are left out: they don't tell what they knew at an earlier level."
     )
     drawing, sources = pictures.levels_figure(runs), [run.source for run in runs]
-    figure = Illustration("Fig. 5.7", caption, "fig_5_7", drawing, "Fig. 5.7", sources)
+    figure = Illustration("Fig. 5.7", caption, "fig_5_7", drawing, sources)
     return Section("levels", "Stopping at a level (Fig. 5.7)", [figure])
 
 
@@ -236,14 +213,12 @@ def leaves_section(inputs: Inputs) -> Section | None:
         "camera pixel, and a leaf a response that is stored at this level. The last level's "
         "leaves are scalars."
     )
-    thesis, name = ("Fig. 5.10", "Fig. 5.10") if inputs.has_truth else ("", "Leaves")
-    if any(numeral_of(scene) == "I" for scene in inputs.config.scenes.values()):
-        caption += " As in the thesis, scene I is the sparse one: most of its nodes are empty."
+    name = "Fig. 5.10" if inputs.has_truth else "Leaves"
     about = "Patterns and nodes of each level, added over the scenes of a method."
     blocks: list[Block] = [Tabulation("Levels", about, tables.levels_table(inputs))]
     if rows:
         figure = charts.leaves_figure(rows)
-        blocks.insert(0, Illustration(name, caption, "fig_5_10", figure, thesis))
+        blocks.insert(0, Illustration(name, caption, "fig_5_10", figure))
     sources = [run.source for run in runs]
     title = "Leaves at each level (Fig. 5.10)" if inputs.has_truth else "Leaves at each level"
     return Section("leaves", title, blocks, sources=sources)
@@ -254,14 +229,11 @@ def speed_section(inputs: Inputs) -> Section | None:
     if not len(inputs.speed_error):
         return None
     caption = (
-        "Each scene acquired with other options, from coarse to fine, with the camera below. "
-        "Relative RMS error against the patterns shown and, above, the minutes that they take at "
-        f"{inputs.config.capture.seconds_per_pattern:g} s a pattern: the mean over the relighting "
-        "patterns, the band their range. Dotted: the patterns of brute force."
-    )
-    about = (
-        "Mean error over the relighting patterns. Processing in one process, without the "
-        "simulation of the pictures."
+        "Relative RMS error of the scene relit with the first relighting pattern, as if the "
+        "acquisition had stopped after each level, against the patterns shown by then and, above, "
+        f"the minutes that they take at {inputs.config.capture.seconds_per_pattern:g} s a pattern. "
+        "Methods that fit all their pictures together have their last level alone. Dotted: the "
+        "patterns of brute force."
     )
     known = set(inputs.speed_error["scene"])
     scenes = [scene for scene in inputs.scenes if scene in known]
@@ -275,7 +247,7 @@ def speed_section(inputs: Inputs) -> Section | None:
         )
         for part, suffix in _parts(scenes)
     ]
-    table = Tabulation("Cost at each step", about, tables.speed_table(inputs))
+    table = Tabulation("Error after each level", "As in the plot.", tables.speed_table(inputs))
     sources = inputs.error_sources[1:]
     return Section("speed", "Speed against error", [*curves, table], sources=sources)
 
@@ -283,14 +255,14 @@ def speed_section(inputs: Inputs) -> Section | None:
 def _speed_in_words(inputs: Inputs, scenes: Sequence[str]) -> str:
     """Say where each method's curve begins and ends."""
     table = inputs.speed_error
-    shown = table[table["scene"].isin(scenes)]
-    means = shown.groupby(["scene", "method", "value"], sort=False)[["patterns", "rms_total"]]
     ends = [
         f"{words(scene)}, {methods.listed([str(method)])}: "
         + ", ".join(
-            f"{percent(row.rms_total)} % after {number(row.patterns)} patterns"
+            f"{percent(row.error)} % after {number(row.patterns)} patterns"
             for row in (own.iloc[0], own.iloc[-1])
         )
-        for (scene, method), own in means.mean().groupby(["scene", "method"], sort=False)
+        for (scene, method), own in table[table["scene"].isin(scenes)].groupby(
+            ["scene", "method"], sort=False
+        )
     ]
     return "Error against patterns. " + ". ".join(ends) + "."

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.report import methods
 from rfpipe.report.blocks import Column, Table, table_of
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.report.text import DASH, fixed, number, percent, ray_size, size, words
-from rfpipe.report.thesis import PLANES_SHAPE, TABLE_3_1, TABLE_5_1, row_of
+from rfpipe.report.text import fixed, number, percent, ray_size, words
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
+    "cost_table",
     "costs",
     "errors_by_pattern",
     "levels_table",
@@ -23,8 +22,6 @@ __all__ = [
     "results",
     "results_table",
     "speed_table",
-    "table_3_1",
-    "table_5_1",
 ]
 
 _FLOAT_BYTES = 4
@@ -40,10 +37,9 @@ def costs(inputs: Inputs) -> list[dict[str, Any]]:
         ``channels``, ``rays``, ``patterns``, ``megabytes`` (10^6 bytes on disk),
         ``dense_terabytes`` of T as float32,
         ``capture_s`` at the rig's stated seconds a pattern, ``processing_s``: wall seconds of
-        the run's processing jobs, or of the same acquisition within the sweep where there are
-        no benchmark files; NaN without either. ``capture_jobs_s``: wall seconds of the capture
-        as it ran. ``verified_error``, ``verified_worst_error``: of pictures that no method saw,
-        None where none were taken. ``minutes`` of both; of the capture alone where
+        the run's processing jobs, NaN where they left none. ``capture_jobs_s``: wall seconds of
+        the capture as it ran. ``verified_error``, ``verified_worst_error``: of pictures that no
+        method saw, None where none were taken. ``minutes`` of both; of the capture alone where
         that is all that is known.
     """
     return [_cost(inputs, run) for run in inputs.runs]
@@ -54,8 +50,6 @@ def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
     channels, camera_rays = run.settings.channels, math.prod(run.settings.camera_ray_shape)
     capture = run.patterns * inputs.config.capture.seconds_per_pattern
     simulated, processing = _job_seconds(inputs, run)
-    if math.isnan(processing):
-        processing = _in_process_seconds(inputs, run)
     return {
         "scene": run.scene,
         "title": run.title,
@@ -85,14 +79,6 @@ def _job_seconds(inputs: Inputs, run: Run) -> tuple[float, float]:
         jobs["seconds"][chosen].sum(min_count=1) for chosen in (is_capture, ~is_capture)
     )
     return capture, processing
-
-
-def _in_process_seconds(inputs: Inputs, run: Run) -> float:
-    """Return the processing seconds of a run's acquisition within the sweep; NaN without one."""
-    own = run.own(inputs.speed_error)
-    section = inputs.config.methods_of(run.scene)[run.method]
-    at = own[own["value"] == section.options().get(section.subject(run.method).trades)]
-    return float(at["processing_s"].iloc[0]) if len(at) else math.nan
 
 
 def results(inputs: Inputs) -> pd.DataFrame:
@@ -140,69 +126,26 @@ def results_table(inputs: Inputs, found: pd.DataFrame) -> Table:
     return table_of(found, inputs.labels, columns, groups, csv="results.csv")
 
 
-def table_5_1(inputs: Inputs) -> Table:
-    """Table 5.1: cost of symmetric photography here and in the thesis."""
-    scenes = inputs.config.scenes
-    ours = [(row, row_of(scenes[row["scene"]])) for row in _costs_of(inputs, "5.1")]
-    shown = {name for _, name in ours}
-    theirs = [({"title": name}, name) for name in TABLE_5_1 if name not in shown]
+def cost_table(inputs: Inputs) -> Table:
+    """Return size, time and patterns of each run beside those of brute force."""
+    scenes, per_pattern = inputs.config.scenes, inputs.config.capture.seconds_per_pattern
+    rows = [
+        {**row, "brute_force_days": row["rays"] * per_pattern / 86_400} for row in costs(inputs)
+    ]
     return table_of(
-        [{**row, **_thesis_numbers(name)} for row, name in [*ours, *theirs]],
-        [("scene", "title", str)],
+        rows,
+        inputs.labels,
         [
-            ("rays", "scene", _ray_sizes(inputs)),
+            ("rays", "scene", lambda scene: ray_size(scenes[scene])),
             ("size, MB", "megabytes", fixed(2)),
             ("time, min", "minutes", fixed(1)),
             ("patterns", "patterns", number),
-            ("brute force", "rays", number),
-            ("size, MB", "thesis_megabytes", number),
-            ("time, min", "thesis_minutes", number),
-            ("patterns", "thesis_patterns", number),
-            ("brute force", "thesis_brute_force_patterns", number),
-        ],
-        [("", 1), ("here", 5), (f"thesis, planes at {size(*PLANES_SHAPE)}", 4)],
-        csv="table_5_1.csv",
-    )
-
-
-def _costs_of(inputs: Inputs, table: str) -> list[dict[str, Any]]:
-    """Return the costs of a thesis table's runs."""
-    shown = methods.of_table(table, inputs.methods)
-    return [row for row in costs(inputs) if row["method"] in shown]
-
-
-def _ray_sizes(inputs: Inputs) -> Callable[[str | None], str]:
-    """Return what makes of a scene's name the size of its rays; a dash of None."""
-    scenes = inputs.config.scenes
-    return lambda scene: DASH if scene is None else ray_size(scenes[scene])
-
-
-def _thesis_numbers(name: str | None) -> dict[str, Any]:
-    numbers = vars(TABLE_5_1[name]) if name else {}
-    return {f"thesis_{key}": value for key, value in numbers.items()}
-
-
-def table_3_1(inputs: Inputs) -> Table:
-    """Table 3.1: cost of dual photography here and, for other scenes, in the thesis."""
-    per_pattern = inputs.config.capture.seconds_per_pattern
-    ours = [
-        {**row, "brute_force_days": row["rays"] * per_pattern / 86_400}
-        for row in _costs_of(inputs, "3.1")
-    ]
-    theirs = [{"title": f"thesis: {name}", **vars(found)} for name, found in TABLE_3_1.items()]
-    return table_of(
-        [*ours, *theirs],
-        [("scene", "title", str)],
-        [
-            ("rays", "scene", _ray_sizes(inputs)),
             ("size, TB", "dense_terabytes", _significant),
             ("time, days", "brute_force_days", _significant),
-            ("size, MB", "megabytes", _significant),
-            ("time, min", "minutes", _significant),
-            ("patterns", "patterns", number),
+            ("patterns", "rays", number),
         ],
-        [("", 2), ("brute-force scan", 2), ("dual photography", 3)],
-        csv="table_3_1.csv",
+        [("", 3), ("acquired", 3), ("brute-force scan", 3)],
+        csv="costs.csv",
     )
 
 
@@ -263,27 +206,17 @@ def levels_table(inputs: Inputs) -> Table:
 
 
 def speed_table(inputs: Inputs) -> Table:
-    """Return cost and mean errors at each value of the sweep."""
-    columns = ["scene", "method", "option", "value"]
-    means = inputs.speed_error.drop(columns="pattern").groupby(columns, sort=False).mean()
-    means["asked"] = [f"{words(option)} {value:g}" for _, _, option, value in means.index]
+    """Return patterns and error after each level."""
     return table_of(
-        means.reset_index(),
+        inputs.speed_error,
         inputs.labels,
         [
-            ("asked for", "asked", str),
+            ("level", "level", str),
             ("patterns", "patterns", number),
             ("capture, min", "capture_s", fixed(1, 1 / 60)),
-            ("processing, s", "processing_s", fixed(2)),
-            ("size, MB", "bytes", fixed(2, 1e-6)),
-            ("total, %", "rms_total", percent),
-            ("unlit, %", "rms_unlit", percent),
-            ("PSNR, dB", "psnr_db", fixed(1)),
-            ("CIEDE2000", "ciede2000", fixed(2)),
+            ("error, %", "error", percent),
         ],
-        [("", 3), ("cost", 4), ("mean error", 4)],
         csv="speed_error.csv",
-        numbers=inputs.speed_error,
         is_written=True,
     )
 
@@ -293,14 +226,11 @@ def processing_table(inputs: Inputs) -> Table:
     numbers = []
     for run in inputs.runs:
         simulated, seconds = _job_seconds(inputs, run)
-        alone = _in_process_seconds(inputs, run)
         numbers.append(
             {
                 "scene": run.scene, "method": run.method, "patterns": run.patterns,
                 "capture_jobs_s": simulated, "processing_jobs_s": seconds,
                 "processing_jobs_s_per_image": seconds / run.patterns,
-                "processing_in_process_s": alone,
-                "processing_in_process_s_per_image": alone / run.patterns,
             }
         )  # fmt: skip
     return table_of(
@@ -311,9 +241,6 @@ def processing_table(inputs: Inputs) -> Table:
             (f"{inputs.capture_named}, s", "capture_jobs_s", fixed(1)),
             ("processing, s", "processing_jobs_s", fixed(1)),
             ("ms an image", "processing_jobs_s_per_image", fixed(1, 1000)),
-            ("processing, s", "processing_in_process_s", fixed(2)),
-            ("ms an image", "processing_in_process_s_per_image", fixed(1, 1000)),
         ],
-        [("", 3), ("stages on files", 3), ("in memory", 2)],
         csv="processing.csv",
     )

@@ -52,11 +52,6 @@ class RecordedOptions(AnyRig):
         """Whether any light can be asked for."""
         return self.complete
 
-    @property
-    def is_swept(self) -> bool:
-        """Whether it is acquired with several options, whose patterns must be spanned, too."""
-        return self.sweep and self.complete
-
 
 class Recorded(SceneKind):
     """A recorded acquisition, whose patterns span those that are asked for."""

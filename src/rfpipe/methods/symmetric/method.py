@@ -109,7 +109,6 @@ class Symmetric(Descent[SymmetricState]):
     title = "Symmetric photography"
     colour = "#1f5a9e"
     needs_coaxial_rig = True
-    thesis_table = "5.1"
     thesis_patterns = 1_085  # of scene II
     tolerance_share = 0.3
     Options = SymmetricOptions

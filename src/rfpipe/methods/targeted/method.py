@@ -45,7 +45,6 @@ class Targeted(Method[TargetedState]):
         self.name, self.title, self.colour = inner.name, inner.title, inner.colour
         self.marker, self.line = inner.marker, inner.line
         self.needs_coaxial_rig = inner.needs_coaxial_rig
-        self.thesis_table = inner.thesis_table
         self.Options = inner.Options
         self.trades, self.trials = inner.trades, inner.trials
 

@@ -1,1 +1,1 @@
-"""Errors of what was acquired: figures, sweeps and studies."""
+"""Errors of what was acquired: figures of relit pictures."""

@@ -20,7 +20,15 @@ from rfpipe.store.files import write_atomically
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["ERROR_COLUMNS", "error_rows", "errors_table", "run", "speed_error_table", "write_table"]
+__all__ = [
+    "ERROR_COLUMNS",
+    "SPEED_COLUMNS",
+    "error_rows",
+    "errors_table",
+    "run",
+    "speed_error_table",
+    "write_table",
+]
 
 Rows = list[Any]
 
@@ -84,48 +92,38 @@ def errors_table(
     return pd.DataFrame(rows, columns=["scene", "method", *ERROR_COLUMNS])
 
 
+SPEED_COLUMNS = ("scene", "method", "level", "patterns", "capture_s", "error")
+"""Patterns and seconds of capture up to a level; relative RMS error in total of the first
+relighting pattern's image, by the transport as of then."""
+
+
 def speed_error_table(
-    relight_manifests: Iterable[Path],
-    sweep_manifests: Iterable[Path],
-    seconds_per_pattern: float,
-    resources: Resources | None = None,
+    relight_manifests: Iterable[Path], seconds_per_pattern: float
 ) -> pd.DataFrame:
-    """Return cost and errors at every value of the sweeps.
+    """Return cost and error of each run after each level that it knows: `SPEED_COLUMNS`.
 
     Parameters
     ----------
-    relight_manifests, sweep_manifests : iterable of Path
-        ``relight.json`` and ``sweep.json`` of each run; stores and ``sweep.csv`` lie beside them.
+    relight_manifests : iterable of Path
     seconds_per_pattern : float
         Of a real rig.
-    resources : Resources, optional
-
-    Returns
-    -------
-    DataFrame
-        A row for each scene, method, value of its option and relighting pattern: ``patterns``
-        shown, ``capture_s`` at the rig's stated seconds a pattern, ``processing_s`` and
-        ``simulation_s`` as measured, ``bytes`` stored, and `ERROR_COLUMNS`.
     """
     import pandas as pd
 
-    truths = {}
+    rows = []
     for path in relight_manifests:
         run, images = _opened(path)
-        if "truth" in images.names:
-            truths[run["scene"]] = path
-    columns = ["scene", "method", "option", "value", "patterns", "capture_s"]
-    columns += ["processing_s", "simulation_s", "bytes", *ERROR_COLUMNS]
-    swept = [(path, truths[read_manifest(path)["scene"]]) for path in sweep_manifests]
-    rows = []
-    for (path, _), of_sweep in zip(swept, _each(_errors_of_sweep, swept, resources), strict=True):
-        run = read_manifest(path)
-        times = pd.read_csv(path.with_suffix(".csv")).to_dict("records")
-        for cost, seconds, errors in zip(run["rows"], times, of_sweep, strict=True):
-            capture = {"capture_s": cost["patterns"] * seconds_per_pattern}
-            names = {"scene": run["scene"], "method": run["method"]}
-            rows += [{**names, **cost, **seconds, **capture, **row} for row in errors]
-    return pd.DataFrame(rows, columns=columns)
+        if "truth" not in images.names:
+            continue
+        truth, relit = images.read("truth")[0], images.read("levels_relit")
+        levels = run["levels"][-len(relit) :]
+        shown = np.cumsum([row["patterns"] for row in run["levels"]])[-len(relit) :]
+        for row, patterns, image in zip(levels, shown, relit, strict=True):
+            if not row["patterns"] and len(relit) > 1:
+                continue
+            about = (run["scene"], run["method"], row["level"], int(patterns))
+            rows.append((*about, patterns * seconds_per_pattern, relative_rms(image, truth)))
+    return pd.DataFrame(rows, columns=list(SPEED_COLUMNS))
 
 
 def _each(
@@ -170,16 +168,8 @@ def _errors_of(path: Path) -> Rows:
     return [{"scene": run["scene"], "method": run["method"], **row} for row in errors]
 
 
-def _errors_of_sweep(path: Path, truth: Path) -> list[Rows]:
-    """Return the errors of a sweep, a list for each value of its option."""
-    _, images = _opened(path)
-    known = _truth(*_opened(truth))
-    return [list(error_rows(relit, *known)) for relit in images.read("relit")]
-
-
 def run(
     relight_manifests: list[Path],
-    sweep_manifests: list[Path],
     errors: Path,
     speed_error: Path,
     seconds_per_pattern: float,
@@ -188,9 +178,7 @@ def run(
     """Write `errors_table` and `speed_error_table` as CSV; a figure that isn't defined is blank."""
     tables = {
         errors: errors_table(relight_manifests, resources),
-        speed_error: speed_error_table(
-            relight_manifests, sweep_manifests, seconds_per_pattern, resources
-        ),
+        speed_error: speed_error_table(relight_manifests, seconds_per_pattern),
     }
     for path, table in tables.items():
         write_table(path, table)

@@ -16,7 +16,6 @@ from rfpipe.stages.verifying.published import check_list, published
 from rfpipe.stages.verifying.report_files import check_report_files
 from rfpipe.stages.verifying.stores import check_store, first_sentence
 from rfpipe.store import read_manifest
-from rfpipe.store.files import digest_of
 from rfpipe.store.locating import as_address, locate
 from rfpipe.store.places import Place
 
@@ -159,13 +158,6 @@ def _check_manifest(path: Path, checked: Checked) -> None:
         if digest is not None and stated is not None and digest != stated:
             what = f"isn't the store of {path.name}: its digest is {digest}, not {stated}"
             checked.wrong(store, what, mend)
-    if "times" in facts:
-        table, sweep = path.with_name(facts["table"]), path.with_name("sweep.json")
-        checked.files += 1
-        if not table.is_file() or digest_of(table.read_bytes()) != facts["times"]:
-            gone = (path, sweep, sweep.with_suffix(".zarr"), table)
-            mend = Mend("run", gone, "the sweep is acquired again")
-            checked.wrong(table, "is missing or altered", mend)
     of = facts.get("transport")
     if of is not None and path.with_name("transport.json") in checked.seen:
         _is_of_transport(path, of, checked)

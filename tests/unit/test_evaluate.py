@@ -1,0 +1,58 @@
+"""The tables of errors, and of errors against patterns."""
+
+import csv
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from rfpipe.config import Config
+from rfpipe.stages.evaluating import evaluate
+from rfpipe.stages.evaluating.evaluate import error_rows
+from rfpipe.stages.settings import acquire_options
+from rfpipe.store import write_arrays, write_manifest
+
+WEDGE = {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [8, 10]}
+CONFIG = Config.model_validate({"scenes": {"corner": WEDGE}, "methods": {"symmetric": {}}})
+
+
+def test_settings_of_the_acquisition_are_passed_on():
+    changed = CONFIG.model_copy(update={"normalization": "none"})
+    options = acquire_options(changed, "symmetric", changed.methods["symmetric"])
+    assert options["normalization"] == "none"
+    assert options["black_frames"] == CONFIG.capture.black_frames
+    assert (options["method"], options["tolerance"]) == ("symmetric", 1e-3)
+
+
+def test_errors_are_blank_where_they_are_undefined(tmp_path):
+    """A pattern that lights everything has no unlit pixels: a blank in the table, no crash."""
+    lit = np.ones((1, 2, 3), np.float32)
+    truth = np.ones((1, 2, 3, 3), np.float32)
+    levels = np.stack([2 * truth[0], truth[0], 1.5 * truth[0]])
+    arrays = {"patterns": lit, "truth": truth, "relit": 1.5 * truth, "floodlit_truth": truth[0]}
+    write_arrays(tmp_path / "relight.zarr", arrays | {"levels_relit": levels}, {})
+    rows = [{"level": level, "patterns": shown} for level, shown in enumerate((1, 0, 2))]
+    facts = {"scene": "box", "method": "dual", "names": ["everything"], "coaxial": True}
+    write_manifest(tmp_path / "relight.json", {**facts, "levels": rows})
+    errors, speed = tmp_path / "tables" / "errors.csv", tmp_path / "tables" / "speed_error.csv"
+    evaluate.run([tmp_path / "relight.json"], errors, speed, 2.0)
+
+    (row,) = csv.DictReader(errors.read_text().splitlines())
+    assert (row["scene"], row["method"], row["pattern"]) == ("box", "dual", "everything")
+    assert float(row["rms_total"]) == pytest.approx(0.5)
+    assert row["rms_unlit"] == ""
+    assert float(row["psnr_db"]) == pytest.approx(10 * math.log10(1 / 0.25), abs=1e-3)
+    by_level = pd.read_csv(speed)[["level", "patterns", "capture_s", "error"]]
+    assert by_level.to_numpy().tolist() == [[0, 1, 2, 1], [2, 3, 6, 0.5]]
+
+
+def test_error_rows_name_each_pattern():
+    patterns = np.zeros((2, 1, 2))
+    patterns[:, 0, 0] = 1
+    truth = np.array([[[[1.0], [0.1]]], [[[1.0], [0.2]]]])
+    relit = np.array([[[[1.0], [0.1]]], [[[1.0], [0.3]]]])
+    first, second = error_rows(relit, truth, patterns, ["one", "two"], white=1.0)
+    assert (first["pattern"], first["rms_unlit"]) == ("one", 0)
+    assert second["rms_unlit"] == pytest.approx(0.5)
+    assert second["ciede2000"] > first["ciede2000"] == 0
