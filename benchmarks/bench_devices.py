@@ -20,9 +20,9 @@ from rfpipe.config import load_rig_config, parse_rig_config
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.build import rig_from_config
-from rfpipe.rigs.pylon import PylonCamera
+from rfpipe.rigs.cameras.pylon import PylonCamera
+from rfpipe.rigs.displays import XServer
 from rfpipe.rigs.window import WindowProjector
-from rfpipe.rigs.xvfb import XServer
 
 OUTPUT = Path("results/bench/devices.csv")
 REPEATS = 50

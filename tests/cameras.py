@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs.bench_cameras import PreparedCamera
-from rfpipe.rigs.cameras.aravis_library import call, release
+from rfpipe_devices.aravis import PreparedCamera
+from rfpipe_devices.aravis_library import call, release
 
 
 class FilledCamera(PreparedCamera):

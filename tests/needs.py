@@ -60,7 +60,7 @@ def _is_here(name: str) -> bool:
         return usable_llvm() is not None
     if name == "aravis":
         from rfpipe.errors import CaptureError
-        from rfpipe.rigs.cameras.aravis_library import load_aravis
+        from rfpipe_devices.aravis_library import load_aravis
 
         try:
             return bool(load_aravis())

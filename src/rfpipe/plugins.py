@@ -25,6 +25,7 @@ __all__ = [
     "PROJECTORS",
     "RIGS",
     "SCENES",
+    "SEQUENCES",
     "find",
     "names",
     "path_of",
@@ -37,6 +38,9 @@ METHODS = "rfpipe.methods"
 PROJECTORS, CAMERAS, RIGS = "rfpipe.projectors", "rfpipe.cameras", "rfpipe.rigs"
 """The groups of devices' drivers, and of rigs as a whole."""
 
+SEQUENCES = "rfpipe.sequences"
+"""The group of what takes sequences in hardware: ``hardware`` makes one of two devices."""
+
 SCENES = "rfpipe.scenes"
 """The group of kinds of scenes."""
 
@@ -48,7 +52,7 @@ def _installed() -> dict[str, dict[str, str]]:
     # of two packages with the same name, the first on the path has it
     return {
         group: {entry.name: entry.value for entry in reversed(tuple(found.select(group=group)))}
-        for group in (METHODS, PROJECTORS, CAMERAS, RIGS, SCENES)
+        for group in (METHODS, PROJECTORS, CAMERAS, RIGS, SCENES, SEQUENCES)
     }
 
 

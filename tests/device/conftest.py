@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from tests.displays import DISPLAYS
 
-from rfpipe.rigs.display import VirtualDisplay, memory_display
-from rfpipe.rigs.xvfb import XServer
+from rfpipe.rigs.displays import VirtualDisplay, XServer, memory_display
 
 os.environ["PYLON_CAMEMU"] = "1"  # before pypylon is loaded
 

@@ -12,10 +12,10 @@ from tests.cameras import FilledCamera, gige_camera
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs.cameras import aravis_library
-from rfpipe.rigs.cameras.aravis import AravisCamera
-from rfpipe.rigs.cameras.aravis_library import AravisNodes
 from rfpipe.testing import CameraContract
+from rfpipe_devices import aravis_library
+from rfpipe_devices.aravis import AravisCamera
+from rfpipe_devices.aravis_library import AravisNodes
 
 SENSOR = CameraModel(exposures=(0.001, 0.01, 0.1), bits=16)
 SHAPE = (40, 48)
@@ -194,7 +194,7 @@ class TestTriggered:
     def test_more_frames_than_there_is_room_for(
         self, camera: WatchedCamera, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("rfpipe.rigs.cameras.collector.QUEUE", 2)
+        monkeypatch.setattr("rfpipe.rigs.cameras.genicam._Collector.QUEUE", 2)
         camera.arm(0.1, 5)
         self.trigger(camera, 5)
         assert len(camera.collect()) == 5
@@ -269,7 +269,7 @@ def test_a_lost_camera_is_found_again(
 def test_a_camera_that_stays_away_is_an_error_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
     with FilledCamera(PICTURE, SENSOR, **QUICK, reconnects=2) as camera:
         lose(monkeypatch, 1)
-        monkeypatch.setattr("rfpipe.rigs.cameras.aravis.connected", lambda fake: [])
+        monkeypatch.setattr("rfpipe_devices.aravis.connected", lambda fake: [])
         with pytest.raises(
             CaptureError, match=r"was lost \(Timeout .* not found again in 2 attempts.*power, cable"
         ):

@@ -23,8 +23,8 @@ from rfpipe.photometry import MergeOptions
 from rfpipe.rigs import BLACK_LEVEL_KEY, DeviceRig
 from rfpipe.rigs.bench import optical_path
 from rfpipe.rigs.build import devices_from_config, rig_from_config
-from rfpipe.rigs.settings import sensor_of
-from rfpipe.rigs.xvfb import XServer
+from rfpipe.rigs.calibrated import sensor_of
+from rfpipe.rigs.displays import XServer
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
 
 pytestmark = pytest.mark.usefixtures("either_display")

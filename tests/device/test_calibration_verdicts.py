@@ -19,8 +19,7 @@ from rfpipe.config import parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.report.calibration import build_calibration_report
 from rfpipe.rigs.build import rig_from_config
-from rfpipe.rigs.settings import calibration_of
-from rfpipe.rigs.verdicts import VERDICTS_KEY, check_verdicts
+from rfpipe.rigs.calibrated import VERDICTS_KEY, calibration_of, check_verdicts
 
 pytestmark = pytest.mark.slow
 

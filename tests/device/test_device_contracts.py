@@ -98,10 +98,10 @@ def test_a_resampled_rig_has_the_rays_of_its_calibration() -> None:
 
 def test_devices_that_do_not_fit_are_refused() -> None:
     projector, camera = devices()
-    with pytest.raises(InputError, match=r"layout is of a projector of \(9, 22\) pixels"):
+    with pytest.raises(InputError, match=r"calibration is of a projector of \(9, 22\) pixels"):
         DeviceRig(projector, camera, ProjectorLayout.grid((9, 22), RAYS))
     camera.shape = (5, 5)
-    with pytest.raises(InputError, match=r"resampling is of a camera of \(11, 14\) pixels"):
+    with pytest.raises(InputError, match=r"calibration is of a camera of \(11, 14\) pixels"):
         DeviceRig(projector, camera, None, resampling())
 
 

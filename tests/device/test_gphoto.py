@@ -11,10 +11,10 @@ import pytest
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.pictures.dng import dng_bytes
-from rfpipe.rigs.cameras import gphoto_library
-from rfpipe.rigs.cameras.gphoto import PhotoCamera, PhotoOptions
-from rfpipe.rigs.cameras.gphoto_library import Photo
 from rfpipe.testing import CameraContract
+from rfpipe_devices import gphoto_library
+from rfpipe_devices.gphoto import PhotoCamera, PhotoOptions
+from rfpipe_devices.gphoto_library import Photo
 
 SENSOR = CameraModel(exposures=(0.01, 0.05))
 SHAPE = (48, 60)

@@ -11,7 +11,7 @@ import pytest
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs.pylon import PylonCamera
+from rfpipe.rigs.cameras.pylon import PylonCamera
 from rfpipe.testing import CameraContract
 
 pytestmark = pytest.mark.slow

@@ -11,9 +11,8 @@ import pytest
 from rfpipe.config import parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError, InputError
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs.bench_cameras import VirtualUvc
-from rfpipe.rigs.cameras.webcam import Webcam
 from rfpipe.testing import CameraContract
+from rfpipe_devices.webcam import VirtualUvc, Webcam
 
 SENSOR = CameraModel(exposures=(0.03,), bits=8, black_level_counts=2)
 SHAPE = (24, 30)

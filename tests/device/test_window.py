@@ -13,9 +13,8 @@ from tests.displays import DISPLAYS, OWN_NAME
 from tests.waiting import wait_until
 
 from rfpipe.errors import CaptureError, InputError
-from rfpipe.rigs.display import VirtualDisplay, memory_display
+from rfpipe.rigs.displays import VirtualDisplay, XServer, memory_display
 from rfpipe.rigs.window import WindowProjector, code_table, read_response
-from rfpipe.rigs.xvfb import XServer
 from rfpipe.testing import ProjectorContract
 
 GAMMA = np.linspace(0.01, 1, 256) ** 2.2

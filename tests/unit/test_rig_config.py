@@ -13,11 +13,11 @@ from rfpipe.config.base import Settings
 from rfpipe.config.drivers import FreeOptions
 from rfpipe.config.files import bench_yaml, rig_json_schema, rig_yaml
 from rfpipe.errors import ConfigError
-from rfpipe.rigs.cameras.aravis import AravisOptions
-from rfpipe.rigs.cameras.gphoto import PhotoOptions
-from rfpipe.rigs.cameras.options import GenicamOptions
-from rfpipe.rigs.cameras.webcam import WebcamOptions
-from rfpipe.rigs.window_options import WindowOptions
+from rfpipe.rigs.cameras.genicam import GenicamOptions
+from rfpipe.rigs.window import WindowOptions
+from rfpipe_devices.aravis import AravisOptions
+from rfpipe_devices.gphoto import PhotoOptions
+from rfpipe_devices.webcam import WebcamOptions
 
 FOLDER = Path(__file__).parents[2] / "config"
 PLANE = {"kind": "plane", "surfaces": ["white"], "channels": 1}

@@ -11,15 +11,15 @@ from rfpipe import acquire
 from rfpipe.errors import InputError
 from rfpipe.photometry import CameraModel, MergeOptions, Sensor
 from rfpipe.rigs import BLACK_LEVEL_KEY, OperatorRig
-from rfpipe.rigs.sequence_frames import Playlist, lags_of
-from rfpipe.rigs.sequences import capture_batch, sequence_patterns
-from rfpipe.rigs.simulated_sequences import SequenceFaults, SimulatedSequences
+from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.stages import capture
 from rfpipe.stages.capture import brackets_of
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.results import write_bundle
 from rfpipe.store import FrameStore
 from rfpipe.testing import RigContract
+from rfpipe_devices.sequences import Playlist
+from rfpipe_devices.simulated_sequences import SequenceFaults, SimulatedSequences
 
 RAYS = (12, 14)
 COUNT = 13
@@ -120,13 +120,13 @@ def test_only_what_is_missing_is_played_again() -> None:
 
     sequences = Counted(plain, faults=SequenceFaults(dropped=0.02, seed=5))
     sequences.played = []
-    play = sequences._player.play
+    play = sequences.player.play
 
     def counting(order: Sequence[int], exposure: int) -> Float:
         sequences.played.append(len(order))
         return play(order, exposure)
 
-    sequences._player.play = counting  # type: ignore[method-assign]
+    sequences.player.play = counting  # type: ignore[method-assign]
     sequences.show_sequence(*given)
     first, again = sequences.played[0], min(sequences.played)
     assert sequences.statistics["sequences"]["lost"] > 0
@@ -170,11 +170,11 @@ def test_words_are_found_where_frames_were_lost() -> None:
     playlist = Playlist(3, [0, 1, 2], with_complements=True)
     levels = np.array([1, 0, 0.2, 0.3, 0.4, 0.8, 0.7, 0.6])[playlist.order]
     frames = levels[:, None, None, None] * np.ones((1, 4, 5, 1))
-    assert lags_of(frames, playlist.words) == [0, 0, 0]
-    assert lags_of(np.delete(frames, 5, axis=0), playlist.words) == [0, -1, -1]
-    assert lags_of(np.concatenate([frames[-1:], frames[:-1]]), playlist.words) == [1, 1, 1]
-    assert lags_of(frames[:9], playlist.words) is None
-    assert lags_of(frames[:0], playlist.words) is None
+    assert playlist.lags(frames) == [0, 0, 0]
+    assert playlist.lags(np.delete(frames, 5, axis=0)) == [0, -1, -1]
+    assert playlist.lags(np.concatenate([frames[-1:], frames[:-1]])) == [1, 1, 1]
+    assert playlist.lags(frames[:9]) is None
+    assert playlist.lags(frames[:0]) is None
 
 
 def test_an_acquisition_by_sequences_is_that_one_by_one() -> None:

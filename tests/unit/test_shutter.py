@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from rfpipe.errors import InputError
-from rfpipe.rigs.cameras.shutter import nearest_times, shutter_times
+from rfpipe_devices.gphoto_library import nearest_times, shutter_times
 
 THIRDS = (
     "30", "25", "20", "15", "13", "10", "8", "6", "5", "4", "3.2", "2.5", "2", "1.6", "1.3", "1",

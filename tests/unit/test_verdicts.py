@@ -9,7 +9,7 @@ import pytest
 
 from rfpipe.errors import ConfigError
 from rfpipe.report.verdicts import verdicts_of_run, verdicts_section
-from rfpipe.rigs.verdicts import VERDICTS_KEY, check_verdicts, warn_of
+from rfpipe.rigs.calibrated import VERDICTS_KEY, check_verdicts, warn_of
 
 VERDICTS = {
     "dark": {"title": "Black level", "standing": "good", "verdict": "64 counts."},

@@ -37,7 +37,7 @@ def calibrate(
     from rfpipe.config import load_rig_config
     from rfpipe.errors import StoreError
     from rfpipe.report.calibration import build_calibration_report
-    from rfpipe.rigs.verdicts import faults_of
+    from rfpipe.rigs.calibrated import faults_of
     from rfpipe.stages.jobs.progress import Progress
 
     logging.basicConfig(format="%(message)s")

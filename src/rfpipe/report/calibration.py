@@ -18,7 +18,7 @@ from rfpipe.report.drawing import label_below, label_left, new_figure, panel_rat
 from rfpipe.report.page import write_page
 from rfpipe.report.sight import SCENE_CAPTION, scene_figure
 from rfpipe.report.verdicts import STANDING_COLOURS
-from rfpipe.rigs.verdicts import STANDINGS
+from rfpipe.rigs.calibrated import STANDINGS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

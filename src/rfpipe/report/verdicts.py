@@ -6,7 +6,7 @@ import json
 
 from rfpipe.report.blocks import Section, Table, Tabulation
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.rigs.verdicts import STANDINGS, VERDICTS_KEY, faults_of
+from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, faults_of
 
 __all__ = ["STANDING_COLOURS", "verdicts_of_run", "verdicts_section"]
 

@@ -10,25 +10,14 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.photometry.sensor import Sensor
-from rfpipe.transport.operators import PatternOperator
 from rfpipe.weights import as_weights
-
-__all__ = [
-    "PatternOperator",
-    "Rig",
-    "check_patterns",
-]
 
 Float = NDArray[np.float32]
 Key = tuple[int, ...]
 
 
 class Rig(Protocol):
-    """A projector and a camera, real or simulated; see `rfpipe.testing.RigContract`.
-
-    A rig may also have ``sequence_patterns`` and ``show_sequence``: lists of patterns in hardware,
-    see `rfpipe.rigs.sequences.SequenceRig`.
-    """
+    """A projector and a camera, real or simulated; see `rfpipe.testing.RigContract`."""
 
     @property
     def camera_shape(self) -> tuple[int, ...]:
@@ -76,6 +65,36 @@ class Rig(Protocol):
         """Plain data for fingerprints and manifests: all that shapes a frame."""
 
 
+class SequenceRig(Rig, Protocol):
+    """A rig that shows and exposes lists of patterns in hardware, too."""
+
+    @property
+    def sequence_patterns(self) -> int:
+        """The most patterns of a list; 0 where it has no sequences as it is set up."""
+
+    def show_sequence(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
+        """Show patterns by hardware and return their brackets; else as `Rig.capture`.
+
+        What the hardware lost or mixed up is taken again.
+        """
+
+
+def sequence_patterns(rig: Rig) -> int:
+    """Return the most patterns that a rig shows in a sequence, 0 where it shows none."""
+    return int(getattr(rig, "sequence_patterns", 0))
+
+
+def capture_batch(rig: Rig, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
+    """Show patterns and return their brackets: by hardware where the rig does so, else one by one.
+
+    See `Rig.capture`.
+    """
+    if len(patterns) > 1 and sequence_patterns(rig):
+        frames: NDArray[Any] = rig.show_sequence(patterns, keys)  # type: ignore[attr-defined]
+        return frames
+    return rig.capture(patterns, keys)
+
+
 def check_patterns(
     patterns: NDArray[Any], keys: Sequence[Key], projector_shape: tuple[int, ...]
 ) -> Float:
@@ -88,12 +107,17 @@ def check_patterns(
         )
     if len(keys) != len(patterns):
         raise InputError(f"{len(patterns)} patterns came with {len(keys)} keys; one key each")
-    patterns = as_weights(patterns, "the batch of patterns")
-    is_right = (patterns >= 0) & (patterns <= 1)  # NaN is neither
+    return check_weights(patterns, "the batch of patterns", [f"pattern {tuple(k)}" for k in keys])
+
+
+def check_weights(weights: NDArray[Any], what: str, names: Sequence[str]) -> Float:
+    """Return pictures (n, ...) as float32; InputError names the first that leaves [0, 1]."""
+    weights = as_weights(weights, what)
+    is_right = (weights >= 0) & (weights <= 1)  # NaN is neither
     if not is_right.all():
-        where = tuple(int(i) for i in np.argwhere(~is_right)[0])
+        first, *pixel = (int(i) for i in np.argwhere(~is_right)[0])
         raise InputError(
-            f"pattern {tuple(keys[where[0]])} is {patterns[where]} at projector pixel "
-            f"{where[1:]}; a projector shows weights from 0 to 1"
+            f"{names[first]} is {weights[(first, *pixel)]} at projector pixel {tuple(pixel)}; a "
+            "projector shows weights from 0 to 1"
         )
-    return np.asarray(patterns, np.float32)
+    return np.asarray(weights, np.float32)

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 from rfpipe.errors import ConfigError
 from rfpipe.photometry.camera import sensor_from_config
 from rfpipe.rigs.base import Rig
+from rfpipe.rigs.calibrated import calibration_of, sensor_of, verdicts_of
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
-from rfpipe.rigs.settings import calibration_of, sensor_of
 from rfpipe.rigs.simulated import SimulatedRig
-from rfpipe.rigs.verdicts import verdicts_of
 
 if TYPE_CHECKING:
     from rfpipe.config import RigConfig

@@ -1,24 +1,40 @@
-"""What a calibration knows of a rig: read from its folder, to build the rig with."""
+"""What a calibration knows of a rig, and whether the rig is to be used."""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import IntegrityError, StoreError
+from rfpipe.errors import ConfigError, InputError, IntegrityError, StoreError
+from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.photometry.resampling import Resampling
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 
-__all__ = ["Calibration", "load_calibration", "write_calibration"]
+if TYPE_CHECKING:
+    from rfpipe.config import RigConfig
 
 FACTS, ARRAYS = "calibration.json", "calibration.zarr"
 """What lies in the folder: facts that a person reads, and the arrays."""
+
+VERDICTS_KEY = "calibration"
+"""Where a rig's description tells of its calibration."""
+
+STANDINGS = {
+    "good": "good",
+    "poor": "NOT GOOD",
+    "unknown": "can't tell",
+    "failed": "NOT MEASURED",
+}
+"""How verdicts read, by their standing."""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,3 +129,80 @@ def load_calibration(folder: str | Path) -> Calibration:
         arrays.get("hot"),
         manifest["facts"],
     )
+
+
+def calibration_of(config: RigConfig) -> Calibration:
+    """Return a rig's calibration, one that says nothing where it has none."""
+    return Calibration() if config.calibration is None else load_calibration(config.calibration)
+
+
+def sensor_of(config: RigConfig) -> CameraModel:
+    """Return the camera of a rig's settings, with its calibration's numbers."""
+    sensor = sensor_from_config(config.sensor)
+    if not isinstance(sensor, CameraModel):
+        raise ConfigError("sensor is null; a rig of devices needs the camera's numbers")
+    numbers: dict[str, Any] = dict(calibration_of(config).camera)
+    if "black_level_counts" in numbers:  # of a fixed pattern's mean
+        numbers["black_level_counts"] = round(numbers["black_level_counts"])
+    try:
+        return replace(sensor, **numbers)
+    except (TypeError, InputError) as error:
+        raise ConfigError(
+            f"calibration {config.calibration}: its numbers of the camera don't fit the settings "
+            f"of sensor: {error}. Calibrate again"
+        ) from error
+
+
+def verdicts_of(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """Return title, standing and verdict of each step in a calibration's facts."""
+    names = "title", "standing", "verdict"
+    return {step: {name: str(of_step[name]) for name in names} for step, of_step in facts.items()}
+
+
+def faults_of(verdicts: Mapping[str, Mapping[str, str]]) -> list[str]:
+    """Return a line for each step that isn't good."""
+    return [
+        f"{one['title']}: {STANDINGS[one['standing']]}. {one['verdict']}"
+        for one in verdicts.values()
+        if one["standing"] in ("poor", "failed")
+    ]
+
+
+def check_verdicts(facts: Mapping[str, Any], folder: str | None, *, force: bool) -> None:
+    """Refuse a rig whose calibration is not good, or warn of it where that is forced.
+
+    Parameters
+    ----------
+    facts : mapping
+        Those of a `Calibration`; empty where the rig has none.
+    folder : str or None
+        Where it lies; None for a rig without one.
+    force : bool
+
+    Raises
+    ------
+    ConfigError
+        When a step is not good, and it isn't forced: names each, and what to do.
+    """
+    if folder is None:
+        _log.warning(
+            "the rig has no calibration: nothing is known of its noise, its response and its rays. "
+            "Make one with `rfpipe calibrate`, and name its folder in the setting calibration"
+        )
+        return
+    faults = faults_of(verdicts_of(facts))
+    if faults and not force:
+        lines = "\n".join(f"  {fault}" for fault in faults)
+        raise ConfigError(
+            f"{folder}: the calibration is not good, so that pictures of this rig can't be relied "
+            f"on:\n{lines}\nSee {folder}/report.html; mend it, and run `rfpipe calibrate` again. "
+            "To go on all the same, add --force: the reports will say so"
+        )
+    for fault in faults:
+        _log.warning("%s: %s", folder, fault)
+
+
+def warn_of(described: Mapping[str, Any], name: str) -> None:
+    """Warn of what the calibration in a rig's description found."""
+    for fault in faults_of(described.get(VERDICTS_KEY) or {}):
+        _log.warning("%s: its calibration is not good. %s", name, fault)

@@ -4,26 +4,25 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe import plugins
 from rfpipe.errors import InputError
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key, check_patterns
-from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of
+from rfpipe.rigs.calibrated import VERDICTS_KEY
+from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of, can_play
 from rfpipe.rigs.layout import ProjectorLayout
-from rfpipe.rigs.sequencer import Sequencer, check_sequence, patterns_within
-from rfpipe.rigs.sequences import can_play
 from rfpipe.rigs.stale import RETAKE_SECONDS, StaleWatch
-from rfpipe.rigs.verdicts import VERDICTS_KEY
 
 if TYPE_CHECKING:
     from rfpipe.photometry.resampling import Resampling
 
-__all__ = ["DeviceRig"]
+Float = NDArray[np.float32]
 
 _log = logging.getLogger(__name__)
 
@@ -32,7 +31,7 @@ class DeviceRig(Closing):
     """A rig of two devices: shows a pattern on the projector, then has the camera take a bracket.
 
     Retries of failed frames are the camera's; what reaches this rig is good or an error. Where both
-    devices have sequences, see `rfpipe.rigs.sequences`, the rig has them, too.
+    devices have sequences, see `rfpipe.rigs.devices`, the rig has them, too.
 
     Parameters
     ----------
@@ -46,7 +45,7 @@ class DeviceRig(Closing):
     seconds_per_pattern : float
         Seconds that a bracket takes about, for estimates; at least 0.
     verdicts : mapping, optional
-        Of its calibration, see `rfpipe.rigs.verdicts`: whoever acquires with the rig is told.
+        Of its calibration, see `rfpipe.rigs.calibrated`: whoever acquires with the rig is told.
 
     Raises
     ------
@@ -63,16 +62,15 @@ class DeviceRig(Closing):
         seconds_per_pattern: float = 2.0,
         verdicts: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
-        if layout is not None and layout.display_shape != tuple(projector.shape):
-            raise InputError(
-                f"the layout is of a projector of {layout.display_shape} pixels; this one has "
-                f"{tuple(projector.shape)}. Calibrate again, or set the projector's size back"
-            )
-        if resampling is not None and tuple(resampling.camera_shape) != tuple(camera.shape):
-            raise InputError(
-                f"the resampling is of a camera of {tuple(resampling.camera_shape)} pixels; this "
-                f"one has {tuple(camera.shape)}. Calibrate again, or set the camera's size back"
-            )
+        for device, calibrated, shape in (
+            ("projector", layout.display_shape if layout else None, projector.shape),
+            ("camera", resampling.camera_shape if resampling else None, camera.shape),
+        ):
+            if calibrated is not None and tuple(calibrated) != tuple(shape):
+                raise InputError(
+                    f"the calibration is of a {device} of {tuple(calibrated)} pixels; this one has "
+                    f"{tuple(shape)}. Calibrate again, or set the {device}'s size back"
+                )
         self.projector = projector
         self.camera = camera
         self.layout = layout
@@ -85,11 +83,12 @@ class DeviceRig(Closing):
         self.sensor = _sensor(camera, resampling)
         self._frame_shape = camera.sensor.frame_shape(camera.shape, camera.channels)
         self._watch = StaleWatch(camera.sensor)
-        self._sequencer = Sequencer(
-            _DevicePlayer(projector, camera, self._picture), camera.sensor, self.capture
-        )
+        self._sequencer: Any = None
+        if can_play(projector, camera):
+            sequencer_of = plugins.find(plugins.SEQUENCES, "hardware")
+            self._sequencer = sequencer_of(projector, camera, self._picture, self.capture)
 
-    def capture(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> NDArray[Any]:
+    def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`."""
         patterns = check_patterns(patterns, keys, self.projector_shape)
         dtype = self.camera.sensor.frame_dtype
@@ -102,27 +101,19 @@ class DeviceRig(Closing):
     @property
     def sequence_patterns(self) -> int:
         """The most patterns of a sequence; 0 where the devices have none together."""
-        if not can_play(self.projector, self.camera):
-            return 0
-        return patterns_within(self.projector.sequence_pictures)  # type: ignore[attr-defined]
+        return 0 if self._sequencer is None else self._sequencer.most
 
-    def show_sequence(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> NDArray[Any]:
-        """Show patterns by sequences; see `rfpipe.rigs.sequences.SequenceRig`."""
+    def show_sequence(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
+        """Show patterns by sequences; see `rfpipe.rigs.base.SequenceRig`."""
         patterns = check_patterns(patterns, keys, self.projector_shape)
-        most = self.sequence_patterns
-        if getattr(self.projector, "sequence_levels", None) == 2 and not _is_binary(patterns):
-            most = 0  # grey ones go one by one
-        parts = range(0, len(patterns), most) if most else range(0)
-        if not parts:
+        is_binary = ((patterns == 0) | (patterns == 1)).all()
+        can_show = is_binary or getattr(self.projector, "sequence_levels", None) != 2
+        if self._sequencer is None or not can_show or not len(patterns):
             return self.capture(patterns, keys)
-        return np.concatenate(
-            [
-                self._sequencer.brackets(patterns[first : first + most], keys[first : first + most])
-                for first in parts
-            ]
-        )
+        frames: NDArray[Any] = self._sequencer.brackets(patterns, keys)
+        return frames
 
-    def _bracket(self, picture: NDArray[np.float32], name: str) -> NDArray[Any]:
+    def _bracket(self, picture: Float, name: str) -> NDArray[Any]:
         """Show a picture and take its bracket, again where it may be of the picture before."""
         frames = bracket_of(self.projector, self.camera, picture, name)
         if self._watch.is_doubtful(frames, picture):
@@ -138,7 +129,7 @@ class DeviceRig(Closing):
         self._watch.accept(frames, picture)
         return frames
 
-    def _picture(self, pattern: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _picture(self, pattern: Float) -> Float:
         return pattern if self.layout is None else self.layout.picture(pattern)
 
     def describe(self) -> dict[str, Any]:
@@ -159,13 +150,13 @@ class DeviceRig(Closing):
     @property
     def statistics(self) -> dict[str, dict[str, int]]:
         """What the devices counted so far, such as failed frames, of those that count."""
-        counts = {
-            name: getattr(device, "statistics", None)
-            for name, device in (("projector", self.projector), ("camera", self.camera))
+        counters = {
+            "projector": self.projector,
+            "camera": self.camera,
+            "brackets": self._watch,
+            "sequences": self._sequencer,
         }
-        counts["brackets"] = self._watch.statistics
-        if self.sequence_patterns:
-            counts["sequences"] = self._sequencer.statistics
+        counts = {name: getattr(one, "statistics", None) for name, one in counters.items()}
         return {name: dict(count) for name, count in counts.items() if count is not None}
 
     def close(self) -> None:
@@ -174,39 +165,6 @@ class DeviceRig(Closing):
             self.camera.close()
         finally:
             self.projector.close()
-
-
-def _is_binary(patterns: NDArray[np.float32]) -> bool:
-    return bool(((patterns == 0) | (patterns == 1)).all())
-
-
-class _DevicePlayer:
-    """Plays lists of patterns on two devices that have sequences."""
-
-    def __init__(
-        self,
-        projector: Any,
-        camera: Any,
-        picture: Callable[[NDArray[np.float32]], NDArray[np.float32]],
-    ) -> None:
-        self._projector, self._camera, self._picture = projector, camera, picture
-
-    def load(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> None:
-        """Give the projector its pictures; see `rfpipe.rigs.sequences.SequencePlayer`."""
-        del keys  # devices make their own noise
-        self._projector.load(self._picture(pattern) for pattern in patterns)
-
-    def play(self, order: Sequence[int], exposure: int) -> NDArray[Any]:
-        """Have them shown and taken; see `rfpipe.rigs.sequences.SequencePlayer`."""
-        camera = self._camera
-        seconds = camera.sensor.exposures[exposure]
-        camera.arm(seconds, len(order))
-        try:
-            self._projector.play(order, camera.seconds_between(seconds))
-        finally:
-            frames = np.asarray(camera.collect())  # also disarms it
-        shape = camera.sensor.frame_shape(camera.shape, camera.channels)[1:]
-        return check_sequence(frames, shape, camera.sensor.frame_dtype)
 
 
 def _sensor(camera: Camera, resampling: Resampling | None) -> Sensor:

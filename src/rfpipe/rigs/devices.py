@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable, Sequence
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -10,9 +11,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.sensor import Sensor
-from rfpipe.weights import as_weights
-
-__all__ = ["Camera", "Closing", "Projector", "bracket_of", "check_picture", "undisturbed"]
+from rfpipe.rigs.base import check_weights
 
 Float = NDArray[np.float32]
 
@@ -31,7 +30,7 @@ class Projector(Protocol):
       didn't, as when a cable flickered or a window hid it, the pattern is shown and taken again.
     - ``show_now(picture)``: as `show`, but returns before the light has settled, which the
       calibration then measures; and ``settle_seconds``, what `show` waits for it.
-    - what `rfpipe.rigs.sequences.SequenceProjector` has: sequences of patterns in hardware.
+    - what `SequenceProjector` has: sequences of patterns in hardware.
     """
 
     @property
@@ -59,6 +58,39 @@ class Projector(Protocol):
 
     def close(self) -> None:
         """Give the display back; closing twice is no error."""
+
+
+class SequenceProjector(Projector, Protocol):
+    """A projector that shows a list of pictures by its own clock, and triggers a camera at each.
+
+    One whose sequences are of zeros and ones alone says so by ``sequence_levels = 2``.
+    """
+
+    @property
+    def sequence_pictures(self) -> int:
+        """The most pictures that it holds; 0 where it holds none as it is set up."""
+
+    def load(self, pictures: Iterable[Float]) -> None:
+        """Take pictures (H, W), weights in [0, 1], in the place of those before.
+
+        Raises
+        ------
+        InputError
+            When a picture has the wrong shape, or a weight that can't be shown in a sequence.
+        CaptureError
+            When the projector fails.
+        """
+
+    def play(self, order: Sequence[int], seconds: float) -> None:
+        """Show loaded pictures in this order, each for so long, and trigger the camera at each.
+
+        Returns when the last one was shown.
+
+        Raises
+        ------
+        CaptureError
+            When the projector fails.
+        """
 
 
 class Camera(Protocol):
@@ -96,6 +128,27 @@ class Camera(Protocol):
         """Give the camera back; closing twice is no error."""
 
 
+class SequenceCamera(Camera, Protocol):
+    """A camera that takes a frame at each trigger of a projector."""
+
+    @property
+    def can_be_triggered(self) -> bool:
+        """Whether it is set up for that."""
+
+    def seconds_between(self, exposure: float) -> float:
+        """Return the least time from one trigger to the next at an exposure time in seconds."""
+
+    def arm(self, exposure: float, count: int) -> None:
+        """Wait for `count` triggers from now on, each of a frame of `exposure` seconds."""
+
+    def collect(self) -> NDArray[Any]:
+        """Return the frames since `arm` in the order that they came in, and wait for no more.
+
+        There may be fewer than were armed for, where triggers were missed: of shape
+        (n, *sensor.frame_shape(shape, channels)[1:]).
+        """
+
+
 class Closing:
     """What a with statement closes in the end."""
 
@@ -119,41 +172,48 @@ def bracket_of(projector: Projector, camera: Camera, picture: Float, name: str) 
         what is no bracket of its own; begins with the picture's name.
     """
     try:
-        frames = _standing_bracket(projector, camera, picture, name)
+        for _ in range(TIMES_SHOWN):
+            projector.show(picture)
+            frames = np.asarray(camera.expose())
+            if undisturbed(projector):
+                check_brackets(frames[None], camera.sensor, camera.shape, camera.channels)
+                return frames
+            _log.warning(
+                "%s: the projector's picture was lost or hidden while it was taken; taking it "
+                "again", name,
+            )  # fmt: skip
+        raise CaptureError(
+            f"the projector's picture was lost or hidden {TIMES_SHOWN} times while it was taken. "
+            "Check the projector's cable, and keep other windows and notifications off its monitor"
+        )
     except CaptureError as error:
         raise CaptureError(f"{name}: {error}") from error
-    dtype = camera.sensor.frame_dtype
-    expected = camera.sensor.frame_shape(camera.shape, camera.channels)
-    if frames.shape != expected or frames.dtype != dtype:
+
+
+def check_brackets(
+    brackets: NDArray[Any], sensor: Sensor, shape: tuple[int, ...], channels: int
+) -> NDArray[Any]:
+    """Return brackets (B, E, ...) of a camera, or raise CaptureError where they are none of it."""
+    expected = (len(brackets), *sensor.frame_shape(shape, channels))
+    if brackets.shape != expected or brackets.dtype != sensor.frame_dtype:
         raise CaptureError(
-            f"{name}: the camera returned {frames.dtype} frames of shape {frames.shape}; expected "
-            f"{dtype} {expected}. Check the camera's size, pixel format and exposures"
+            f"the camera returned {brackets.dtype} frames of shape {brackets.shape[1:]}; expected "
+            f"{sensor.frame_dtype} {expected[1:]}. Check the camera's size, pixel format and "
+            "exposures"
         )
-    return frames
+    return brackets
 
 
 def undisturbed(projector: Projector) -> bool:
-    """Whether a projector's last picture stood from `show` until now, as far as it can tell."""
+    """Tell whether a projector's last picture stood from `show` until now, as far as it knows."""
     asked = getattr(projector, "undisturbed", None)
     return asked is None or bool(asked())
 
 
-def _standing_bracket(
-    projector: Projector, camera: Camera, picture: Float, name: str
-) -> NDArray[Any]:
-    """Show a picture and take its bracket, again where it didn't stand all the while."""
-    for _ in range(TIMES_SHOWN):
-        projector.show(picture)
-        frames = np.asarray(camera.expose())
-        if undisturbed(projector):
-            return frames
-        _log.warning(
-            "%s: the projector's picture was lost or hidden while it was taken; taking it again",
-            name,
-        )
-    raise CaptureError(
-        f"the projector's picture was lost or hidden {TIMES_SHOWN} times while it was taken. "
-        "Check the projector's cable, and keep other windows and notifications off its monitor"
+def can_play(projector: Projector, camera: Camera) -> bool:
+    """Tell whether two devices show and expose sequences together."""
+    return bool(
+        getattr(projector, "sequence_pictures", 0) and getattr(camera, "can_be_triggered", False)
     )
 
 
@@ -162,12 +222,4 @@ def check_picture(picture: NDArray[Any], shape: tuple[int, int]) -> Float:
     picture = np.asarray(picture)
     if picture.shape != shape:
         raise InputError(f"the picture has the shape {picture.shape}; this projector shows {shape}")
-    picture = as_weights(picture, "the picture")
-    least, largest = (float(picture.min()), float(picture.max())) if picture.size else (0.0, 0.0)
-    if not (least >= 0 and largest <= 1):  # NaN is neither
-        where = tuple(int(i) for i in np.argwhere(~((picture >= 0) & (picture <= 1)))[0])
-        raise InputError(
-            f"the picture is {picture[where]} at projector pixel {where}; a projector shows "
-            "weights from 0 to 1"
-        )
-    return np.asarray(picture, np.float32)
+    return check_weights(picture[None], "the picture", ["the picture"]).reshape(shape)

@@ -1,8 +1,11 @@
-"""The light's way on a bench in software: from projector pixels through a scene to the camera."""
+"""The light's way on the bench in software: from a display through a scene to the camera."""
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from math import prod
 from typing import TYPE_CHECKING, Any
 
@@ -11,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
+from rfpipe.photometry.camera import CameraModel
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.base import PatternOperator
 from rfpipe.rigs.geometry import (
     Quadrilateral,
     apply_homography,
@@ -20,11 +23,12 @@ from rfpipe.rigs.geometry import (
     lie_within,
 )
 from rfpipe.rigs.layout import DARK, ProjectorLayout
+from rfpipe.transport.operators import PatternOperator
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["OpticalPath"]
+    from rfpipe.rigs.displays import VirtualDisplay
 
 Float = NDArray[np.float32]
 Double = NDArray[np.floating[Any]]
@@ -132,12 +136,12 @@ class OpticalPath:
             (x, y) from the corner of the projector's picture; NaN where the camera sees no ray.
         """
         points = np.asarray(camera_points, np.float64)
-        found = np.full(points.shape, np.nan)
+        aimed = np.full(points.shape, np.nan)
         for to_camera, to_projector in zip(self._to_camera, self._to_projector, strict=True):
             place = apply_homography(np.linalg.inv(to_camera), points)
             inside = lie_within(place, RayDomain(self.shape).image_shape)
-            found[inside] = apply_homography(to_projector, place[inside])
-        return found
+            aimed[inside] = apply_homography(to_projector, place[inside])
+        return aimed
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes the picture."""
@@ -170,3 +174,97 @@ class OpticalPath:
             extent = (width, prod(self.projector_shape))
             rows.append(csr_array((weights, (pixel[inside], v * columns + u)), shape=extent))
         return csr_array(vstack(rows, "csr"))
+
+
+class Scenery:
+    """What the camera of a bench looks at, and the camera's true numbers.
+
+    Parameters
+    ----------
+    display : VirtualDisplay
+        Where the projector's window lies.
+    offset : (int, int)
+        Rows and columns of its upper left corner on the display.
+    path : OpticalPath
+    light_of_code : ndarray of float32, shape (256,)
+        The projector's true response.
+    camera : CameraModel
+        Its noise, bits and mosaic; the exposures are those that the driver sets.
+    seed : int
+        Seed of the noise.
+    delay_seconds : float
+        From a picture's drawing to its light.
+    knock : (int, int, int), optional
+        Exposures before a knock against the projector, and the pixels down and to the right that
+        its picture lies from then on.
+    """
+
+    def __init__(
+        self,
+        display: VirtualDisplay,
+        offset: tuple[int, int],
+        path: OpticalPath,
+        light_of_code: Float,
+        camera: CameraModel,
+        seed: int = 0,
+        delay_seconds: float = 0.0,
+        knock: tuple[int, int, int] | None = None,
+    ) -> None:
+        self.path = path
+        self.camera = camera
+        self._display, self._offset, self._light = display, offset, light_of_code
+        self._seed, self._delay, self._knock = seed, delay_seconds, knock
+        self._drawn: deque[tuple[float, NDArray[np.uint8]]] = deque(maxlen=16)
+        self._number = 0
+        self._seen: tuple[NDArray[np.uint8], Float] | None = None
+
+    def draw(self) -> None:
+        """Note when the window was drawn, where its light comes late."""
+        if self._delay:
+            self._drawn.append((time.monotonic(), self._window()))
+
+    def frame(self, exposure: float) -> NDArray[np.uint16]:
+        """Return the counts (Hc, Wc[, 3]) of the next frame, each with noise of its own."""
+        self._number += 1
+        codes = self._lit()
+        if self._seen is None or not np.array_equal(codes, self._seen[0]):
+            self._seen = codes, self.path.radiance(self._light[codes])
+        camera = replace(self.camera, exposures=(exposure,))
+        counts: NDArray[np.uint16] = camera.expose(self._seen[1], self._seed, (self._number,))[0]
+        return counts[..., 0] if counts.shape[2:] == (1,) else counts
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests."""
+        numbers = self.camera.describe()
+        del numbers["exposures"]  # the sensor's are taken
+        return {
+            "scene": self.path.describe(),
+            "camera": numbers,
+            "light_of_code": fingerprint(self._light),
+            "seed": self._seed,
+            **({} if self._knock is None else {"knock": list(self._knock)}),
+        }
+
+    def _window(self) -> NDArray[np.uint8]:
+        """Return the codes in the window now, (H, W)."""
+        (top, left), (height, width) = self._offset, self.path.projector_shape
+        return self._display.pixels[top : top + height, left : left + width, 1].copy()
+
+    def _lit(self) -> NDArray[np.uint8]:
+        """Return the codes that are lit now: those of the window, late or moved by a knock."""
+        now = time.monotonic()
+        lit = [codes for when, codes in tuple(self._drawn) if when <= now - self._delay]
+        codes = lit[-1] if lit else self._window()
+        if self._knock is None or self._number <= self._knock[0]:
+            return codes
+        moved = np.zeros_like(codes)
+        (rows, more_rows), (columns, more_columns) = map(_shifted, self._knock[1:])
+        moved[rows, columns] = codes[more_rows, more_columns]
+        return moved
+
+
+def _shifted(pixels: int) -> tuple[slice, slice]:
+    """Return where moved pixels come to lie along an axis, and where they lay."""
+    if pixels > 0:
+        return slice(pixels, None), slice(None, -pixels)
+    return slice(None, pixels or None), slice(-pixels, None)

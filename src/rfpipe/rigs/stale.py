@@ -10,6 +10,7 @@ again, later: only where the second one is another, the first was wrong.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,35 +18,95 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.sensor import Sensor
-from rfpipe.rigs.sequence_frames import Light, is_little
-
-__all__ = ["RETAKE_SECONDS", "StaleWatch"]
+from rfpipe.units import SATURATION_FRACTION
 
 Float = NDArray[np.float32]
 
 RETAKE_SECONDS = 0.5
 """Wait before a doubtful bracket is taken again: longer than any display is late."""
 
+SIGNIFICANCE = 6.0
+"""Deviations of noise beyond which a pixel differs."""
+
+FLICKER = 0.05
+"""Share of the light by which it may differ beside: lamps flicker."""
+
+ASTRAY = 0.02
+"""Share of a picture's light that may be astray in all."""
+
 CONTRADICTION = 0.25
-"""Share of a frame's light by which it must miss what the exposure before promises."""
+"""The same for exposures that contradict each other: cameras are not quite linear."""
 
 UNSURE = 4.0
-"""Factor on the noise that the settings say: they may not be measured yet."""
+"""Factor on the variance that the settings say: it may not be measured yet."""
 
-MOST_PIXELS = 2**20
-"""Pixels that are compared."""
 
-MOST_SKIPPED = 64
-"""Patterns that go by unwatched after an unfounded doubt: 1 after the first, then twice as many."""
+@dataclass(frozen=True)
+class Light:
+    """Black and noise of the frames of one exposure.
 
-REMEMBERED = 4
-"""Brackets that a new one is compared with: a quick capture may be late by more than one."""
+    Attributes
+    ----------
+    black : ndarray of float32
+        Mean frame without light.
+    black_variance : float
+        Its variance, in counts squared.
+    gain : float
+        Variance a count above black.
+    saturated : float
+        Counts from which on a pixel says no more.
+    """
 
-SATURATION = 0.98
+    black: Float
+    black_variance: float
+    gain: float
+    saturated: float
+
+    def variance(self, counts: Float) -> Float:
+        """Return the variance of a frame."""
+        above = np.maximum(counts - self.black, 0)
+        return np.asarray(self.black_variance + self.gain * above, np.float32)
+
+    def sum(self, frame: Float) -> float:
+        """Return the light of a frame in counts."""
+        return float(np.maximum(frame - self.black, 0).sum(dtype=np.float64))
+
+    def is_promised(
+        self, frame: Float, before: Float, shorter: Light, ratio: float, share: float = ASTRAY
+    ) -> bool:
+        """Tell whether a frame is `ratio` times that of a shorter exposure, up to saturation."""
+        promised = self.black + np.float32(ratio) * (before - shorter.black)
+        promised[before >= shorter.saturated] = self.saturated
+        promised, frame = (np.minimum(one, self.saturated) for one in (promised, frame))
+        variance = self.variance(frame) + np.float32(ratio**2) * shorter.variance(before)
+        # what is saturated says nothing, and must not make room for the rest
+        light = np.where(promised < self.saturated, np.maximum(promised - self.black, 0), 0)
+        total = float(light.sum(dtype=np.float64))
+        return is_little(frame - promised, variance, light, total, share)
+
+
+def is_little(
+    off: Float, variance: Float, light: Float, total: float, share: float = ASTRAY
+) -> bool:
+    """Tell whether a difference of frames is little beside their noise and light.
+
+    Parameters
+    ----------
+    off, variance : ndarray of float32
+        Difference of two frames, and its variance.
+    light : ndarray of float32
+        Expected light of each pixel.
+    total : float
+        Light of the picture, of which `share` may be astray, and that of a tenth of a pixel.
+    """
+    off, light = np.abs(off), np.maximum(light, 0)
+    beyond = off > SIGNIFICANCE * np.sqrt(variance) + FLICKER * light
+    most = share * total + 0.1 * float(light.mean(dtype=np.float64))
+    return float(off[beyond].sum(dtype=np.float64)) <= most
 
 
 class StaleWatch:
-    """Compares each bracket with itself and with those before.
+    """Compares each bracket with itself and with the last four: a quick capture may lag by several.
 
     Parameters
     ----------
@@ -63,76 +124,74 @@ class StaleWatch:
         self._exposures = sensor.exposures
         if isinstance(sensor, CameraModel) and sensor.response_gamma == 1:
             self._lights = [_light(sensor, exposure) for exposure in sensor.exposures]
-        self._last: deque[tuple[Float, Float]] = deque(maxlen=REMEMBERED)
+        self._last: deque[tuple[Float, Float]] = deque(maxlen=4)
         self._pause = 1
         self._skipped = 0
         self.statistics = {"doubted": 0, "stale": 0}
 
     def is_doubtful(self, frames: NDArray[Any], picture: Float) -> bool:
-        """Whether a bracket (E, ...) may be, in part or wholly, of the picture before."""
+        """Tell whether a bracket (E, ...) may be, in part or wholly, of the picture before."""
         if not self._lights:
             return False
         if self._skipped:
             self._skipped -= 1
             return False
-        seen = _some(frames)
-        if any(self._contradicts(seen, number) for number in range(1, len(seen))):
+        bracket = _some(frames)
+        if any(self._contradicts(bracket, number) for number in range(1, len(bracket))):
             return True
         return any(
-            self._are_alike(seen, taken)
-            for shown, taken in self._last
+            self._are_alike(bracket, previous)
+            for shown, previous in self._last
             if not np.array_equal(shown, picture)
         )
 
     def accept(self, frames: NDArray[Any], picture: Float) -> None:
-        """Note what was taken in the end, for the next bracket."""
+        """Note the bracket that is kept, for the next one."""
         if self._lights:
             self._last.append((picture.copy(), _some(frames)))
 
     def judge(self, frames: NDArray[Any], again: NDArray[Any]) -> bool:
-        """Whether a doubtful bracket was wrong, by another one taken later."""
+        """Tell whether a doubtful bracket was wrong, by another one taken later."""
         self.statistics["doubted"] += 1
         if self._are_alike(_some(frames), _some(again)):
-            self._skipped, self._pause = self._pause, min(2 * self._pause, MOST_SKIPPED)
+            # an unfounded doubt: this many patterns go by unwatched, twice as many the next time
+            self._skipped, self._pause = self._pause, min(2 * self._pause, 64)
             return False
         self.statistics["stale"] += 1
         self._pause = 1
         return True
 
-    def _contradicts(self, seen: Float, number: int) -> bool:
+    def _contradicts(self, bracket: Float, number: int) -> bool:
         ratio = self._exposures[number] / self._exposures[number - 1]
         shorter, longer = self._lights[number - 1 : number + 1]
-        return not longer.is_promised(seen[number], seen[number - 1], shorter, ratio, CONTRADICTION)
+        frame, before = bracket[number], bracket[number - 1]
+        return not longer.is_promised(frame, before, shorter, ratio, CONTRADICTION)
 
-    def _are_alike(self, seen: Float, other: Float) -> bool:
+    def _are_alike(self, bracket: Float, other: Float) -> bool:
         return all(
             is_little(
                 one - two,
                 2 * (light.variance(one) + light.variance(two)),
                 one - light.black,
-                float(np.maximum(one - light.black, 0).sum(dtype=np.float64)),
+                light.sum(one),
             )
-            for light, one, two in zip(self._lights, seen, other, strict=True)
+            for light, one, two in zip(self._lights, bracket, other, strict=True)
         )
 
 
 def _light(camera: CameraModel, exposure: float) -> Light:
-    """Return what a camera's numbers say of one exposure."""
+    """Return black and noise of one exposure by the camera's numbers."""
     electrons = camera.electrons_per_count
     glow = camera.dark_current_electrons * exposure
-    black = np.float32(camera.black_level_counts + glow / electrons)
-    variance = (camera.read_noise_electrons**2 + glow) / electrons**2 + 1 / 12
-    white = np.float32(camera.white_level)
     return Light(
-        np.asarray(white),
-        np.asarray(black),
-        UNSURE * variance,
+        np.asarray(camera.black_level_counts + glow / electrons, np.float32),
+        UNSURE * ((camera.read_noise_electrons**2 + glow) / electrons**2 + 1 / 12),
         UNSURE / electrons,
-        SATURATION * camera.white_level,
+        SATURATION_FRACTION * camera.white_level,
     )
 
 
 def _some(frames: NDArray[Any]) -> Float:
-    """Return at most `MOST_PIXELS` pixels of each frame, (E, n)."""
+    """Return at most a million pixels of each frame, (E, n)."""
     flat = frames.reshape(len(frames), -1)
-    return flat[:, :: -(-flat.shape[1] // MOST_PIXELS)].astype(np.float32)
+    return flat[:, :: -(-flat.shape[1] // 2**20)].astype(np.float32)

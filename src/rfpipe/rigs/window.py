@@ -13,18 +13,17 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.devices import Closing, check_picture
-from rfpipe.rigs.window_options import WindowOptions
 from rfpipe.rigs.window_process import ASK, DRAW
-
-__all__ = ["WindowProjector", "code_table", "read_response"]
 
 Float = NDArray[np.float32]
 Codes = NDArray[np.uint8]
@@ -32,17 +31,57 @@ Codes = NDArray[np.uint8]
 ANSWER_SECONDS = 20.0
 """Time within which a window opens and a picture is drawn, or the display counts as dead."""
 
-REOPEN_PAUSE_SECONDS = 0.2
-"""From one attempt to open a lost window again to the next; doubles each time."""
-
-LONGEST_PAUSE_SECONDS = 5.0
-
 STEPS = 65535
 """Weights are told apart in steps of 1 / STEPS before they are looked up."""
 
-_PROGRAM = Path(__file__).with_name("window_process.py")
+Offset = Annotated[int, Field(ge=0, le=32768)]
+PictureExtent = Annotated[int, Field(ge=1, le=32768)]
 
 _log = logging.getLogger(__name__)
+
+
+class WindowOptions(Settings):
+    """The projector: a full-screen window on a display."""
+
+    display: str | None = Field(
+        None,
+        pattern=r"^\S*:\d+(\.\d+)?$",
+        description="X display, such as :0, or null for that of the environment's DISPLAY.",
+    )
+    screen: int = Field(
+        0, ge=0, le=63, description="Number of the monitor on that display, 0 to 63."
+    )
+    offset: tuple[Offset, Offset] = Field(
+        (0, 0),
+        description="Place of the picture on the monitor: pixels from its upper edge and from "
+        "its left edge.",
+    )
+    shape: tuple[PictureExtent, PictureExtent] | None = Field(
+        None,
+        description="Height and width of the picture in pixels, or null for the whole monitor. "
+        "Set the monitor to the projector's native resolution.",
+    )
+    settle_seconds: float = Field(
+        0.1,
+        ge=0,
+        le=60,
+        description="Wait after a picture was drawn, until the projector shows it, in seconds, 0 "
+        "to 60: two or three frames of the display plus the projector's own delay.",
+    )
+    reopen_seconds: float = Field(
+        10.0,
+        ge=0,
+        le=3600,
+        description="How long to try to open the window again when its display is lost, as by a "
+        "cable that flickers or an X server that is started again, in seconds, 0 to 3600. A "
+        "client of the server that serves the rig then waits for up to capture.patience_seconds.",
+    )
+    response: str | None = Field(
+        None,
+        description="Text file with the light of the codes 0 to 255, one number a line, as a "
+        "fraction of that of 255; null for that of the calibration, or, without one, light in "
+        "proportion to the code.",
+    )
 
 
 def code_table(light: NDArray[Any] | None) -> Codes:
@@ -128,7 +167,7 @@ class WindowProjector(Closing):
     Parameters
     ----------
     display : str, optional
-        X display such as ``":0"``, or that of `rfpipe.rigs.display.memory_display`; None takes
+        X display such as ``":0"``, or that of `rfpipe.rigs.displays.memory_display`; None takes
         that of the environment's DISPLAY.
     screen : int
         Number of the monitor.
@@ -203,8 +242,7 @@ class WindowProjector(Closing):
                 stood = self._window is not None and self._window.is_undisturbed()
             except _LostWindowError as error:
                 _log.warning("projector: %s", error.reason)
-                self._lost = error
-                self._drop()
+                self._lose(error)
                 stood = False
             self.statistics["disturbed"] += not stood
         return stood
@@ -229,31 +267,31 @@ class WindowProjector(Closing):
 
     def _draw(self, codes: Codes) -> None:
         """Draw a picture, in a window opened again where it is lost."""
-        began = time.monotonic()
-        pause, last = REOPEN_PAUSE_SECONDS, ""
+        end, pause = time.monotonic() + self._reopen_seconds, 0.2
         while not self._closing.is_set():
             try:
                 self._opened().draw(codes)
             except _LostWindowError as error:
-                self._drop()
-                last = error.reason
                 if self._lost is None:
-                    self._lost = error
                     _log.warning(
                         "%s. Opening the window again, for up to %g s", error, self._reopen_seconds
                     )
-            else:
-                if self._lost is not None:
-                    self._lost = None
-                    self.statistics["reopened"] += 1
-                    _log.warning("projector: the window is open again; going on")
-                return
-            left = began + self._reopen_seconds - time.monotonic()
-            if left <= 0:
-                raise self._given_up(last)
-            self._closing.wait(min(pause, left))
-            pause = min(2 * pause, LONGEST_PAUSE_SECONDS)
+                self._lose(error)
+                if time.monotonic() >= end:
+                    raise self._given_up(error.reason) from None
+                self._closing.wait(min(pause, end - time.monotonic()))
+                pause = min(2 * pause, 5.0)
+                continue
+            if self._lost is not None:
+                self._lost = None
+                self.statistics["reopened"] += 1
+                _log.warning("projector: the window is open again; going on")
+            return
         raise CaptureError("the projector's window is closed; open it anew")
+
+    def _lose(self, error: _LostWindowError) -> None:
+        self._lost = self._lost or error
+        self._drop()
 
     def _opened(self) -> _WindowProcess:
         """Return the window, opened again if it is lost."""
@@ -294,7 +332,12 @@ class _WindowProcess:
         self._errors = cast("IO[bytes]", tempfile.TemporaryFile())  # noqa: SIM115
         self._process = subprocess.Popen(
             # -P: modules of rfpipe.rigs beside the program are no top-level ones
-            [sys.executable, "-P", str(_PROGRAM), json.dumps(settings)],
+            [
+                sys.executable,
+                "-P",
+                str(Path(__file__).with_name("window_process.py")),
+                json.dumps(settings),
+            ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._errors,

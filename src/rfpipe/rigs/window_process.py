@@ -31,7 +31,7 @@ DRIVERS = ("x11", "wayland", "windows", "cocoa")
 """SDL's drivers that show something; without a display it takes one that doesn't."""
 
 MEMORY = "memory:"
-"""Before the file of a display that is an array (H, W, 3) of bytes, of `rfpipe.rigs.display`."""
+"""Before the file of a display that is an array (H, W, 3) of bytes, of `rfpipe.rigs.displays`."""
 
 SDL_CENTRED_ON_DISPLAY = 0x2FFF0000
 """SDL_WINDOWPOS_CENTERED_DISPLAY(0)."""

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
+from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.rigs.messages import Message
-from rfpipe.rigs.sequences import capture_batch, sequence_patterns
 from rfpipe.rigs.wire import SentPatterns
 from rfpipe.server.lease import Leases
 from rfpipe.server.models import Metrics

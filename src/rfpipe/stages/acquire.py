@@ -18,7 +18,7 @@ from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
 from rfpipe.photometry.reciprocity import Reciprocity
 from rfpipe.rigs import DRIFT_KEY, Rig
-from rfpipe.rigs.sequences import capture_batch, sequence_patterns
+from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.stages.capturing.drift import look
 from rfpipe.stages.capturing.mutual import MutualWatch, Tally
 from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns

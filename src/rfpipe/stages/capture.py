@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry import ExactSensor
 from rfpipe.rigs import Rig
-from rfpipe.rigs.sequences import sequence_patterns
+from rfpipe.rigs.base import sequence_patterns
 from rfpipe.stages.capturing.brackets import Brackets
 from rfpipe.stages.capturing.devices import counted_by, difference
 from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, InputError, StoreError
 from rfpipe.photometry import Sensor, sensor_from_description
 from rfpipe.rigs import RemoteRig, Rig
+from rfpipe.rigs.calibrated import warn_of
 from rfpipe.rigs.token import read_token
-from rfpipe.rigs.verdicts import warn_of
 from rfpipe.stages import capture
 from rfpipe.stages.aside import differing
 from rfpipe.stages.capture import frame_settings

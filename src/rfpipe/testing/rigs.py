@@ -16,7 +16,7 @@ from rfpipe.errors import InputError
 from rfpipe.photometry import MergeOptions
 from rfpipe.provenance import generator
 from rfpipe.rigs import BLACK_LEVEL_KEY, Rig
-from rfpipe.rigs.sequences import capture_batch, sequence_patterns
+from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.testing.checks import require, require_equal_descriptions, require_raises
 
 __all__ = ["RigContract"]

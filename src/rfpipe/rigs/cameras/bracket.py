@@ -6,41 +6,45 @@ import logging
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
-from typing import Any, ClassVar, Protocol
+from collections.abc import Iterable
+from importlib import import_module
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from rfpipe.errors import CaptureError
+from rfpipe.config.base import Settings
+from rfpipe.errors import CaptureError, installing
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.devices import Closing
 
-__all__ = ["BracketCamera", "Patience", "chosen", "options_of"]
-
 Counts = NDArray[np.uint16]
 
+Offset = Annotated[int, Field(ge=0, le=32768)]
+PictureExtent = Annotated[int, Field(ge=1, le=32768)]
+
+TimeoutSeconds = Annotated[
+    float,
+    Field(
+        gt=0,
+        le=600,
+        description="Seconds until a frame counts as lost, beyond its exposure time; above 0, at "
+        "most 600.",
+    ),
+]
+Retries = Annotated[
+    int, Field(ge=0, le=100, description="How often a failed frame is taken again, 0 to 100.")
+]
+Reconnects = Annotated[
+    int, Field(ge=0, le=1000, description="How often a lost camera is looked for, 0 to 1000.")
+]
+ReconnectSeconds = Annotated[
+    float,
+    Field(ge=0, le=600, description="Wait before each of these attempts in seconds, 0 to 600."),
+]
+
 _log = logging.getLogger(__name__)
-
-
-class Patience(Protocol):
-    """How long a driver tries; the options of each have these."""
-
-    @property
-    def timeout_seconds(self) -> float:
-        """Seconds until a frame counts as lost, beyond its exposure time."""
-
-    @property
-    def retries(self) -> int:
-        """How often a failed frame is taken again."""
-
-    @property
-    def reconnects(self) -> int:
-        """How often a lost camera is looked for."""
-
-    @property
-    def reconnect_seconds(self) -> float:
-        """Wait before each of these attempts."""
 
 
 class BracketCamera(Closing, ABC):
@@ -52,28 +56,43 @@ class BracketCamera(Closing, ABC):
     Parameters
     ----------
     sensor : CameraModel
-    channels : int
-        Of a frame: 1 of a grey camera and under a mosaic, or 3.
-    patience : Patience
+    options
+        Those of the driver's model `Options`, by name; defaults are the model's, ranges are checked
+        where settings are read.
+
+    Raises
+    ------
+    TypeError
+        When there is an option that the driver doesn't have.
 
     Attributes
     ----------
+    Options : type
+        The driver's settings, with ``timeout_seconds``, ``retries``, ``reconnects`` and
+        ``reconnect_seconds``.
+    channels : int
+        Of a frame: 1 of a grey camera and under a mosaic, or 3.
     statistics : dict of str to int
         ``frames`` taken; ``failed``: frames that came damaged; ``timed_out``: that didn't come;
         ``reconnected``: times that the camera was lost and found.
     advice : str
         What to look at when frames keep failing.
+    faults : tuple of exception types
+        What the driver's library raises where the camera is lost.
     """
 
+    Options: ClassVar[type[Settings]]
     advice: ClassVar[str] = "Check its cable and the load of its port (packet size, USB hub)"
     faults: tuple[type[Exception], ...] = ()
 
-    def __init__(self, sensor: CameraModel, channels: int, patience: Patience) -> None:
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
+        if unknown := options.keys() - self.Options.model_fields:
+            raise TypeError(f"{type(self).__name__} has no options {', '.join(sorted(unknown))}")
+        self._options: Any = self.Options.model_construct(**options)
         self.sensor = sensor
-        self.channels = channels
+        self.channels = 1
         self.statistics = {"frames": 0, "failed": 0, "timed_out": 0, "reconnected": 0}
         self.shape = (0, 0)
-        self._patience = patience
         self._name = "camera"
         self._lock = threading.Lock()
         self._closed = False
@@ -102,7 +121,7 @@ class BracketCamera(Closing, ABC):
 
     @abstractmethod
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
-        """Take one frame; return it, or None and what is wrong. `faults` mean a lost camera."""
+        """Take one frame; return it, or None and what is wrong."""
 
     @abstractmethod
     def _restart(self) -> None:
@@ -114,7 +133,7 @@ class BracketCamera(Closing, ABC):
 
     def _said(self, error: Exception) -> str:
         """Return what the library says of an error."""
-        return str(error)
+        return str(error).strip().rstrip(".")
 
     def _before_trigger(self, exposure: float) -> None:
         """Is called before each trigger; a real camera needs nothing more."""
@@ -129,15 +148,18 @@ class BracketCamera(Closing, ABC):
         self.statistics["timed_out"] += 1
         return None, problem
 
-    def _exposure(self, exposure: float) -> Counts:
-        """Take one frame, again where it fails."""
+    def _check_open(self) -> None:
         if self._closed:
             raise CaptureError("the camera is closed; open it anew")
-        problem, attempts = "", self._patience.retries + 1
+        if self._is_lost():
+            self._reconnect("it was disconnected")
+
+    def _exposure(self, exposure: float) -> Counts:
+        """Take one frame, again where it fails."""
+        attempts = self._options.retries + 1
         for attempt in range(attempts):
             try:
-                if self._is_lost():
-                    self._reconnect("it was disconnected")
+                self._check_open()
                 frame, problem = self._frame(exposure)
                 if frame is not None:
                     self.statistics["frames"] += 1
@@ -159,10 +181,10 @@ class BracketCamera(Closing, ABC):
     def _reconnect(self, reason: str) -> None:
         """Find the camera again."""
         _log.warning("%s was lost: %s", self._name, reason)
-        problem, attempts = reason, self._patience.reconnects
+        problem, attempts = reason, self._options.reconnects
         for attempt in range(attempts):
             self._drop()
-            time.sleep(self._patience.reconnect_seconds)
+            time.sleep(self._options.reconnect_seconds)
             try:
                 shape = self._open()
             except CaptureError as error:
@@ -183,23 +205,18 @@ class BracketCamera(Closing, ABC):
         )
 
 
-def options_of(model: type[Any], given: Mapping[str, Any], what: str) -> Any:
-    """Return a driver's options of what its constructor was given by name.
-
-    Their ranges aren't checked: the settings' file was, and the camera knows its own.
-
-    Raises
-    ------
-    TypeError
-        When there is an option that the driver doesn't have.
-    """
-    if unknown := given.keys() - model.model_fields:
-        raise TypeError(f"{what} has no options {', '.join(sorted(unknown))}")
-    return model.model_construct(**given)
+def load_library(module: str, extra: str) -> Any:
+    """Import a driver's library, or raise CaptureError that names the extra of rfpipe with it."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise CaptureError(
+            f"{module} can't be loaded: {error}. To install it, {installing(extra)}"
+        ) from error
 
 
 def chosen(connected: Iterable[str], serial: str | None) -> int:
-    """Return which of the cameras that answer is meant, by their serial numbers.
+    """Return the index of a camera by the serial numbers of those that answer.
 
     Raises
     ------

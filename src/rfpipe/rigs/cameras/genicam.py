@@ -1,49 +1,42 @@
-"""How a camera of the GenICam standard is set up for measuring, through whatever library."""
+"""Cameras of the GenICam standard: their settings, and triggers, through whatever library."""
 
 from __future__ import annotations
 
+import logging
 import math
-from dataclasses import dataclass
-from typing import Any, Protocol, TypeAlias
+import threading
+from abc import abstractmethod
+from typing import Any, ClassVar, Literal, Protocol, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.cameras.options import BAYER_NAMES, GenicamOptions
+from rfpipe.rigs.cameras.bracket import (
+    BracketCamera,
+    Offset,
+    PictureExtent,
+    Reconnects,
+    ReconnectSeconds,
+    Retries,
+    TimeoutSeconds,
+)
 
-__all__ = [
-    "SOFTWARE",
-    "CameraSetup",
-    "Nodes",
-    "RefusedError",
-    "Value",
-    "frame_rate",
-    "seconds_between",
-]
-
+Counts = NDArray[np.uint16]
 Value: TypeAlias = bool | int | float | str
 """Of a camera's setting."""
 
-MICROSECONDS = 1e6
-
-EXPOSURE_TOLERANCE = 1e-3
-"""Fraction by which a camera may round an exposure time; the merge trusts the nominal ones."""
-
-SETTING_TOLERANCE = 0.02
-"""Fraction by which it may round another number, such as the gain."""
-
-TRIGGER_MARGIN = 0.05
-"""Of the least time between two triggers: one that comes too early is missed."""
-
-SOFTWARE = "Software"
-"""Source of triggers that this program gives."""
-
-FRAME_RATES = "ResultingFrameRate", "ResultingFrameRateAbs", "AcquisitionResultingFrameRate"
-"""Names that makers give the frames a second that the camera takes as it is set up."""
-
-SET_FRAME_RATE = "AcquisitionFrameRate"
-
-NO_BOUND = 1e6
-"""Frames a second that no camera takes: its makers gave no bound."""
+PixelFormat = Literal[
+    "Mono8", "Mono10", "Mono12", "Mono16",
+    "BayerRG8", "BayerRG10", "BayerRG12", "BayerRG16",
+    "BayerGR8", "BayerGR10", "BayerGR12", "BayerGR16",
+    "BayerGB8", "BayerGB10", "BayerGB12", "BayerGB16",
+    "BayerBG8", "BayerBG10", "BayerBG12", "BayerBG16",
+]  # fmt: skip
+"""Formats of GenICam (PFNC) that measure: not packed, not made into colours by the camera."""
 
 FIXED: dict[str, Value] = {
     "GainAuto": "Off",
@@ -61,6 +54,71 @@ FIXED: dict[str, Value] = {
     "AcquisitionMode": "Continuous",
 }
 """What must not adapt or bend counts, made where a camera has it."""
+
+_FRAME_RATES = "ResultingFrameRate", "ResultingFrameRateAbs", "AcquisitionResultingFrameRate"
+"""Names that makers give the frames a second that the camera takes as it is set up."""
+
+_log = logging.getLogger(__name__)
+
+
+class GenicamOptions(Settings):
+    """A camera of the GenICam standard."""
+
+    SAID_ELSEWHERE: ClassVar[frozenset[str]] = frozenset({"pixel_format"})  # by the sensor
+
+    serial: str | None = Field(
+        None, min_length=1, description="Serial number, or null for the only camera connected."
+    )
+    pixel_format: PixelFormat = Field(
+        "Mono12",
+        description="Mono8, Mono10, Mono12 or Mono16, or one of a colour mosaic: BayerRG, "
+        "BayerGR, BayerGB or BayerBG with 8, 10, 12 or 16 bits. sensor.bits and sensor.bayer say "
+        "the same.",
+    )
+    shape: tuple[PictureExtent, PictureExtent] | None = Field(
+        None, description="Height and width of the frames in pixels, or null for the whole sensor."
+    )
+    offset: tuple[Offset, Offset] = Field(
+        (0, 0),
+        description="Place of the frames on the sensor: rows from its upper edge, columns from "
+        "its left edge.",
+    )
+    gain_db: float = Field(
+        0.0, ge=0, le=48, description="Gain in decibels, fixed, 0 to 48; 0 has the least noise."
+    )
+    timeout_seconds: TimeoutSeconds = 2.0
+    retries: Retries = 3
+    reconnects: Reconnects = 5
+    reconnect_seconds: ReconnectSeconds = 2.0
+    nodes: dict[str, bool | int | float | str] = Field(
+        default_factory=dict,
+        description="Further settings of the camera, as its manual names them, such as "
+        "{SensorReadoutMode: Fast}.",
+    )
+    sequence_line: str | None = Field(
+        None,
+        min_length=1,
+        description="Input at which a projector with sequences triggers the camera, as its manual "
+        "names it, such as Line1; null where there is no such projector.",
+    )
+
+    @property
+    def bits(self) -> int:
+        """Bits of the pixel format."""
+        return int(self.pixel_format.lstrip("MonBayerRG"))
+
+    @property
+    def bayer(self) -> str | None:
+        """Colour mosaic of the pixel format, None for grey."""
+        if self.pixel_format.startswith("Mono"):
+            return None
+        first = self.pixel_format[5:7]
+        return first + {"RG": "GB", "GR": "BG", "GB": "RG", "BG": "GR"}[first]
+
+    @property
+    def channels(self) -> int:
+        """Colour channels of merged images: 1, or 3 of a colour mosaic."""
+        return 1 if self.bayer is None else 3
 
 
 class RefusedError(CaptureError):
@@ -89,17 +147,15 @@ class Nodes(Protocol):
         """Return a number; None where the camera doesn't tell it."""
 
 
-@dataclass(frozen=True)
-class CameraSetup:
-    """The settings of a camera, and how they are made.
+class GenicamCamera(BracketCamera):
+    """A camera that takes brackets by software trigger, and sequences by a projector's.
 
     Parameters
     ----------
     sensor : CameraModel
-        Its bits and mosaic choose the pixel format.
-    options : GenicamOptions
-        Place and size of the frames, gain, and further settings (nodes), which are made last, and
-        must exist.
+        Exposures, and bits and mosaic, which choose the pixel format.
+    options
+        As `GenicamOptions` has them; ``sequence_line`` is the input of the projector's triggers.
 
     Raises
     ------
@@ -107,154 +163,303 @@ class CameraSetup:
         When no pixel format has the sensor's bits.
     """
 
-    sensor: CameraModel
-    options: GenicamOptions
+    kind: ClassVar[str]
+    Options = GenicamOptions
 
-    def __post_init__(self) -> None:
-        if self.sensor.bits not in (8, 10, 12, 16):
-            raise InputError(
-                f"sensor.bits is {self.sensor.bits}; a GenICam camera has 8, 10, 12 or 16"
-            )
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
+        if sensor.bits not in (8, 10, 12, 16):
+            raise InputError(f"sensor.bits is {sensor.bits}; a GenICam camera has 8, 10, 12 or 16")
+        super().__init__(sensor, **options)
+        self.channels = 1 if sensor.bayer is None else 3
+        mosaic = "Mono" if sensor.bayer is None else f"Bayer{sensor.bayer[:2]}"
+        self._pixel_format = f"{mosaic}{sensor.bits}"
+        self._serial = self._options.serial
+        self._model = ""
+        self._collector: _Collector | None = None
 
     @property
-    def pixel_format(self) -> str:
-        """The standard's name of what the sensor delivers, such as BayerRG12."""
-        bayer = self.sensor.bayer
-        return f"{'Mono' if bayer is None else BAYER_NAMES[bayer]}{self.sensor.bits}"
+    @abstractmethod
+    def nodes(self) -> Nodes:
+        """The open camera's settings."""
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Find and open the camera; note its serial number and model."""
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Have the camera take a frame at each trigger."""
+
+    @abstractmethod
+    def _stop(self) -> None:
+        """Have it take none, and drop those that are on their way."""
+
+    @abstractmethod
+    def _trigger(self) -> None:
+        """Trigger a frame."""
+
+    @abstractmethod
+    def _next(self, seconds: float) -> tuple[Counts | None, str]:
+        """Return the next frame, or None and what is wrong: ``""`` where none came in time."""
+
+    def _is_ready(self, seconds: float) -> bool:  # noqa: ARG002
+        """Wait until the camera takes a trigger; tell whether it does so within `seconds`."""
+        return True
+
+    def _expect(self) -> None:
+        """Make room for one more frame, where the library has none of its own."""
 
     def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests."""
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
         return {
-            "pixel_format": self.pixel_format,
-            "offset": list(self.options.offset),
-            "gain_db": self.options.gain_db,
-            "nodes": dict(sorted(self.options.nodes.items())),
+            "kind": self.kind,
+            "model": self._model,
+            "serial": self._serial,
+            "shape": list(self.shape),
+            "pixel_format": self._pixel_format,
+            "offset": list(self._options.offset),
+            "gain_db": self._options.gain_db,
+            "nodes": dict(sorted(self._options.nodes.items())),
         }
 
-    def apply(self, nodes: Nodes) -> tuple[int, int]:
-        """Make all settings but the exposure time.
+    def close(self) -> None:
+        """Give the camera back; closing twice is no error."""
+        with self._lock:
+            self._disarm()  # or frames would be fetched of a camera that isn't there
+        super().close()
 
-        Parameters
-        ----------
-        nodes : Nodes
-            Of a camera that is open, and not grabbing.
+    @property
+    def can_be_triggered(self) -> bool:
+        """Whether a projector triggers it; see `rfpipe.rigs.devices.SequenceCamera`."""
+        return self._options.sequence_line is not None
 
-        Returns
-        -------
-        (int, int)
-            The frames' height and width.
+    def seconds_between(self, exposure: float) -> float:
+        """Return the least time between two triggers; as `SequenceCamera` has it."""
+        rate = next(filter(None, map(self.nodes.number, _FRAME_RATES)), None)
+        if rate is None and self.nodes.number("AcquisitionFrameRate") is not None:
+            rate = self.nodes.bounds("AcquisitionFrameRate")[1]  # as size and format allow it
+        # makers without a bound say a huge number; a trigger a twentieth too early is missed
+        return 1.05 * (max(exposure, 1 / rate) if rate and rate > 0 else exposure)
+
+    def arm(self, exposure: float, count: int) -> None:
+        """Wait for triggers by the projector; as `SequenceCamera` has it.
 
         Raises
         ------
         CaptureError
-            When the camera refuses a setting: names it, and what the camera would take.
+            When the camera is lost, or refuses the line.
         """
+        with self._lock:
+            self._disarm()
+            self._check_open()
+            try:
+                self._stop()
+                self._set_exposure(exposure)
+                self._set_trigger(str(self._options.sequence_line))
+                self._start()
+            except CaptureError:  # it is there, and refuses
+                self._by_software()
+                raise
+            except self.faults as error:
+                self._drop()
+                raise CaptureError(f"{self._name}: {self._said(error)}") from error
+            self._collector = _Collector(self, count, exposure + self._options.timeout_seconds)
+
+    def collect(self) -> Counts:
+        """Return the frames since `arm`; as `SequenceCamera` has it."""
+        with self._lock:
+            collector, self._collector = self._collector, None
+            if collector is None:
+                raise CaptureError(f"{self._name}: isn't armed")
+            collector.finish()
+            frames, failed = collector.frames, collector.failed
+            self.statistics["frames"] += len(frames)
+            self.statistics["failed"] += failed
+            self.statistics["timed_out"] += collector.count - len(frames) - failed
+            self._by_software()
+        item = self.sensor.frame_shape(self.shape, self.channels)[1:]
+        good = [frame.reshape(item) for frame in frames if frame.shape == self.shape]
+        return np.stack(good) if good else np.zeros((0, *item), np.uint16)
+
+    def _frame(self, exposure: float) -> tuple[Counts | None, str]:
+        seconds = exposure + self._options.timeout_seconds
+        self._set_exposure(exposure)
+        if not self._is_ready(seconds):
+            return self._timed_out(f"not ready for a trigger within {1000 * seconds:.0f} ms")
+        self._before_trigger(exposure)
+        self._trigger()
+        frame, problem = self._next(seconds)
+        if problem:
+            return self._failed(problem)
+        if frame is None:
+            return self._timed_out(f"no frame within {1000 * seconds:.0f} ms")
+        if frame.shape != self.shape:
+            return self._failed(f"the frame has {frame.shape} pixels, expected {self.shape}")
+        return frame, ""
+
+    def _open(self) -> tuple[int, int]:
+        try:
+            self._connect()
+            self._name = f"camera {self._serial}"
+            shape = self._set_up()
+            self._start()
+        except CaptureError:
+            self._drop()
+            raise
+        except self.faults as error:
+            self._drop()
+            raise CaptureError(
+                f"camera {self._serial}: can't be opened: {self._said(error)}. Close other "
+                "programs that hold it, and check its power and cable"
+            ) from error
+        _log.info("%s (%s): %s, %d x %d", self._name, self._model, self._pixel_format, *shape)
+        return shape
+
+    def _restart(self) -> None:
+        self._stop()
+        self._start()
+
+    def _disarm(self) -> None:
+        """Stop fetching frames of a sequence that nobody collects."""
+        collector, self._collector = self._collector, None
+        if collector is not None:
+            collector.patience = 0.0
+            collector.finish()
+
+    def _by_software(self) -> None:
+        """Go back to triggers by this program; a camera that can't is looked for at the next."""
+        if self._is_lost():
+            return
+        wrong: tuple[type[Exception], ...] = (CaptureError, *self.faults)
+        try:
+            self._stop()
+            self._set_trigger("Software")
+            self._start()
+        except wrong as error:
+            self._drop()
+            _log.warning("%s: %s", self._name, self._said(error))
+
+    def _set_up(self) -> tuple[int, int]:
+        """Make all settings but the exposure time; return the frames' height and width."""
+        nodes, options = self.nodes, self._options
         if nodes.is_writable("UserSetLoad"):
-            _set(nodes, "UserSetSelector", "Default")  # not what the last program left
+            self._set("UserSetSelector", "Default")  # not what the last program left
             nodes.execute("UserSetLoad")
         for name, value in FIXED.items():
             if nodes.is_writable(name):
-                _set(nodes, name, value)
-        _set(nodes, "PixelFormat", self.pixel_format)
-        shape = self._set_region(nodes)
+                self._set(name, value)
+        self._set("PixelFormat", self._pixel_format)
+        shape = self._set_region()
         for selector in nodes.choices("TriggerSelector"):
-            _set(nodes, "TriggerSelector", selector)
-            _set(nodes, "TriggerMode", "On" if selector == "FrameStart" else "Off")
-        _set(nodes, "TriggerSelector", "FrameStart")
-        _set(nodes, "TriggerMode", "On")  # where a camera has one for all selectors
-        self.set_trigger(nodes, SOFTWARE)
-        self._set_gain(nodes)
-        for name, value in self.options.nodes.items():
-            _set(nodes, name, value)
-        return shape
-
-    def set_exposure(self, nodes: Nodes, exposure: float) -> None:
-        """Set the exposure time in seconds, and make sure that the camera took it.
-
-        Raises
-        ------
-        CaptureError
-            When it can't expose so long or so short, or rounds the time.
-        """
-        # cameras before SFNC 2 have the other name
-        name = "ExposureTime" if nodes.is_writable("ExposureTime") else "ExposureTimeAbs"
-        wanted = exposure * MICROSECONDS
-        least, largest = nodes.bounds(name)
-        if not least <= wanted <= largest:
-            raise CaptureError(
-                f"camera: an exposure of {exposure:g} s is not in its range, "
-                f"{least / MICROSECONDS:g} to {largest / MICROSECONDS:g} s; change "
-                "sensor.exposures"
-            )
-        taken = float(nodes.write(name, wanted))
-        if abs(taken - wanted) > EXPOSURE_TOLERANCE * wanted:
-            raise CaptureError(
-                f"camera: rounds an exposure of {exposure:g} s to {taken / MICROSECONDS:g} "
-                "s; set sensor.exposures to what it can do"
-            )
-
-    def set_trigger(self, nodes: Nodes, source: str) -> None:
-        """Say what triggers a frame: `SOFTWARE`, or an input such as Line1, at its rising edge.
-
-        Raises
-        ------
-        CaptureError
-            When the camera refuses it: names what it would take.
-        """
-        _set(nodes, "TriggerSource", source)
-        if source != SOFTWARE and nodes.is_writable("TriggerActivation"):
-            _set(nodes, "TriggerActivation", "RisingEdge")
-
-    def _set_region(self, nodes: Nodes) -> tuple[int, int]:
-        """Choose the part of the sensor."""
-        offsets = dict(zip(("OffsetY", "OffsetX"), self.options.offset, strict=True))
-        for name in offsets:
-            if nodes.is_writable(name):
-                _set(nodes, name, 0)  # or the extents are limited by the last offset
-        largest = tuple(int(nodes.bounds(name)[1]) for name in ("Height", "Width"))
-        height, width = self.options.shape or largest
-        _set(nodes, "Height", height)
-        _set(nodes, "Width", width)
-        for name, value in offsets.items():
-            if value > 0:
-                _set(nodes, name, value)
-        return height, width
-
-    def _set_gain(self, nodes: Nodes) -> None:
+            self._set("TriggerSelector", selector)
+            self._set("TriggerMode", "On" if selector == "FrameStart" else "Off")
+        self._set("TriggerSelector", "FrameStart")
+        self._set("TriggerMode", "On")  # where a camera has one for all selectors
+        self._set_trigger("Software")
         if nodes.is_writable("Gain"):
-            _set(nodes, "Gain", float(self.options.gain_db))
-        elif self.options.gain_db == 0:
-            _set(nodes, "GainRaw", int(nodes.bounds("GainRaw")[0]))
+            self._set("Gain", float(options.gain_db))
+        elif options.gain_db == 0:
+            self._set("GainRaw", int(nodes.bounds("GainRaw")[0]))
         else:
             raise CaptureError(
                 "camera: has no gain in decibels; set camera.gain_db to 0 and camera.nodes to "
                 "{GainRaw: ...}"
             )
+        for name, value in options.nodes.items():
+            self._set(name, value)
+        return shape
+
+    def _set_region(self) -> tuple[int, int]:
+        """Choose the part of the sensor; return its height and width."""
+        offsets = dict(zip(("OffsetY", "OffsetX"), self._options.offset, strict=True))
+        for name in offsets:
+            if self.nodes.is_writable(name):
+                self._set(name, 0)  # or the extents are limited by the last offset
+        largest = tuple(int(self.nodes.bounds(name)[1]) for name in ("Height", "Width"))
+        height, width = self._options.shape or largest
+        for name, value in (("Height", height), ("Width", width), *offsets.items()):
+            if value > 0:
+                self._set(name, value)
+        return height, width
+
+    def _set_exposure(self, exposure: float) -> None:
+        """Set the exposure time in seconds, and make sure that the camera took it."""
+        # cameras before SFNC 2 have the other name
+        name = "ExposureTime" if self.nodes.is_writable("ExposureTime") else "ExposureTimeAbs"
+        wanted = 1e6 * exposure
+        least, largest = self.nodes.bounds(name)
+        if not least <= wanted <= largest:
+            raise CaptureError(
+                f"camera: an exposure of {exposure:g} s is not in its range, {least / 1e6:g} to "
+                f"{largest / 1e6:g} s; change sensor.exposures"
+            )
+        taken = float(self.nodes.write(name, wanted))
+        if abs(taken - wanted) > 1e-3 * wanted:  # the merge trusts the nominal times
+            raise CaptureError(
+                f"camera: rounds an exposure of {exposure:g} s to {taken / 1e6:g} s; set "
+                "sensor.exposures to what it can do"
+            )
+
+    def _set_trigger(self, source: str) -> None:
+        """Say what triggers a frame: Software, or the rising edge of an input such as Line1."""
+        self._set("TriggerSource", source)
+        if source != "Software" and self.nodes.is_writable("TriggerActivation"):
+            self._set("TriggerActivation", "RisingEdge")
+
+    def _set(self, name: str, value: Value) -> None:
+        """Make one setting, and compare what the camera took: numbers may be rounded by 2 %."""
+        taken = self.nodes.write(name, value)
+        is_near = isinstance(value, float) and math.isclose(
+            float(taken), value, rel_tol=0.02, abs_tol=1e-6
+        )
+        if not is_near and taken != value:
+            raise CaptureError(f"camera: takes {name} = {taken} where {value} was asked for")
 
 
-def frame_rate(nodes: Nodes) -> float | None:
-    """Return how many frames a second a camera takes as it is set up; None: it doesn't tell."""
-    rates = (nodes.number(name) for name in FRAME_RATES)
-    if (rate := next((rate for rate in rates if rate), None)) is not None:
-        return rate
-    if nodes.number(SET_FRAME_RATE) is None:
-        return None
-    _, largest = nodes.bounds(SET_FRAME_RATE)  # what could be set, as size and format are
-    return largest if 0 < largest < NO_BOUND else None
+class _Collector:
+    """Fetches frames of a sequence as they come, so that a library never runs out of buffers.
 
+    `patience` is the time in seconds without a frame after which no more is waited for, once the
+    sequence is over. The camera's `_next` is no one else's until `finish`.
+    """
 
-def seconds_between(exposure: float, frame_rate: float | None) -> float:
-    """Return the least time from one trigger to the next, of a camera that tells its frame rate."""
-    between = exposure if not frame_rate else max(exposure, 1 / frame_rate)
-    return between * (1 + TRIGGER_MARGIN)
+    QUEUE = 32
+    """Frames that a camera's library has room for at once."""
 
+    def __init__(self, camera: GenicamCamera, count: int, patience: float) -> None:
+        self.count, self.patience = count, patience
+        self.frames: list[Counts] = []
+        self.failed = 0
+        self._camera = camera
+        self._room = min(count, self.QUEUE)
+        for _ in range(self._room):
+            camera._expect()
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._fetch, name="frames", daemon=True)
+        self._thread.start()
 
-def _set(nodes: Nodes, name: str, value: Value) -> None:
-    """Make one setting, and compare what the camera took."""
-    taken = nodes.write(name, value)
-    if isinstance(value, float) and math.isclose(
-        float(taken), value, rel_tol=SETTING_TOLERANCE, abs_tol=1e-6
-    ):
-        return
-    if taken != value:
-        raise CaptureError(f"camera: takes {name} = {taken} where {value} was asked for")
+    def finish(self) -> None:
+        """Wait for what still comes."""
+        self._is_over.set()
+        self._thread.join()
+
+    def _fetch(self) -> None:
+        quiet, poll = 0.0, 0.1
+        while len(self.frames) + self.failed < self.count:
+            try:
+                frame, problem = self._camera._next(poll)
+                if frame is None and not problem:
+                    quiet += poll
+                    if self._is_over.is_set() and quiet >= self.patience:
+                        return
+                    continue
+                if self._room < self.count:
+                    self._camera._expect()
+                    self._room += 1
+            except self._camera.faults:
+                return  # the camera is lost: what is missing is played again
+            quiet = 0.0
+            if frame is None:
+                self.failed += 1
+            else:
+                self.frames.append(frame)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, IntegrityError, StoreError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
-from rfpipe.rigs.sequences import capture_batch
+from rfpipe.rigs.base import capture_batch
 from rfpipe.stages.aside import settle
 from rfpipe.stages.capturing.shown import Keys
 from rfpipe.stages.jobs.progress import Progress

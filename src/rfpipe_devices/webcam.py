@@ -10,8 +10,11 @@ from __future__ import annotations
 
 import logging
 import math
+import shutil
+import tempfile
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -19,23 +22,22 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from rfpipe.config.base import Settings, Text
-from rfpipe.errors import CaptureError, InputError, installing
+from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.cameras.bracket import BracketCamera, options_of
-from rfpipe.rigs.cameras.options import PictureExtent, Reconnects, ReconnectSeconds, Retries
-
-__all__ = ["Webcam", "WebcamOptions", "load_opencv"]
+from rfpipe.rigs.cameras.bracket import (
+    BracketCamera,
+    PictureExtent,
+    Reconnects,
+    ReconnectSeconds,
+    Retries,
+    load_library,
+)
+from rfpipe.rigs.optics import Scenery
 
 Counts = NDArray[np.uint16]
 
-COMPRESSED = ("MJPG", "JPEG", "H264", "HEVC")
-"""Streams that have lost what they can't be given back."""
-
 V4L2_TICKS = 1e4
 """Of an exposure time, a second: V4L2 counts 100 microseconds."""
-
-EXPOSURE_TOLERANCE = 0.01
-"""Fraction by which an exposure time may differ from the one asked for without a warning."""
 
 _log = logging.getLogger(__name__)
 
@@ -112,18 +114,18 @@ class Webcam(BracketCamera):
     """
 
     Options = WebcamOptions
-    bench = "rfpipe.rigs.bench_cameras:WebcamBenchCamera"
+    bench = "rfpipe_devices.webcam:WebcamBenchCamera"
     advice = "Check its cable and hub, and that no other program uses it"
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
-        self._options: WebcamOptions = options_of(WebcamOptions, options, "a webcam")
         if (sensor.bits, sensor.bayer) != (8, None):
             raise InputError(
                 f"sensor.bits is {sensor.bits} and sensor.bayer {sensor.bayer}; a webcam's frames "
                 "have 8 bits and no mosaic: set 8 and null"
             )
-        super().__init__(sensor, self._options.channels, self._options)
-        self._cv2 = load_opencv()
+        super().__init__(sensor, **options)
+        self.channels = self._options.channels
+        self._cv2 = load_library("cv2", "webcam")
         self.faults = (self._cv2.error,)
         self.adapts: tuple[str, ...] = ()
         self._capture: Any = None
@@ -151,7 +153,6 @@ class Webcam(BracketCamera):
         return self._capture is None
 
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
-        """Take one frame; return it, or None and what is wrong."""
         if self._has_times and self._set_to != exposure:
             self._set_exposure(exposure)
         self._before_trigger(exposure)
@@ -232,7 +233,7 @@ class Webcam(BracketCamera):
             if not hasattr(self._cv2, f"CAP_PROP_{name}") or not self._set(name, value):
                 raise CaptureError(f"{self._name}: refuses camera.controls.{name} = {value:g}")
         stream = _letters(int(self._capture.get(self._cv2.CAP_PROP_FOURCC)))
-        if stream in COMPRESSED:
+        if stream in ("MJPG", "JPEG", "H264", "HEVC"):
             adapts.append(f"compression ({stream})")
         self.adapts = tuple(adapts)
         left = ", ".join(self.adapts)
@@ -274,7 +275,7 @@ class Webcam(BracketCamera):
             _log.warning("%s: its exposure time is its own affair", self._name)
             return
         for exposure, time in zip(wanted, times, strict=True):
-            if abs(time / exposure - 1) > EXPOSURE_TOLERANCE:
+            if abs(time / exposure - 1) > 0.01:
                 _log.warning("%s: takes %g s for an exposure of %g s", self._name, time, exposure)
         if any(longer <= shorter for shorter, longer in pairwise(times)):
             self.close()
@@ -291,23 +292,132 @@ class Webcam(BracketCamera):
         self._open()
 
     def _drop(self) -> None:
-        """Let go of the device, whatever state it is in."""
         capture, self._capture = self._capture, None
         if capture is not None:
             capture.release()
 
 
-def load_opencv() -> Any:
-    """Return the module ``cv2``, or raise CaptureError."""
-    try:
-        import cv2
-    except ImportError as error:
-        raise CaptureError(
-            f"OpenCV can't be loaded: {error}. To install it, {installing('webcam')}"
-        ) from error
-    return cv2
-
-
 def _letters(fourcc: int) -> str:
     """Return the four letters of a stream's format."""
     return "".join(chr((fourcc >> shift) & 0x7F) for shift in (0, 8, 16, 24)).upper()
+
+
+class VirtualUvc:
+    """A V4L2 camera in software: controls that hold what they are told, frames from files.
+
+    OpenCV opens the files, one after the other, as an image sequence. Frames that are on their way
+    when the picture changes still show the old one, as a driver's buffers do.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the frames lie.
+    late : int
+        Frames that are on their way.
+    """
+
+    def __init__(self, folder: Path, late: int) -> None:
+        self._cv2 = load_library("cv2", "webcam")
+        self._folder, self._late = folder, late
+        self._controls: dict[int, float] = {}
+        self._last: NDArray[np.uint8] | None = None
+        self._capture: Any = None
+        self._number = 0
+
+    def put(self, frame: NDArray[np.uint8]) -> None:
+        """Lay the next frame, (H, W) or (H, W, 3), before the camera."""
+        old = frame if self._last is None else self._last
+        for shown in (*(old,) * self._late, frame):
+            path = self._folder / f"{self._number:08d}.png"
+            self._number += 1
+            if not self._cv2.imwrite(str(path), shown, [self._cv2.IMWRITE_PNG_COMPRESSION, 0]):
+                raise CaptureError(f"{path}: can't be written; is the disk full?")
+        self._last = frame
+        if self._capture is None:
+            pattern = str(self._folder / "%08d.png")
+            self._capture = self._cv2.VideoCapture(pattern, self._cv2.CAP_IMAGES)
+        # those read are not needed any more, but for the first, by which OpenCV finds the series
+        for number in range(max(1, self._number - 20), self._number - 10):
+            (self._folder / f"{number:08d}.png").unlink(missing_ok=True)
+
+    def isOpened(self) -> bool:  # noqa: N802
+        """Tell whether there are frames."""
+        return bool(self._capture.isOpened())
+
+    def grab(self) -> bool:
+        """Take a frame, and leave it."""
+        return bool(self._capture.grab())
+
+    def read(self) -> tuple[bool, NDArray[np.uint8] | None]:
+        """Take a frame."""
+        arrived, frame = self._capture.read()
+        return arrived, frame
+
+    def set(self, prop: int, value: float) -> bool:
+        """Make a setting."""
+        self._controls[prop] = float(value)
+        return True
+
+    def get(self, prop: int) -> float:
+        """Return a setting."""
+        return self._controls.get(prop, 0.0)
+
+    def getBackendName(self) -> str:  # noqa: N802
+        """Name the backend whose controls these are."""
+        return "V4L2"
+
+    def release(self) -> None:
+        """Let go."""
+        self._capture.release()
+
+
+class WebcamBenchCamera(Webcam):
+    """A virtual webcam, each of its frames made when it is asked for.
+
+    Parameters
+    ----------
+    scenery : Scenery
+    sensor : CameraModel
+        The camera as the rig has it; its exposures are set, its noise is not used.
+    settings
+        As `Webcam` has them; device and shape are the bench's.
+
+    Raises
+    ------
+    CaptureError
+        When OpenCV is missing.
+    """
+
+    def __init__(self, scenery: Scenery, sensor: CameraModel, **settings: Any) -> None:
+        self._scenery = scenery
+        self._folder = Path(tempfile.mkdtemp(prefix="rfpipe-bench-"))
+        own = {"device": "of the bench", "shape": scenery.path.camera_shape}
+        try:
+            super().__init__(sensor, **{**settings, **own})
+        except BaseException:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return super().describe() | {"kind": "bench of webcam"} | self._scenery.describe()
+
+    def close(self) -> None:
+        """Give the camera back; closing twice is no error."""
+        super().close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _opened(self) -> VirtualUvc:
+        folder = Path(tempfile.mkdtemp(dir=self._folder))
+        device = VirtualUvc(folder, self._options.skip_frames)
+        dark = np.zeros((*self._scenery.path.camera_shape, 3), np.uint8)
+        device.put(dark)
+        for _ in range(self._options.skip_frames):
+            device.grab()
+        return device
+
+    def _before_trigger(self, exposure: float) -> None:  # noqa: ARG002
+        # as long as the camera was told, whatever the driver believes
+        ticks = self._capture.get(self._cv2.CAP_PROP_EXPOSURE)
+        counts = self._scenery.frame(ticks / V4L2_TICKS).astype(np.uint8)
+        self._capture.put(counts if counts.ndim == 2 else counts[..., ::-1])

@@ -20,23 +20,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError
 from rfpipe.rigs.cameras.genicam import RefusedError, Value
 
-__all__ = [
-    "STATUSES",
-    "AravisError",
-    "AravisNodes",
-    "Found",
-    "call",
-    "connected",
-    "counts_of",
-    "load_aravis",
-    "release",
-    "tried",
-]
-
 _LIBRARY, _GOBJECT = "libaravis-0.8.so.0", "libgobject-2.0.so.0"
-
-_READ_WRITE = (1, 2)
-"""Access modes of nodes that can be written: WO and RW."""
 
 STATUSES = {
     0: "success", 1: "cleared", 2: "no frame in time", 3: "packets are missing",
@@ -45,7 +29,22 @@ STATUSES = {
 }  # fmt: skip
 """What a buffer's status means."""
 
-_ERROR = ctypes.POINTER(c_void_p)
+_POINTER = ctypes.POINTER
+_ERROR = _POINTER(c_void_p)
+_OF_FEATURE = (c_void_p, c_char_p)
+
+
+def _number(kind: str, value: Any) -> dict[str, tuple[Any, tuple[Any, ...]]]:
+    """Return the signatures of features that are numbers of a kind."""
+    return {
+        f"arv_device_set_{kind}_feature_value": (None, (*_OF_FEATURE, value, _ERROR)),
+        f"arv_device_get_{kind}_feature_value": (value, (*_OF_FEATURE, _ERROR)),
+        f"arv_device_get_{kind}_feature_bounds": (
+            None, (*_OF_FEATURE, _POINTER(value), _POINTER(value), _ERROR),
+        ),
+    }  # fmt: skip
+
+
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_enable_interface": (None, (c_char_p,)),
     "arv_disable_interface": (None, (c_char_p,)),
@@ -58,28 +57,17 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_get_device_model": (c_char_p, (c_uint,)),
     "arv_get_device_vendor": (c_char_p, (c_uint,)),
     "arv_open_device": (c_void_p, (c_char_p, _ERROR)),
-    "arv_device_get_feature": (c_void_p, (c_void_p, c_char_p)),
-    "arv_device_is_feature_available": (c_int, (c_void_p, c_char_p, _ERROR)),
-    "arv_device_execute_command": (None, (c_void_p, c_char_p, _ERROR)),
-    "arv_device_set_boolean_feature_value": (None, (c_void_p, c_char_p, c_int, _ERROR)),
-    "arv_device_get_boolean_feature_value": (c_int, (c_void_p, c_char_p, _ERROR)),
-    "arv_device_set_string_feature_value": (None, (c_void_p, c_char_p, c_char_p, _ERROR)),
-    "arv_device_get_string_feature_value": (c_char_p, (c_void_p, c_char_p, _ERROR)),
-    "arv_device_set_integer_feature_value": (None, (c_void_p, c_char_p, c_int64, _ERROR)),
-    "arv_device_get_integer_feature_value": (c_int64, (c_void_p, c_char_p, _ERROR)),
-    "arv_device_get_integer_feature_bounds": (
-        None,
-        (c_void_p, c_char_p, ctypes.POINTER(c_int64), ctypes.POINTER(c_int64), _ERROR),
-    ),
-    "arv_device_set_float_feature_value": (None, (c_void_p, c_char_p, c_double, _ERROR)),
-    "arv_device_get_float_feature_value": (c_double, (c_void_p, c_char_p, _ERROR)),
-    "arv_device_get_float_feature_bounds": (
-        None,
-        (c_void_p, c_char_p, ctypes.POINTER(c_double), ctypes.POINTER(c_double), _ERROR),
-    ),
+    "arv_device_get_feature": (c_void_p, _OF_FEATURE),
+    "arv_device_is_feature_available": (c_int, (*_OF_FEATURE, _ERROR)),
+    "arv_device_execute_command": (None, (*_OF_FEATURE, _ERROR)),
+    "arv_device_set_boolean_feature_value": (None, (*_OF_FEATURE, c_int, _ERROR)),
+    "arv_device_get_boolean_feature_value": (c_int, (*_OF_FEATURE, _ERROR)),
+    "arv_device_set_string_feature_value": (None, (*_OF_FEATURE, c_char_p, _ERROR)),
+    "arv_device_get_string_feature_value": (c_char_p, (*_OF_FEATURE, _ERROR)),
+    **_number("integer", c_int64),
+    **_number("float", c_double),
     "arv_device_dup_available_enumeration_feature_values_as_strings": (
-        c_void_p,
-        (c_void_p, c_char_p, ctypes.POINTER(c_uint), _ERROR),
+        c_void_p, (*_OF_FEATURE, _POINTER(c_uint), _ERROR),
     ),
     "arv_device_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p, _ERROR)),
     "arv_gc_feature_node_is_locked": (c_int, (c_void_p, _ERROR)),
@@ -92,7 +80,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64)),
     "arv_buffer_new_allocate": (c_void_p, (c_size_t,)),
     "arv_buffer_get_status": (c_int, (c_void_p,)),
-    "arv_buffer_get_data": (c_void_p, (c_void_p, ctypes.POINTER(c_size_t))),
+    "arv_buffer_get_data": (c_void_p, (c_void_p, _POINTER(c_size_t))),
     "arv_buffer_get_image_width": (c_int, (c_void_p,)),
     "arv_buffer_get_image_height": (c_int, (c_void_p,)),
     # the fake camera's
@@ -101,7 +89,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_fake_camera_set_fill_pattern": (None, (c_void_p, c_void_p, c_void_p, c_void_p)),
     "arv_gv_fake_camera_new": (c_void_p, (c_char_p, c_char_p)),
     "arv_gv_fake_camera_get_fake_camera": (c_void_p, (c_void_p,)),
-}
+}  # fmt: skip
 
 
 class AravisError(Exception):
@@ -126,12 +114,8 @@ def load_aravis() -> tuple[ctypes.CDLL, ctypes.CDLL]:
             f"Aravis can't be loaded: {error}. Install its library, version 0.8.20 or newer; on "
             "Debian: apt-get install libaravis-0.8-0"
         ) from error
-    gobject.g_object_unref.argtypes = (c_void_p,)
-    gobject.g_object_unref.restype = None
-    gobject.g_error_free.argtypes = (c_void_p,)
-    gobject.g_error_free.restype = None
-    gobject.g_free.argtypes = (c_void_p,)
-    gobject.g_free.restype = None
+    for freeing in (gobject.g_object_unref, gobject.g_error_free, gobject.g_free):
+        freeing.argtypes, freeing.restype = (c_void_p,), None
     gobject.g_type_check_instance_is_a.argtypes = (c_void_p, c_size_t)
     gobject.g_type_check_instance_is_a.restype = c_int
     return aravis, gobject
@@ -160,24 +144,15 @@ def release(held: int | None) -> None:
         load_aravis()[1].g_object_unref(held)
 
 
-@dataclass(frozen=True)
-class Found:
-    """A camera that answers."""
-
-    id: bytes
-    serial: str
-    model: str
-
-
-def connected(*, fake: bool = False) -> list[Found]:
-    """Return the cameras that answer now, or the library's fake one where it is asked for."""
+def connected(*, fake: bool = False) -> list[tuple[bytes, str, str]]:
+    """Return id, serial number and model of the cameras that answer now, or of the fake one."""
     for index in range(call("arv_get_n_interfaces")):
         interface = call("arv_get_interface_id", index)
         wanted = (interface == b"Fake") is fake
         call("arv_enable_interface" if wanted else "arv_disable_interface", interface)
     call("arv_update_device_list")
     return [
-        Found(
+        (
             call("arv_get_device_id", index),
             _text(call("arv_get_device_serial_nbr", index)),
             " ".join(_text(call(f"arv_get_device_{what}", index)) for what in ("vendor", "model")),
@@ -215,13 +190,7 @@ def counts_of(buffer: int, bits: int, payload: int) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True)
 class AravisNodes:
-    """An `rfpipe.rigs.cameras.genicam.Nodes`.
-
-    Parameters
-    ----------
-    device : int
-        Address of an open ArvDevice.
-    """
+    """The settings of an open ArvDevice, by its address; `Nodes` of `GenicamCamera`."""
 
     device: int
 
@@ -250,7 +219,8 @@ class AravisNodes:
         if not node or not tried("arv_device_is_feature_available", self.device, name.encode()):
             return False
         mode = call("arv_gc_feature_node_get_actual_access_mode", node)
-        return mode in _READ_WRITE and not tried("arv_gc_feature_node_is_locked", node)
+        is_writable = mode in (1, 2)  # WO and RW
+        return is_writable and not tried("arv_gc_feature_node_is_locked", node)
 
     def write(self, name: str, value: Value) -> Value:
         """Make one setting, or say what the camera has against it."""

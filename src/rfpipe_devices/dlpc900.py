@@ -17,8 +17,8 @@ from pydantic import Field
 
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, InputError, installing
-from rfpipe.rigs import dlpc900_messages as say
 from rfpipe.rigs.devices import Closing, check_picture
+from rfpipe_devices import dlpc900_messages as say
 
 __all__ = ["Dlpc900Options", "Dlpc900Projector", "Transport", "open_usb"]
 
@@ -145,7 +145,7 @@ class Dlpc900Projector(Closing):
             self._tell(say.DISPLAY_START, _START)
 
     def load(self, pictures: Iterable[Float]) -> None:
-        """Take the pictures of a sequence; see `rfpipe.rigs.sequences.SequenceProjector`."""
+        """Take the pictures of a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
         lit = (
             _binary(check_picture(picture, self.shape), index)
             for index, picture in enumerate(pictures)
@@ -154,7 +154,7 @@ class Dlpc900Projector(Closing):
             self._load(lit)
 
     def play(self, order: Sequence[int], seconds: float) -> None:
-        """Show a sequence; see `rfpipe.rigs.sequences.SequenceProjector`."""
+        """Show a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
         microseconds = int(np.ceil(1e6 * seconds))
         if not LEAST_MICROSECONDS <= microseconds <= MOST_MICROSECONDS:
             raise CaptureError(

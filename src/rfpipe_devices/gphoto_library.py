@@ -1,29 +1,26 @@
-"""A photo camera behind libgphoto2: its settings by name, and the picture that it takes."""
+"""A photo camera behind libgphoto2: its settings, exposure times and pictures."""
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import time
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from rfpipe.errors import CaptureError, installing
-
-__all__ = ["Photo", "connected", "load_gphoto2", "use_virtual"]
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.rigs.cameras.bracket import load_library
 
 Setting = bool | int | float | str
 
 
 def load_gphoto2() -> Any:
     """Return the module ``gphoto2``, or raise CaptureError."""
-    try:
-        import gphoto2
-    except ImportError as error:
-        raise CaptureError(
-            f"gphoto2 can't be loaded: {error}. To install it, {installing('gphoto2')}"
-        ) from error
-    return gphoto2
+    return load_library("gphoto2", "gphoto2")
 
 
 def use_virtual(folder: Path) -> None:
@@ -145,3 +142,70 @@ class Photo:
             if error.code in (self._gp.GP_ERROR_BAD_PARAMETERS, self._gp.GP_ERROR_NOT_SUPPORTED):
                 return None
             raise
+
+
+_TIME = re.compile(r"(\d+(?:\.\d+)?)(?:/(\d+(?:\.\d+)?))?\s*(?:s|sec|\")?", re.I)
+
+
+class ShutterTime(NamedTuple):
+    """An exposure time: the camera's name of it, such as 1/60, and its length, such as 1/64 s."""
+
+    name: str
+    seconds: float
+
+
+def shutter_times(names: Iterable[str], *, nominal: bool = False) -> list[ShutterTime]:
+    """Return a camera's exposure times, ascending; Bulb, Auto and the like are left out.
+
+    Photo cameras time their shutters in halves or thirds of a stop from one second, whole powers
+    of two among them, and round only the names: 1/60 is 1/64 s, 30 is 32 s.
+
+    Parameters
+    ----------
+    names : iterable of str
+        As the camera lists them.
+    nominal : bool
+        Whether to take the names at their word.
+    """
+    named = {name: _seconds(name) for name in names}
+    times = {name: seconds for name, seconds in named.items() if seconds}
+    if not nominal:
+        stops = {name: math.log2(seconds) for name, seconds in times.items()}
+        # as named, a time of a camera set to thirds misses one by less than 0.13 stops
+        thirds = all(abs(stop - round(3 * stop) / 3) < 0.13 for stop in stops.values())
+        parts = 3 if thirds else 2
+        times = {name: 2.0 ** (round(parts * stop) / parts) for name, stop in stops.items()}
+    return sorted((ShutterTime(*time) for time in times.items()), key=lambda time: time.seconds)
+
+
+def nearest_times(exposures: Sequence[float], times: Sequence[ShutterTime]) -> list[ShutterTime]:
+    """Return the camera's time nearest to each exposure, by their ratio.
+
+    Raises
+    ------
+    InputError
+        When the camera has none, or one is nearest to two exposures.
+    """
+    if not times:
+        raise InputError(
+            "the camera lists no exposure times; turn its mode dial to M (manual), and set the "
+            "lens to manual focus"
+        )
+    chosen = [
+        min(times, key=lambda time: abs(math.log(time.seconds / exposure)))
+        for exposure in exposures
+    ]
+    for first, second in pairwise(chosen):
+        if first.seconds >= second.seconds:
+            raise InputError(
+                f"sensor.exposures has two times for which the camera's nearest is {first.name}; "
+                f"it has {', '.join(time.name for time in times)}"
+            )
+    return chosen
+
+
+def _seconds(name: str) -> float | None:
+    found = _TIME.fullmatch(name.strip())
+    if found is None:
+        return None
+    return float(found[1]) / float(found[2] or 1)

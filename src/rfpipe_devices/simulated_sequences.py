@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.keys import SEQUENCE_KEY
 from rfpipe.rigs.base import Key, Rig, check_patterns
-from rfpipe.rigs.sequencer import Sequencer
-
-__all__ = ["SequenceFaults", "SimulatedSequences"]
+from rfpipe_devices.sequences import Sequencer
 
 Float = NDArray[np.float32]
 
@@ -43,9 +41,9 @@ class SequenceFaults:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("dropped", "late", "swapped", "twice"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise InputError(f"{name} is {getattr(self, name)}; expected from 0 to 1")
+        for name, share in asdict(self).items():
+            if name != "seed" and not 0 <= share <= 1:
+                raise InputError(f"{name} is {share}; expected from 0 to 1")
 
 
 class SimulatedSequences:
@@ -65,40 +63,26 @@ class SimulatedSequences:
     Attributes
     ----------
     statistics : dict of str to dict
-        Under "sequences" those of `rfpipe.rigs.sequencer.Sequencer`.
+        Under "sequences" those of `Sequencer`.
     """
 
     def __init__(self, rig: Rig, most: int = 199, faults: SequenceFaults | None = None) -> None:
-        if most < 1:
-            raise InputError(f"sequences of {most} patterns; expected at least 1")
         self._rig = rig
-        self._player = _SimulatedPlayer(rig, faults or SequenceFaults())
-        self._sequencer = Sequencer(self._player, rig.sensor, rig.capture)
+        self.player = _SimulatedPlayer(rig, faults or SequenceFaults())
+        self._sequencer = Sequencer(self.player, rig.sensor, rig.capture, most)
         self.sequence_patterns = most
-        self.camera_shape = rig.camera_shape
-        self.projector_shape = rig.projector_shape
-        self.channels = rig.channels
-        self.sensor = rig.sensor
-        self.seconds_per_pattern = rig.seconds_per_pattern
         self.statistics = {"sequences": self._sequencer.statistics}
 
-    def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-        """Show patterns one by one; see `rfpipe.rigs.Rig.capture`."""
-        return self._rig.capture(patterns, keys)
+    def __getattr__(self, name: str) -> Any:
+        """Return the attributes of a rig as the rig itself has them."""
+        return getattr(self._rig, name)
 
     def show_sequence(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
-        """Show patterns by sequences; see `rfpipe.rigs.sequences.SequenceRig`."""
-        patterns = check_patterns(patterns, keys, self.projector_shape)
-        batches = [
-            self._sequencer.brackets(patterns[first : first + self.sequence_patterns], part)
-            for first in range(0, len(patterns), self.sequence_patterns)
-            if (part := list(keys[first : first + self.sequence_patterns]))
-        ]
-        return np.concatenate(batches) if batches else self._rig.capture(patterns, keys)
-
-    def describe(self) -> dict[str, Any]:
-        """Describe the rig itself: sequences shape no frame."""
-        return self._rig.describe()
+        """Show patterns by sequences; see `rfpipe.rigs.base.SequenceRig`."""
+        patterns = check_patterns(patterns, keys, self._rig.projector_shape)
+        if not len(patterns):
+            return self._rig.capture(patterns, keys)
+        return self._sequencer.brackets(patterns, keys)
 
 
 class _SimulatedPlayer:

@@ -1,4 +1,4 @@
-"""An X server without a screen, whose pixels can be read."""
+"""Displays whose pixels can be read: of an X server without a screen, or a mere array."""
 
 from __future__ import annotations
 
@@ -10,30 +10,69 @@ import shutil
 import struct
 import subprocess
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
-from rfpipe.rigs.display import VirtualDisplay
+from rfpipe.rigs.devices import Closing
 
-__all__ = ["XServer"]
-
-START_SECONDS = 60.0
+_START_SECONDS = 60.0
+"""Time within which Xvfb starts, on a machine that others keep busy."""
 
 _log = logging.getLogger(__name__)
 
 
-class _EndedAtOnceError(CaptureError):
-    """The server ended before it took clients."""
+@dataclass(eq=False)
+class VirtualDisplay:
+    """A display without a screen.
 
-    def __init__(self, reason: str) -> None:
-        super().__init__(f"Xvfb ended when it was started: {reason}")
+    Parameters
+    ----------
+    name : str
+        Its name for `rfpipe.rigs.window.WindowProjector`: ``":7"`` of an X server,
+        ``"memory:FILE"`` of an array.
+    pixels : ndarray of uint8, shape (H, W, 3)
+        Blue, green and red of each pixel as they stand now: a view of the display's memory.
+    """
+
+    name: str
+    pixels: NDArray[np.uint8]
+
+    def revive(self) -> None:
+        """Start again what makes the display, where it has died; a mere array doesn't."""
 
 
-class XServer(VirtualDisplay):
+@contextmanager
+def memory_display(shape: tuple[int, int]) -> Iterator[VirtualDisplay]:
+    """Make a display that needs no server: an array (H, W) in a file, mapped by all who look at it.
+
+    Its window is a part of the array, drawn by the same process in the same words as one of an X
+    server. It has one monitor and no other windows.
+
+    Raises
+    ------
+    CaptureError
+        When the file can't be written.
+    """
+    with tempfile.TemporaryDirectory(prefix="rfpipe-display-") as folder:
+        path = Path(folder) / "pixels.npy"
+        try:  # all bytes at once: a map of a file with holes ends the process on a full disk
+            np.save(path, np.zeros((*shape, 3), np.uint8))
+            pixels = np.asarray(np.load(path, mmap_mode="r"))
+        except OSError as error:
+            raise CaptureError(
+                f"{path}: the display in memory can't be made: {error}. Free space, or set TMPDIR "
+                "to a folder with some"
+            ) from error
+        yield VirtualDisplay(f"memory:{path}", pixels)
+
+
+class XServer(VirtualDisplay, Closing):
     """An X server in memory, which ends with the ``with`` statement that it is used in.
 
     Parameters
@@ -57,15 +96,8 @@ class XServer(VirtualDisplay):
         self, shape: tuple[int, int], *, until_unused: bool = False, name: str | None = None
     ) -> None:
         self._shape = shape
-        self._until_unused = until_unused
-        self._process, name, pixels = self._started(name)
-        super().__init__(name, pixels)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        self._ending = "-terminate" if until_unused else "-noreset"
+        self._start(name)
 
     @property
     def pid(self) -> int:
@@ -77,20 +109,17 @@ class XServer(VirtualDisplay):
         if self._process.poll() is None:
             return
         try:
-            self._process, self.name, self.pixels = self._started(self.name)
+            self._start(self.name)
         except _EndedAtOnceError as error:
             _log.warning("%s; trying another display", error)
-            self._process, self.name, self.pixels = self._started()
+            self._start(None)
 
     def close(self) -> None:
         """End the server; ending it twice is no error."""
         self._process.terminate()
         self._process.wait()
 
-    def _started(
-        self, name: str | None = None
-    ) -> tuple[subprocess.Popen[bytes], str, NDArray[np.uint8]]:
-        """Start a server; return its process, its name and its pixels."""
+    def _start(self, name: str | None) -> None:
         program = shutil.which("Xvfb")
         if program is None:
             raise CaptureError("Xvfb isn't installed; on Debian: apt-get install xvfb")
@@ -103,35 +132,34 @@ class XServer(VirtualDisplay):
             process = subprocess.Popen(
                 [
                     program, *([name] if name else []), "-displayfd", str(write),
-                    "-screen", "0", f"{width}x{height}x24",
-                    "-fbdir", folder, "-nolisten", "tcp", "-s", "0", "-dpms",
-                    "-terminate" if self._until_unused else "-noreset",
+                    "-screen", "0", f"{width}x{height}x24", "-fbdir", folder,
+                    "-nolisten", "tcp", "-s", "0", "-dpms", self._ending,
                 ],
                 pass_fds=[write], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=log,
             )  # fmt: skip
             os.close(write)
             try:
-                found = _display_name(read)
-                pixels = _pixels(Path(folder) / "Xvfb_screen0", self._shape)
-            except EOFError:
-                process.wait()
-                raise _EndedAtOnceError(_last_words(log)) from None
-            except BaseException:
+                self.name = _display_name(read)
+                # the memory stays mapped without its file: nothing is left after a kill
+                self.pixels = _pixels(Path(folder) / "Xvfb_screen0", self._shape)
+            except BaseException as error:
                 process.terminate()
                 process.wait()
+                if isinstance(error, EOFError):
+                    log.seek(0)
+                    words = log.read().decode(errors="replace").replace("(EE)", "")
+                    words = words.rpartition("Fatal server error:")[2].strip()
+                    raise _EndedAtOnceError(
+                        f"Xvfb ended when it was started: {words.split(chr(10))[0].strip()}"
+                    ) from None
                 raise
             finally:
                 os.close(read)
-        # the memory stays mapped without its file, and nothing is left when this process is killed
-        return process, found, pixels
+        self._process = process
 
 
-def _last_words(log: BinaryIO) -> str:
-    """Return why Xvfb ended, in its own words."""
-    log.seek(0)
-    words = log.read().decode(errors="replace").replace("(EE)", "")
-    lines = words.rpartition("Fatal server error:")[2].split("\n")
-    return next((line.strip() for line in lines if line.strip()), "it gave no reason")
+class _EndedAtOnceError(CaptureError):
+    """The server ended before it took clients."""
 
 
 def _display_name(descriptor: int) -> str:
@@ -140,13 +168,13 @@ def _display_name(descriptor: int) -> str:
     with selectors.DefaultSelector() as selector:
         selector.register(descriptor, selectors.EVENT_READ)
         # the line's end is a write of its own, and kills the server where nobody reads it
-        while not number.endswith(b"\n") and selector.select(START_SECONDS):
+        while not number.endswith(b"\n"):
+            if not selector.select(_START_SECONDS):
+                raise CaptureError(f"Xvfb didn't start within {_START_SECONDS:g} s; try it by hand")
             part = os.read(descriptor, 16)
             if not part:
                 raise EOFError
             number += part
-    if not number.endswith(b"\n"):
-        raise CaptureError(f"Xvfb didn't start within {START_SECONDS:g} s; try it by hand")
     return f":{int(number)}"
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import logging
 import re
+import shutil
+import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +22,10 @@ from pydantic import Field, model_validator
 from rfpipe.config.base import Settings, Text
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
+from rfpipe.pictures.dng import dng_bytes
 from rfpipe.pictures.raw import Raw, read_raw
-from rfpipe.rigs.cameras.bracket import BracketCamera, options_of
-from rfpipe.rigs.cameras.gphoto_library import Photo, connected, load_gphoto2, use_virtual
-from rfpipe.rigs.cameras.options import (
+from rfpipe.rigs.cameras.bracket import (
+    BracketCamera,
     Offset,
     PictureExtent,
     Reconnects,
@@ -31,9 +33,16 @@ from rfpipe.rigs.cameras.options import (
     Retries,
     TimeoutSeconds,
 )
-from rfpipe.rigs.cameras.shutter import ShutterTime, nearest_times, shutter_times
-
-__all__ = ["PhotoCamera", "PhotoOptions"]
+from rfpipe.rigs.optics import Scenery
+from rfpipe_devices.gphoto_library import (
+    Photo,
+    ShutterTime,
+    connected,
+    load_gphoto2,
+    nearest_times,
+    shutter_times,
+    use_virtual,
+)
 
 Counts = NDArray[np.uint16]
 
@@ -50,12 +59,6 @@ MANUAL = ("expprogram", "autoexposuremode", "autoexposuremodedial")
 
 MIRROR: dict[str, int | str] = {"mirrorlock": 1, "exposuredelaymode": "On"}
 """Canon's and Nikon's ways to keep the mirror still; Sony's cameras have none."""
-
-EXPOSURE_TOLERANCE = 0.25
-"""Fraction by which a file's exposure time may differ from the one set: it may be the name's."""
-
-FRAMES_A_CHECK = 100
-"""Frames between two looks at the battery."""
 
 _log = logging.getLogger(__name__)
 
@@ -150,12 +153,12 @@ class PhotoCamera(BracketCamera):
     """
 
     Options = PhotoOptions
-    bench = "rfpipe.rigs.bench_cameras:PhotoBenchCamera"
+    bench = "rfpipe_devices.gphoto:PhotoBenchCamera"
     advice = "Check its cable, battery and card, and that its mode dial is at M"
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
-        self._options: PhotoOptions = options_of(PhotoOptions, options, "a photo camera")
-        super().__init__(sensor, 3, self._options)
+        super().__init__(sensor, **options)
+        self.channels = 3
         self.faults = (load_gphoto2().GPhoto2Error,)
         self._photo: Photo | None = None
         self._model = ""
@@ -185,12 +188,8 @@ class PhotoCamera(BracketCamera):
     def _is_lost(self) -> bool:
         return self._photo is None
 
-    def _said(self, error: Exception) -> str:
-        return f"{error}".strip().rstrip(".")
-
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
-        """Take one frame; return it, or None and what is wrong."""
-        if self.statistics["frames"] % FRAMES_A_CHECK == FRAMES_A_CHECK - 1:
+        if self.statistics["frames"] % 100 == 99:
             self._look_at_battery()
         self._before_trigger(exposure)
         data = self._taken(self._times[exposure])
@@ -201,9 +200,9 @@ class PhotoCamera(BracketCamera):
             raw = read_raw(data, "the picture")
         except InputError as error:
             return self._failed(f"{error}")
-        said = raw.exposure_s
-        if said is not None and abs(said / exposure - 1) > EXPOSURE_TOLERANCE:
-            return self._failed(f"the picture says that it was exposed for {said:.3g} s")
+        named = raw.exposure_s  # the file's may be the rounded time of the name
+        if named is not None and abs(named / exposure - 1) > 0.25:
+            return self._failed(f"the picture says that it was exposed for {named:.3g} s")
         counts = self._part(raw)
         if counts.shape != self.shape:
             return self._failed(f"the picture has {counts.shape} pixels, expected {self.shape}")
@@ -375,7 +374,73 @@ class PhotoCamera(BracketCamera):
         self._connect()
 
     def _drop(self) -> None:
-        """Let go of the device, whatever state it is in."""
         photo, self._photo = self._photo, None
         if photo is not None:
             photo.close()
+
+
+class PhotoBenchCamera(PhotoCamera):
+    """libgphoto2's virtual camera, each of its raw files made when it is released.
+
+    Parameters
+    ----------
+    scenery : Scenery
+    sensor : CameraModel
+        The camera as the rig has it; its exposures are set, its noise is not used.
+    settings
+        As `PhotoCamera` has them; the folder is the bench's.
+
+    Raises
+    ------
+    CaptureError
+        When gphoto2 or rawpy is missing.
+    InputError
+        When the bench's camera has no colour mosaic.
+    """
+
+    def __init__(self, scenery: Scenery, sensor: CameraModel, **settings: Any) -> None:
+        if scenery.camera.bayer is None:
+            raise InputError(
+                "sensor.bayer is null; the bench with camera.driver gphoto2 makes raw files of a "
+                "colour mosaic: set it to RGGB, and bench.scene.channels to 3"
+            )
+        self._scenery = scenery
+        self._folder = Path(tempfile.mkdtemp(prefix="rfpipe-bench-"))
+        self._put(np.zeros(scenery.path.camera_shape, np.uint16), 1.0)
+        self._released = 0
+        # to delete a picture takes the virtual camera a quarter of a second
+        own = {"virtual": str(self._folder), "keep_pictures": True}
+        try:
+            super().__init__(sensor, **{**settings, **own})
+        except BaseException:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            raise
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return super().describe() | {"kind": "bench of gphoto2"} | self._scenery.describe()
+
+    def close(self) -> None:
+        """Give the camera back; closing twice is no error."""
+        super().close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _before_trigger(self, exposure: float) -> None:
+        if self._released == 20:  # it is full after 26, and only a new session empties it
+            self._restart()
+        self._put(self._scenery.frame(exposure), exposure)
+        self._released += 1
+
+    def _connect(self) -> None:
+        super()._connect()
+        self._released = 0
+
+    def _put(self, counts: NDArray[np.uint16], seconds: float) -> None:
+        """Lay a raw file before the virtual camera, which knows only the length that it had."""
+        true = self._scenery.camera
+        assert true.bayer is not None
+        made = self._folder / "next"
+        made.write_bytes(
+            dng_bytes(counts, seconds, true.bayer, true.black_level_counts, true.white_level)
+        )
+        made.replace(self._folder / "raw.jpg")

@@ -1,0 +1,242 @@
+"""GenICam cameras of all makers (GigE Vision, USB3 Vision), through the library Aravis.
+
+Tested on Aravis' fake camera, in the process and by GigE Vision over the loopback. Never tried on
+a camera of metal: look at the first frames with care.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from rfpipe.errors import InputError
+from rfpipe.photometry.camera import CameraModel
+from rfpipe.rigs.cameras.bracket import chosen
+from rfpipe.rigs.cameras.genicam import GenicamCamera, GenicamOptions, RefusedError
+from rfpipe.rigs.optics import Scenery
+from rfpipe_devices.aravis_library import (
+    STATUSES,
+    AravisError,
+    AravisNodes,
+    call,
+    connected,
+    counts_of,
+    load_aravis,
+    release,
+    tried,
+)
+
+Counts = NDArray[np.uint16]
+
+_FILL = ctypes.CFUNCTYPE(
+    None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32
+)
+
+
+class AravisOptions(GenicamOptions):
+    """A GenICam camera, through Aravis."""
+
+    fake: bool = Field(
+        False,
+        description="Whether to take Aravis' own fake camera, to rehearse without one: true or "
+        "false.",
+    )
+
+
+class AravisCamera(GenicamCamera):
+    """A GenICam camera that takes brackets by software trigger, and sequences by a projector's.
+
+    All automatic functions are off and the gain is fixed. Failed frames and a lost camera are
+    treated as every `BracketCamera` does. Never tried on a camera of metal.
+
+    Parameters
+    ----------
+    sensor : CameraModel
+        Exposures, bits and mosaic, which choose the pixel format, and what is known of the noise.
+    options
+        As `AravisOptions` has them, by name, the same where they aren't given; the pixel format is
+        the sensor's.
+
+    Raises
+    ------
+    CaptureError
+        When Aravis is missing, no camera answers, or it refuses a setting: says which.
+    """
+
+    kind = "aravis"
+    Options = AravisOptions
+    bench = "rfpipe_devices.aravis:AravisBenchCamera"
+    faults = AravisError, RefusedError
+
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
+        super().__init__(sensor, **options)
+        load_aravis()
+        self._device: int | None = None
+        self._stream: int | None = None
+        self._payload = 0
+        self.shape = self._open()
+
+    @property
+    def nodes(self) -> AravisNodes:
+        """The open camera's settings."""
+        assert self._device is not None
+        return AravisNodes(self._device)
+
+    def _is_lost(self) -> bool:
+        return self._device is None
+
+    def _trigger(self) -> None:
+        self._expect()  # one at a time: what comes without being asked for finds no buffer
+        self.nodes.execute("TriggerSoftware")
+
+    def _expect(self) -> None:
+        call("arv_stream_push_buffer", self._stream, call("arv_buffer_new_allocate", self._payload))
+
+    def _next(self, seconds: float) -> tuple[Counts | None, str]:
+        buffer = call("arv_stream_timeout_pop_buffer", self._stream, round(1e6 * seconds))
+        if not buffer:
+            return None, ""
+        try:
+            status = call("arv_buffer_get_status", buffer)
+            if status != 0:
+                return None, STATUSES.get(status, f"status {status}")
+            return counts_of(buffer, self.sensor.bits, self._payload), ""
+        finally:
+            release(buffer)
+
+    def _connect(self) -> None:
+        cameras = connected(fake=self._options.fake)
+        identity, self._serial, self._model = cameras[
+            chosen((serial for _, serial, _ in cameras), self._serial)
+        ]
+        self._device = tried("arv_open_device", identity)
+
+    def _set_up(self) -> tuple[int, int]:
+        shape = super()._set_up()
+        self._payload = shape[0] * shape[1] * (1 if self.sensor.bits == 8 else 2)
+        if self.nodes.has("PayloadSize"):  # what a camera adds to the picture has room, too
+            self._payload = max(self._payload, self.nodes.integer("PayloadSize"))
+        return shape
+
+    def _start(self) -> None:
+        self._stream = tried("arv_device_create_stream", self._device, None, None)
+        self.nodes.execute("AcquisitionStart")
+
+    def _stop(self) -> None:
+        self.nodes.execute("AcquisitionStop")
+        stream, self._stream = self._stream, None
+        release(stream)
+
+    def _drop(self) -> None:
+        device, self._device = self._device, None
+        stream, self._stream = self._stream, None
+        if device is not None:
+            with suppress(AravisError):
+                AravisNodes(device).execute("AcquisitionStop")
+        release(stream)
+        release(device)
+
+
+class PreparedCamera(AravisCamera):
+    """Aravis' fake camera, which takes what lies before it.
+
+    Attributes
+    ----------
+    frame : bytes
+        The next frame, as the pixel format has it.
+    """
+
+    frame: bytes = b""
+
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
+        self._fill = _FILL(self._copy)  # kept, as the library calls it
+        super().__init__(sensor, **{**options, "serial": "1", "fake": True})
+
+    def put(self, counts: NDArray[np.uint16], bits: int) -> None:
+        """Lay counts (H, W) before the camera."""
+        self.frame = counts.astype(np.uint8 if bits == 8 else "<u2").tobytes()
+
+    def _start(self) -> None:
+        fake = call("arv_fake_device_get_fake_camera", self._device)
+        call("arv_fake_camera_set_fill_pattern", fake, self._fill, None, None)
+        call("arv_fake_camera_set_trigger_frequency", fake, 1000.0)  # looks for a trigger so often
+        super()._start()
+
+    def _copy(self, buffer: int, *_: Any) -> None:
+        """Fill the library's buffer with the picture; is called by a thread of its own."""
+        ctypes.memmove(call("arv_buffer_get_data", buffer, None), self.frame, len(self.frame))
+
+
+class AravisBenchCamera(PreparedCamera):
+    """Aravis' fake camera on the bench in software, each picture made when it is triggered.
+
+    Parameters
+    ----------
+    scenery : Scenery
+    sensor : CameraModel
+        The camera as the rig has it; its exposures are set, its noise is not used.
+    options
+        As `AravisCamera` has them; serial and shape are the bench's.
+
+    Raises
+    ------
+    CaptureError
+        When Aravis is missing.
+    InputError
+        When its fake camera has no such pixel format.
+    """
+
+    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
+        if scenery.camera.bits != (16 if sensor.bayer is None else 8):
+            raise InputError(
+                f"sensor.bits is {scenery.camera.bits}; the bench with camera.driver aravis, which "
+                "is Aravis' fake camera, has Mono16, or a colour mosaic of 8 bits"
+            )
+        self._scenery = scenery
+        self._armed_for: float | None = None
+        self._filled = threading.Event()
+        super().__init__(sensor, **{**options, "shape": scenery.path.camera_shape})
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return super().describe() | {"kind": "bench of aravis"} | self._scenery.describe()
+
+    def arm(self, exposure: float, count: int) -> None:
+        """Wait for triggers by the bench's projector; see `SequenceCamera`."""
+        self._armed_for = exposure
+        super().arm(exposure, count)
+
+    def collect(self) -> NDArray[np.uint16]:
+        """Return the frames since `arm`; see `SequenceCamera`."""
+        frames = super().collect()
+        self._armed_for = None
+        return frames
+
+    def trigger(self) -> None:
+        """Take a frame while armed, as the projector's signal would have it."""
+        if self._armed_for is not None:
+            self._before_trigger(self._armed_for)
+            self._filled.clear()
+            super()._expect()
+            self._filled.wait(self._options.timeout_seconds)
+
+    def _frame(self, exposure: float) -> tuple[NDArray[np.uint16] | None, str]:
+        self._armed_for = None  # also after an `arm` that failed
+        return super()._frame(exposure)
+
+    def _expect(self) -> None:
+        if self._armed_for is None:  # the fake camera fills whatever it has, triggered or not
+            super()._expect()
+
+    def _copy(self, buffer: int, *_: Any) -> None:
+        super()._copy(buffer)
+        self._filled.set()
+
+    def _before_trigger(self, exposure: float) -> None:
+        self.put(self._scenery.frame(exposure), self._scenery.camera.bits)

@@ -1,0 +1,386 @@
+"""Sequences: lists of patterns that a projector shows and a camera exposes in hardware.
+
+Triggers are missed, frames come late, twice or in another order. So a list begins, is parted and
+ends with a *word*: white, black, black, white. Each pattern is followed, half a list later, by its
+complement: their pictures must add up to the white one. No scene and no geometry needs to be known
+for that, and two patterns that can be mistaken for each other without any sum being off look alike.
+At longer exposures, each frame must be what the one before promises. A frame that was lost or came
+late shifts those that follow, by as many as the words tell. What isn't told beyond doubt is played
+again, then loaded again, then taken one by one.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import CaptureError
+from rfpipe.keys import SEQUENCE_KEY
+from rfpipe.photometry.sensor import Sensor
+from rfpipe.rigs.base import Key
+from rfpipe.rigs.stale import Light, is_little
+from rfpipe.units import SATURATION_FRACTION
+
+Float = NDArray[np.float32]
+OneByOne = Callable[[Float, Sequence[Key]], NDArray[Any]]
+
+WORD = (0, 1, 1, 0)
+"""Places of white and black among the loaded pictures, which they begin."""
+
+MOST_LAG = 4
+"""Frames that may be lost, or be left over, before a list is taken for a failed one."""
+
+ALIKE = 0.25
+"""Difference of two pictures of one thing, as a share of that of white and black."""
+
+REPLAYS, LOADS = 3, 2
+"""How often what is missing is played again, and how often the list is loaded."""
+
+_log = logging.getLogger(__name__)
+
+
+class Player(Protocol):
+    """Shows lists of patterns, and returns the frames of them."""
+
+    def load(self, patterns: Float, keys: Sequence[Key]) -> None:
+        """Take patterns (N, *projector_shape), in the place of those before."""
+
+    def play(self, order: Sequence[int], exposure: int) -> NDArray[Any]:
+        """Show them in this order, and return the frames of the exposure of that number.
+
+        There may be fewer frames than patterns, old ones, and ones in another order.
+        """
+
+
+class Sequencer:
+    """Takes brackets by sequences: a list for each exposure.
+
+    Parameters
+    ----------
+    player : Player
+    sensor : Sensor
+        Of the frames.
+    one_by_one : callable
+        ``one_by_one(patterns, keys)`` takes brackets without a sequence.
+    most : int
+        Patterns of a list.
+
+    Attributes
+    ----------
+    statistics : dict of str to int
+        ``played``: lists; ``lost``: frames that weren't told beyond doubt, and were played again;
+        ``loaded_again``: sequences; ``one_by_one``: patterns that no sequence gave.
+    """
+
+    def __init__(self, player: Player, sensor: Sensor, one_by_one: OneByOne, most: int) -> None:
+        self._player = player
+        self._sensor = sensor
+        self._one_by_one = one_by_one
+        self.most = most
+        self.statistics = {"played": 0, "lost": 0, "loaded_again": 0, "one_by_one": 0}
+
+    def brackets(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
+        """Return the brackets (B, E, ...) of patterns.
+
+        Raises
+        ------
+        CaptureError
+            When a device fails, or a pattern can't be taken one by one either.
+        """
+        starts = range(0, len(patterns), self.most)
+        lists = [slice(start, start + self.most) for start in starts]
+        return np.concatenate([self._list(patterns[part], keys[part]) for part in lists])
+
+    def _list(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
+        frames: list[list[Any]] = [[None] * len(patterns) for _ in self._sensor.exposures]
+        missing = list(range(len(patterns)))
+        for load in range(LOADS):
+            self.statistics["loaded_again"] += load > 0
+            self._load(patterns[missing], [keys[index] for index in missing])
+            for of_all, of_these in zip(frames, self._played(len(missing)), strict=True):
+                for place, frame in of_these.items():
+                    of_all[missing[place]] = frame
+            missing = [index for index in missing if any(one[index] is None for one in frames)]
+            if not missing:
+                break
+        else:
+            names = ", ".join(str(tuple(keys[index])) for index in missing)
+            _log.warning("patterns %s don't come by a sequence; taking them one by one", names)
+            self.statistics["one_by_one"] += len(missing)
+            taken = self._one_by_one(patterns[missing], [keys[index] for index in missing])
+            for index, bracket in zip(missing, taken, strict=True):
+                for of_all, frame in zip(frames, bracket, strict=True):
+                    of_all[index] = frame
+        return np.stack([np.stack(one) for one in frames], axis=1)
+
+    def _load(self, patterns: Float, keys: Sequence[Key]) -> None:
+        """Load white, black, the patterns and their complements."""
+        uniform = np.stack([np.ones_like(patterns[0]), np.zeros_like(patterns[0])])
+        all_keys: list[Key] = [(SEQUENCE_KEY, 0), (SEQUENCE_KEY, 1), *keys]
+        all_keys += [(SEQUENCE_KEY, *key) for key in keys]
+        self._player.load(np.concatenate([uniform, patterns, 1 - patterns]), all_keys)
+
+    def _played(self, count: int) -> list[dict[int, NDArray[Any]]]:
+        """Play the loaded patterns; return the certain frames of each exposure, by place."""
+        taken: list[dict[int, NDArray[Any]]] = []
+        lights: list[Light] = []
+        shown = list(range(count))
+        for number in range(len(self._sensor.exposures)):
+            certain: dict[int, NDArray[Any]] = {}
+            for _ in range(REPLAYS + 1):
+                if missing := [index for index in shown if index not in certain]:
+                    before = taken[-1] if taken else {}
+                    certain |= self._certain(count, missing, number, before, lights)
+            taken.append(certain)
+            shown = sorted(certain)  # what is lost at one exposure isn't asked for at the others
+        return taken
+
+    def _certain(
+        self,
+        count: int,
+        shown: Sequence[int],
+        number: int,
+        before: dict[int, NDArray[Any]],
+        lights: list[Light],
+    ) -> dict[int, NDArray[Any]]:
+        """Play some patterns at one exposure; return the frames that are told beyond doubt."""
+        playlist = Playlist(count, shown, with_complements=number == 0)
+        raw = self._player.play(playlist.order, number)
+        self.statistics["played"] += 1
+        frames = self._linear(raw)
+        lags = playlist.lags(frames)
+        places: dict[int, int] = {}
+        if lags is not None:
+            shorter = lights[number - 1] if number else None
+            white, light = playlist.light(frames, lags, self._saturated, shorter)
+            if len(lights) == number:
+                lights.append(light)
+            if shorter is None:
+                places = playlist.by_complements(frames, lags, white, light)
+            else:
+                ratio = self._sensor.exposures[number] / self._sensor.exposures[number - 1]
+                earlier = {index: self._linear(before[index]) for index in shown}
+                places = playlist.by_promise(frames, lags, earlier, light, shorter, ratio)
+        if lost := len(shown) - len(places):
+            self.statistics["lost"] += lost
+            _log.warning(
+                "a sequence of %d frames at %g s gave %d: %d of its %d patterns aren't told beyond "
+                "doubt; playing these again%s",
+                len(playlist.order), self._sensor.exposures[number], len(raw), lost, len(shown),
+                "" if lags is not None else " (white and black pictures weren't found: does each "
+                "picture trigger the camera, and is white bright?)",
+            )  # fmt: skip
+        return {index: raw[place] for index, place in places.items()}
+
+    @property
+    def _saturated(self) -> float:
+        white = getattr(self._sensor, "white_level", None)
+        return np.inf if white is None else float(self._linear(SATURATION_FRACTION * white))
+
+    def _linear(self, frames: Any) -> Any:
+        """Return counts in proportion to light, from any black level on."""
+        gamma = getattr(self._sensor, "response_gamma", 1.0)
+        counts = np.asarray(frames, np.float32)
+        if gamma == 1.0:
+            return counts
+        white, black = self._sensor.white_level, self._sensor.black_level_counts  # type: ignore[attr-defined]
+        level = (counts - black) / np.float32(white - black)
+        return np.copysign(np.abs(level) ** np.float32(gamma), level) * np.float32(white)
+
+
+@dataclass(frozen=True)
+class Playlist:
+    """One list, and which of its frames is of which pattern.
+
+    Loaded are white, black, then the patterns, then the complements of all of them.
+
+    Parameters
+    ----------
+    count : int
+        Patterns that are loaded.
+    shown : sequence of int
+        Those of them that are shown.
+    with_complements : bool
+    """
+
+    count: int
+    shown: Sequence[int]
+    with_complements: bool
+
+    @property
+    def order(self) -> list[int]:
+        """Places of the loaded pictures in the order in which they are shown."""
+        order = [*WORD, *(2 + index for index in self.shown), *WORD]
+        if self.with_complements:
+            order += [*(2 + self.count + index for index in self.shown), *WORD]
+        return order
+
+    @property
+    def words(self) -> list[int]:
+        """Where words begin in that order."""
+        step = len(WORD) + len(self.shown)
+        return [0, step, 2 * step][: 2 + self.with_complements]
+
+    def lags(self, frames: Float) -> list[int] | None:
+        """Return by how many frames (n, ...) each word came late, or None where one is missing."""
+        cells = np.stack([_cells(frame) for frame in frames]) if len(frames) else np.zeros((0, 1))
+        near = sorted(range(-MOST_LAG, MOST_LAG + 1), key=abs)
+        lags = [
+            next((lag for lag in near if _is_word(cells, begin + lag)), None)
+            for begin in self.words
+        ]
+        return None if None in lags else lags  # type: ignore[return-value]
+
+    def light(
+        self, frames: Float, lags: Sequence[int], saturated: float, shorter: Light | None
+    ) -> tuple[Float, Light]:
+        """Return the mean white frame, and black and noise by the words' frames."""
+        starts = [begin + lag for begin, lag in zip(self.words, lags, strict=True)]
+        whites = [start + at for start in starts for at in (0, 3)]
+        white = np.stack([frames[place] for place in whites if place < len(frames)])
+        black = np.stack([frames[start + at] for start in starts for at in (1, 2)])
+        mean, dark, variance = white.mean(axis=0), black.mean(axis=0), _variance(black)
+        if shorter is not None:  # where white was less saturated
+            gain = shorter.gain
+        else:
+            usable = mean < saturated
+            above = float((mean - dark)[usable].mean()) if usable.any() else 0.0
+            noise = _variance(white[:, usable]) if usable.any() else 0.0
+            gain = max(0.0, noise - variance) / above if above > 0 else 0.0
+        return mean, Light(dark, variance, gain, saturated)
+
+    def by_complements(
+        self, frames: Float, lags: Sequence[int], white: Float, light: Light
+    ) -> dict[int, int]:
+        """Return the frame of each pattern for which one alone has a complement."""
+        return self._one_each(
+            lags,
+            lambda position, here: any(
+                _is_complement(frames[here], frames[there], white, light)
+                for there in self._candidates(len(frames), lags, position, 1)
+            ),
+            len(frames),
+        )
+
+    def by_promise(
+        self,
+        frames: Float,
+        lags: Sequence[int],
+        before: dict[int, Float],
+        light: Light,
+        shorter: Light,
+        ratio: float,
+    ) -> dict[int, int]:
+        """Return the frame of each pattern that one alone at a shorter exposure promises."""
+        return self._one_each(
+            lags,
+            lambda position, here: light.is_promised(
+                frames[here], before[self.shown[position]], shorter, ratio
+            ),
+            len(frames),
+        )
+
+    def _one_each(
+        self, lags: Sequence[int], fits: Callable[[int, int], bool], count: int
+    ) -> dict[int, int]:
+        places = {}
+        for position, index in enumerate(self.shown):
+            candidates = self._candidates(count, lags, position, 0)
+            if len(fitting := [here for here in candidates if fits(position, here)]) == 1:
+                places[index] = fitting[0]
+        return places
+
+    def _candidates(
+        self, count: int, lags: Sequence[int], position: int, part: int
+    ) -> Iterable[int]:
+        """Return the frames that may be of a pattern (part 0) or its complement (part 1)."""
+        place = self.words[part] + len(WORD) + position
+        near = lags[part : part + 2]
+        return range(max(0, place + min(near)), min(count, place + max(near) + 1))
+
+
+def _is_complement(picture: Float, other: Float, white: Float, light: Light) -> bool:
+    """Tell whether two frames add up to the white one."""
+    usable = np.maximum(np.maximum(picture, other), white) < light.saturated
+    off = np.where(usable, picture + other - white - light.black, 0)
+    variance = 2 * (light.variance(picture) + light.variance(other))
+    return is_little(off, variance, white - light.black, min(light.sum(picture), light.sum(other)))
+
+
+def _is_word(cells: NDArray[np.float64], begin: int) -> bool:
+    if begin < 0 or begin + len(WORD) > len(cells) + 1:
+        return False
+    # the very last frame doesn't come where all come late
+    white, black, black_again, *rest = cells[begin : begin + len(WORD)]
+    white_again = rest[0] if rest else white
+    contrast = float((white - black).sum())
+    off = max(np.abs(white - white_again).sum(), np.abs(black - black_again).sum())
+    return contrast > 0 and float(off) < ALIKE * contrast
+
+
+def _cells(frame: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the sums of at most 32 x 32 cells of a frame, whose noise is little."""
+    image = frame.reshape(*frame.shape[-3:]) if frame.ndim > 3 else frame
+    rows, columns = (
+        np.arange(min(extent, 32)) * extent // min(extent, 32) for extent in image.shape[:2]
+    )
+    sums = np.add.reduceat(np.add.reduceat(image, rows, axis=0, dtype=np.float64), columns, axis=1)
+    return np.asarray(sums.ravel())
+
+
+def _variance(frames: Float) -> float:
+    """Return the variance of a frame of one thing, few outliers aside."""
+    squares = np.square(np.diff(frames, axis=0).ravel().astype(np.float64))
+    if not squares.size:
+        return 0.0
+    return float(squares[squares <= np.quantile(squares, 0.99)].mean() / 2)
+
+
+class DevicePlayer:
+    """Plays lists of patterns on a projector and a camera that have sequences.
+
+    Parameters
+    ----------
+    projector : rfpipe.rigs.devices.SequenceProjector
+    camera : rfpipe.rigs.devices.SequenceCamera
+    picture : callable
+        Returns the projector's picture of a pattern.
+    """
+
+    def __init__(self, projector: Any, camera: Any, picture: Callable[[Float], Float]) -> None:
+        self._projector, self._camera, self._picture = projector, camera, picture
+
+    def load(self, patterns: Float, keys: Sequence[Key]) -> None:  # noqa: ARG002
+        """Give the projector its pictures; devices make their own noise, whatever the keys."""
+        self._projector.load(self._picture(pattern) for pattern in patterns)
+
+    def play(self, order: Sequence[int], exposure: int) -> NDArray[Any]:
+        """Have pictures shown and taken; see `Player.play`."""
+        camera = self._camera
+        seconds = camera.sensor.exposures[exposure]
+        camera.arm(seconds, len(order))
+        try:
+            self._projector.play(order, camera.seconds_between(seconds))
+        finally:
+            frames = np.asarray(camera.collect())  # also disarms it
+        shape = camera.sensor.frame_shape(camera.shape, camera.channels)[1:]
+        if frames.shape[1:] != shape or frames.dtype != camera.sensor.frame_dtype:
+            raise CaptureError(
+                f"a sequence gave {frames.dtype} frames of shape {frames.shape[1:]}; expected "
+                f"{camera.sensor.frame_dtype} {shape}. Check the camera's size and pixel format"
+            )
+        return frames
+
+
+def sequencer_of(
+    projector: Any, camera: Any, picture: Callable[[Float], Float], one_by_one: OneByOne
+) -> Sequencer:
+    """Return what takes brackets by sequences on two devices; an entry point of rfpipe."""
+    most = (projector.sequence_pictures - 2) // 2  # each with its complement
+    player = DevicePlayer(projector, camera, picture)
+    return Sequencer(player, camera.sensor, one_by_one, most)
