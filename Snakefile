@@ -16,9 +16,7 @@ acquisition, a single job takes an acquisition through the same stages, to the s
 import os
 from pathlib import Path
 
-from rfpipe.stages.jobs.failures import FailedJobs
-from rfpipe.stages.jobs.groups import check_groups
-from rfpipe.stages.jobs.notify import notify
+from rfpipe.stages.jobs.ends import FailedJobs, check_groups, notify
 from rfpipe.stages.verifying.again import write_run
 from snakemake.logging import logger
 from snakemake.utils import min_version

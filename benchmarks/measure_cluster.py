@@ -22,7 +22,6 @@ import yaml
 from tests.slurm import NODES, Slurm
 
 from rfpipe.config import load_config
-from rfpipe.costs import fit_laws, read_shipped, records_in
 from rfpipe.store.files import digest_of
 
 ROOT = Path(__file__).parents[1]
@@ -95,19 +94,13 @@ def _run(command: list[str], slurm: Slurm, folder: Path, killed_after: int | Non
 
 
 def _tell(folder: Path, other: Path, wall: float, cores: int) -> None:
-    scenes = load_config(folder / "config.yaml").scenes
-    records = [one for one in records_in(folder / "results", scenes) if one.job == "acquire"]
-    table = pd.DataFrame([one.__dict__ for one in records])
-    laws = fit_laws(read_shipped())
-    ratio = [
-        (laws.predict("memory_mb", one.job, one.subject) or 0) / one.memory_mb for one in records
-    ]
-    own = table["seconds"].sum()
-    print(f"{len(records)} jobs, {wall:.0f} s on {cores} cores; the jobs themselves {own:.0f} s")
+    files = sorted(folder.glob("results/*/*/acquire.benchmark.tsv"))
+    table = pd.concat([pd.read_csv(file, sep="\t") for file in files])
+    own = table["s"].sum()
+    print(f"{len(table)} jobs, {wall:.0f} s on {cores} cores; the jobs themselves {own:.0f} s")
     print(f"ideal {own / cores:.0f} s: {wall * cores / own:.2f} times that")
-    print(f"processor time of the jobs {table['cpu_seconds'].sum():.0f} s")
-    print(f"memory {table['memory_mb'].min():.0f} to {table['memory_mb'].max():.0f} MB; predicted")
-    print(f"{min(ratio):.2f} to {max(ratio):.2f} of it")
+    print(f"processor time of the jobs {table['cpu_time'].sum():.0f} s")
+    print(f"memory {table['max_rss'].min():.0f} to {table['max_rss'].max():.0f} MiB")
     if other.exists() and other != folder:
         same = _digests(folder) == _digests(other)
         print(f"bytes: {'the same' if same else 'OTHERS'} as in {other}")

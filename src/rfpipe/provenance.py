@@ -31,7 +31,7 @@ _RECORDED_PACKAGES = ("numba", "numpy", "rustworkx", "scipy", "zarr")
 
 # Of rfpipe: what shows results, serves them or runs jobs, and shapes none.
 _SHAPES_NOTHING = (
-    "calibration/", "cli/", "costs/", "export/", "fitting/", "publish/", "report/", "server/",
+    "calibration/", "cli/", "export/", "fitting/", "publish/", "report/", "server/",
     "stages/evaluating/", "stages/jobs/", "stages/verifying/", "testing/", "viewer/",
 )  # fmt: skip
 

@@ -65,7 +65,7 @@ def test_no_error_shows_the_password_of_an_address() -> None:
         connected(f"tcp://otto:{SECRET}@127.0.0.1:9", Path()),
     ):
         pass
-    assert "tcp://127.0.0.1:9; it should name no user" in str(caught.value)
+    assert "it should name no user" in str(caught.value)
     assert SECRET not in str(caught.value)
 
 

@@ -46,20 +46,8 @@ class Dying:
         return self.work(first, last)
 
 
-class LocalError(Exception):
-    """An error that can't be made of its message."""
-
-    def __init__(self, one: str, other: str) -> None:
-        super().__init__(f"{one} and {other}")
-
-
 def identity(first: int, last: int) -> tuple[int, int, int]:
     return os.getpid(), first, last
-
-
-def identity_of(number: int) -> int:
-    """Return it, compiled or not."""
-    return number
 
 
 def slow(first: int, last: int) -> int:
@@ -70,5 +58,3 @@ def slow(first: int, last: int) -> int:
 def fails(first: int, _last: int) -> None:
     if first == 1:
         raise DamagedStageError("a stage is damaged", Path("L01/merge.json"))
-    if first == 2:
-        raise LocalError("this", "that")

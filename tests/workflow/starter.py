@@ -38,9 +38,7 @@ _OF_SNAKEMAKE = (
     "rfpipe.methods.dual",
     "rfpipe.methods.symmetric.method",
     "rfpipe.scenes.kinds.surfaces",
-    "rfpipe.stages.jobs.failures",
-    "rfpipe.stages.jobs.groups",
-    "rfpipe.stages.jobs.notify",
+    "rfpipe.stages.jobs.ends",
     "rfpipe.stages.settings",
     "rfpipe.stages.verifying.again",
 )

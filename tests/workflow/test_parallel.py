@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import logging
 import os
 import subprocess
@@ -12,33 +11,28 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numba
+import dask
 import numpy as np
 import pytest
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, Security
 from tests.waiting import wait_until
 from tests.workflow.clusters import address_of, kept_workers
-from tests.workflow.pieces import (
-    SHAPE,
-    Dying,
-    LocalError,
-    Noise,
-    fails,
-    identity,
-    identity_of,
-    slow,
-)
-from tests.workflow.stagewise import contents
+from tests.workflow.harness import TINY, Workflow, undo
+from tests.workflow.pieces import SHAPE, Dying, Noise, fails, identity, slow
+from tests.workflow.stagewise import CAMERA, Acquisition, contents, damage, matrix_rig
+from tests.workflow.stagewise import SHAPE as STAGED
 
 from rfpipe import OperatorRig, acquire
-from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, InputError, StoreError
+from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, InputError, IntegrityError
 from rfpipe.export import relit_files
 from rfpipe.provenance import generator
 from rfpipe.stages.evaluating.evaluate import errors_table
 from rfpipe.stages.jobs import cluster as cluster_module
-from rfpipe.stages.jobs import sent as sent_module
+from rfpipe.stages.jobs.cluster import connected
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources, Workers
+from rfpipe.stages.merging import merger as merging
+from rfpipe.stages.plan import Plan
 from rfpipe.stages.results import write_bundle
 from rfpipe.transport import save_transport
 
@@ -137,26 +131,52 @@ def test_errors_are_the_same_numbers(
     assert (tmp_path / "died").exists()
 
 
+@pytest.fixture
+def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Acquisition:
+    """A level of 20 patterns, two of them in a run."""
+    monkeypatch.setattr(merging, "_CHUNK_BYTES", 1)
+    monkeypatch.setattr(merging, "_CHUNKS_PER_RUN", 2)
+    acquisition = Acquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
+    acquisition.plan = Plan("brute_force", "brute_force", STAGED, STAGED, 1)
+    acquisition.schedule(0)
+    acquisition.capture(0)
+    return acquisition
+
+
+def test_a_cluster_leaves_the_bytes_that_threads_leave(captured: Acquisition, address: str) -> None:
+    level = captured.folder.path / "L00"
+    left = []
+    ways = [(1, "threads"), (2, "threads"), (2, address)]
+    for resources in [Resources(threads=count, where=where) for count, where in ways]:
+        captured.resources = resources
+        captured.merge(0)
+        left.append({name: contents(level / name) for name in ("merge.zarr", "sums.zarr")})
+        left[-1]["manifest"] = contents(level / "merge.json")
+        merged = captured.folder.store(0, "merge")
+        merged.rename(level / f"of {len(left)}")  # or it would be kept
+    assert left[0] == left[1] == left[2]
+    assert len(left[0]["merge.zarr"]) == 10 + 3  # a file a run
+    assert not list(level.glob(".work*"))
+
+
+def test_damage_that_a_worker_finds_is_said_as_anywhere(
+    captured: Acquisition, address: str
+) -> None:
+    captured.resources = Resources(where=address)
+    chunk = damage(captured.folder.store(0, "capture"))
+    manifest = captured.folder.manifest(0, "capture")
+    with pytest.raises(IntegrityError, match=f"{chunk}.*remove {manifest} and run again"):
+        captured.merge(0)
+    manifest.unlink()
+    captured.capture(0)
+    captured.merge(0)
+
+
 def test_a_log_that_can_t_be_written_is_done_without(capsys: pytest.CaptureFixture[str]) -> None:
     log = logging.getLogger("rfpipe")
     with stage_log(Path("/dev/full")):
         log.warning("for the file")
     assert "No space left" not in capsys.readouterr().err
-
-
-def test_work_that_can_t_be_written_is_refused_as_such(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(errno.EROFS, "Read-only file system")
-
-    monkeypatch.setattr("rfpipe.store.files.os.replace", refuse)
-    monkeypatch.setattr(Path, "unlink", refuse)  # on such a file system, of what isn't there, too
-    with (
-        pytest.raises(StoreError, match="expected a place that this user may write to"),
-        sent_module.sending(tmp_path) as send,
-    ):
-        send(identity)
 
 
 def test_a_worker_that_dies_costs_its_piece(elsewhere: Resources, tmp_path: Path) -> None:
@@ -174,12 +194,6 @@ def test_errors_come_back_as_they_are(elsewhere: Resources, tmp_path: Path) -> N
     ):
         list(workers.results(fails, PIECES))
     assert damaged.value.manifest == Path("L01/merge.json")
-    with (
-        # dask teaches a worker that met an error once to send it as it is
-        pytest.raises((RuntimeError, LocalError), match="this and that"),
-        elsewhere.workers(1, tmp_path) as workers,
-    ):
-        list(workers.results(fails, PIECES[2:]))
 
 
 def test_workers_that_do_not_see_the_folder_are_refused(
@@ -188,7 +202,7 @@ def test_workers_that_do_not_see_the_folder_are_refused(
     def lost(path: Path, content: bytes) -> None:
         """Write where nobody else sees it."""
 
-    monkeypatch.setattr(sent_module, "write_atomically", lost)
+    monkeypatch.setattr(cluster_module, "write_atomically", lost)
     with (
         pytest.raises(ClusterError, match=rf"tcp://.* does not see {tmp_path}.*Mount"),
         Resources(where=address).workers(1, tmp_path) as workers,
@@ -196,32 +210,15 @@ def test_workers_that_do_not_see_the_folder_are_refused(
         list(workers.results(identity, PIECES))
 
 
-def test_workers_with_another_rfpipe_or_none_are_refused(
+def test_workers_with_another_rfpipe_are_refused(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def handed_out() -> None:
-        with Resources(where=address).workers(1, tmp_path) as workers:
-            list(workers.results(identity, PIECES))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(sent_module, "_our_code", lambda: "another")
-        with pytest.raises(ClusterError, match="runs another version of rfpipe"):
-            handed_out()
-    name = "rfpipe.stages.jobs.sent"
-
-    def hide() -> None:
-        sys.modules["hidden"], sys.modules[name] = sys.modules[name], None  # type: ignore[assignment]
-
-    def show() -> None:
-        sys.modules[name] = sys.modules.pop("hidden")
-
-    handed_out()
-    with Client(address, set_as_default=False) as client:
-        client.run(hide)
-        with pytest.raises(ClusterError, match="can't load this version of rfpipe"):
-            handed_out()
-        client.run(show)
-    handed_out()
+    monkeypatch.setattr(cluster_module, "_our_code", lambda: "another")
+    with (
+        pytest.raises(ClusterError, match="runs another version of rfpipe"),
+        Resources(where=address).workers(1, tmp_path) as workers,
+    ):
+        list(workers.results(identity, PIECES))
 
 
 def test_without_workers_it_does_not_wait_for_ever(
@@ -241,24 +238,32 @@ def test_without_workers_it_does_not_wait_for_ever(
 
     with (
         LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,
-        pytest.raises(ClusterError, match=r"all workers are gone.*dask worker inproc"),
+        pytest.raises(ClusterError, match="all workers are gone"),
     ):
         left_alone(cluster)
 
 
-def test_workers_within_this_process_leave_it_its_threads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Numba refuses another number in the environment at the next kernel that it compiles."""
-    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
-    numba.set_num_threads(numba.get_num_threads())  # which starts them
+def test_few_pieces_are_handed_out_at_a_time(address: str, tmp_path: Path) -> None:
+    with Resources(where=address).workers(1, tmp_path) as workers:
+        assert workers.in_flight == 4
+        results = workers.results(identity, PIECES)
+        found = list(results)
+    assert [result[1:] for result in found] == PIECES
+    assert os.getpid() not in {result[0] for result in found}
+    small = Resources(memory_gib=1e-6, where=address)
+    with small.workers(small.data_bytes, tmp_path) as workers:
+        assert workers.in_flight == 1
+        assert len(list(workers.results(lambda first, last: first, PIECES))) == 6
+
+
+def test_work_that_kills_its_worker(tmp_path: Path) -> None:
     with (
-        LocalCluster(1, threads_per_worker=1, processes=False, dashboard_address=":0") as cluster,
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        LocalCluster(1, threads_per_worker=1, dashboard_address=":0") as cluster,
+        pytest.raises(ClusterError, match=r"the work was lost.*too little memory"),
         Resources(where=cluster.scheduler_address).workers(1, tmp_path) as workers,
     ):
-        assert workers.hand_out is not None
-        assert workers.hand_out(identity)(0, 1).result()[0] == os.getpid()
-    assert numba.njit(identity_of)(3) == 3
+        list(workers.results(lambda _first, _last: os._exit(1), PIECES))
 
 
 @pytest.fixture
@@ -295,8 +300,59 @@ def test_a_scheduler_that_dies_ends_the_job(
             process.kill()
             promise.result()
 
-    with pytest.raises(ClusterError, match=r"the scheduler is gone.*What is done is kept"):
+    with pytest.raises(ClusterError, match=r"(?s)the work was lost.*What is done is kept"):
         interrupted()
+
+
+@pytest.fixture(scope="module")
+def certificates(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """One certificate for all, as dask's settings name it."""
+    file = tmp_path_factory.mktemp("tls") / "dask.pem"
+    security = Security.temporary()
+    file.write_text(f"{security.tls_client_key}\n{security.tls_client_cert}")
+    names = ("ca-file", *(f"{role}.{part}" for role in ROLES for part in ("key", "cert")))
+    return {f"distributed.comm.tls.{name}": str(file) for name in names}
+
+
+ROLES = ("client", "scheduler", "worker")
+
+
+def test_a_cluster_over_tls_with_the_certificates_of_dasks_settings(
+    certificates: dict[str, str], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with dask.config.set(certificates):
+        security = Security(require_encryption=True)
+        with (
+            LocalCluster(1, threads_per_worker=1, processes=False, protocol="tls://",
+                         security=security, dashboard_address=None) as cluster,
+            connected(cluster.scheduler_address, tmp_path) as (hand_out, threads),
+        ):  # fmt: skip
+            assert (threads, hand_out(identity)(2, 3).result()[1:]) == (1, (2, 3))
+            address = cluster.scheduler_address
+    assert "not encrypted" not in caplog.text
+    with pytest.raises(ClusterError, match=r"certificates for tls.*docs/parallel"):
+        connected(address, tmp_path).__enter__()
+
+
+def test_plain_tcp_to_another_machine_is_warned_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(cluster_module, "_PATIENCE_SECONDS", 0.1)
+    for host, is_warned in (("192.0.2.1", True), ("127.0.0.1", False), ("localhost", False)):
+        caplog.clear()
+        with pytest.raises(ClusterError, match="no scheduler with workers"):
+            connected(f"tcp://{host}:9", tmp_path).__enter__()
+        assert ("dask unpickles what it gets" in caplog.text) == is_warned, host
+
+
+def test_a_cluster_without_workers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster_module, "_PATIENCE_SECONDS", 2)
+    with (
+        LocalCluster(0, threads_per_worker=1, processes=False, dashboard_address=":0") as empty,
+        pytest.raises(ClusterError, match="within 2 s no scheduler with workers answered"),
+        connected(empty.scheduler_address, tmp_path),
+    ):
+        pass
 
 
 def job(**resources: Any) -> Any:
@@ -318,3 +374,11 @@ def test_a_job_works_where_settings_or_the_environment_say(
     monkeypatch.setenv("RFPIPE_WORKERS", "everywhere")
     with pytest.raises(ConfigError, match=r"RFPIPE_WORKERS is 'everywhere'.*tls://host:8786"):
         Resources.of_job(asked)
+
+
+@pytest.mark.slow
+def test_a_run_with_a_cluster(copy: Workflow, undisturbed: Workflow, address: str) -> None:
+    undo(copy, 3, "merge")
+    copy.configure(resources={"workers": address})
+    copy.run(TINY)
+    assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")

@@ -28,6 +28,7 @@ class Auto(Method[LevelState]):
     colour = "#2a2a2a"
     marker = "h"
     estimates_error = True
+    bytes_per_ray = 100_000
     Options = ErrorOptions
     trades = "target_error"
     trials = NearFar.trials

@@ -140,6 +140,9 @@ class Method(ABC, Generic[State]):
         Whether it rests on ``T = T^T``.
     estimates_error : bool
         Whether its rows of levels have an ``estimated_error``.
+    bytes_per_ray : int or None
+        Memory of an acquisition for each camera ray, in bytes, as measured at 10^3 to 10^5 rays;
+        None where all pictures are held.
     Options : type of Options
         Its options: a pydantic model.
     trades : str or None
@@ -155,6 +158,7 @@ class Method(ABC, Generic[State]):
     line: str = "-"
     needs_coaxial_rig: bool = False
     estimates_error: bool = False
+    bytes_per_ray: int | None = None
     Options: type[Options] = Options
     trades: str | None = None
     trials: tuple[float, ...] = ()
@@ -198,6 +202,14 @@ class Method(ABC, Generic[State]):
     def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
         """Return the patterns that a scene without any structure may take."""
         return max(projector.size, self.expected_patterns(camera, projector, options))
+
+    def memory_bytes(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
+    ) -> int:
+        """Guess the peak memory of an acquisition; the libraries take 200 MB of it."""
+        pictures = 40 * channels * self.expected_patterns(camera, projector, options)
+        each = pictures if self.bytes_per_ray is None else self.bytes_per_ray
+        return 200_000_000 + camera.size * each
 
     @abstractmethod
     def start(self, camera: RayDomain, projector: RayDomain, channels: int, options: Any) -> State:

@@ -99,6 +99,7 @@ class Dual(Descent[DualState]):
     title = "Dual photography"
     colour = "#c4611a"
     marker = "s"
+    bytes_per_ray = 20_000
     thesis_patterns = 7_382  # of scene IV
     tolerance_share = 0.3
     Options = DualOptions

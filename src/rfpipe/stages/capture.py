@@ -16,8 +16,6 @@ from rfpipe.photometry import ExactSensor
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import sequence_patterns
 from rfpipe.stages.capturing.brackets import Brackets
-from rfpipe.stages.capturing.devices import counted_by, difference
-from rfpipe.stages.capturing.disk import DiskNeed, check_level, check_run
 from rfpipe.stages.capturing.moves import every_of
 from rfpipe.stages.capturing.mutual import MutualCapture, mutual_watch
 from rfpipe.stages.capturing.sensors import write_sensor
@@ -25,6 +23,7 @@ from rfpipe.stages.capturing.shared import Shared, take_shared
 from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
 from rfpipe.stages.capturing.warm_up import seconds_since_capture, warm_up
 from rfpipe.stages.capturing.watch import LookWatch, Watches, drift_watch, move_watch
+from rfpipe.stages.disk import check_disk, disk_bytes
 from rfpipe.stages.folder import (
     REFERENCE,
     SYMMETRY,
@@ -75,8 +74,6 @@ def run(
     symmetry_frames: int = 0,
     batch_patterns: int = 16,
     when_patterns_change: Literal["recapture", "refuse"] = "recapture",
-    expected_patterns: int = 0,
-    keep_raw: bool = True,
     warm_up_minutes: float = 0.0,
     drift_patterns: int = 0,
     watching: Mapping[str, Any] | None = None,
@@ -100,10 +97,6 @@ def run(
         shows as many as one of them takes.
     when_patterns_change : {"recapture", "refuse"}
         What to do when pictures of other patterns, or of another rig, stand there.
-    expected_patterns : int
-        Patterns that all levels may take, if known: level 0 warns when they don't fit on the disk.
-    keep_raw : bool
-        Whether the brackets will stay once they are merged.
     warm_up_minutes : float
         For how long the lamp warms up when no bracket was taken for as long.
     drift_patterns : int
@@ -142,18 +135,14 @@ def run(
     to_capture = sum(part.count_missing() for part in parts)
     if to_capture:
         camera = rig.sensor, tuple(rig.camera_shape), rig.channels
-        if level == 0 and expected_patterns:
-            brackets = sum(counts) + symmetry_frames + keep_raw * expected_patterns
-            need = DiskNeed.of(*camera, brackets, expected_patterns)
-            check_run(need, expected_patterns, folder.path, keep_raw=keep_raw)
         merged = folder.store(level, "merge")  # of a capture before: replaced
         present = bytes_on_disk(merged) if merged.exists() else 0
-        need = DiskNeed.of(*camera, to_capture, of_level.count)
-        check_level(of_level.name, need, folder.path, present, keep_raw=keep_raw)
+        need = disk_bytes(*camera, to_capture, of_level.count)
+        check_disk(of_level.name, need, folder.path, present)
         if 0 < 60 * warm_up_minutes < seconds_since_capture(folder.path):
             warm_up(rig, warm_up_minutes)
     # a sequence is stored when it is complete: long ones, as loading takes most of their time
-    counted_before = counted_by(rig)
+    counted_before = _counted_by(rig)
     at_a_time = sequence_patterns(rig) or batch_patterns
     in_hand = _bytes_in_hand(rig) * (2 if sequence_patterns(rig) else 1)  # with complements
     batch = (resources or Resources()).fitting(in_hand, at_a_time)
@@ -176,7 +165,7 @@ def run(
             "rig": of_level.shown["rig"],
             **captured,
             **beside,
-            "devices": difference(counted_by(rig), counted_before),
+            "devices": _difference(_counted_by(rig), counted_before),
         },
     )
 
@@ -278,6 +267,22 @@ def _stands(
 def frame_settings(rig: Rig) -> dict[str, Any]:
     """Return a rig's description without how long it takes, which shapes no frame."""
     return {name: value for name, value in rig.describe().items() if name != _TIME}
+
+
+def _counted_by(rig: Rig) -> dict[str, int]:
+    """Return what a rig's devices counted so far: failed and lost frames, and attempts anew."""
+    counts: dict[str, dict[str, int]] = getattr(rig, "statistics", None) or {}
+    return {
+        f"{device} {what}": count for device, of in counts.items() for what, count in of.items()
+    }
+
+
+def _difference(after: dict[str, int], before: dict[str, int]) -> dict[str, int]:
+    """Return what was counted between; devices that began anew since count from 0."""
+    return {
+        name: count - before.get(name, 0) if count >= before.get(name, 0) else count
+        for name, count in after.items()
+    }
 
 
 def _bytes_in_hand(rig: Rig) -> int:

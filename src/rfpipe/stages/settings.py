@@ -54,12 +54,8 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
     captured = {
         "references": [capture.black_frames, capture.floodlit_frames],
         "symmetry_frames": capture.symmetry_frames if plan.asks_symmetry else 0,
-        "expected_patterns": plan.named.expected_patterns(
-            plan.camera, plan.projector, plan.options
-        ),
         "batch_patterns": capture.batch_patterns,
         "drift_patterns": capture.drift_patterns,
-        "keep_raw": capture.keep_raw,
         "warm_up_minutes": capture.warm_up_minutes,
         "when_patterns_change": capture.when_patterns_change,
         "watching": {

@@ -35,6 +35,7 @@ class Footprints(HeldOutMethod[FootprintState]):
     """
 
     name = "footprints"
+    bytes_per_ray = 100_000
     title = "Footprint acquisition"
     colour = "#6a3d9a"
     marker = "p"

@@ -45,6 +45,7 @@ class NearFar(HeldOutMethod[NearFarState]):
     colour = "#b3263a"
     marker = "D"
     needs_coaxial_rig = True
+    bytes_per_ray = 10_000
     trials = (0.05, 0.01, 0.003)
     most = MOST
     packing = Packing(("level", "following", "new", "new_held", "of_hierarchy", "rows"))

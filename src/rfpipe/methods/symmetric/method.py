@@ -109,6 +109,7 @@ class Symmetric(Descent[SymmetricState]):
     title = "Symmetric photography"
     colour = "#1f5a9e"
     needs_coaxial_rig = True
+    bytes_per_ray = 20_000
     thesis_patterns = 1_085  # of scene II
     tolerance_share = 0.3
     Options = SymmetricOptions

@@ -45,6 +45,7 @@ class Targeted(Method[TargetedState]):
         self.name, self.title, self.colour = inner.name, inner.title, inner.colour
         self.marker, self.line = inner.marker, inner.line
         self.needs_coaxial_rig = inner.needs_coaxial_rig
+        self.bytes_per_ray = inner.bytes_per_ray
         self.Options = inner.Options
         self.trades, self.trials = inner.trades, inner.trials
 

@@ -1,105 +1,115 @@
-"""Work on a `dask.distributed` cluster, whose workers share the results' file system."""
+"""Work on a `dask.distributed` cluster, whose workers share the results' file system.
+
+Work lies in a file of the folder that it reads or writes. A worker reads it once, a piece of it is
+a message of some hundred bytes, and another worker can do the piece where one died.
+"""
 
 from __future__ import annotations
 
 import ipaddress
 import logging
+import os
+import pickle
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
 from time import monotonic
 from typing import Any
 from urllib.parse import urlsplit
+from uuid import uuid4
 
 from rfpipe.config.addresses import check_port
 from rfpipe.errors import ClusterError
-from rfpipe.stages.jobs.sent import Sent, sending
+from rfpipe.provenance import code_digest, fingerprint, versions
+from rfpipe.store.files import write_atomically
 
-__all__ = ["Cluster", "connected"]
-
-_SETTING = "resources.workers"
 _PATIENCE_SECONDS = 10
-# How often to look whether there is still somebody who works, and how long nobody may be: a nanny
-# starts a worker that died anew within some seconds.
-_LOOK_SECONDS = 5.0
+# A nanny starts a worker that died anew within some seconds.
 _WITHOUT_WORKERS_SECONDS = 60.0
+_LOOK_SECONDS = 5.0
 
 _log = logging.getLogger(__name__)
 
+Work = Callable[[int, int], Any]
 
-@dataclass(frozen=True)
-class Cluster:
-    """The workers behind a scheduler.
+
+@contextmanager
+def connected(
+    address: str, folder: Path
+) -> Iterator[tuple[Callable[[Work], Callable[[int, int], Any]], int]]:
+    """Connect to a scheduler; provide what hands out work, and the number of its workers' threads.
 
     Parameters
     ----------
-    client : distributed.Client
     address : str
-        The scheduler's.
-    threads : int
-        Of all workers.
-    send : callable
-        Puts work where the workers see it, see `rfpipe.stages.jobs.sent.sending`.
+        Such as ``tls://host:8786``, with the certificates of dask's own settings.
+    folder : Path
+        Holds the work as long as it takes; the workers must see it.
+
+    Raises
+    ------
+    ClusterError
+        When no scheduler answers, when it has no workers, or when one doesn't see the folder or
+        has another rfpipe.
     """
+    import cloudpickle
+    import distributed
 
-    client: Any
-    address: str
-    threads: int
-    send: Callable[[Any], Sent]
-
-    def hand_out(self, work: Callable[[int, int], Any]) -> Callable[[int, int], _Promise]:
-        """Put the work where each worker reads it, once; return what asks for a piece of it.
-
-        Raises
-        ------
-        ClusterError
-            When a worker doesn't see the folder, or has another rfpipe.
-        """
-        sent = self.send(work)
-        self._check_workers(sent)
-
-        def ask(first: int, last: int) -> _Promise:
-            return _Promise(self, self.client.submit(sent, first, last, pure=False))
-
-        return ask
-
-    def _check_workers(self, sent: Sent) -> None:
-        found = self.client.run(sent.unfit, on_error="return")
-        reasons: dict[str, list[str]] = {}
-        for worker, told in found.items():
-            reason = told
-            if isinstance(told, Exception):  # no rfpipe, or one that knows no such work
-                reason = f"can't load this version of rfpipe ({told}). Install it there"
-            if reason is not None:
-                reasons.setdefault(reason, []).append(worker)
-        for reason, workers in reasons.items():
-            raise ClusterError(f"{_SETTING} is {self.address}: {', '.join(workers)} {reason}")
-
-    def must_be_there(self, since: float) -> None:
-        """Raise ClusterError where there has been nobody to do the work for some time."""
-        if self.client.status != "running":
-            raise ClusterError(
-                f"{_SETTING} {self.address}: the scheduler is gone. What is done is kept: start "
-                "one, with workers, and run again"
+    setting = f"resources.workers is {address}"
+    try:
+        check_port(address)
+    except ValueError as error:
+        raise ClusterError(f"{setting}; it {error}") from None
+    if not address.startswith("tls:") and not _is_here(address):
+        _log.warning(
+            "%s: not encrypted, and dask unpickles what it gets: whoever reaches the scheduler can "
+            "run programs there and here. docs/parallel.md tells how to use tls://", setting,
+        )  # fmt: skip
+    connect: Any = distributed.Client  # without types
+    with ExitStack() as stack:
+        try:
+            client = stack.enter_context(
+                connect(address, timeout=_PATIENCE_SECONDS, set_as_default=False)
             )
-        waited = monotonic() - since
-        if waited > _WITHOUT_WORKERS_SECONDS and not self.client.nthreads():
+            client.wait_for_workers(1, timeout=_PATIENCE_SECONDS)
+        except (OSError, ValueError, TypeError, RuntimeError) as error:
             raise ClusterError(
-                f"{_SETTING} {self.address}: all workers are gone, and none came for "
-                f"{_WITHOUT_WORKERS_SECONDS:.0f} s. What is done is kept: start some with 'dask "
-                f"worker {self.address}' and run again"
-            )
+                f"{setting}: within {_PATIENCE_SECONDS} s no scheduler with workers answered "
+                f"({error}). Start one with 'dask scheduler', workers with 'dask worker "
+                f"{address}', certificates for tls:// as docs/parallel.md says; or set it to "
+                "threads"
+            ) from error
+
+        def hand_out(work: Work) -> Callable[[int, int], _Promise]:
+            path = folder.absolute() / f".work.{uuid4().hex}"
+            write_atomically(path, cloudpickle.dumps(work))
+            stack.callback(path.unlink, missing_ok=True)
+            unfit = client.run(_unfit, path, _our_code(), on_error="return")
+            for worker, reason in unfit.items():
+                if reason is not None:
+                    raise ClusterError(f"{setting}: {worker} {_said(reason)}")
+
+            def ask(first: int, last: int) -> _Promise:
+                future = client.submit(_do, path, _our_code(), first, last, pure=False)
+                return _Promise(client, future, setting)
+
+            return ask
+
+        yield hand_out, sum(client.nthreads().values())
 
 
 @dataclass(frozen=True)
 class _Promise:
-    cluster: Cluster
+    client: Any
     future: Any  # of distributed
+    setting: str
 
     def result(self) -> Any:
-        """Wait for the result, or raise what the work raised."""
+        """Wait for the result, or raise the error of the work; ClusterError where it was lost."""
         from distributed import KilledWorker
 
         seen = monotonic()
@@ -107,73 +117,70 @@ class _Promise:
             try:
                 return self.future.result(timeout=_LOOK_SECONDS)
             except TimeoutError:
-                if self.future.done():  # meanwhile; what it raises is the work's own
+                if self.future.done():  # meanwhile, or the error is the work's own
                     return self.future.result()
             except (KilledWorker, CancelledError) as error:
-                self.cluster.must_be_there(monotonic())
-                raise ClusterError(
-                    f"{_SETTING} {self.cluster.address}: the work was lost "
-                    f"({type(error).__name__}: {error}). Look at the scheduler's and the workers' "
-                    "logs; a worker may have too little memory. Then run again, or set "
-                    f"{_SETTING} to threads"
-                ) from error
-            if self.cluster.client.status == "running" and self.cluster.client.nthreads():
+                raise self._lost(f"{type(error).__name__}: {error}") from error
+            if self.client.status != "running":
+                raise self._lost("the scheduler is gone")
+            if self.client.nthreads():
                 seen = monotonic()
-            self.cluster.must_be_there(seen)
+            elif monotonic() - seen > _WITHOUT_WORKERS_SECONDS:
+                raise self._lost("all workers are gone")
 
-
-@contextmanager
-def connected(address: str, folder: Path) -> Iterator[Cluster]:
-    """Connect to a scheduler.
-
-    Parameters
-    ----------
-    address : str
-        Such as ``tls://host:8786``, with the certificates that dask's own settings name. Over
-        ``tcp://`` to another machine it warns: dask unpickles what it gets.
-    folder : Path
-        That the workers must see.
-
-    Raises
-    ------
-    ClusterError
-        When none answers, when no worker is there or comes soon, or when there are no certificates
-        for TLS.
-    """
-    import distributed
-
-    try:
-        check_port(address)
-    except ValueError as error:
-        raise ClusterError(f"{_SETTING} is {address}; it {error}") from None
-    if address.startswith("tls:"):
-        _check_certificates(address)
-    elif not _is_here(address):
-        _log.warning(
-            "%s %s: not encrypted, and dask unpickles what it gets: whoever reaches the scheduler "
-            "can run programs there and here. docs/parallel.md tells how to use tls://",
-            _SETTING,
-            address,
+    def _lost(self, why: str) -> ClusterError:
+        return ClusterError(
+            f"{self.setting}: the work was lost ({why}). What is done is kept. Look at the "
+            "scheduler's and the workers' logs, a worker may have too little memory; start what is "
+            "missing and run again, or set it to threads"
         )
-    connect: Any = distributed.Client  # without types
-    try:
-        client = connect(address, timeout=_PATIENCE_SECONDS, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise ClusterError(
-            f"{_SETTING} is {address}: no scheduler answers there within "
-            f"{_PATIENCE_SECONDS} s ({error}). Start one with 'dask scheduler' and workers with "
-            f"'dask worker {address}', correct the address, or set it to threads"
-        ) from error
-    with client, sending(folder) as send:
-        try:  # one that is just being started, or started again
-            client.wait_for_workers(1, timeout=_PATIENCE_SECONDS)
-        except TimeoutError:
-            raise ClusterError(
-                f"{_SETTING} is {address}: the scheduler has no workers, and none came within "
-                f"{_PATIENCE_SECONDS} s. Start some with 'dask worker {address}', or set it to "
-                "threads"
-            ) from None
-        yield Cluster(client, address, sum(client.nthreads().values()), send)
+
+
+def _do(path: Path, code: str, first: int, last: int) -> Any:
+    """Do a piece of the work in a worker, with one thread: pieces are done side by side."""
+    if "numba" in sys.modules:
+        import numba
+
+        numba.set_num_threads(1)  # of this thread alone
+    else:
+        os.environ.setdefault("NUMBA_NUM_THREADS", "1")
+    unfit = _unfit(path, code)
+    if unfit:
+        raise ClusterError(f"a worker {unfit}")
+    return _read(path)(first, last)
+
+
+def _unfit(path: Path, code: str) -> str | None:
+    """Return why this process can't do the work, or None."""
+    if not path.is_file():
+        return (
+            f"does not see {path.parent}: workers share the file system with whoever sends them "
+            "work, under the same path. Mount it there"
+        )
+    if code != _our_code():
+        return (
+            "runs another version of rfpipe, Python, numpy, numba or zarr, which may give other "
+            "results. Install the same there and restart it"
+        )
+    return None
+
+
+def _said(reason: str | Exception) -> str:
+    if isinstance(reason, Exception):  # no rfpipe, or one without this module
+        return f"can't load this version of rfpipe ({reason}). Install it there"
+    return reason
+
+
+@lru_cache(maxsize=1)
+def _read(path: Path) -> Work:
+    """Read work; the stores that it opens stay open until this process gets other work."""
+    work: Work = pickle.loads(path.read_bytes())
+    return work
+
+
+@cache
+def _our_code() -> str:
+    return fingerprint([code_digest(), versions()])
 
 
 def _is_here(address: str) -> bool:
@@ -182,18 +189,3 @@ def _is_here(address: str) -> bool:
     with suppress(ValueError):
         return ipaddress.ip_address(host).is_loopback
     return host == "localhost"
-
-
-def _check_certificates(address: str) -> None:
-    """Raise ClusterError where dask's settings name no certificates for TLS."""
-    import dask
-
-    settings = ("ca-file", "client.cert")
-    missing = [name for name in settings if not dask.config.get(f"distributed.comm.tls.{name}")]
-    if missing:
-        raise ClusterError(
-            f"{_SETTING} is {address}: dask's settings name no {' and no '.join(missing)} "
-            "under distributed.comm.tls. Set them in ~/.config/dask/distributed.yaml or as "
-            "environment variables, such as DASK_DISTRIBUTED__COMM__TLS__CA_FILE "
-            "(docs/parallel.md)"
-        )

@@ -12,17 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import TYPE_CHECKING
 
-from rfpipe.errors import DamagedStageError, RfpipeError
-
-if TYPE_CHECKING:
-    pass
-
-__all__ = ["USAGE", "message_of", "stage_log", "start"]
-
-USAGE = "took at most %.1f MB of memory, %.2f s of processor time"
-"""The last line of a job's log, in MB of 10^6 bytes."""
+from rfpipe.errors import DamagedStageError, PicturesNeeded, RfpipeError
 
 _log = logging.getLogger("rfpipe")
 
@@ -59,8 +50,8 @@ def start(log_file: str) -> None:
 def stage_log(path: Path) -> Iterator[None]:
     """Also log to a stage's own file, after what is there, and under its name on stderr.
 
-    Where the stage fails it stays so: the job ends, and what it says belongs there. Where it finds
-    another one damaged, that one may be made anew.
+    Where the stage fails it stays so: the job ends, and its message belongs there. It goes on where
+    a damaged stage may be made anew, or pictures are to be taken.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     to_file = _file(path, "a")
@@ -69,17 +60,18 @@ def stage_log(path: Path) -> Iterator[None]:
         if isinstance(formatter, _Brief):
             handler.setFormatter(_Brief(path))
     _log.addHandler(to_file)
-    damaged = None
+    ends = True
     try:
         yield
-    except DamagedStageError as error:
-        damaged = error
-    _log.removeHandler(to_file)
-    to_file.close()
-    for handler, formatter in named.items():
-        handler.setFormatter(formatter)
-    if damaged is not None:
-        raise damaged
+    except BaseException as error:
+        ends = isinstance(error, DamagedStageError | PicturesNeeded)
+        raise
+    finally:
+        if ends:
+            _log.removeHandler(to_file)
+            to_file.close()
+            for handler, formatter in named.items():
+                handler.setFormatter(formatter)
 
 
 def _file(path: Path, mode: str) -> logging.FileHandler:
@@ -114,12 +106,10 @@ class _Brief(logging.Formatter):
 def _log_usage() -> None:
     """Say what the job took: Snakemake looks at a job now and then, and misses peaks."""
     usage = resource.getrusage(resource.RUSAGE_SELF)
-    peak_kib = float(usage.ru_maxrss)
-    with suppress(OSError, IndexError, ValueError):  # where there is a better one: what was before
-        # the program began, such as Snakemake, isn't in it
-        status = Path("/proc/self/status").read_text(encoding="ascii")
-        peak_kib = float(status.partition("VmHWM:")[2].split()[0])
-    _log.info(USAGE, peak_kib * 1024 / 1e6, usage.ru_utime + usage.ru_stime)
+    _log.info(
+        "took at most %.1f MB of memory, %.2f s of processor time",
+        usage.ru_maxrss * 1024 / 1e6, usage.ru_utime + usage.ru_stime,
+    )  # fmt: skip
 
 
 def _report(
@@ -128,14 +118,11 @@ def _report(
     if issubclass(kind, KeyboardInterrupt):
         _log.error("stopped; what is done is kept, and the next run goes on from there")
         return
+    message = str(error)
     if not issubclass(kind, RfpipeError):  # a bug: show where
         sys.__excepthook__(kind, error, traceback)
-    _log.error("%s", message_of(error), exc_info=(kind, error, traceback))
-
-
-def message_of(error: BaseException) -> str:
-    """Return what to say of an error: a bug's message alone, as of a KeyError, says little."""
-    return str(error) if isinstance(error, RfpipeError) else f"{type(error).__name__}: {error}"
+        message = f"{type(error).__name__}: {error}"
+    _log.error("%s", message, exc_info=(kind, error, traceback))
 
 
 def _interrupt(_signal: int, _frame: FrameType | None) -> None:

@@ -5,21 +5,25 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Mapping, Sequence
-from time import monotonic
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from tqdm import tqdm
-
-__all__ = ["Progress", "log_estimate"]
+from io import StringIO
+from typing import Any
 
 _SECONDS_BETWEEN_LINES = 15.0
 
 _log = logging.getLogger(__name__)
 
 
+class _LogLines(StringIO):
+    """Writes the bar's lines into the log."""
+
+    def write(self, text: str) -> int:
+        if text.strip():
+            _log.info("%s", text.strip())
+        return len(text)
+
+
 class Progress:
-    """Says how many patterns are done, and when the rest will be; a context manager.
+    """Counts patterns, and says when the rest will be done; a context manager.
 
     Parameters
     ----------
@@ -30,47 +34,45 @@ class Progress:
     unit : str
         What is counted, if no patterns; its plural has an s.
     quick : bool
-        Whether it is nothing to speak of where it takes seconds.
+        Whether it goes unsaid that it ended where it took seconds.
     """
 
     def __init__(
         self, name: str, total: int, done: int = 0, *, unit: str = "pattern", quick: bool = False
     ) -> None:
-        self._name = name
-        self._unit = unit
-        self._quick = quick
-        self._total = total
-        self._before = self._done = done
-        self._began = self._said = monotonic()
-        self._bar: tqdm[Any] | None = None
-        if done < total and sys.stderr.isatty():
-            from tqdm import tqdm
+        from tqdm import tqdm
 
-            self._bar = tqdm(total=total, initial=done, desc=name, unit=unit, leave=False)
+        to_log: dict[str, Any] = {
+            "file": _LogLines(), "mininterval": _SECONDS_BETWEEN_LINES, "miniters": 1,
+            "delay": _SECONDS_BETWEEN_LINES,
+            "bar_format": "{desc}: {n_fmt} of {total_fmt} {unit}s, {remaining} to go",
+        }  # fmt: skip
+        self._name, self._unit, self._quick, self._done = name, unit, quick, done
+        self._bar: Any = tqdm(
+            total=total, initial=done, desc=name, unit=unit, leave=False,
+            **({} if sys.stderr.isatty() else to_log),
+        )  # fmt: skip
 
     def advance(self, patterns: int) -> None:
         """Count so many as done."""
-        self._done += patterns
-        now = monotonic()
-        if self._bar is not None:
-            self._bar.update(patterns)
-        elif now - self._said >= _SECONDS_BETWEEN_LINES and self._done < self._total:
-            self._said = now
-            rest = (now - self._began) / (self._done - self._before) * (self._total - self._done)
-            _log.info(
-                "%s: %d of %d %ss, %s to go",
-                self._name, self._done, self._total, self._unit, _time(rest),
-            )  # fmt: skip
+        self._bar.update(patterns)
 
     def __enter__(self) -> Progress:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
-        patterns, seconds = self._done - self._before, monotonic() - self._began
-        if patterns and not (self._quick and seconds < _SECONDS_BETWEEN_LINES):
-            _log.info("%s: %d %ss in %s", self._name, patterns, self._unit, _time(seconds))
+        self._bar.close()
+        count, seconds = self._bar.n - self._done, self._bar.format_dict["elapsed"]
+        if count and not (self._quick and seconds < _SECONDS_BETWEEN_LINES):
+            _log.info("%s: %d %ss in %s", self._name, count, self._unit, _duration(seconds))
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(seconds, 60)
+    hours, minutes = divmod(int(minutes), 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {rest:02.0f} s" if minutes else f"{rest:.1f} s"
 
 
 def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> None:
@@ -86,22 +88,12 @@ def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> No
     # the merge has progress, too, and nothing to do with transports
     from rfpipe.transport.history import estimates
 
-    found = estimates(level_rows)
-    if found and found[-1]["level"] == level_rows[-1]["level"]:
-        last = found[-1]
+    estimated = estimates(level_rows)
+    if estimated and estimated[-1]["level"] == level_rows[-1]["level"]:
+        last = estimated[-1]
         target_error = getattr(options, "target_error", None)
+        asked = "" if target_error is None else f", {100 * target_error:.3g} % asked for"
         _log.info(
             "level %d: estimated error %.2f %% after %d patterns%s",
-            last["level"],
-            100 * last["estimated_error"],
-            last["patterns"],
-            "" if target_error is None else f", {100 * target_error:.3g} % asked for",
-        )
-
-
-def _time(seconds: float) -> str:
-    minutes, rest = divmod(seconds, 60)
-    hours, minutes = divmod(int(minutes), 60)
-    if hours:
-        return f"{hours} h {minutes:02d} min"
-    return f"{minutes} min {rest:02.0f} s" if minutes else f"{rest:.1f} s"
+            last["level"], 100 * last["estimated_error"], last["patterns"], asked,
+        )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a stage may use, memory and cores, and doing its work side by side within that."""
+"""What a stage may use, memory and cores, and its work side by side within that."""
 
 from __future__ import annotations
 
@@ -14,26 +14,33 @@ from typing import Any, Protocol, TypeVar
 from rfpipe.config.addresses import THREADS, check_workers
 from rfpipe.errors import ConfigError
 
-__all__ = ["VARIABLE", "Resources", "Workers", "machine_memory_mb", "workers_from_environment"]
-
-VARIABLE = "RFPIPE_WORKERS"
-"""Environment variable that says where to work, whatever the settings say."""
+_VARIABLE = "RFPIPE_WORKERS"
 
 Result = TypeVar("Result")
 Result_co = TypeVar("Result_co", covariant=True)
 Work = Callable[[int, int], Result]
+"""``work(first, last)`` does a piece; any thread, or process of a cluster, may call it."""
 
-# Of the budget; the rest is Python with its libraries, and what an estimate leaves out.
+# Half of the budget is for Python with its libraries, and what an estimate leaves out.
 _SHARE_FOR_DATA = 0.5
-# Pieces of work handed out per thread: one in hand, one to go on with.
+# Pieces per thread: one in hand, one to go on with.
 _AHEAD = 2
-# What a control group leaves to its processes.
-_GROUP_LIMIT = Path("/sys/fs/cgroup/memory.max")
+
+
+class Promise(Protocol[Result_co]):
+    """A result to come."""
+
+    def result(self) -> Result_co:
+        """Wait for the result, or raise the error of the work."""
+
+
+HandOut = Callable[[Work[Any]], Callable[[int, int], Promise[Any]]]
+"""Takes the work and returns a function that hands out one piece of it."""
 
 
 @dataclass(frozen=True)
 class Resources:
-    """What a job may use. None of it changes a result.
+    """Memory and cores of a job. No result depends on them.
 
     Parameters
     ----------
@@ -42,8 +49,7 @@ class Resources:
     threads : int
         Threads to work with, at least 1.
     where : str
-        "threads" of this process, or the address of a dask scheduler, such as
-        ``tls://host:8786``, whose workers then do what they can.
+        "threads" of this process, or the address of a dask scheduler, as ``tls://host:8786``.
     """
 
     memory_gib: float = 4.0
@@ -52,19 +58,24 @@ class Resources:
 
     @classmethod
     def of_job(cls, snakemake: Any) -> Resources:
-        """Return those of a job of the workflow, as Snakemake tells its script.
+        """Return the resources of a job of the workflow; RFPIPE_WORKERS overrules its settings.
 
         Raises
         ------
         ConfigError
-            When the environment variable `VARIABLE` says where to work, but no place.
+            When RFPIPE_WORKERS is no place to work.
         """
-        resources = snakemake.resources
-        memory_gib = resources.mem_mib / 1024
-        if "memory_gib" in resources.keys():  # noqa: SIM118 - Snakemake's resources are no mapping
-            memory_gib = min(memory_gib, float(resources.memory_gib))
-        where = workers_from_environment() or resources.get("workers") or THREADS
-        return cls(memory_gib, snakemake.threads, where)
+        asked = snakemake.resources
+        memory_gib = asked.mem_mib / 1024
+        if "memory_gib" in asked.keys():  # noqa: SIM118 - Snakemake's resources are no mapping
+            memory_gib = min(memory_gib, float(asked.memory_gib))
+        named = os.environ.get(_VARIABLE, "").strip()
+        try:
+            check_workers(named or THREADS)
+        except ValueError as error:
+            text = f"environment variable {_VARIABLE} is {named!r}; it {error}"
+            raise ConfigError(text) from None
+        return cls(memory_gib, snakemake.threads, named or asked.get("workers") or THREADS)
 
     @property
     def data_bytes(self) -> int:
@@ -77,84 +88,38 @@ class Resources:
         return replace(self, where=THREADS)
 
     def fitting(self, bytes_each: int, most: int) -> int:
-        """Return how many things of a size fit, from 1 to `most`."""
+        """Return how many things of a size fit into memory, from 1 to `most`."""
         return max(1, min(most, self.data_bytes // max(1, bytes_each)))
 
     @contextmanager
     def workers(self, bytes_each: int, folder: Path) -> Iterator[Workers]:
-        """Provide workers for pieces of work that need `bytes_each` while they are in hand.
+        """Provide workers for pieces of work that take `bytes_each` while they are in hand.
 
-        Parameters
-        ----------
-        bytes_each : int
-        folder : Path
-            One that the work reads from or writes to. Workers that don't see it are refused.
+        `folder` is one that the work reads or writes; a cluster's workers must see it.
 
         Raises
         ------
         ClusterError
-            When the cluster doesn't answer, has no workers, runs another rfpipe, or doesn't see
-            the folder.
+            When the cluster doesn't answer, or isn't fit for the work.
         """
         if self.where != THREADS:
             from rfpipe.stages.jobs.cluster import connected
 
-            with connected(self.where, folder) as cluster:
-                in_flight = self.fitting(bytes_each, _AHEAD * cluster.threads)
-                yield Workers(cluster.hand_out, in_flight)
+            with connected(self.where, folder) as (hand_out, threads):
+                yield Workers(hand_out, self.fitting(bytes_each, _AHEAD * threads))
             return
         count = self.fitting(_AHEAD * bytes_each, self.threads)
         if count == 1:
             yield Workers(None, 1)
-        else:
-            with _threads(count) as hand_out:
-                yield Workers(hand_out, _AHEAD * count)
-
-
-@contextmanager
-def _threads(count: int) -> Iterator[HandOut]:
-    with ThreadPoolExecutor(count) as pool:
-        try:
-            yield lambda work: lambda first, last: pool.submit(work, first, last)
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-
-
-def machine_memory_mb() -> int:
-    """Return the memory of this machine, or that its control group leaves to us, in MB."""
-    have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    with suppress(OSError, ValueError):  # no groups, or "max"
-        have = min(have, int(_GROUP_LIMIT.read_text()))
-    return have // 10**6
-
-
-def workers_from_environment() -> str | None:
-    """Return where the environment says to work, None where it says nothing.
-
-    Raises
-    ------
-    ConfigError
-        When that is no place.
-    """
-    where = os.environ.get(VARIABLE, "").strip()
-    if not where:
-        return None
-    try:
-        check_workers(where)
-    except ValueError as error:
-        raise ConfigError(f"environment variable {VARIABLE} is {where!r}; it {error}") from None
-    return where
-
-
-class Promise(Protocol[Result_co]):
-    """A result to come."""
-
-    def result(self) -> Result_co:
-        """Wait for the result, or raise what the work raised."""
-
-
-HandOut = Callable[[Work[Any]], Callable[[int, int], Promise[Any]]]
+            return
+        with ThreadPoolExecutor(count) as pool:
+            try:
+                yield Workers(
+                    lambda work: lambda first, last: pool.submit(work, first, last), _AHEAD * count
+                )
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
 
 
 @dataclass(frozen=True)
@@ -164,8 +129,7 @@ class Workers:
     Parameters
     ----------
     hand_out : callable or None
-        Takes the work and returns what hands out a piece of it, ``(first, last)``, and promises
-        the result. None does one piece after the other, here.
+        None does one piece after the other, here.
     in_flight : int
         Pieces handed out at a time: with their results, all that is in memory.
     """
@@ -176,14 +140,21 @@ class Workers:
     def results(self, work: Work[Result], runs: Iterable[tuple[int, int]]) -> Iterator[Result]:
         """Yield ``work(first, last)`` of each run, in their order."""
         if self.hand_out is None:
-            for first, last in runs:
-                yield work(first, last)
+            yield from (work(first, last) for first, last in runs)
             return
-        promise = self.hand_out(work)
+        ask = self.hand_out(work)
         handed_out: deque[Promise[Result]] = deque()
         for first, last in runs:
             if len(handed_out) == self.in_flight:
                 yield handed_out.popleft().result()
-            handed_out.append(promise(first, last))
+            handed_out.append(ask(first, last))
         while handed_out:
             yield handed_out.popleft().result()
+
+
+def machine_memory_mb() -> int:
+    """Return the memory of this machine, or its control group's share of it, in MB."""
+    have = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    with suppress(OSError, ValueError):  # no groups, or "max"
+        have = min(have, int(Path("/sys/fs/cgroup/memory.max").read_text()))
+    return have // 10**6

@@ -1,13 +1,19 @@
-"""Jobs that failed on other machines are told of where Snakemake runs, quiet as it is."""
+"""Where Snakemake runs: groups that no node can run, jobs that failed elsewhere, a run's end."""
+
+from __future__ import annotations
 
 import logging
+import shlex
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 from snakemake_interface_logger_plugins.common import LogEvent
 
-from rfpipe.stages.jobs.failures import FailedJobs
+from rfpipe.errors import ConfigError
+from rfpipe.stages.jobs import ends
+from rfpipe.stages.jobs.ends import FailedJobs, check_groups, notify
 
 LOG = """
 rule acquire:
@@ -100,3 +106,55 @@ def test_a_group_is_told_of_once(told: list[str]) -> None:
 def test_a_job_that_left_no_log_may_not_see_the_folder(told: list[str]) -> None:
     said = failed(told, LogEvent.JOB_ERROR, **of_job(SUFFIX, "10", log=["nothing.log"]))
     assert "does its machine see this folder" in said
+
+
+def sinfo(folder: Path, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = folder / "sinfo"
+    program.write_text(f"#!/bin/sh\nprintf '{says}'\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(folder))
+
+
+def test_a_group_larger_than_any_node_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sinfo(tmp_path, "1\\n2\\n", monkeypatch)
+    check_groups({}, 64)
+    check_groups({"small": 8}, 2)
+    check_groups({"small": 2}, 64)
+    with pytest.raises(ConfigError, match=r"small=8 jobs .* ask for 4 .*has 2\. Add --cores 2"):
+        check_groups({"small": 8, "other": 3}, 4)
+
+
+@pytest.mark.parametrize("says", ["", "16+\\n", None])
+def test_what_is_not_known_of_nodes_is_let_pass(
+    says: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    if says is not None:
+        sinfo(tmp_path, says, monkeypatch)
+    check_groups({"small": 8}, 64)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "/no/such/program",
+        shlex.join([sys.executable, "-c", "raise SystemExit(3)"]),
+        shlex.join([sys.executable, "-c", "import time; time.sleep(60)"]),
+        "an open 'quote",
+    ],
+)
+def test_a_command_that_fails_changes_nothing(
+    command: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ends, "_PATIENCE_SECONDS", 0.5)
+    notify(command, "done", "log")
+    assert f"notify: {command!r} failed" in capfd.readouterr().err
+
+
+def test_the_command_knows_how_the_run_ended(tmp_path: Path) -> None:
+    code = "import os, sys; open(sys.argv[1], 'w').write(os.environ['RFPIPE_STATUS'])"
+    notify(shlex.join([sys.executable, "-c", code, str(tmp_path / "told")]), "failed", "log")
+    assert (tmp_path / "told").read_text() == "failed"
+    notify(None, "done", "log")
