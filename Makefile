@@ -56,7 +56,7 @@ thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the fo
 
 figures: $(INSTALLED) ## make every figure and table of the thesis, reduced, in the folder figures/
 	@rfpipe run --directory figures --configfile $(FIGURES) $(ARGS)
-	@rfpipe check-report figures/results/report
+	@rfpipe verify figures/results/report
 
 calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (docs/rig.md)
 	@rfpipe calibrate $(RIG)

@@ -24,7 +24,6 @@ import numpy as np
 import pandas as pd
 import psutil
 
-from rfpipe.export import relit_files
 from rfpipe.provenance import generator
 from rfpipe.stages import merge
 from rfpipe.stages.capturing.sensors import read_sensor
@@ -91,13 +90,6 @@ def uses(source: Path, place: Path) -> Iterator[tuple[str, Use]]:
     yield (
         f"merge, {about['levels'][level]['patterns']} patterns",
         partial(merged_anew, folder, level),
-    )
-    lights = [Light(f"{n:03d}", n, shape) for n in range(PICTURES)]
-    yield (
-        f"relight, {PICTURES} pictures",
-        lambda resources: relit_files(
-            place / "transport.zarr", lights, place / "relit", resources=resources
-        ),
     )
     images = generator(0).random((5, *shape, 3), np.float32)
     arrays = {"relit": images, "truth": images + np.float32(0.01), "patterns": images[..., 0]}

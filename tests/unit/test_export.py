@@ -44,15 +44,20 @@ def stored(tmp_path: Path) -> Path:
 
 
 def run(*arguments: object) -> str:
-    result = CliRunner().invoke(app, ["export", *map(str, arguments)], catch_exceptions=False)
+    result = CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.output
 
 
 def refused(*arguments: object) -> str:
     with pytest.raises(RfpipeError) as caught:
-        CliRunner().invoke(app, ["export", *map(str, arguments)], catch_exceptions=False)
+        CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=False)
     return str(caught.value)
+
+
+def relit(stored: Path, folder: Path, *patterns: object, options=(), by=run) -> str:
+    named = [part for pattern in patterns for part in ("--pattern", pattern)]
+    return by("relight", stored, *named, "-o", folder, *options)
 
 
 def frames_of(path: Path) -> NDArray[np.uint8]:
@@ -262,12 +267,12 @@ def test_movies_that_can_t_be_written(tmp_path: Path, monkeypatch) -> None:
 
 def test_export_matrix(stored: Path, tmp_path: Path) -> None:
     path = tmp_path / "part.npz"
-    text = run("matrix", stored, path, "--rows", "2,:", "--rows", "2,3", "--columns", "0,0")
+    text = run("export", stored, path, "--rows", "2,:", "--rows", "2,3", "--columns", "0,0")
     assert "part.npz: T" in text
     found = np.load(path)
     assert found["rows"].tolist() == list(range(16, 24))  # each once
     np.testing.assert_allclose(found["T"], transport_of().toarray(range(16, 24), [0]), rtol=1e-6)
-    run("matrix", stored, path, "--scale", "1/2", "--dual")
+    run("export", stored, path, "--scale", "1/2", "--dual")
     np.testing.assert_allclose(
         np.load(path)["T"], coarser(transport_of(), 2).T.toarray(), rtol=1e-6
     )
@@ -282,13 +287,13 @@ def test_export_matrix(stored: Path, tmp_path: Path) -> None:
     ],
 )
 def test_export_matrix_refuses(stored: Path, tmp_path: Path, options, message: str) -> None:
-    assert message in refused("matrix", stored, tmp_path / "x.npz", *options)
+    assert message in refused("export", stored, tmp_path / "x.npz", *options)
     assert not (tmp_path / "x.npz").exists()
 
 
 def test_export_rays(stored: Path, tmp_path: Path) -> None:
     folder = tmp_path / "rays"
-    text = run("rays", stored, folder, "--row", "2,3", "--column", "1,:", "--scale", "2")
+    text = run("export", stored, folder, "--rows", "2,3", "--columns", "1,:", "--scale", "2")
     assert "8 pictures" in text
     matrix = transport_of().toarray()
     row = read_image(folder / "row_2_3.exr")
@@ -297,14 +302,14 @@ def test_export_rays(stored: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(column[::2, ::2], matrix[:, :, 13].T.reshape(*CAMERA, 3))
     about = oiio.ImageBuf(str(folder / "row_2_3.exr")).spec()
     assert about.getattribute("rfpipe:ray") == "2,3"
-    run("rays", stored, folder, "--row", "2,3", "--format", "png", "--white", "1")
+    run("export", stored, folder, "--rows", "2,3", "--format", "png", "--white", "1")
     shown = read_image(folder / "row_2_3.png")
     np.testing.assert_allclose(shown, srgb(row[::2, ::2], 1.0), atol=1 / 255)
 
 
 def test_export_rays_refuses(stored: Path, tmp_path: Path) -> None:
-    assert "give --row or --column" in refused("rays", stored, tmp_path / "rays")
-    text = refused("rays", stored, tmp_path / "rays", "--row", ":,:", "--limit-gib", "1e-6")
+    assert "give --rows or --columns" in refused("export", stored, tmp_path / "rays")
+    text = refused("export", stored, tmp_path / "rays", "--rows", ":,:", "--limit-gib", "1e-6")
     assert "48 pictures take" in text
     assert not (tmp_path / "rays").exists()
 
@@ -316,7 +321,7 @@ def test_export_relit_takes_names_pictures_folders_and_stacks(stored: Path, tmp_
     write_image(pictures / "ramp.exr", weights)
     np.save(tmp_path / "stack.npy", RANDOM.random((2, *PROJECTOR, 3)))
     folder = tmp_path / "relit"
-    text = run("relit", stored, folder, "noise", pictures, tmp_path / "stack.npy")
+    text = relit(stored, folder, "noise", pictures, tmp_path / "stack.npy")
     names = ["noise", "ramp", "stack_0000", "stack_0001"]
     assert "4 pictures" in text
     assert sorted(path.stem for path in folder.iterdir()) == names
@@ -332,7 +337,7 @@ def test_export_relit_takes_names_pictures_folders_and_stacks(stored: Path, tmp_
 
 def test_export_relit_as_png_has_one_white(stored: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "stack.npy", np.array([np.ones(PROJECTOR), 0.1 * np.ones(PROJECTOR)]))
-    run("relit", stored, tmp_path / "relit", tmp_path / "stack.npy", "--format", "png")
+    relit(stored, tmp_path / "relit", tmp_path / "stack.npy", options=("--format", "png"))
     bright, dim = (read_image(tmp_path / "relit" / f"stack_000{n}.png") for n in (0, 1))
     assert bright.max() > 0.99
     assert dim.max() < 0.4
@@ -342,14 +347,14 @@ def test_export_relit_refuses(stored: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "counts.npy", np.full((1, *PROJECTOR), 255, np.uint8))
     np.save(tmp_path / "flat.npy", np.ones(3))
     folder = tmp_path / "relit"
-    text = refused("relit", stored, folder, tmp_path / "counts.npy")
+    text = relit(stored, folder, tmp_path / "counts.npy", by=refused)
     assert "uint8 with values from 255 to 255" in text
-    assert "two patterns are named noise" in refused("relit", stored, folder, "noise", "noise")
-    assert "a pattern has the shape" in refused("relit", stored, folder, tmp_path / "flat.npy")
+    assert "two patterns are named noise" in relit(stored, folder, "noise", "noise", by=refused)
+    assert "a pattern has the shape" in relit(stored, folder, tmp_path / "flat.npy", by=refused)
     (tmp_path / "empty").mkdir()
-    assert "holds no pictures" in refused("relit", stored, folder, tmp_path / "empty")
+    assert "holds no pictures" in relit(stored, folder, tmp_path / "empty", by=refused)
     (tmp_path / "text.npy").write_text("no array")
-    assert "can't be read as .npy" in refused("relit", stored, folder, tmp_path / "text.npy")
+    assert "can't be read as .npy" in relit(stored, folder, tmp_path / "text.npy", by=refused)
 
 
 def test_export_movie(stored: Path, tmp_path: Path) -> None:
@@ -366,6 +371,6 @@ def test_export_movie(stored: Path, tmp_path: Path) -> None:
 
 def test_nothing_that_is_exported_changes_the_transport(stored: Path, tmp_path: Path) -> None:
     before = {path: path.read_bytes() for path in stored.rglob("*") if path.is_file()}
-    run("matrix", stored, tmp_path / "x.h5")
+    run("export", stored, tmp_path / "x.h5")
     assert before == {path: path.read_bytes() for path in stored.rglob("*") if path.is_file()}
     np.testing.assert_array_equal(open_transport(stored).toarray(), transport_of().toarray())

@@ -26,7 +26,9 @@ def plan(
     ] = Path("results"),
     directory: Directory = Path(),
 ) -> None:
-    """Tell what a run will take, before the lamp is switched on: patterns, time, memory and disk.
+    """Check a settings file and tell what its run will take: patterns, time, memory and disk.
+
+    Every mistake in the file is said. A rig's settings are checked alone.
 
     Patterns are the method's guess, on the high side: as many a level as the thesis' largest scenes
     took, or all rounds of methods that end by their own estimate. At most are those of a scene

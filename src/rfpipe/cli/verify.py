@@ -42,7 +42,8 @@ def verify(
 
     All bytes are read, and nothing is changed without --mend. What was captured is kept: the
     workflow makes damaged stages anew from those before them, and shows only those patterns again
-    whose pictures are damaged. Exit status 1 when anything is wrong.
+    whose pictures are damaged. Of a report it is checked, too, that no figure is missing or blank
+    and no link leads to nothing. Exit status 1 when anything is wrong.
     """
     from rfpipe.stages.verifying.verify import bytes_below, command_for
     from rfpipe.stages.verifying.verify import verify as check
@@ -70,6 +71,11 @@ def verify(
         return
     if checked.findings:
         raise typer.Exit(1)
+    for report in (folder, folder / "report"):
+        if (report / "results.json").is_file():
+            from rfpipe.report import check_report
+
+            check_report(report)
 
 
 def _print(folder: Path, checked: Checked) -> None:

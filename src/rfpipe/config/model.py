@@ -100,7 +100,7 @@ class Config(Settings):
         default_factory=lambda: method_sections(dict.fromkeys(DEFAULT_METHODS)),
         min_length=1,
         description="Methods to acquire each scene with, each with options of its own; what is "
-        "left out has its default, as in {symmetric: {}}. 'rfpipe methods' lists them all.",
+        "left out has its default, as in {symmetric: {}}. 'rfpipe settings methods' lists all.",
     )
     camera: CameraConfig | None = Field(
         default_factory=CameraConfig,

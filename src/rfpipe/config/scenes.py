@@ -38,8 +38,8 @@ class SceneSettings(Described):
     files: ClassVar[tuple[str, ...]] = ()
 
     kind: Text = Field(
-        description="What kind of scene it is: one that 'rfpipe scenes' lists with its options, or "
-        "a class of your own as module:Class or file.py:Class.",
+        description="What kind of scene it is: one that 'rfpipe settings scenes' lists with its "
+        "options, or a class of your own as module:Class or file.py:Class.",
     )
     shape: tuple[Extent, Extent] = Field(
         (62, 70),

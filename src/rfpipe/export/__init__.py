@@ -6,20 +6,17 @@ The matrix itself is written by `rfpipe.transport.Transport.save`.
 from rfpipe.export.movies import MOVIE_FILES, write_movie
 from rfpipe.export.paths import PATHS, LightPath, light_path
 from rfpipe.export.rays import ray_pictures, rays_at
-from rfpipe.export.relit import Lighting, open_light, relit_files, relit_movie, relit_pictures
+from rfpipe.export.relit import relit_movie, relit_pictures
 from rfpipe.export.scales import Scale
 
 __all__ = [
     "MOVIE_FILES",
     "PATHS",
     "LightPath",
-    "Lighting",
     "Scale",
     "light_path",
-    "open_light",
     "ray_pictures",
     "rays_at",
-    "relit_files",
     "relit_movie",
     "relit_pictures",
     "write_movie",

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
-from functools import cached_property
-from math import prod
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from threading import Lock
-from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +14,10 @@ from rfpipe.errors import InputError
 from rfpipe.export.movies import write_movie
 from rfpipe.export.paths import LightPath
 from rfpipe.export.scales import Scale
-from rfpipe.pictures.images import srgb, write_image
-from rfpipe.stages.jobs.progress import Progress
-from rfpipe.stages.jobs.workers import Resources
-from rfpipe.store.files import storage_errors, whole_file
+from rfpipe.pictures.images import srgb
 from rfpipe.transport.base import Light
-from rfpipe.transport.storage import open_transport
 
-__all__ = ["Lighting", "open_light", "relit_files", "relit_movie", "relit_pictures"]
+__all__ = ["relit_movie", "relit_pictures"]
 
 Float = NDArray[np.float32]
 
@@ -83,161 +75,6 @@ def _shown(
         stack = image.reshape(*domain.stack_shape, light.channels)
         shown = stack.reshape(*domain.picture_shape, -1) if view is None else stack[view]
         yield scale.apply(shown)
-
-
-class Lighting(Protocol):
-    """A pattern that any process can make or read."""
-
-    @property
-    def name(self) -> str:
-        """What its picture is called."""
-
-    def weights(self) -> Float:
-        """Return the weights, as `Light.relight` takes them."""
-
-
-def open_light(path: Path, level: int | None, dual: bool) -> Light:
-    """Open a transport, or its dual, as known after a level."""
-    transport = open_transport(path)
-    if level is not None:
-        transport = transport.truncate(level)
-    return transport.T if dual else transport
-
-
-@dataclass(frozen=True, eq=False)
-class _RelitFiles:
-    """Relights patterns and writes their pictures; any thread or process may."""
-
-    path: Path
-    level: int | None
-    dual: bool
-    lights: tuple[Lighting, ...]
-    folder: Path
-    form: str | None
-    scale: Scale
-    white: float | None
-    view: int | None
-
-    def __call__(self, first: int, last: int) -> list[float]:
-        """Relight some patterns; return what would be white in each, where none is written."""
-        lights = self.lights[first:last]
-        bright = []
-        for lit, image in zip(
-            lights, self._relit([each.weights() for each in lights]), strict=True
-        ):
-            picture = next(_shown(self.light, [image], self.scale, self.view))
-            if self.form is None:
-                bright.append(float(np.percentile(picture, _WHITE)))
-                continue
-            path = self.folder / f"{lit.name}.{self.form}"
-            failing = storage_errors(path, "writing", picture.nbytes, resumes=False)
-            with failing, whole_file(path) as partial:
-                write_image(partial, picture, self.white, {"rfpipe:pattern": lit.name})
-        return bright
-
-    def _relit(self, patterns: list[Float]) -> Iterator[Float]:
-        """Relight white and coloured patterns, those alike together."""
-        start = 0
-        while start < len(patterns):
-            stop = start + 1
-            while stop < len(patterns) and patterns[stop].shape == patterns[start].shape:
-                stop += 1
-            with _relighting:
-                images = self.light.relight_batch(np.stack(patterns[start:stop]))
-            yield from images
-            start = stop
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out the transport: whoever does the work opens it."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
-
-    @cached_property
-    def light(self) -> Light:
-        return open_light(self.path, self.level, self.dual)
-
-
-def relit_files(
-    path: Path,
-    lights: Sequence[Lighting],
-    folder: Path,
-    *,
-    form: str = "exr",
-    scale: Scale | None = None,
-    white: float | None = None,
-    view: int | None = None,
-    level: int | None = None,
-    dual: bool = False,
-    resources: Resources | None = None,
-) -> float | None:
-    """Relight with many patterns and write a picture each, named as its pattern.
-
-    The files have the same bytes wherever the work is done.
-
-    Parameters
-    ----------
-    path : path
-        Of a stored transport.
-    lights : sequence of Lighting
-    folder : path
-        Made where it is missing.
-    form : {"exr", "png"}
-    scale : Scale, optional
-    white : float, optional
-        Radiance shown as white in a .png; by default all but the brightest thousandth of the
-        samples of the brightest picture are shown as they are, for which all is relit twice.
-    view : int, optional
-        The one of several views to show.
-    level : int, optional
-        Use the transport as known after this level only.
-    dual : bool
-        Light from the camera, see from the projector.
-    resources : Resources, optional
-
-    Returns
-    -------
-    float or None
-        Radiance shown as white; None in EXR files, which have none.
-
-    Raises
-    ------
-    InputError
-        As `relit_pictures`, and where two patterns have one name.
-    StoreError
-        If the transport can't be read or a file can't be written.
-    """
-    resources = resources or Resources()
-    names = [lit.name for lit in lights]
-    twice = next((name for index, name in enumerate(names) if name in names[:index]), None)
-    if twice is not None:
-        raise InputError(f"two patterns are named {twice}; rename one, or export them apart")
-
-    def work(form: str | None, white: float | None, scale: Scale) -> _RelitFiles:
-        return _RelitFiles(
-            path.absolute(), level, dual, tuple(lights), folder.absolute(), form, scale, white,
-            view,
-        )  # fmt: skip
-
-    opened = open_light(path, level, dual)
-    _check_view(opened, view)
-    rays = max(prod(opened.camera_shape), prod(opened.projector_shape))
-    in_hand = _AT_A_TIME * _COPIES * rays * opened.channels * np.dtype(np.float32).itemsize
-    runs = [(i, min(i + _AT_A_TIME, len(lights))) for i in range(0, len(lights), _AT_A_TIME)]
-    folder.mkdir(parents=True, exist_ok=True)
-    with resources.workers(in_hand, folder) as workers:
-
-        def done(what: str, relighting: _RelitFiles) -> list[float]:
-            found: list[float] = []
-            with Progress(what, len(lights), unit="picture", quick=True) as progress:
-                results = workers.results(relighting, runs)
-                for (first, last), bright in zip(runs, results, strict=True):
-                    found += bright
-                    progress.advance(last - first)
-            return found
-
-        if form == "png" and white is None:
-            white = max(done("white", work(None, None, Scale())), default=0.0)
-        done(str(folder), work(form, white or None, scale or Scale()))
-    return white
 
 
 def relit_movie(

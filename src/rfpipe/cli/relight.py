@@ -1,0 +1,203 @@
+"""``rfpipe relight``: the scene under one pattern or many, as pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from rfpipe.cli.transports import (
+    PICTURE_SCALE,
+    Dual,
+    Form,
+    Level,
+    TransportPath,
+    View,
+    White,
+    opened,
+    times,
+    write_picture,
+)
+from rfpipe.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from rfpipe.transport.base import Light
+
+    Float = NDArray[np.float32]
+
+_WHITE_PERCENTILE = 99.9  # a glint may be cut off
+
+
+def _names(incomplete: str) -> list[str]:
+    """Complete the name of a pattern; a file is completed by the shell."""
+    from rfpipe.scenes.relighting import RELIGHTING_PATTERNS
+
+    return [name for name in ("white", *RELIGHTING_PATTERNS) if name.startswith(incomplete)]
+
+
+def relight(
+    path: TransportPath,
+    pattern: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME|FILE",
+            autocompletion=_names,
+            help="The light: white, vertical_bar, horizontal_bar, noise, binary or spot; a picture "
+            "of the projector's size, one channel (white light) or RGB, its values taken as linear "
+            "weights, whole numbers as fractions of their largest; a .npy file of weights, (count, "
+            "*rays) or (count, *rays, channels); or a folder of pictures. May be repeated.",
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Picture to write, .exr (radiance, float32) or .png (8 bits, sRGB); of several "
+            "patterns the folder of their pictures.",
+        ),
+    ],
+    form: Form = "exr",
+    dual: Dual = False,
+    view: View = None,
+    level: Level = None,
+    white: White = None,
+    scale: Annotated[str, typer.Option(help=PICTURE_SCALE)] = "1",
+    resize: Annotated[
+        bool,
+        typer.Option(
+            "--resize", help="Resize a pattern that has another size than the rays; says so."
+        ),
+    ] = False,
+) -> None:
+    """Render the image under a pattern, or under each of many.
+
+    Several views stand one above the other in patterns and pictures. All .png of one call have one
+    white, so that they can be compared; without --white it is found by relighting twice.
+    """
+    import numpy as np
+
+    from rfpipe.export import Scale, relit_pictures
+
+    light, size = opened(path, dual, level, view), Scale.parse(scale)
+    patterns = list(_patterns(pattern, light, resize=resize))
+    names = [each.name for each in patterns]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise InputError(f"two patterns are named {min(twice)}; rename one, or relight them apart")
+    is_picture = len(patterns) == 1 and output.suffix in (".exr", ".png")
+    if not is_picture:
+        output.mkdir(parents=True, exist_ok=True)
+    files = [output if is_picture else output / f"{name}.{form}" for name in names]
+
+    def pictures(scale: Scale) -> Iterator[Float]:
+        return relit_pictures(light, (each.weights() for each in patterns), scale)
+
+    if white is None and len(patterns) > 1 and form == "png":
+        white = max(float(np.percentile(image, _WHITE_PERCENTILE)) for image in pictures(Scale()))
+    for file, name, image in zip(files, names, pictures(size), strict=True):
+        write_picture(file, image, white or None, {"rfpipe:pattern": name})
+    if is_picture:
+        typer.echo(f"{output}: {times(image.shape[:2])}, radiance up to {image.max():.4g}")
+    else:
+        shown = f", white is {white:.4g}" if white and form == "png" else ""
+        typer.echo(f"{output}: {len(patterns)} pictures{shown}")
+
+
+@dataclass(frozen=True)
+class _Pattern:
+    """A pattern by where it comes from: of a stack in a file the one at `index`."""
+
+    name: str
+    source: str
+    index: int | None
+    light: Light
+    resize: bool
+
+    def weights(self) -> Float:
+        """Make or read the weights."""
+        if self.index is not None:
+            stacked: Float = _stack(Path(self.source))[self.index]
+            return stacked
+        light = self.light
+        return pattern_weights(
+            self.source, light.projector_shape, light.channels, resize=self.resize
+        )
+
+
+def _patterns(sources: Sequence[str], light: Light, *, resize: bool) -> Iterator[_Pattern]:
+    """Yield all patterns, none of them read yet."""
+    for source in sources:
+        file = Path(source)
+        if file.is_dir():
+            inside = sorted(str(part) for part in file.iterdir() if part.is_file())
+            if not inside:
+                raise InputError(f"{file}: holds no pictures")
+            yield from _patterns(inside, light, resize=resize)
+        elif file.suffix.lower() == ".npy":
+            for index in range(len(_stack(file))):
+                yield _Pattern(f"{file.stem}_{index:04d}", source, index, light, resize)
+        else:
+            yield _Pattern(file.stem, source, None, light, resize)
+
+
+def _stack(file: Path) -> Float:
+    import numpy as np
+
+    try:
+        stack: Float = np.load(file, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{file}: can't be read as .npy: {error}") from error
+    return stack
+
+
+def pattern_weights(
+    name: str, shape: tuple[int, ...], channels: int, *, resize: bool = False
+) -> Float:
+    """Return a named pattern, or the weights of a picture: its views one above the other.
+
+    Raises
+    ------
+    InputError
+        When it is neither a file nor a name, or a picture of another size or too many channels.
+    """
+    import numpy as np
+
+    from rfpipe.blocks import RayDomain
+    from rfpipe.pictures.images import read_image, resized
+    from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
+
+    if name == "white":
+        return np.ones(shape, np.float32)
+    if name in RELIGHTING_PATTERNS:
+        return relighting_patterns(shape)[name]
+    if not Path(name).is_file():
+        raise InputError(
+            f"pattern {name}: is no file and no name of a pattern; expected a picture, white, "
+            f"{', '.join(RELIGHTING_PATTERNS)}"
+        )
+    picture = read_image(Path(name))
+    expected = RayDomain(shape).picture_shape
+    if picture.shape[:2] != expected and resize:
+        typer.echo(
+            f"pattern {name}: resized from {times(picture.shape[:2])} to {times(expected)} pixels",
+            err=True,
+        )
+        picture = resized(picture, expected).clip(0, 1)
+    if picture.shape[:2] != expected:
+        raise InputError(
+            f"pattern {name}: is {times(picture.shape[:2])} pixels (height x width); expected "
+            f"{times(expected)}, the shape of the rays that send the light; resize the picture, or "
+            "add --resize"
+        )
+    if picture.ndim == 3 and channels == 1:
+        raise InputError(
+            f"pattern {name}: is RGB, but the transport has one channel; give a grey picture"
+        )
+    return picture.reshape(*shape, *picture.shape[2:])

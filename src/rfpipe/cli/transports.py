@@ -1,0 +1,358 @@
+"""Commands on a transport: what it is, and forms that other programs read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from rfpipe.errors import InputError, StoreError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from rfpipe.export import Scale
+    from rfpipe.transport import Transport
+    from rfpipe.transport.base import Light
+
+TransportPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="TRANSPORT",
+        help="A transport.zarr that a run left in results/; or a folder, zip file or address "
+        "(https://, s3://) that holds one.",
+    ),
+]
+Dual = Annotated[
+    bool, typer.Option("--dual", help="Light from the camera, see from the projector.")
+]
+Level = Annotated[
+    int | None, typer.Option(min=0, help="Use the transport as known after this level only.")
+]
+White = Annotated[
+    float | None,
+    typer.Option(help="Radiance shown as white; by default that of the brightest, all but a few."),
+]
+View = Annotated[
+    int | None,
+    typer.Option(help="Of several views show this one, from 0; all, one above the other, if none."),
+]
+Form = Annotated[
+    Literal["exr", "png"],
+    typer.Option("--format", help="exr: radiance, float32; png: for the eye, 8 bits, sRGB."),
+]
+PICTURE_SCALE = "Size: 4 makes each ray 4 x 4 pixels, 1/4 takes the mean of 4 x 4 rays."
+
+_GIB = 2**30
+_SMALLEST_MOVIE = 360  # pixels of its shorter side, unless told otherwise
+_MATRICES = (".npz", ".h5", ".hdf5", ".mat")
+
+
+def info(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="TRANSPORT|FOLDER",
+            help="A transport.zarr that a run left in results/; or a folder, to name those below.",
+        ),
+    ],
+) -> None:
+    """Show a transport's shape, channels, bytes and levels; of a folder, name those below it."""
+    if not _is_store(path) and path.is_dir():
+        below = _transports_below(path)
+        if not below:
+            raise InputError(f"{path}: no transport lies in this folder or below it")
+        for place in below:
+            typer.echo(_line(place))
+        return
+    transport = open_checked(path)
+    rows, columns = map(math.prod, (transport.camera_shape, transport.projector_shape))
+    dense = rows * columns * transport.channels * 4  # float32
+    typer.echo(f"camera     {times(transport.camera_shape)} = {rows:,} rays")
+    typer.echo(f"projector  {times(transport.projector_shape)} = {columns:,} rays")
+    typer.echo(f"channels   {transport.channels}")
+    typer.echo(
+        f"bytes      {transport.nbytes:,} ({transport.nbytes / dense:.2%} of a dense matrix)"
+    )
+    typer.echo()
+    typer.echo(transport.levels.to_string(index=False))
+
+
+def open_checked(path: Path) -> Transport:
+    """Open a transport, checked against the manifest that a run left beside it.
+
+    Of a folder that holds one transport, that one is taken.
+
+    Raises
+    ------
+    InputError
+        When it is a folder of several, or of none.
+    IntegrityError
+        When it is damaged, or another than the manifest's.
+    """
+    from rfpipe.stages.relight import check_transport
+    from rfpipe.store.packed import INDEX
+    from rfpipe.transport import open_transport
+
+    if path.is_dir() and not _is_store(path) and not (path / INDEX).is_file():
+        below = _transports_below(path)
+        if len(below) != 1:
+            named = "".join(f"\n  {place}" for place in below) or " none"
+            raise InputError(
+                f"{path}: is a folder; expected one transport, but below it are{named}"
+            )
+        path = below[0]
+    check_transport(path)
+    return open_transport(path)
+
+
+def times(shape: tuple[int, ...]) -> str:
+    """Show a shape, as in ``62 x 70``."""
+    return " x ".join(map(str, shape))
+
+
+def _is_store(path: Path) -> bool:
+    return path.suffix == ".zarr" or (path / "zarr.json").exists()
+
+
+def _transports_below(folder: Path) -> list[Path]:
+    from rfpipe.store.packed import packed_in
+    from rfpipe.transport.places import transports_in
+
+    packed = packed_in(folder)
+    if packed is not None:
+        return [folder / name for name in transports_in(packed)]
+    return sorted(path for path in folder.rglob("transport.zarr") if path.is_dir())
+
+
+def _line(path: Path) -> str:
+    try:
+        transport = open_checked(path)
+    except StoreError as error:
+        return f"{path}: damaged ({str(error).partition('. ')[0]}); rfpipe verify says more"
+    patterns = sum(int(row["patterns"]) for row in transport.level_rows)
+    return (
+        f"{path}: {times(transport.camera_shape)} rays seen, {times(transport.projector_shape)} "
+        f"lit, {transport.channels} channels, {patterns:,} patterns, "
+        f"{transport.nbytes / 1e6:.3g} MB"
+    )
+
+
+def export(
+    path: TransportPath,
+    output: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE|FOLDER",
+            help="A matrix to write, .npz, .h5, .hdf5 or .mat (MATLAB v7.3); or a folder, of a "
+            "picture for each ray that --rows and --columns name.",
+        ),
+    ],
+    rows: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PLACE",
+            help="Camera rays, as numpy's indices: 31,35 is a pixel (row,column), 31,: a line, "
+            "10:20,30:40 a rectangle, ::8,::8 every eighth, 2,31,35 one of view 2; may be "
+            "repeated. A row's picture shows where a camera ray's light comes from.",
+        ),
+    ] = None,
+    columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PLACE",
+            help="Projector rays, likewise. A column's picture shows where a ray's light goes.",
+        ),
+    ] = None,
+    form: Form = "exr",
+    scale: Annotated[
+        str,
+        typer.Option(
+            help="Of a matrix, 1/4 joins 4 x 4 rays on both sides, which makes it 256 times "
+            "smaller; places are those of joined rays. Of pictures, 4 makes a ray 4 x 4 pixels."
+        ),
+    ] = "1",
+    white: White = None,
+    dual: Dual = False,
+    level: Level = None,
+    limit_gib: Annotated[
+        float, typer.Option(help="GiB that all of it may take before compression.")
+    ] = 8.0,
+) -> None:
+    """Write the transport matrix T, or single rows and columns of it as pictures.
+
+    T is (channels, camera rays, projector rays), written part by part, in little memory.
+    docs/export.md tells how MATLAB, numpy and others read it. Pictures are named after their ray,
+    as row_31_35.exr; in a .png each has its own white, which cuts off the ray's direct light.
+    """
+    from rfpipe.export import Scale
+    from rfpipe.transport import coarser
+    from rfpipe.transport.files import write_matrix
+
+    size = Scale.parse(scale)
+    if output.suffix not in _MATRICES:
+        light = opened(path, dual, level)
+        chosen = {
+            "row": _rays(rows, light.camera_shape),
+            "column": _rays(columns, light.projector_shape),
+        }
+        _write_rays(light, chosen, output, form, size, white, limit_gib)
+        return
+    if size.enlarge > 1:
+        raise InputError(f"scale {scale}: a matrix has no more rays than were acquired; give 1/4")
+    light = opened(path, False, level)
+    if size.reduce > 1:
+        light = coarser(light, size.reduce)
+    if dual:
+        light = light.T
+    kept = (_rays(rows, light.camera_shape), _rays(columns, light.projector_shape))
+    write_matrix(light, output, *kept, int(limit_gib * _GIB), progress=True)
+    typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
+
+
+def _write_rays(
+    light: Light,
+    chosen: dict[str, NDArray[np.int64] | None],
+    folder: Path,
+    form: str,
+    size: Scale,
+    white: float | None,
+    limit_gib: float,
+) -> None:
+    """Write a picture for each of some rows and columns."""
+    import numpy as np
+
+    from rfpipe.export import ray_pictures
+    from rfpipe.transport.algebra import gibibytes
+
+    pixels = {"row": math.prod(light.projector_shape), "column": math.prod(light.camera_shape)}
+    found = {side: rays for side, rays in chosen.items() if rays is not None}
+    if not found:
+        raise InputError(
+            f"{folder}: is no matrix (expected {', '.join(_MATRICES)}); for pictures of rays give "
+            "--rows or --columns, as in --rows 31,35"
+        )
+    entries = sum(pixels[side] * len(rays) for side, rays in found.items()) * light.channels
+    expected = int(4 * entries * (size.enlarge / size.reduce) ** 2)
+    count = sum(map(len, found.values()))
+    if expected > limit_gib * _GIB:
+        raise InputError(
+            f"{count:,} pictures take {gibibytes(expected)}, the limit is {limit_gib:g} GiB; "
+            "choose fewer rays, as by ::8,::8, or a smaller scale, or raise the limit"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    for side, numbers in found.items():
+        shape = light.camera_shape if side == "row" else light.projector_shape
+        digits = [len(str(length - 1)) for length in shape]
+        for place, picture in ray_pictures(light, "row" if side == "row" else "column", numbers):
+            numbered = (f"{index:0{n}d}" for index, n in zip(place, digits, strict=True))
+            file = folder / f"{'_'.join([side, *numbered])}.{form}"
+            about = {"rfpipe:kind": side, "rfpipe:ray": ",".join(map(str, place))}
+            top = float(np.percentile(picture, 99.5)) if white is None else white
+            write_picture(file, size.apply(picture), top or None, about)
+    typer.echo(f"{folder}: {count} pictures")
+
+
+def movie(
+    path: TransportPath,
+    output: Annotated[Path, typer.Argument(metavar="FILE", help="To write: .mp4 or .webm.")],
+    along: Annotated[
+        str,
+        typer.Option(
+            "--path",
+            help="How the light moves: across (a bar from left to right), down, circle (a disc), "
+            "views (of a light field), or places '10,12 40,55 20,60', each row,column, between "
+            "which a disc goes.",
+        ),
+    ] = "across",
+    size: Annotated[
+        float | None,
+        typer.Option(help="Width of the bar or disc, in rays; an eighth of the shorter side."),
+    ] = None,
+    colour: Annotated[
+        str | None, typer.Option(help="Weights of the light's channels, as 1,0.8,0.5; white.")
+    ] = None,
+    seconds: Annotated[float, typer.Option(help="How long the movie is.")] = 6.0,
+    fps: Annotated[float, typer.Option(help="Pictures a second.")] = 25.0,
+    scale: Annotated[
+        str | None, typer.Option(help=PICTURE_SCALE + " At least 360 pixels, if none is given.")
+    ] = None,
+    white: White = None,
+    view: View = None,
+    dual: Dual = False,
+    level: Level = None,
+) -> None:
+    """Write a movie of a light that moves over the scene, in mp4 (H.264) or webm (VP9).
+
+    Needs PyAV, which the extra "export" has. Without --white all is relit twice, first to find it.
+    """
+    from rfpipe.blocks import RayDomain
+    from rfpipe.export import Scale, light_path, relit_movie
+
+    light = opened(path, dual, level, view)
+    shorter = min(RayDomain(light.camera_shape).image_shape)
+    shown = Scale(-(-_SMALLEST_MOVIE // shorter)) if scale is None else Scale.parse(scale)
+    count = round(seconds * fps) if 0 < seconds * fps < 1e6 else 0
+    lights = light_path(along, light.projector_shape, count, size, _colour(colour, light.channels))
+    used = relit_movie(light, output, lights, fps=fps, scale=shown, white=white, progress=True)
+    typer.echo(f"{output}: {count} pictures, white is {used:.4g}")
+
+
+def opened(path: Path, dual: bool, level: int | None, view: int | None = None) -> Light:
+    """Open a transport, or its dual, as known after a level, to one view of several."""
+    import numpy as np
+
+    from rfpipe.blocks import RayDomain
+    from rfpipe.transport.cropped import crop
+
+    transport = open_checked(path)
+    if level is not None:
+        transport = transport.truncate(level)
+    light: Light = transport.T if dual else transport
+    if view is None:
+        return light
+    domain = RayDomain(light.camera_shape)
+    if not domain.is_stack or not 0 <= view < domain.views:
+        has = f"has {domain.views} views, from 0" if domain.is_stack else "has one view"
+        raise InputError(f"--view {view}: the transport {has}; leave it out for all")
+    return crop(light, tuple(map(int, np.unravel_index(view, domain.views_shape))))
+
+
+def _rays(places: Sequence[str] | None, shape: tuple[int, ...]) -> NDArray[np.int64] | None:
+    """Return the rays at some places, each once, or None where none are named."""
+    import numpy as np
+
+    from rfpipe.export import rays_at
+
+    if not places:
+        return None
+    found = np.concatenate([rays_at(place, shape) for place in places])
+    return found[np.sort(np.unique(found, return_index=True)[1])]
+
+
+def _colour(text: str | None, channels: int) -> tuple[float, ...]:
+    if text is None:
+        return ()
+    try:
+        weights = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        weights = ()
+    if len(weights) != channels:
+        raise InputError(f"colour {text!r}: expected {channels} weights with commas between")
+    return weights
+
+
+def write_picture(
+    path: Path, picture: NDArray[np.float32], white: float | None, about: dict[str, str]
+) -> None:
+    """Write a picture, complete or not at all."""
+    from rfpipe.pictures.images import write_image
+    from rfpipe.store.files import storage_errors, whole_file
+
+    failing = storage_errors(path, "writing", picture.nbytes, resumes=False)
+    with failing, whole_file(path) as partial:
+        write_image(partial, picture, white, about)
