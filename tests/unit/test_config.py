@@ -351,7 +351,7 @@ def test_occluder_needs_two_directions() -> None:
 def test_missing_key_says_what_it_means() -> None:
     text = message({"scenes": {"mine": {"surfaces": ["white"]}}})
     assert text.startswith("mine.yaml: scenes.mine.kind is missing; add it.")
-    assert "'rfpipe scenes' lists" in text
+    assert "'rfpipe settings scenes' lists" in text
     assert len(text.splitlines()) == 1
 
 

@@ -24,7 +24,6 @@ from tests.workflow.stagewise import SHAPE as STAGED
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, InputError, IntegrityError
-from rfpipe.export import relit_files
 from rfpipe.provenance import generator
 from rfpipe.stages.evaluating.evaluate import errors_table
 from rfpipe.stages.jobs import cluster as cluster_module
@@ -80,33 +79,6 @@ def transport(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("transport") / "transport.zarr"
     save_transport(acquire(rig, "symmetric", progress=False).transport, path, "uint8")
     return path
-
-
-# one more than two batches; white light, then coloured
-LIGHTS = [*(Noise(n) for n in range(20)), *(Noise(n, (*SHAPE, 1)) for n in range(20, 33))]
-
-
-def relit(transport: Path, folder: Path, resources: Resources) -> dict[str, bytes]:
-    relit_files(transport, LIGHTS, folder, form="png", resources=resources)
-    return contents(folder)
-
-
-def test_pictures_are_relit_to_the_same_bytes(
-    transport: Path, tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ways = all_ways(address)
-    left = [relit(transport, tmp_path / str(n), way) for n, way in enumerate(ways)]
-    assert len(left[0]) == 33
-    assert left[0] == left[1] == left[2]
-    dying_once(monkeypatch, 16, tmp_path / "died")
-    assert relit(transport, tmp_path / "again", ways[-1]) == left[0]
-    assert (tmp_path / "died").exists()
-
-
-def test_two_patterns_of_one_name_are_refused(transport: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="two patterns are named noise_01"):
-        relit_files(transport, [Noise(1), Noise(1)], tmp_path / "pictures")
-    assert not (tmp_path / "pictures").exists()
 
 
 def test_errors_are_the_same_numbers(

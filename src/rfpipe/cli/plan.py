@@ -34,14 +34,22 @@ def plan(
     took, or all rounds of methods that end by their own estimate. At most are those of a scene
     without any structure. Time is that of the capture on a rig; disk is before compression.
     """
-    from rfpipe.config import load_config
+    from rfpipe.config import load_config, load_rig_config, read_yaml
+    from rfpipe.config.files import is_rig
     from rfpipe.stages.disk import shown_bytes
     from rfpipe.stages.forecast import forecast
     from rfpipe.stages.jobs import workers
     from rfpipe.store import files
 
     with working_in(directory, config) as path:
-        rows = forecast(load_config(path))
+        if is_rig(read_yaml(path)):
+            rig = load_rig_config(path)
+            what = "a bench in software" if rig.bench is not None else f"a rig, {rig.kind}"
+            typer.echo(f"{config}: valid. The settings of {what}, for rfpipe calibrate and serve")
+            return
+        settings = load_config(path)
+        typer.echo(f"{config}: valid. {len(settings.acquisitions)} acquisitions\n")
+        rows = forecast(settings)
         free = files.free_bytes(folder)
     typer.echo(_shown(rows.head(_SHOWN)).to_string(index=False))
     if len(rows) > _SHOWN:
