@@ -9,26 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rfpipe.errors import DamagedStageError
 
 SHAPE = (8, 10)
-
-
-@dataclass(frozen=True)
-class Noise:
-    """A pattern of noise."""
-
-    seed: int
-    shape: tuple[int, ...] = SHAPE
-
-    @property
-    def name(self) -> str:
-        return f"noise_{self.seed:02d}"
-
-    def weights(self) -> np.ndarray:
-        return np.random.default_rng(self.seed).random(self.shape, np.float32)
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ from distributed import Client, LocalCluster, Security
 from tests.waiting import wait_until
 from tests.workflow.clusters import address_of, kept_workers
 from tests.workflow.harness import TINY, Workflow, undo
-from tests.workflow.pieces import SHAPE, Dying, Noise, fails, identity, slow
+from tests.workflow.pieces import SHAPE, Dying, fails, identity, slow
 from tests.workflow.stagewise import CAMERA, Acquisition, contents, damage, matrix_rig
 from tests.workflow.stagewise import SHAPE as STAGED
 
 from rfpipe import OperatorRig, acquire
-from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, InputError, IntegrityError
+from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, IntegrityError
 from rfpipe.provenance import generator
 from rfpipe.stages.evaluating.evaluate import errors_table
 from rfpipe.stages.jobs import cluster as cluster_module
