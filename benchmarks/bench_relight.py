@@ -15,6 +15,7 @@ import csv
 import sys
 import time
 from collections.abc import Callable
+from math import prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -114,7 +115,7 @@ def measure(shape: tuple[int, int]) -> dict[str, object]:
         first = time.perf_counter() - start
         stored = open_arrays(path)
         names = [name for name in stored.names if name.endswith(("_codes", "_values"))]
-        held = sum(stored.nbytes(name) for name in names)
+        held = sum(prod(stored.shape(name)) * stored.dtype(name).itemsize for name in names)
     spot = relighting_patterns(shape)["spot"].astype(np.float32)
     batch = np.random.default_rng(1).random((BATCH, *shape), dtype=np.float32)
     leaf_sets = transport.leaf_sets

@@ -33,7 +33,6 @@ OUTPUT = Path("results/bench/storage.csv")
 # The codec that transports are stored with, and others.
 CODECS: dict[str, Any] = {
     "as stored": small_layout,
-    "none": lambda _: layout("none"),
     "lz4, bits shuffled": lambda _: layout("lz4"),
     "zstd 1, bits shuffled": lambda _: layout("zstd"),
     "zstd 9, bits shuffled": lambda _: layout("zstd", level=9),

@@ -21,7 +21,9 @@ from rfpipe.errors import InputError
 
 __all__ = [
     "CAMERAS",
+    "COMMANDS",
     "METHODS",
+    "PLACES",
     "PROJECTORS",
     "RIGS",
     "SCENES",
@@ -44,6 +46,12 @@ SEQUENCES = "rfpipe.sequences"
 SCENES = "rfpipe.scenes"
 """The group of kinds of scenes."""
 
+COMMANDS = "rfpipe.commands"
+"""The group of commands of ``rfpipe`` that extras bring: functions, or typer's apps of several."""
+
+PLACES = "rfpipe.places"
+"""The group of one function, which finds out where a zip file or an address leads."""
+
 
 @cache
 def _installed() -> dict[str, dict[str, str]]:
@@ -52,7 +60,7 @@ def _installed() -> dict[str, dict[str, str]]:
     # of two packages with the same name, the first on the path has it
     return {
         group: {entry.name: entry.value for entry in reversed(tuple(found.select(group=group)))}
-        for group in (METHODS, PROJECTORS, CAMERAS, RIGS, SCENES, SEQUENCES)
+        for group in (METHODS, PROJECTORS, CAMERAS, RIGS, SCENES, SEQUENCES, COMMANDS, PLACES)
     }
 
 

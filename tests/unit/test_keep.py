@@ -21,11 +21,13 @@ import rfpipe
 from rfpipe.cli import app
 from rfpipe.config import parse_config
 from rfpipe.errors import ConfigError, InputError, IntegrityError, StoreError
-from rfpipe.publish import Kept, find_run, keep
-from rfpipe.store import bucket as bucket_module
 from rfpipe.store import open_arrays, write_arrays, write_manifest
+from rfpipe.store.places import content_of
 from rfpipe.transport import save_transport
 from rfpipe.transport.dense import DenseTransport
+from rfpipe_publish import addresses as bucket_module
+from rfpipe_publish.keep import Kept, keep
+from rfpipe_publish.run import find_run
 
 SHAPE = (12, 14)
 N = 12 * 14
@@ -100,7 +102,7 @@ def verified(address: str) -> tuple[int, str]:
 
 
 def listed(address: str) -> dict[str, str]:
-    content = bucket_module.Bucket(address).read(LIST) or b""
+    content = content_of(bucket_module.Bucket(address) / LIST) or b""
     return {line[66:]: line[:64] for line in content.decode().splitlines()}
 
 
@@ -175,7 +177,7 @@ def test_missing_buckets_rights_and_credentials_are_said(
     with pytest.raises(StoreError, match="no such bucket; make it"):
         kept(run, "s3://nobody/run")
     faults.deny = True
-    with pytest.raises(StoreError, match="Not now; check the credentials"):
+    with pytest.raises(StoreError, match="Not now; check the cred"):
         kept(run, address)
     assert listed(address) == {}
     monkeypatch.delenv("AWS_ACCESS_KEY_ID")
@@ -264,13 +266,13 @@ def test_a_store_of_shards_is_read_and_checked_from_a_bucket(
     for file in store.rglob("*"):
         if file.is_file():
             bucket.put(file.relative_to(store).as_posix(), file)
-    from rfpipe.store.locating import locate
+    from rfpipe.store.places import locate
 
     bundle = open_arrays(locate(f"{address}"))
     assert np.array_equal(bundle.read("large"), large)
     faults.requests.clear()
     assert verified(address)[0] == 0
-    shard = bucket.read("large/c.0.0")
+    shard = content_of(bucket / "large/c.0.0")
     assert shard is not None
     bucket.put("large/c.0.0", shard[:-1])
     status, output = verified(address)

@@ -20,13 +20,15 @@ import rfpipe
 from rfpipe.cli import app
 from rfpipe.config import parse_config
 from rfpipe.errors import InputError, IntegrityError, RfpipeError
-from rfpipe.publish import Creator, find_run
-from rfpipe.publish import publish as publish_run
-from rfpipe.publish.pictures import encoded
-from rfpipe.publish.writing import Writer
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.dense import DenseTransport
+from rfpipe_publish import publication
+from rfpipe_publish.citation import Citation, Creator, checked, kept_values
+from rfpipe_publish.publication import encoded
+from rfpipe_publish.publication import publish as publish_run
+from rfpipe_publish.run import find_run
+from rfpipe_publish.writing import Writer
 
 GIVEN = ["--license", "CC-BY-4.0", "--creator", "Doe, Jane; 0000-0002-1825-0097; A Lab"]
 STORE = "results/desk/dual/transport.zarr"
@@ -204,9 +206,7 @@ def test_an_interrupted_publication_leaves_the_one_before(
 
     monkeypatch.setattr(Writer, "add", interrupted)
     citation_file = (run / "publication.yaml").read_bytes()
-    from rfpipe.publish import citation_values, parse_citation
-
-    citation = parse_citation(citation_values(run, {"version": "2.0.0"}))
+    citation = checked(Citation, kept_values(run) | {"version": "2.0.0"})
     with pytest.raises(KeyboardInterrupt):
         publish_run(find_run(run), citation, run / name, overwrite=True)
     assert contents(run / name) == before
@@ -252,7 +252,7 @@ def test_an_unfinished_acquisition_is_left_out_and_named(run: Path) -> None:
 def test_without_the_workflow_rfpipe_itself_is_what_ran(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rfpipe.publish.job._workflow_source", lambda: None)
+    monkeypatch.setattr(publication, "__file__", str(run / "a/b/publication.py"))
     published(run, *GIVEN)
     files = contents(run / "publication.zip")
     assert not any(name.startswith("source/") for name in files)

@@ -98,7 +98,6 @@ def test_small_bundles_hold_the_same_in_fewer_bytes(tmp_path: Path) -> None:
     assert bundles[1].nbytes_stored < bundles[0].nbytes_stored
     for name, array in arrays.items():
         np.testing.assert_array_equal(bundles[1].read(name), array)
-        assert bundles[1].nbytes(name) == array.nbytes
 
 
 def test_digest_tells_names_values_dtypes_shapes_and_attributes_apart(tmp_path: Path) -> None:
@@ -185,12 +184,12 @@ def test_two_writers_do_not_meet(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["", "a/b", "../a", ".hidden", "a b", "zarr.json", "é"])
 def test_names_that_could_leave_the_folder_are_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InputError, match="can't name an array"):
+    with pytest.raises(InputError, match="a name of letters"):
         write_arrays(tmp_path / "s", {name: np.arange(5)}, {})
 
 
 def test_other_bad_input_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="dtype <U1; expected booleans, integers or floats"):
+    with pytest.raises(InputError, match="of <U1; expected booleans, integers or floats"):
         write_arrays(tmp_path / "s", {"a": np.array(["x"])}, {})
     with pytest.raises(InputError, match="pass plain data with finite numbers"):
         write_arrays(tmp_path / "s", {"a": np.arange(5)}, {"gain": float("inf")})

@@ -16,7 +16,7 @@ from tests.waiting import wait_until
 
 from rfpipe.errors import LockedError, StoreError
 from rfpipe.store import FrameStore, StoreLock, lock, open_arrays, write_arrays
-from rfpipe.store.codec import ChunkFiles
+from rfpipe.store.chunks import ChunkedArray
 from rfpipe.store.journal import JournalWriter, read_journal
 
 N_ITEMS = 240
@@ -209,8 +209,8 @@ def test_a_full_disk_loses_nothing_that_is_captured(tmp_path: Path) -> None:
         check=True,
     )
     frames_error, bundle_error = run.stdout.splitlines()
-    assert f"{tmp_path / 's'}: writing items 2 to 3 failed" in frames_error
-    assert "160,000 bytes needed" in frames_error
+    assert f"{tmp_path / 's'}: writing the items from 2 on failed" in frames_error
+    assert "80,000 bytes needed" in frames_error
     assert "bytes free on its file system; make room and run again" in frames_error
     assert f"{tmp_path / 'bundle'}: writing arrays failed" in bundle_error
     assert open_arrays(tmp_path / "bundle").shape("a") == (5,)
@@ -250,20 +250,20 @@ def test_an_item_is_in_the_journal_only_once_its_chunk_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, items_per_chunk: int
 ) -> None:
     frames = np.random.default_rng(0).integers(0, 65536, (6, 3, 4)).astype("u2")
-    journal, written = tmp_path / "s" / "journal.jsonl", ChunkFiles.write
+    journal, written = tmp_path / "s" / "journal.jsonl", ChunkedArray.writing
 
-    def failing(files: ChunkFiles, first: int, block: np.ndarray) -> None:
+    def failing(files: ChunkedArray, first: int) -> object:
         assert read_journal(journal, 6).keys() == {0, 1}
         if first == 4:
             raise OSError(5, os.strerror(5))
-        written(files, first, block)
+        return written(files, first)
 
     with FrameStore.create(
         tmp_path / "s", frames.shape, "u2", "abc", {}, items_per_chunk=items_per_chunk
     ) as store:
         store.write(0, frames[:2])
-        monkeypatch.setattr(ChunkFiles, "write", failing)
-        with pytest.raises(StoreError, match=r"writing items 2 to 5 failed.*Input/output error"):
+        monkeypatch.setattr(ChunkedArray, "writing", failing)
+        with pytest.raises(StoreError, match=r"items from 4 on failed.*Input/output error"):
             store.write(2, frames[2:])
         monkeypatch.undo()
         # nor is one entered whose block was written in part

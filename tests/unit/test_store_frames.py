@@ -43,7 +43,7 @@ def tree(path: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize(("items_per_chunk", "chunks_per_file"), [(1, 1), (3, 1), (1, 3)])
-@pytest.mark.parametrize("compression", ["zstd", "lz4", "none", None])
+@pytest.mark.parametrize("compression", ["zstd", "lz4", None])
 @pytest.mark.parametrize("dtype", [COUNTS, RADIANCE])
 def test_frames_come_back_as_they_went_in(
     tmp_path: Path, dtype: type, compression: Any, items_per_chunk: int, chunks_per_file: int
@@ -78,7 +78,7 @@ def test_frames_come_back_as_they_went_in(
 
 
 @pytest.mark.parametrize(("items_per_chunk", "chunks_per_file"), [(1, 1), (3, 1), (1, 7), (2, 2)])
-@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
 def test_files_are_those_that_zarr_would_write(
     tmp_path: Path, compression: Any, items_per_chunk: int, chunks_per_file: int
 ) -> None:
@@ -505,7 +505,7 @@ def test_captured_items_are_not_overwritten(tmp_path: Path) -> None:
         ({"shape": (4, 0)}, "at least one element an item"),
         ({"shape": (-1, 3)}, r"shape \(-1, 3\)"),
         ({"items_per_chunk": 0}, "chunks of 0"),
-        ({"dtype": object}, "dtype object; expected an integer or float"),
+        ({"dtype": object}, "object in chunks"),
         ({"attributes": {"gain": float("nan")}}, "pass plain data with finite numbers"),
         ({"attributes": {"shape": np.zeros(2)}}, "pass plain data"),
     ],

@@ -13,9 +13,11 @@ from tests.workflow.harness import ROOT, Workflow
 
 import rfpipe
 from rfpipe.pictures.images import read_image
-from rfpipe.publish import find_run, parse_citation, publish
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merging.references import read_floodlit
+from rfpipe_publish.citation import Citation, checked
+from rfpipe_publish.publication import publish
+from rfpipe_publish.run import find_run
 
 # The context comes with ro-crate-py, of a later version that has moved or added these terms.
 _ADDED = ("creditText", "sha256")
@@ -49,14 +51,15 @@ print(json.dumps([problems, len(rows)]))
 @pytest.fixture(scope="module")
 def crate(undisturbed: Workflow, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A published run, unpacked from its zip file, which lies beside it."""
-    citation = parse_citation(
+    citation = checked(
+        Citation,
         {
             "title": "Two wedges",
             "description": "Light transport of two wedges.",
             "creators": [{"name": "Doe, Jane", "affiliation": "A Lab"}],
             "license": "CC-BY-4.0",
             "published": date(2026, 11, 22),
-        }
+        },
     )
     folder = tmp_path_factory.mktemp("publication") / "crate"
     packed = folder.with_suffix(".zip")

@@ -1,9 +1,10 @@
 from dataclasses import asdict
 from pathlib import Path
 
-from rfpipe.publish import find_run, keep
 from rfpipe.stages.jobs.job import start
 from rfpipe.store import write_manifest
+from rfpipe_publish.keep import keep
+from rfpipe_publish.run import find_run
 
 start(snakemake.log[0])
 output = Path(snakemake.output[0])

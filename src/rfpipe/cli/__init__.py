@@ -7,15 +7,13 @@ from typing import Annotated
 
 import typer
 
+from rfpipe import plugins
 from rfpipe.cli.aim import aim
 from rfpipe.cli.calibrate import calibrate
 from rfpipe.cli.catalogue import catalogue
-from rfpipe.cli.collection import app as collection
 from rfpipe.cli.fit import fit
-from rfpipe.cli.keep import keep
 from rfpipe.cli.offline import import_, patterns
 from rfpipe.cli.plan import plan
-from rfpipe.cli.publish import publish
 from rfpipe.cli.relight import relight
 from rfpipe.cli.run import PASSED_ON, run
 from rfpipe.cli.serve import serve
@@ -65,9 +63,12 @@ app.command("import")(import_)
 app.command()(aim)
 app.command()(calibrate)
 app.command()(serve)
-app.command()(publish)
-app.command()(keep)
-app.add_typer(collection, name="collection")
+for _name in plugins.names(plugins.COMMANDS):
+    _command = plugins.find(plugins.COMMANDS, _name)
+    if isinstance(_command, typer.Typer):
+        app.add_typer(_command, name=_name)
+    else:
+        app.command(_name)(_command)
 
 
 def main() -> None:

@@ -95,10 +95,10 @@ def open_checked(path: Path) -> Transport:
         When it is damaged, or another than the manifest's.
     """
     from rfpipe.stages.relight import check_transport
-    from rfpipe.store.packed import INDEX
+    from rfpipe.store.places import locate
     from rfpipe.transport import open_transport
 
-    if path.is_dir() and not _is_store(path) and not (path / INDEX).is_file():
+    if path.is_dir() and not _is_store(path) and locate(path) == path:
         below = _transports_below(path)
         if len(below) != 1:
             named = "".join(f"\n  {place}" for place in below) or " none"
@@ -120,13 +120,13 @@ def _is_store(path: Path) -> bool:
 
 
 def _transports_below(folder: Path) -> list[Path]:
-    from rfpipe.store.packed import packed_in
+    from rfpipe.store.places import locate
     from rfpipe.transport.places import transports_in
 
-    packed = packed_in(folder)
-    if packed is not None:
-        return [folder / name for name in transports_in(packed)]
-    return sorted(path for path in folder.rglob("transport.zarr") if path.is_dir())
+    place = locate(folder)
+    if isinstance(place, Path):
+        return sorted(path for path in folder.rglob("transport.zarr") if path.is_dir())
+    return [folder / name for name in transports_in(place)]
 
 
 def _line(path: Path) -> str:

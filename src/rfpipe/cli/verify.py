@@ -79,7 +79,7 @@ def verify(
 
 
 def _print(folder: Path, checked: Checked) -> None:
-    from rfpipe.store.locating import as_address
+    from rfpipe.store.places import as_address
 
     named = as_address(folder) or folder
     for finding in checked.findings:

@@ -1,13 +1,12 @@
 """What lies on disk: journaled frame stores, array bundles, manifests and their locks.
 
-The only package that imports zarr, and only when a store is created or read: manifests, journals
+The only package that imports zarr, and only when a store is created: manifests, journals
 and locks do without it.
 """
 
 from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays
-from rfpipe.store.dropping import drop, to_disk
-from rfpipe.store.files import bytes_on_disk
-from rfpipe.store.frames import FrameStore
+from rfpipe.store.files import bytes_on_disk, to_disk
+from rfpipe.store.frames import FrameStore, drop
 from rfpipe.store.headers import header_is_whole, keep_header, rebuild_header, restore_header
 from rfpipe.store.items import ItemWriter
 from rfpipe.store.lock import StoreLock

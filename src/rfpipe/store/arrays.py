@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shutil
 from collections.abc import Mapping
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.store.chunks import (
     DAMAGE,
-    METADATA,
+    ChunkedArray,
     compression_for,
     layout,
     read_attributes,
@@ -31,15 +31,10 @@ from rfpipe.store.files import (
     storage_errors,
 )
 from rfpipe.store.lock import StoreLock
-from rfpipe.store.parts import read_runs, take_runs
-from rfpipe.store.places import Place
-from rfpipe.store.whole import read_whole
-
-__all__ = ["ArrayBundle", "open_arrays", "write_arrays"]
+from rfpipe.store.places import METADATA, Place
 
 _KIND = "arrays"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]*")
-_DTYPE_KINDS = "buif"
 # Arrays of more than this are cut into chunks, several of which share a file, a shard: files are
 # few, and a part of a large array is read by itself. Before compression.
 _WHOLE_BYTES, _CHUNK_BYTES, _SHARD_BYTES = 2 * 2**20, 2**20, 64 * 2**20
@@ -49,7 +44,7 @@ _FINE_WHOLE_BYTES, _FINE_CHUNK_BYTES = 2**16, 2**15
 
 
 class ArrayBundle:
-    """Named arrays of one folder, read on demand; made by `open_arrays`.
+    """Named arrays of one folder, or those of a part of it, read on demand; see `open_arrays`.
 
     Attributes
     ----------
@@ -60,55 +55,43 @@ class ArrayBundle:
     names : tuple of str
         Of the arrays, sorted.
     digest : str
-        Of all arrays and attributes; what `write_arrays` returned.
+        Of all arrays and attributes of the folder; what `write_arrays` returned.
     """
 
     def __init__(self, path: Path | Place) -> None:
         header = read_attributes(path, _KIND)
         self.path = path
+        self._prefix = ""
         try:
             self.attributes: dict[str, Any] = header["attributes"]
             self._entries: dict[str, dict[str, Any]] = header["arrays"]
             self.digest: str = header["digest"]
-            whole = self.digest == _bundle_digest(self._entries, self.attributes, path)
+            is_whole = self.digest == _bundle_digest(self._entries, self.attributes, path)
         except (KeyError, InputError):
-            whole = False
-        if not whole:
+            is_whole = False
+        if not is_whole:
             raise IntegrityError(
                 f"{path}: its attributes don't match their digest. {_advice(path)}"
             )
         self.names: tuple[str, ...] = tuple(sorted(self._entries))
 
-    def shape(self, name: str) -> tuple[int, ...]:
-        """Shape of an array, without reading it.
+    def part(self, prefix: str, attributes: dict[str, Any]) -> ArrayBundle:
+        """Return the arrays whose names begin with `prefix`, by the rest of their names."""
+        part = object.__new__(ArrayBundle)
+        part.__dict__ |= self.__dict__
+        part.attributes, part._prefix = attributes, self._prefix + prefix
+        found = (name.removeprefix(prefix) for name in self.names if name.startswith(prefix))
+        part.names = tuple(found)
+        return part
 
-        Raises
-        ------
-        InputError
-            When there is no array of this name.
-        """
+    def shape(self, name: str) -> tuple[int, ...]:
+        """Shape of an array, without reading it; InputError when there is none of this name."""
         return tuple(self._entry(name)["shape"])
 
     def dtype(self, name: str) -> np.dtype[Any]:
-        """Dtype of an array, without reading it.
-
-        Raises
-        ------
-        InputError
-            When there is no array of this name.
-        """
+        """Dtype of an array, as `shape`."""
         dtype: np.dtype[Any] = np.dtype(self._entry(name)["dtype"])
         return dtype
-
-    def nbytes(self, name: str) -> int:
-        """Bytes of an array in memory, without reading it.
-
-        Raises
-        ------
-        InputError
-            When there is no array of this name.
-        """
-        return math.prod(self.shape(name)) * self.dtype(name).itemsize
 
     def read(self, name: str) -> NDArray[Any]:
         """Read a whole array and check it against its digest.
@@ -120,28 +103,21 @@ class ArrayBundle:
         IntegrityError
             When a chunk is missing, truncated or altered.
         """
-        return self._read(name)
-
-    def _read(self, name: str, *, exactly: bool = False) -> NDArray[Any]:
-        entry = self._entry(name)
+        entry, place = self._entry(name), self.path / (self._prefix + name)
         array: NDArray[Any] | None = None
         cause: Exception | None = None
         try:
-            array = read_whole(self.path / name, exactly=exactly)
+            array = ChunkedArray(place).read()
         except (IntegrityError, *DAMAGE) as error:
             cause = error
         if array is None or _array_entry(array) != entry:
-            raise IntegrityError(
-                f"{self.path / name}: array {name!r} is missing, truncated or altered; expected "
-                f"the digest {entry['digest']}. {_advice(self.path)}"
-            ) from cause
+            raise self._damage(name, entry) from cause
         return array
 
     def read_runs(self, name: str, runs: NDArray[np.int64]) -> NDArray[Any]:
         """Read runs of an array along its last axis, one after the other, and little else of it.
 
-        An array that is kept in one piece is read whole, and checked against its digest; of others
-        each chunk that is read is checked against its checksum.
+        Each chunk that is read is checked against its checksum. Errors as `read`.
 
         Parameters
         ----------
@@ -153,23 +129,12 @@ class ArrayBundle:
         -------
         ndarray
             ``(..., items)``.
-
-        Raises
-        ------
-        InputError, IntegrityError
-            As `read`.
         """
         entry = self._entry(name)
-        if self.nbytes(name) <= _FINE_WHOLE_BYTES:
-            return take_runs(self._read(name, exactly=True), runs)
         try:
-            found = read_runs(self.path / name, runs)
+            return ChunkedArray(self.path / (self._prefix + name), exactly=True).read_runs(runs)
         except (IntegrityError, *DAMAGE) as error:
-            raise IntegrityError(
-                f"{self.path / name}: a part of array {name!r} is missing, truncated or altered, "
-                f"of the digest {entry['digest']}. {_advice(self.path)}"
-            ) from error
-        return take_runs(self._read(name, exactly=True), runs) if found is None else found
+            raise self._damage(name, entry) from error
 
     def read_all(self) -> dict[str, NDArray[Any]]:
         """Read all arrays, by name; errors as `read`."""
@@ -184,30 +149,33 @@ class ArrayBundle:
         return {"digest": self.digest, "arrays": arrays}
 
     @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays in memory."""
+        return sum(prod(self.shape(name)) * self.dtype(name).itemsize for name in self.names)
+
+    @property
     def nbytes_stored(self) -> int:
-        """Bytes on disk, or where it lies."""
-        return self.nbytes_stored_of("")
-
-    def nbytes_stored_of(self, prefix: str) -> int:
-        """Bytes on disk of the arrays whose names begin with `prefix`, of all files without.
-
-        A web server doesn't tell; then it is the bytes in memory.
-        """
-        names = [name for name in self.names if name.startswith(prefix)]
-        places = [self.path / name for name in names] if prefix else [self.path]
+        """Bytes on disk, or where it lies; those in memory where a web server doesn't tell."""
+        names = [self._prefix + name for name in self.names] if self._prefix else [""]
         found = [
-            bytes_on_disk(place) if isinstance(place, Path) else place.nbytes() for place in places
+            bytes_on_disk(place) if isinstance(place, Path) else place.nbytes()
+            for place in (self.path / name for name in names)
         ]
-        if None in found:
-            return sum(self.nbytes(name) for name in names)
-        return sum(filter(None, found))
+        return self.nbytes if None in found else sum(filter(None, found))
 
     def _entry(self, name: str) -> dict[str, Any]:
-        if name not in self._entries:
+        if name not in self.names:
             raise InputError(
                 f"{self.path}: no array {name!r}; expected one of {', '.join(self.names)}"
             )
-        return self._entries[name]
+        return self._entries[self._prefix + name]
+
+    def _damage(self, name: str, entry: dict[str, Any]) -> IntegrityError:
+        name = self._prefix + name
+        return IntegrityError(
+            f"{self.path / name}: array {name!r} is missing, truncated or altered; expected the "
+            f"digest {entry['digest']}. {_advice(self.path)}"
+        )
 
 
 def write_arrays(
@@ -254,7 +222,12 @@ def write_arrays(
         When the disk is full or the folder isn't writable; an older bundle stays.
     """
     contiguous = {name: np.asarray(array, order="C") for name, array in sorted(arrays.items())}
-    _check_arrays(path, contiguous)
+    for name, array in contiguous.items():
+        if not _NAME.fullmatch(name) or name == METADATA or array.dtype.kind not in "buif":
+            raise InputError(
+                f"{path}: array {name!r} of {array.dtype}; expected booleans, integers or floats, "
+                "and a name of letters, digits, '_', '.' and '-'"
+            )
     entries = {name: _array_entry(array) for name, array in contiguous.items()}
     digest = _bundle_digest(entries, attributes, path)
     header: dict[str, Any] = {
@@ -344,42 +317,24 @@ def _grid(array: NDArray[Any], by_parts: bool) -> tuple[tuple[int, ...], tuple[i
     return chunk, shard if held > 1 else None
 
 
-def _check_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    for name, array in arrays.items():
-        if not _NAME.fullmatch(name) or name == METADATA:
-            raise InputError(
-                f"{path}: {name!r} can't name an array; expected letters, digits, '_', '.' and '-'"
-            )
-        if array.dtype.kind not in _DTYPE_KINDS:
-            raise InputError(
-                f"{path}: array {name!r} has dtype {array.dtype}; expected booleans, integers or "
-                "floats"
-            )
-
-
 def _refuse_foreign(path: Path) -> None:
-    """Never replace what rfpipe didn't write."""
+    """Never replace what rfpipe didn't write; a damaged bundle is worth nothing."""
     try:
         read_attributes(path, _KIND)
     except IntegrityError:
-        return  # a damaged bundle is worth nothing
+        return
     except StoreError as error:
-        if _has_lost_its_header(path):
-            return
-        raise InputError(
-            f"{path}: stands here but is no bundle of arrays; move it away or choose another place"
-        ) from error
-
-
-def _has_lost_its_header(path: Path) -> bool:
-    """Whether a folder without metadata holds nothing but arrays, as a bundle's does."""
-    if (path / METADATA).exists() or not path.is_dir() or not any(path.iterdir()):
-        return False
-    return all(
-        file.name == METADATA or file.relative_to(part).parts[0].startswith("c")
-        for part in path.iterdir()
-        for file in (part.rglob("*") if part.is_dir() else [path / "a file"])
-    )
+        # a bundle that lost its header still holds nothing but arrays
+        inside = [file.relative_to(path).parts for file in path.rglob("*") if file.is_file()]
+        is_bundle = path.is_dir() and all(
+            len(parts) > 1 and (parts[1] == METADATA or parts[1].startswith("c"))
+            for parts in inside
+        )
+        if not inside or not is_bundle:
+            raise InputError(
+                f"{path}: stands here but is no bundle of arrays; move it away or choose another "
+                "place"
+            ) from error
 
 
 def _array_entry(array: NDArray[Any]) -> dict[str, Any]:

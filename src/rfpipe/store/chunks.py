@@ -1,43 +1,43 @@
-"""How arrays are laid out in zarr: chunks, names and compression."""
+"""The layout of arrays in zarr v3, and their chunks: bytes in, bytes out.
+
+zarr passes each chunk through an event loop and on to a thread, so that several threads that read
+or write take as long as one, and a whole array of one chunk takes ten times as long as here. What
+rfpipe writes is of one layout: an array is cut along one axis, each file is a chunk or a shard of
+several.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rfpipe.errors import IntegrityError, StoreError
-from rfpipe.store.files import storage_errors
-from rfpipe.store.places import Place
+from rfpipe.store.files import hidden_sibling, storage_errors
+from rfpipe.store.places import METADATA, Place, content_of, read_ranges
 
-__all__ = [
-    "DAMAGE",
-    "METADATA",
-    "Compression",
-    "compression_for",
-    "damaged_metadata",
-    "layout",
-    "read_attributes",
-    "small_layout",
-]
-
-Compression = Literal["zstd", "lz4", "none"]
-Shuffle = Literal["bitshuffle", "shuffle"]
+Compression = Literal["zstd", "lz4"]
+Shuffle = Literal["shuffle", "bitshuffle"]
 Layout = dict[str, Any]
 
-METADATA = "zarr.json"
-
-# An all-black frame is a frame: zarr would leave out chunks that are all fill value.
-_CONFIG: Any = {"write_empty_chunks": True}
-
 DAMAGE = (OSError, RuntimeError, ValueError, KeyError, TypeError)
-"""What zarr and its codecs raise on damaged bytes."""
+"""What damaged bytes raise."""
+
+_SHUFFLES = {"noshuffle": 0, "shuffle": 1, "bitshuffle": 2}
+_BLOSC_HEADER = 16  # its bytes 4 to 8 are the size unpacked, 12 to 16 packed
+_CHECK_BYTES = 4
+_ABSENT = np.uint64(2**64 - 1)
 
 
 def compression_for(dtype: np.dtype[Any]) -> Compression:
-    """Compression that suits a dtype: zstd for integers, lz4 for floats.
+    """Return the compression that suits a dtype: zstd for integers, lz4 for floats.
 
     Counts and indices have empty high bits, which zstd packs 15 % tighter. The low bits of
     radiance are noise: lz4 packs them as tightly to 3 %, in half the time.
@@ -46,22 +46,21 @@ def compression_for(dtype: np.dtype[Any]) -> Compression:
 
 
 def layout(compression: Compression, *, level: int = 1, shuffle: Shuffle = "bitshuffle") -> Layout:
-    """Keyword arguments, for zarr's ``create_array``, that all arrays share."""
+    """Return the keyword arguments, for zarr's ``create_array``, that all arrays share."""
     from zarr.codecs import BloscCodec
 
     return {
-        "compressors": None
-        if compression == "none"
-        else BloscCodec(cname=compression, clevel=level, shuffle=shuffle),
+        "compressors": BloscCodec(cname=compression, clevel=level, shuffle=shuffle),
         "fill_value": 0,
         # All chunks of an array in one folder: no folder a chunk.
         "chunk_key_encoding": {"name": "default", "separator": "."},
-        "config": _CONFIG,
+        # An all-black frame is a frame: zarr would leave out chunks that are all fill value.
+        "config": {"write_empty_chunks": True},
     }
 
 
 def small_layout(dtype: np.dtype[Any]) -> Layout:
-    """`layout` of arrays that are written once and kept: smaller, in three times the time.
+    """Return the `layout` of arrays that are written once and kept: smaller, in thrice the time.
 
     Indices that mostly ascend pack four times as tightly by bytes as by bits, numbers don't.
     """
@@ -70,14 +69,7 @@ def small_layout(dtype: np.dtype[Any]) -> Layout:
 
 
 def read_attributes(path: Path | Place, kind: str) -> dict[str, Any]:
-    """Attributes of a store that rfpipe wrote, read without zarr.
-
-    Parameters
-    ----------
-    path
-        The store's folder.
-    kind
-        What is expected there, the value of its attribute ``"kind"``.
+    """Return the attributes of a store, whose attribute ``"kind"`` is to be `kind`.
 
     Raises
     ------
@@ -86,10 +78,11 @@ def read_attributes(path: Path | Place, kind: str) -> dict[str, Any]:
     IntegrityError
         When its metadata are damaged.
     """
-    metadata = path / METADATA
-    if isinstance(metadata, Path) and not metadata.is_file():
-        raise StoreError(f"{path}: no store of {kind} here; run the stage that writes it")
-    content = _read(metadata, kind)
+    with storage_errors(path, "reading"):
+        content = content_of(path / METADATA)
+    if content is None:
+        advice = "run the stage that writes it" if isinstance(path, Path) else "check the address"
+        raise StoreError(f"{path}: no store of {kind} here; {advice}")
     try:
         attributes = json.loads(content)["attributes"]
         found = attributes["kind"]
@@ -100,20 +93,8 @@ def read_attributes(path: Path | Place, kind: str) -> dict[str, Any]:
     return dict(attributes)
 
 
-def _read(metadata: Path | Place, kind: str) -> bytes:
-    if isinstance(metadata, Path):
-        with storage_errors(metadata, "reading"):
-            return metadata.read_bytes()
-    try:
-        return metadata.read_bytes()
-    except FileNotFoundError as error:
-        raise StoreError(
-            f"{metadata}: no such file, so no store of {kind}; check the address"
-        ) from error
-
-
 def damaged_metadata(path: Path | Place, error: Exception) -> IntegrityError:
-    """Error that names a store's damaged metadata and says what to do."""
+    """Return the error that names a store's damaged metadata and says what to do."""
     advice = (
         f"restore this file, or remove {path} and run the stage that writes it again"
         if isinstance(path, Path)
@@ -122,3 +103,232 @@ def damaged_metadata(path: Path | Place, error: Exception) -> IntegrityError:
     return IntegrityError(
         f"{path / METADATA}: damaged metadata ({type(error).__name__}: {error}); {advice}"
     )
+
+
+class ChunkedArray:
+    """The files of an array that is cut along one axis; threads may share it.
+
+    Parameters
+    ----------
+    path : Path or Place
+        The array's folder.
+    exactly : bool
+        Whether to fetch nothing of what lies behind a file, which isn't wanted next.
+
+    Attributes
+    ----------
+    shape, dtype
+    axis : int
+        Along which it is cut; its items are counted there.
+    items_per_chunk : int
+        Chunks are compressed, and read, as a whole.
+    items_per_file : int
+        As many, unless files are shards of several chunks. Files are written as a whole.
+
+    Raises
+    ------
+    IntegrityError
+        When the metadata are missing, damaged, or of another layout.
+    """
+
+    def __init__(self, path: Path | Place, *, exactly: bool = False) -> None:
+        self.path, self._exactly = path, exactly
+        try:
+            metadata = json.loads(self._content(path / METADATA))
+            self.shape: tuple[int, ...] = tuple(metadata["shape"])
+            self.dtype = np.dtype(metadata["data_type"])
+            file = tuple(metadata["chunk_grid"]["configuration"]["chunk_shape"])
+            codecs = metadata["codecs"]
+            self._chunk: tuple[int, ...] = file
+            self._sharded = codecs[0]["name"] == "sharding_indexed"
+            if self._sharded:
+                settings = codecs[0]["configuration"]
+                self._chunk, codecs = tuple(settings["chunk_shape"]), settings["codecs"]
+                index = [*(codec["name"] for codec in settings["index_codecs"])]
+                if (*index, settings["index_location"]) != ("bytes", "crc32c", "end"):
+                    raise ValueError(f"shards with an index of {index}")
+            extents = zip(self.shape, self._chunk, file, strict=True)
+            cut = [n for n, (all_, *parts) in enumerate(extents) if parts != [max(1, all_)] * 2]
+            self.axis = cut[0] if cut else 0
+            self.items_per_chunk: int = self._chunk[self.axis] if file else 1
+            self.items_per_file: int = file[self.axis] if file else 1
+            separator = metadata["chunk_key_encoding"]["configuration"]["separator"]
+            if len(cut) > 1 or self.items_per_file % self.items_per_chunk or separator != ".":
+                raise ValueError(f"chunks of {self._chunk} in files of {file}, named {separator!r}")
+            to_bytes, *packed = codecs
+            self._checked = bool(packed) and packed[-1]["name"] == "crc32c"
+            packed = packed[: -1 if self._checked else None]
+            if to_bytes["name"] != "bytes" or len(packed) > 1:
+                raise ValueError(f"codecs {codecs}")
+            self._blosc = _blosc(packed[0]) if packed else None
+        except (ValueError, KeyError, TypeError, IndexError, FileNotFoundError) as error:
+            raise damaged_metadata(path, error) from error
+
+    def file(self, item: int) -> Any:
+        """Return the path, or place, of the file in which an item lies."""
+        index = [0] * len(self.shape)
+        if index:
+            index[self.axis] = item // self.items_per_file
+        return self.path / ".".join(["c", *map(str, index)])
+
+    def read(self) -> NDArray[Any]:
+        """Return the whole array, or raise one of `DAMAGE`, or StoreError."""
+        array = np.zeros(self.shape, self.dtype)
+        if array.size:
+            count = -(-self.shape[self.axis] // self.items_per_chunk) if self.shape else 1
+            for number, content in enumerate(self._contents(range(count))):
+                first = number * self.items_per_chunk
+                some = slice(first, first + self.items_per_chunk) if count > 1 else ...
+                self._unpack(content, array[(*[slice(None)] * self.axis, some)])
+        return array
+
+    def read_runs(self, runs: NDArray[np.int64]) -> NDArray[Any]:
+        """Return runs ``(n, 2)`` along the last axis, one after the other, ``(..., items)``.
+
+        Of an array that is cut there, little else is read. Errors as `read`.
+        """
+        if self.axis != len(self.shape) - 1 or not self._checked:
+            return take_runs(self.read(), runs)
+        items = _items(runs)
+        chunks = np.unique(items // self.items_per_chunk)
+        held = np.empty((*self.shape[:-1], len(chunks) * self.items_per_chunk), self.dtype)
+        for place, content in enumerate(self._contents(chunks.tolist())):
+            first = place * self.items_per_chunk
+            self._unpack(content, held[..., first : first + self.items_per_chunk])
+        number, within = np.divmod(items, self.items_per_chunk)
+        places = np.searchsorted(chunks, number) * self.items_per_chunk + within
+        return np.ascontiguousarray(held[..., places])
+
+    def read_chunk(self, first: int, out: NDArray[Any]) -> None:
+        """Read items of a chunk, from its `first` on, into a contiguous array; errors as `read`."""
+        (content,) = self._contents([first // self.items_per_chunk])
+        self._unpack(content, out)
+
+    @contextmanager
+    def writing(self, first: int) -> Iterator[Callable[[NDArray[Any]], None]]:
+        """Write a file chunk by chunk; it is there once all of them are, or not at all.
+
+        Parameters
+        ----------
+        first
+            The first item of the file; cut along the first axis.
+
+        Yields
+        ------
+        callable
+            Takes the items of the next chunk; a short last one is filled up.
+
+        Raises
+        ------
+        OSError
+        ValueError
+            When there were more or fewer chunks than the file has.
+        """
+        place: Path = self.file(first)
+        partial = hidden_sibling(place, f"{os.getpid()}.partial")
+        lengths: list[int] = []
+        items = min(self.items_per_file, self.shape[0] - first)
+        try:
+            with partial.open("wb") as file:
+
+                def add(block: NDArray[Any]) -> None:
+                    if len(block) < self._chunk[0]:
+                        fill = np.zeros((self._chunk[0] - len(block), *block.shape[1:]), self.dtype)
+                        block = np.concatenate([block, fill])
+                    packed = block.tobytes() if self._blosc is None else self._blosc.encode(block)
+                    lengths.append(file.write(packed))
+
+                yield add
+                if len(lengths) != -(-items // self.items_per_chunk):
+                    raise ValueError(f"{place}: {len(lengths)} chunks for {items} items")
+                if self._sharded:
+                    file.write(_index(lengths, self.items_per_file // self.items_per_chunk))
+            partial.replace(place)
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
+
+    def _contents(self, numbers: Sequence[int]) -> Iterator[bytes]:
+        """Yield the bytes of some chunks, by their numbers, each file's by few requests."""
+        in_file = self.items_per_file // self.items_per_chunk
+        for number, chunks in groupby(numbers, lambda number: number // in_file):
+            file = self.file(number * self.items_per_file)
+            if not self._sharded:
+                yield self._content(file)
+                continue
+            size = 16 * in_file + _CHECK_BYTES
+            starts, ends = _bounds(read_ranges(file, [(-size, None)])[0], in_file)
+            yield from read_ranges(file, [(starts[n % in_file], ends[n % in_file]) for n in chunks])
+
+    def _content(self, file: Path | Place) -> bytes:
+        return read_ranges(file, [(0, None)])[0] if self._exactly else file.read_bytes()
+
+    def _unpack(self, content: bytes, out: NDArray[Any]) -> None:
+        """Write the items of a chunk, or its first ones, into an array."""
+        if self._checked:
+            content, check = content[:-_CHECK_BYTES], content[-_CHECK_BYTES:]
+            if _crc32c(content) != check:
+                raise ValueError("a chunk isn't what its checksum says")
+        is_whole = out.shape == self._chunk and out.flags.c_contiguous
+        whole = out if is_whole else np.empty(self._chunk, self.dtype)
+        if self._blosc is None:
+            whole[...] = np.frombuffer(content, self.dtype).reshape(whole.shape)
+        else:
+            # the decompressor trusts the header
+            sizes = np.frombuffer(content[:_BLOSC_HEADER].ljust(_BLOSC_HEADER, b"\0"), "<u4")
+            if (sizes[1], sizes[3]) != (whole.nbytes, len(content)):
+                raise ValueError(f"a chunk of {len(content)} bytes says {sizes[3]} and {sizes[1]}")
+            self._blosc.decode(content, whole)
+        if not is_whole:
+            out[...] = whole[tuple(map(slice, out.shape))]
+
+
+def take_runs(array: NDArray[Any], runs: NDArray[np.int64]) -> NDArray[Any]:
+    """Return runs ``(n, 2)`` of an array along its last axis, one after the other."""
+    return np.ascontiguousarray(array[..., _items(runs)])
+
+
+def _items(runs: NDArray[np.int64]) -> NDArray[np.int64]:
+    lengths = runs[:, 1] - runs[:, 0]
+    first: NDArray[np.int64] = np.repeat(runs[:, 0] - np.cumsum(lengths) + lengths, lengths)
+    return first + np.arange(lengths.sum())
+
+
+def _index(lengths: Sequence[int], chunks: int) -> bytes:
+    """Return the index of a shard of so many chunks, the first ones one after the other."""
+    index = np.full((chunks, 2), _ABSENT, "<u8")
+    ends = np.cumsum(lengths, dtype=np.uint64)
+    index[: len(lengths), 1] = lengths
+    index[: len(lengths), 0] = ends - index[: len(lengths), 1]
+    content = index.tobytes()
+    return content + _crc32c(content)
+
+
+def _bounds(index: bytes, chunks: int) -> tuple[list[int], list[int]]:
+    """Return where the chunks of a shard begin and end, by its index."""
+    entries, check = index[:-_CHECK_BYTES], index[-_CHECK_BYTES:]
+    if len(entries) != 16 * chunks or _crc32c(entries) != check:
+        raise ValueError("the index of a shard is damaged")
+    starts, lengths = np.frombuffer(entries, "<u8").reshape(chunks, 2).T
+    return starts.tolist(), (starts + lengths).tolist()
+
+
+def _crc32c(content: bytes) -> bytes:
+    import google_crc32c
+
+    return int(google_crc32c.value(content)).to_bytes(_CHECK_BYTES, "little")
+
+
+def _blosc(codec: dict[str, Any]) -> Any:
+    """Return the compressor that an array's metadata name."""
+    import numcodecs.blosc
+
+    # With threads of its own it orders its blocks by who is first.
+    numcodecs.blosc.use_threads = False
+    if codec["name"] != "blosc":
+        raise ValueError(f"codec {codec['name']!r}; expected blosc")
+    settings = dict(codec["configuration"])
+    settings["shuffle"] = _SHUFFLES[settings["shuffle"]]
+    if settings["cname"] not in numcodecs.blosc.list_compressors():
+        raise ValueError(f"compressor {settings['cname']!r}")
+    return numcodecs.blosc.Blosc(**settings)

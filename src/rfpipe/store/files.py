@@ -17,20 +17,6 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, StoreError
 
-__all__ = [
-    "bytes_on_disk",
-    "canonical_json",
-    "digest_of",
-    "free_bytes",
-    "hidden_sibling",
-    "plain",
-    "remove_tree",
-    "storage_errors",
-    "whole_file",
-    "write_atomically",
-]
-
-_DIGEST_HEX = 32
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
 
@@ -49,7 +35,7 @@ def digest_of(*parts: bytes | NDArray[Any]) -> str:
     digest = hashlib.sha256()
     for part in parts:
         digest.update(part.reshape(-1).data if isinstance(part, np.ndarray) else part)
-    return digest.hexdigest()[:_DIGEST_HEX]
+    return digest.hexdigest()[:32]
 
 
 def canonical_json(value: Any, where: str, *, indent: int | None = None) -> bytes:
@@ -83,14 +69,14 @@ def plain(value: dict[str, Any], where: str) -> dict[str, Any]:
 
 @contextmanager
 def storage_errors(
-    path: Path, action: str, needed_bytes: int = 0, *, resumes: bool = True
+    path: Any, action: str, needed_bytes: int = 0, *, resumes: bool = True
 ) -> Iterator[None]:
     """Turn an OSError into a StoreError that says what to do.
 
     Parameters
     ----------
     path
-        What is read or written.
+        The path, or the place, that is read or written.
     action
         What is being done, such as ``"writing items 3 to 7"``.
     needed_bytes
@@ -182,6 +168,23 @@ def remove_tree(path: Path) -> None:
             shutil.rmtree(doomed)
         else:
             path.unlink(missing_ok=True)
+
+
+def to_disk(path: Path) -> None:
+    """Bring all files in a folder to the disk, so that a power cut can't take them.
+
+    Raises
+    ------
+    StoreError
+        When the disk fails.
+    """
+    with storage_errors(path, "bringing it to the disk"):
+        for place in [*path.rglob("*"), path]:
+            descriptor = os.open(place, os.O_RDONLY)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
 
 
 def bytes_on_disk(path: Path) -> int:

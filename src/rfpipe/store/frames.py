@@ -12,28 +12,24 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from rfpipe.errors import InputError, IntegrityError, StaleStoreError, StoreError
-from rfpipe.store.chunks import (
-    METADATA,
-    Compression,
-    damaged_metadata,
-    read_attributes,
-)
+from rfpipe.store.chunks import Compression, damaged_metadata, read_attributes
 from rfpipe.store.files import (
     canonical_json,
     digest_of,
     plain,
     remove_tree,
+    storage_errors,
     write_atomically,
 )
-from rfpipe.store.items import DROPPED, KIND, ItemArray, make_item_array
+from rfpipe.store.items import KIND, ItemArray, make_item_array
 from rfpipe.store.journal import JournalWriter, journal_bytes, read_journal
 from rfpipe.store.lock import StoreLock
-
-__all__ = ["FrameStore"]
+from rfpipe.store.manifest import write_manifest
+from rfpipe.store.places import METADATA
 
 _JOURNAL = "journal.jsonl"
-_DTYPE_KINDS = "uif"
-_NAMED_IN_WARNING = 16
+# Says, in a store's folder, that its items were removed on purpose.
+_DROPPED = "dropped.json"
 _log = logging.getLogger(__name__)
 
 
@@ -83,7 +79,7 @@ class FrameStore:
         self.items_per_file = self._array.items_per_file
         # Digest by captured item; a file with an item that the journal lost is written again.
         self._digests = self._array.whole_files(read_journal(path / _JOURNAL, self.shape[0]))
-        self.dropped = (path / DROPPED).exists()
+        self.dropped = (path / _DROPPED).exists()
         if self.dropped and not self.complete:
             raise IntegrityError(
                 f"{path / _JOURNAL}: damaged, and the items that it is about were dropped; remove "
@@ -131,7 +127,7 @@ class FrameStore:
             A shard is written whole, by one writer, so that a store that grows item by item, as
             a capture does, has one chunk a file.
         compression
-            ``"zstd"``, ``"lz4"`` or ``"none"``; None chooses by dtype.
+            By default that of the dtype.
 
         Raises
         ------
@@ -151,16 +147,14 @@ class FrameStore:
         if (
             len(shape) < 2
             or shape[0] < 0
-            or min(shape[1:]) < 1
-            or min(items_per_chunk, chunks_per_file) < 1
+            or min(*shape[1:], items_per_chunk, chunks_per_file) < 1
+            or wanted.kind not in "uif"
         ):
             raise InputError(
-                f"{path}: shape {tuple(shape)} in chunks of {items_per_chunk}, {chunks_per_file} a "
-                "file; expected (items, *item shape), at least one element an item, at least one "
-                "item a chunk and one chunk a file"
+                f"{path}: shape {tuple(shape)} of {wanted} in chunks of {items_per_chunk}, "
+                f"{chunks_per_file} a file; expected (items, *item shape) of integers or floats, "
+                "at least one element an item, one item a chunk and one chunk a file"
             )
-        if wanted.kind not in _DTYPE_KINDS:
-            raise InputError(f"{path}: dtype {wanted}; expected an integer or float dtype")
         header = {"kind": KIND, "fingerprint": fingerprint, "attributes": attributes}
         header = plain(header, f"{path}: attributes")
         lock = StoreLock(path)
@@ -168,7 +162,7 @@ class FrameStore:
         try:
             if not (path / METADATA).exists():
                 make_item_array(
-                    path, shape, wanted, header, items_per_chunk, compression, chunks_per_file
+                    path, shape, wanted, header, items_per_chunk, chunks_per_file, compression
                 )
             store = cls(path)
             store._refuse_other(shape, wanted, fingerprint)
@@ -196,15 +190,7 @@ class FrameStore:
 
     @staticmethod
     def discard(path: Path) -> None:
-        """Remove a store, if there is one.
-
-        Raises
-        ------
-        LockedError
-            When another process writes it.
-        StoreError
-            When it can't be removed.
-        """
+        """Remove a store, if there is one; LockedError when another process writes it."""
         with StoreLock(path):
             remove_tree(path)
 
@@ -271,14 +257,7 @@ class FrameStore:
         self.enter(start, self._array.write_items(start, block))
 
     def enter(self, start: int, digests: Sequence[str]) -> None:
-        """Enter items that an `ItemWriter` wrote in the journal.
-
-        Parameters
-        ----------
-        start
-            Index of the first.
-        digests
-            Theirs, as the writer returned them.
+        """Enter items from `start` on that an `ItemWriter` wrote, by the digests it returned.
 
         Raises
         ------
@@ -291,12 +270,7 @@ class FrameStore:
             self._digests.update(enumerate(digests, start))
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
-        """Items [start, stop), checked against the journal.
-
-        Returns
-        -------
-        ndarray
-            (stop - start, *item shape).
+        """Return items [start, stop), (stop - start, *item shape), checked against the journal.
 
         Raises
         ------
@@ -322,10 +296,9 @@ class FrameStore:
         block = self._array.read_items(start, stop, self._digests)
         if block is None:
             item = next(iter(self._array.damaged(start, stop, self._digests)), start)
-            file = self._array.file(item)
             raise IntegrityError(
-                f"{file}: item {item} is missing, truncated or altered; expected the "
-                f"digest {self._digests[item]} of {_JOURNAL}. Run the stage that "
+                f"{self._array.file(item)}: item {item} is missing, truncated or altered; expected "
+                f"the digest {self._digests[item]} of {_JOURNAL}. Run the stage that "
                 f"writes {self.path} again: it checks every item and makes the damaged ones anew"
             )
         return block
@@ -404,7 +377,7 @@ class FrameStore:
             )
 
     def _repair(self) -> None:
-        """Drop what a kill, a power cut or a meddler left unusable; needs the lock."""
+        """Forget what a kill, a power cut or a meddler left unusable; needs the lock."""
         for partial in self.path.glob("*.partial"):
             partial.unlink()
         damaged = self._array.damaged(0, self.shape[0], self._digests)
@@ -413,13 +386,9 @@ class FrameStore:
         self._digests = self._array.whole_files(self._digests)
         self._write_journal(self._digests)
         if damaged:
-            more = ", ..." if len(damaged) > _NAMED_IN_WARNING else ""
-            named = ", ".join(map(str, damaged[:_NAMED_IN_WARNING])) + more
             _log.warning(
-                "%s: %d items are damaged and will be written again (%s)",
-                self.path,
-                len(damaged),
-                named,
+                "%s: %d items are damaged and will be written again, from item %d on",
+                *(self.path, len(damaged), damaged[0]),
             )
 
     def _write_journal(self, digests: dict[int, str]) -> None:
@@ -427,3 +396,36 @@ class FrameStore:
         journal, content = self.path / _JOURNAL, journal_bytes(digests)
         if (journal.read_bytes() if journal.exists() else b"") != content:
             write_atomically(journal, content)
+
+
+def drop(path: Path) -> int:
+    """Remove the items of a complete frame store; what is left says so and keeps their digests.
+
+    May be cut off anywhere and called again.
+
+    Returns
+    -------
+    int
+        Bytes freed.
+
+    Raises
+    ------
+    LockedError
+        When another process writes the store.
+    StoreError
+        When items are missing, or can't be removed.
+    IntegrityError
+        When its metadata or its journal are damaged.
+    """
+    with StoreLock(path):
+        store = FrameStore.open(path)
+        if not store.complete:
+            raise StoreError(f"{path}: isn't complete; only a complete store can be dropped")
+        if not store.dropped:
+            write_manifest(path / _DROPPED, {"digest": store.digest(), "shape": list(store.shape)})
+        freed = 0
+        with storage_errors(path, "removing items"):
+            for file in sorted(path.glob("c.*")):
+                freed += file.stat().st_size
+                file.unlink()
+    return freed

@@ -9,23 +9,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
-from rfpipe.errors import IntegrityError, StoreError
-from rfpipe.store.chunks import METADATA
+from rfpipe.errors import StoreError
 from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors, write_atomically
 from rfpipe.store.frames import FrameStore
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import read_manifest, write_manifest
+from rfpipe.store.places import METADATA, content_of
 
-__all__ = ["HEADER", "header_is_whole", "keep_header", "rebuild_header", "restore_header"]
-
-HEADER = "header.json"
-"""The copy of a store's metadata, in its folder."""
-
-_SAMPLE = 16
-_TEXT = "metadata"
+_COPY, _TEXT = "header.json", "metadata"
+_SAMPLE = 16  # frames that are read to tell whether a header fits
 
 
 def keep_header(path: Path) -> None:
@@ -36,26 +31,19 @@ def keep_header(path: Path) -> None:
     StoreError
         When the disk is full or the folder isn't writable.
     """
-    text = _content(path)
-    if text is not None and _kept(path) != text:
-        write_manifest(path / HEADER, {_TEXT: text})
+    header = _header(path)
+    if header is not None and _copy(path) != header:
+        write_manifest(path / _COPY, {_TEXT: header})
 
 
 def header_is_whole(path: Path) -> bool:
     """Whether a store's header is that of its copy; True where no copy is kept."""
-    kept = _kept(path)
-    if kept is None:
-        return not (path / HEADER).exists()
-    return kept == _content(path)
+    copy = _copy(path)
+    return not (path / _COPY).exists() if copy is None else copy == _header(path)
 
 
 def restore_header(path: Path) -> bool:
-    """Write a damaged or missing header again, from its copy.
-
-    Returns
-    -------
-    bool
-        Whether it had to be written.
+    """Write a damaged or missing header again, from its copy; tell whether it had to be written.
 
     Raises
     ------
@@ -64,11 +52,11 @@ def restore_header(path: Path) -> bool:
     StoreError
         When the disk is full or the folder isn't writable.
     """
-    kept = _kept(path)
-    if kept is None or kept == _content(path):
+    copy = _copy(path)
+    if copy is None or copy == _header(path):
         return False
     with StoreLock(path):
-        write_atomically(path / METADATA, kept.encode())
+        write_atomically(path / METADATA, copy.encode())
     return True
 
 
@@ -105,10 +93,13 @@ def rebuild_header(path: Path, make: Callable[[Path], FrameStore]) -> bool:
         remove_tree(new)
     place = path / METADATA
     with StoreLock(path):
-        before = place.read_bytes() if place.is_file() else None
+        before = content_of(place)
         write_atomically(place, expected)
-        if _is_readable(path):
-            return True
+        store = FrameStore.open(path)
+        for item in store.done.nonzero()[0][:_SAMPLE].tolist():
+            with suppress(StoreError):
+                store.read(item, item + 1)
+                return True
         with storage_errors(place, "restoring"):
             place.unlink()
             if before is not None:
@@ -116,36 +107,18 @@ def rebuild_header(path: Path, make: Callable[[Path], FrameStore]) -> bool:
     return False
 
 
-def _is_readable(path: Path) -> bool:
-    """Whether some of the first frames are what the journal says."""
-    store = FrameStore.open(path)
-    captured = [int(item) for item in store.done.nonzero()[0][:_SAMPLE]]
-    return any(_reads(store, item) for item in captured)
-
-
-def _reads(store: FrameStore, item: int) -> bool:
-    try:
-        store.read(item, item + 1)
-    except StoreError:
-        return False
-    return True
-
-
-def _content(path: Path) -> str | None:
+def _header(path: Path) -> str | None:
     """Return a store's metadata as they stand there, None where there are none."""
-    place = path / METADATA
-    if not place.is_file():
-        return None
-    with storage_errors(place, "reading"):
-        return place.read_bytes().decode(errors="replace")
+    with storage_errors(path / METADATA, "reading"):
+        content = content_of(path / METADATA)
+    return None if content is None else content.decode(errors="replace")
 
 
-def _kept(path: Path) -> str | None:
+def _copy(path: Path) -> str | None:
     """Return the metadata as the copy has them, None where it is missing or damaged."""
     try:
-        held: dict[str, Any] = read_manifest(path / HEADER)
-        text = held[_TEXT]
+        text = str(read_manifest(path / _COPY)[_TEXT])
         json.loads(text)
-    except (IntegrityError, StoreError, KeyError, ValueError, TypeError):
+    except (StoreError, KeyError, ValueError):
         return None
-    return str(text)
+    return text

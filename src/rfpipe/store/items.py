@@ -13,49 +13,44 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError, StaleStoreError
 from rfpipe.store.chunks import (
     DAMAGE,
-    METADATA,
+    ChunkedArray,
     Compression,
     compression_for,
     layout,
     read_attributes,
 )
-from rfpipe.store.codec import ChunkFiles
 from rfpipe.store.files import digest_of, hidden_sibling, remove_tree, storage_errors
-
-__all__ = ["DROPPED", "KIND", "ItemArray", "ItemWriter", "make_item_array"]
+from rfpipe.store.places import METADATA
 
 KIND = "frames"
 """What the stores of items call themselves."""
 
-DROPPED = "dropped.json"
-"""Says, in a store's folder, that its items were removed on purpose; see `rfpipe.store.drop`."""
 
-
-class ItemArray(ChunkFiles):
+class ItemArray(ChunkedArray):
     """An array whose first axis counts items; threads may share it."""
 
     def write_items(self, start: int, block: NDArray[Any]) -> list[str]:
-        """Store the items from `start` on; return their digests.
+        """Store the items from `start` on, in whole files; return their digests.
 
         Raises
         ------
         InputError
-            When the block doesn't fit, or isn't of whole chunks.
+            When the block doesn't fit, or isn't of whole files.
         StoreError
             When the disk is full.
         """
         stop, step = start + len(block), self.items_per_file
-        self._check(block)
         if start % step or (stop % step and stop != self.shape[0]):
             raise InputError(
                 f"{self.path}: items {start} to {stop} aren't whole files of {step}; write the "
                 "runs that missing() gives"
             )
-        block = np.ascontiguousarray(block)
-        digests = _digests(block)
-        with storage_errors(self.path, f"writing items {start} to {stop - 1}", block.nbytes):
-            for first in range(0, len(block), step):
-                self.write(start + first, block[first : first + step])
+        digests: list[str] = []
+        self._check(block)
+        for first in range(0, len(block), step):
+            with self.adding(start + first) as add:
+                for chunk in range(first, min(first + step, len(block)), self.items_per_chunk):
+                    digests += add(block[chunk : chunk + self.items_per_chunk])
         return digests
 
     @contextmanager
@@ -81,55 +76,47 @@ class ItemArray(ChunkFiles):
         StoreError
             When the disk is full.
         """
+        needed = self.items_per_file * self.dtype.itemsize * int(np.prod(self.shape[1:]))
         action = f"writing the items from {start} on"
-        with storage_errors(self.path, action), self.writing(start) as put:
+        with storage_errors(self.path, action, needed), self.writing(start) as put:
 
             def add(block: NDArray[Any]) -> list[str]:
                 self._check(block)
                 block = np.ascontiguousarray(block)
                 put(block)
-                return _digests(block)
+                return [digest_of(item) for item in block]
 
             yield add
 
     def read_items(self, start: int, stop: int, digests: Mapping[int, str]) -> NDArray[Any] | None:
-        """Items [start, stop), or None when one isn't what its digest says."""
-        block = np.empty((stop - start, *self.shape[1:]), self.dtype)
+        """Return items [start, stop), or None when one isn't what its digest says."""
         step = self.items_per_chunk
+        before = start % step
+        block = np.empty((before + stop - start, *self.shape[1:]), self.dtype)
         try:
-            for first in self._chunk_starts(start, stop):
-                last = min(first + step, stop)
-                if first >= start:
-                    self.read(first, block[first - start : last - start])
-                else:
-                    part = np.empty((last - first, *self.shape[1:]), self.dtype)
-                    self.read(first, part)
-                    block[: last - start] = part[start - first :]
+            for first in range(0, len(block), step):
+                self.read_chunk(start - before + first, block[first : first + step])
         except DAMAGE:
             return None
-        if _digests(block) != [digests[item] for item in range(start, stop)]:
+        found = block[before:]
+        if [digest_of(item) for item in found] != [digests[n] for n in range(start, stop)]:
             return None
-        return block
-
-    def files(self) -> list[Path]:
-        """Files of all chunks that are there."""
-        return sorted(self.path.glob("c.*"))
+        return found
 
     def damaged(self, start: int, stop: int, digests: Mapping[int, str]) -> list[int]:
-        """Those of the items [start, stop) in `digests` that can't be read as they were written."""
+        """Return those of the items [start, stop) in `digests` that aren't as they were written."""
         damaged: list[int] = []
-        for first in self._chunk_starts(start, stop):
-            chunk = range(max(start, first), min(stop, first + self.items_per_chunk))
+        step = self.items_per_chunk
+        for first in range(start - start % step, stop, step):
+            chunk = range(max(start, first), min(stop, first + step))
             items = [item for item in chunk if item in digests]
             if len(items) < len(chunk) or self.read_items(chunk.start, chunk.stop, digests) is None:
                 damaged += [i for i in items if self.read_items(i, i + 1, digests) is None]
         return damaged
 
     def whole_files(self, digests: Mapping[int, str]) -> dict[int, str]:
-        """Keep what covers files wholly, since they are written whole."""
+        """Return what covers files wholly, since they are written whole."""
         step, n_items = self.items_per_file, self.shape[0]
-        if step == 1:
-            return dict(digests)
         held = np.bincount([item // step for item in digests], minlength=-(-n_items // step))
         full = {file for file, n in enumerate(held) if n == min(step, n_items - int(file) * step)}
         return {item: digest for item, digest in digests.items() if item // step in full}
@@ -140,10 +127,6 @@ class ItemArray(ChunkFiles):
                 f"{self.path}: a block of {block.dtype} {block.shape}; expected {self.dtype} "
                 f"(items, {', '.join(map(str, self.shape[1:]))})"
             )
-
-    def _chunk_starts(self, start: int, stop: int) -> range:
-        step = self.items_per_chunk
-        return range(start - start % step, stop, step)
 
 
 class ItemWriter(ItemArray):
@@ -178,19 +161,14 @@ class ItemWriter(ItemArray):
         super().__init__(path)
 
 
-def _digests(block: NDArray[Any]) -> list[str]:
-    """Digest of each item's bytes in a C-ordered block."""
-    return [digest_of(item) for item in block]
-
-
 def make_item_array(
     path: Path,
     shape: tuple[int, ...],
     dtype: np.dtype[Any],
     attributes: dict[str, Any],
     items_per_chunk: int,
+    chunks_per_file: int,
     compression: Compression | None,
-    chunks_per_file: int = 1,
 ) -> None:
     """Make an empty array, complete or absent.
 

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from rfpipe.store.files import storage_errors
 
-__all__ = ["JournalWriter", "journal_bytes", "read_journal"]
-
 _SECONDS_BETWEEN_SYNCS = 1.0
 
 

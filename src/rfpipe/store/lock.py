@@ -13,8 +13,6 @@ from pathlib import Path
 from rfpipe.errors import LockedError, StoreError
 from rfpipe.store.files import hidden_sibling, storage_errors
 
-__all__ = ["Holder", "StoreLock"]
-
 # A file server frees the locks of a machine that died when its lease has run out: 90 s by NFS.
 _LEASE_SECONDS = 120.0
 _POLL_SECONDS = 2.0

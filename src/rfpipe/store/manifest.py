@@ -9,8 +9,6 @@ from typing import Any
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.store.files import canonical_json, digest_of, storage_errors, write_atomically
 
-__all__ = ["read_manifest", "write_manifest"]
-
 _CHECKSUM = "checksum"
 
 

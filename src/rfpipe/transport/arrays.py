@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.store.parts import take_runs
+from rfpipe.store.arrays import ArrayBundle
+from rfpipe.store.chunks import take_runs
 from rfpipe.transport.base import Float, Transport
-from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
+from rfpipe.transport.stored import SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -78,7 +79,7 @@ class HoldingTransport(Transport, Generic[Held]):
 
     @classmethod
     @abstractmethod
-    def _opened(cls, bundle: Bundle, memory_budget: int) -> Held:
+    def _opened(cls, bundle: ArrayBundle, memory_budget: int) -> Held:
         """Return what a store keeps, to be read when used."""
 
     def pack(
@@ -94,7 +95,7 @@ class HoldingTransport(Transport, Generic[Held]):
         }
 
     @classmethod
-    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
+    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
         """Build a transport from a store; its arrays are read when first used."""
         about = bundle.attributes
         shapes: dict[str, Any] = {name: about[name] for name in cls.shape_names}
@@ -153,7 +154,7 @@ class ArrayTransport(HoldingTransport[Arrays]):
         return dict(self._held)
 
     @classmethod
-    def _opened(cls, bundle: Bundle, memory_budget: int) -> Arrays:  # noqa: ARG003
+    def _opened(cls, bundle: ArrayBundle, memory_budget: int) -> Arrays:  # noqa: ARG003
         return LazyArrays(bundle.names, bundle.read, bundle.read_runs)
 
 
@@ -212,7 +213,7 @@ class LevelTransport(HoldingTransport[Sequence[S]]):
         """Return a set by its arrays."""
 
     @classmethod
-    def _opened(cls, bundle: Bundle, memory_budget: int) -> Sequence[S]:
+    def _opened(cls, bundle: ArrayBundle, memory_budget: int) -> Sequence[S]:
         prefixes = by_prefix(bundle, cls.parts)
 
         def read(prefix: str) -> S:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.transport.algebra import MatrixAlgebra, Rays
 from rfpipe.transport.history import history
-from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
 from rfpipe.weights import as_weights
 
@@ -22,6 +21,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import LinearOperator
+
+    from rfpipe.store.arrays import ArrayBundle
 
 Float = NDArray[np.float32]
 
@@ -236,7 +237,7 @@ class Transport(Light):
 
     @classmethod
     @abstractmethod
-    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
+    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
         """Build a transport from a store; what fits into `memory_budget` bytes stays there."""
 
     @property

@@ -10,13 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError, StoreError
-from rfpipe.store.locating import locate
-from rfpipe.store.packed import packed_in
-from rfpipe.store.places import Place
+from rfpipe.store.places import Place, locate
 from rfpipe.transport.algebra import MEMORY_BUDGET
 from rfpipe.transport.base import Transport
 from rfpipe.transport.places import STORE_NAME, transports_in
-from rfpipe.transport.storage import open_transport_at
+from rfpipe.transport.storage import open_transport
 
 __all__ = ["Collection", "open_collection"]
 
@@ -41,7 +39,7 @@ class Collection(Mapping[str, Transport]):
     def __getitem__(self, name: str) -> Transport:
         if name not in self._places:
             raise KeyError(name)
-        return open_transport_at(self._places[name], self._memory_budget)
+        return open_transport(self._places[name], self._memory_budget)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._places)
@@ -141,8 +139,7 @@ def open_collection(
         When there is no transport, or none by this method, or a scene has several, or these are
         the folders of one scene.
     """
-    base = locate(path)
-    place: Path | Place = packed_in(base) or base
+    place = locate(path)
     names = transports_in(place)
     by_scene: dict[str, dict[str, str]] = {}
     for name in names:

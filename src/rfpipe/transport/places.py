@@ -5,11 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rfpipe.errors import StoreError
-from rfpipe.store.chunks import METADATA
-from rfpipe.store.locating import locate, within_packed, zip_at
-from rfpipe.store.places import Place
-
-__all__ = ["MANIFEST", "STORE_NAME", "ZIP_NAME", "find_transport", "transports_in"]
+from rfpipe.store.places import METADATA, Place, content_of, locate
 
 STORE_NAME = "transport.zarr"
 """Under which an acquisition's transport is stored."""
@@ -21,7 +17,7 @@ MANIFEST = "manifest-sha256.txt"
 """Of a publication: the SHA-256 and the name of every file, a line each."""
 
 
-def find_transport(path: str | Path) -> Path | Place:
+def find_transport(path: str | Path | Place) -> Path | Place:
     """Return where the one transport lies that `path` names or holds.
 
     Raises
@@ -29,27 +25,20 @@ def find_transport(path: str | Path) -> Path | Place:
     StoreError
         If there is none, or more than one.
     """
-    return _transport_at(locate(path))
-
-
-def _transport_at(place: Path | Place) -> Path | Place:
+    place = locate(path)
     if isinstance(place, Path) and not place.is_dir():
         what = "a file, no store" if place.exists() else "no such file or folder"
         raise StoreError(
             f"{place}: {what}; give the {STORE_NAME} that an acquisition wrote, or a folder, zip "
             "file or address that has one. A matrix in a file is read by rfpipe.read_matrix"
         )
-    if _is_store(place):
-        return place
-    place = within_packed(place) or place
-    if _is_store(place):
+    is_named = isinstance(place, Place) and place.key.endswith(".zarr")
+    if is_named or content_of(place / METADATA) is not None:
         return place
     names = transports_in(place)
     if len(names) == 1:
         found = place / names[0]
-        if isinstance(found, Path) or not names[0].endswith(ZIP_NAME):
-            return found
-        return _transport_at(zip_at(found))
+        return find_transport(found) if names[0].endswith(ZIP_NAME) else found
     if not names:
         raise StoreError(
             f"{place}: no {STORE_NAME} in here; give the {STORE_NAME} that an acquisition wrote, "
@@ -57,15 +46,6 @@ def _transport_at(place: Path | Place) -> Path | Place:
         )
     listed = "\n".join(f"  {place}/{name}" for name in names)
     raise StoreError(f"{place}: has {len(names)} transports; name one of\n{listed}")
-
-
-def _is_store(place: Path | Place) -> bool:
-    """Whether a place is to be opened as it is."""
-    if isinstance(place, Path):
-        return (place / METADATA).exists()
-    if place.key:
-        return place.key.endswith(".zarr")
-    return bool(place.read_many([METADATA]))  # a zip file of a store alone
 
 
 def transports_in(place: Path | Place) -> list[str]:
@@ -79,11 +59,10 @@ def transports_in(place: Path | Place) -> list[str]:
     if isinstance(place, Path):
         found = place.rglob(f"{STORE_NAME}/{METADATA}")
         return sorted(file.parent.relative_to(place).as_posix() for file in found)
-    listed = place.read_many([MANIFEST]).get(MANIFEST)
+    listed = content_of(place / MANIFEST)
     if listed is None:
         files = place.files()
     else:
         files = [line[66:] for line in listed.decode(errors="replace").splitlines()]
-    ends = (f"{STORE_NAME}/{METADATA}", ZIP_NAME)
-    stores = [name for name in files if f"/{name}".endswith(tuple(f"/{end}" for end in ends))]
-    return sorted(name.removesuffix(f"/{METADATA}") for name in stores)
+    ends = (f"/{STORE_NAME}/{METADATA}", f"/{ZIP_NAME}")
+    return sorted(name.removesuffix(f"/{METADATA}") for name in files if f"/{name}".endswith(ends))

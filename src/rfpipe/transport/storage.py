@@ -6,14 +6,12 @@ import importlib
 from pathlib import Path
 from typing import Any, get_args
 
-from rfpipe.errors import IntegrityError, StoreError, UnreachableError
-from rfpipe.store.locating import within_packed
-from rfpipe.store.packed import PackedPlace
+from rfpipe.errors import StoreError
+from rfpipe.store.arrays import ArrayBundle, open_arrays
 from rfpipe.store.places import Place
 from rfpipe.transport.algebra import MEMORY_BUDGET
 from rfpipe.transport.base import Transport
 from rfpipe.transport.places import find_transport
-from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
 
 _CLASSES = {
@@ -63,7 +61,7 @@ def save_transport(
     return transport.store(path, number_format, **attributes)
 
 
-def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Transport:
+def open_transport(path: str | Path | Place, memory_budget: int = MEMORY_BUDGET) -> Transport:
     """Open a stored transport; its arrays are read when first used.
 
     Parameters
@@ -91,28 +89,10 @@ def open_transport(path: str | Path, memory_budget: int = MEMORY_BUDGET) -> Tran
     IntegrityError
         When an array that is read does not match its digest.
     """
-    place = find_transport(path)
-    try:
-        return open_transport_at(place, memory_budget)
-    except (IntegrityError, UnreachableError):
-        raise
-    except StoreError:
-        packed = within_packed(place) if isinstance(place, Place) else None
-        if packed is None or isinstance(place, PackedPlace):
-            raise
-    return open_transport_at(packed, memory_budget)
+    return unpack_transport(open_arrays(find_transport(path)), memory_budget)
 
 
-def open_transport_at(place: Path | Place, memory_budget: int) -> Transport:
-    """Open the transport that is stored at a place; errors as `open_transport`."""
-    from rfpipe.store.arrays import open_arrays
-
-    if isinstance(place, Place):
-        place.announce()
-    return unpack_transport(open_arrays(place), memory_budget)
-
-
-def unpack_transport(bundle: Bundle, memory_budget: int) -> Transport:
+def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
     """Build the transport of which a store, or a part of one, keeps arrays and attributes.
 
     Raises

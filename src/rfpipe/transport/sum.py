@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.store.arrays import ArrayBundle
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.storage import unpack_transport
-from rfpipe.transport.stored import Bundle, PartOfBundle, bytes_in_memory, fits
+from rfpipe.transport.stored import fits
 from rfpipe.units import NumberFormat
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ class SumTransport(Transport):
         }
 
     @classmethod
-    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
+    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
         """Build a transport from a store; its parts are read when first used.
 
         The first parts stay in memory, as far as they fit.
@@ -98,10 +99,10 @@ class SumTransport(Transport):
         about = bundle.attributes
         parts = []
         for index, attributes in enumerate(about["parts"]):
-            part = PartOfBundle(bundle, _prefix(index), attributes)
+            part = bundle.part(_prefix(index), attributes)
             parts.append(unpack_transport(part, memory_budget))
             if fits(part, memory_budget):
-                memory_budget -= bytes_in_memory(part)
+                memory_budget -= part.nbytes
         return cls(parts, about["levels"], bundle.nbytes_stored)
 
 

@@ -27,7 +27,7 @@ from rfpipe.store import (
     rebuild_header,
     restore_header,
 )
-from rfpipe.store.chunks import METADATA
+from rfpipe.store.places import METADATA
 
 __all__ = ["Brackets", "Watch"]
 

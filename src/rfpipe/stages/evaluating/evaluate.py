@@ -135,7 +135,7 @@ def _each(
     absolute = [tuple(path.absolute() for path in paths) for paths in runs]
     # one is opened to know what all are about as large as
     _, images = _opened(absolute[0][0])
-    in_hand = _COPIES * images.nbytes("relit")
+    in_hand = _COPIES * images.part("relit", {}).nbytes
     # what is common to all lies where all workers must see it
     folder = Path(os.path.commonpath([paths[0].parent for paths in absolute]))
     with (

@@ -9,9 +9,7 @@ from rfpipe.stages.verifying.findings import Checked, Mend
 from rfpipe.stages.verifying.published import LIST, check_list, listed_names
 from rfpipe.stages.verifying.stores import first_sentence
 from rfpipe.store import open_arrays
-from rfpipe.store.chunks import METADATA
-from rfpipe.store.locating import zip_at
-from rfpipe.store.places import Place
+from rfpipe.store.places import METADATA, Place, content_of, locate
 from rfpipe.transport.places import ZIP_NAME, transports_in
 
 __all__ = ["check_afar"]
@@ -55,11 +53,11 @@ def check_afar(place: Place, checked: Checked) -> None:
     StoreError
         When the server doesn't answer.
     """
-    listed = place.read_many([LIST]).get(LIST)
+    listed = content_of(place / LIST)
     if listed is not None:
         check_list(_Files(place, listed), checked)
         return
-    is_store = bool(place.read_many([METADATA]))
+    is_store = content_of(place / METADATA) is not None
     stores = [place] if is_store else [place / name for name in transports_in(place)]
     if not stores:
         raise InputError(
@@ -68,7 +66,9 @@ def check_afar(place: Place, checked: Checked) -> None:
         )
     for store in stores:
         if store.key.endswith(ZIP_NAME):
-            check_afar(zip_at(store), checked)
+            inside = locate(store)
+            assert isinstance(inside, Place)
+            check_afar(inside, checked)
         else:
             _check_bundle(store, checked)
 

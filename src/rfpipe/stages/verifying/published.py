@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import lzma
 import re
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path, PurePosixPath
@@ -14,7 +16,7 @@ from urllib.parse import unquote
 from rfpipe.errors import IntegrityError
 from rfpipe.stages.verifying.findings import Checked, Mend
 from rfpipe.store.files import storage_errors
-from rfpipe.store.places import ZIP_DAMAGE, Place
+from rfpipe.store.places import Place
 
 __all__ = ["LIST", "check_list", "listed_names", "published"]
 
@@ -25,6 +27,8 @@ _TAGS = "tagmanifest-sha256.txt"
 _LINE = re.compile(r"([0-9a-fA-F]{64})[ \t]+[*]?(.+)")
 _BLOCK = 2**20
 _COPY = Mend("restore")
+# What `zipfile` raises on damaged bytes.
+_DAMAGE = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, OSError, ValueError)
 
 
 class Files(Protocol):
@@ -102,7 +106,7 @@ def check_list(files: Files, checked: Checked) -> None:
                 checked.wrong(path, "is altered: its SHA-256 isn't that of the list", _COPY)
         except FileNotFoundError:  # of a web server, which doesn't tell what it has
             checked.wrong(path, "is missing", _COPY)
-        except (IntegrityError, *ZIP_DAMAGE) as error:
+        except (IntegrityError, *_DAMAGE) as error:
             checked.wrong(path, f"can't be read: {error}", _COPY)
     is_bag = "bagit.txt" in files.names
     for name in sorted(files.names - listed.keys() - tags.keys() - {LIST, _TAGS}):

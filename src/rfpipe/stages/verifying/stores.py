@@ -9,8 +9,7 @@ from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.verifying.findings import Checked
 from rfpipe.store import FrameStore, bytes_on_disk, header_is_whole, open_arrays
-from rfpipe.store.chunks import METADATA
-from rfpipe.store.places import Place
+from rfpipe.store.places import METADATA, Place
 
 __all__ = ["check_bundle", "check_frames", "check_store", "first_sentence", "made_for"]
 

@@ -16,8 +16,7 @@ from rfpipe.stages.verifying.published import check_list, published
 from rfpipe.stages.verifying.report_files import check_report_files
 from rfpipe.stages.verifying.stores import check_store, first_sentence
 from rfpipe.store import read_manifest
-from rfpipe.store.locating import as_address, locate
-from rfpipe.store.places import Place
+from rfpipe.store.places import Place, as_address, locate
 
 __all__ = ["bytes_below", "command_for", "results_of", "verify"]
 

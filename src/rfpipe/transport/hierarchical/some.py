@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
+from rfpipe.store.arrays import ArrayBundle
 from rfpipe.store.places import Place
 from rfpipe.transport.hierarchical.codes import unpack_leaves
 from rfpipe.transport.hierarchical.leaves import (
@@ -19,7 +20,7 @@ from rfpipe.transport.hierarchical.leaves import (
     leaf_sizes,
     pair_of_views,
 )
-from rfpipe.transport.stored import Bundle, SetsOnDemand
+from rfpipe.transport.stored import SetsOnDemand
 
 __all__ = ["VIEWS_PART", "Rays", "StoredLeaves", "leaves_between", "offsets_of_views"]
 
@@ -60,14 +61,16 @@ class StoredLeaves(SetsOnDemand[str, LeafSet]):
 
     Parameters
     ----------
-    bundle : Bundle
+    bundle : ArrayBundle
     prefixes : dict
         The names of each set's arrays, by set and by part.
     keep : bool
         Whether they stay in memory.
     """
 
-    def __init__(self, bundle: Bundle, prefixes: dict[str, dict[str, str]], *, keep: bool) -> None:
+    def __init__(
+        self, bundle: ArrayBundle, prefixes: dict[str, dict[str, str]], *, keep: bool
+    ) -> None:
         self._bundle, self._prefixes = bundle, prefixes
         super().__init__(list(prefixes), self._whole, keep=keep)
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
+from rfpipe.store.arrays import ArrayBundle
 from rfpipe.transport.arrays import Arrays, CoaxialTransport, LevelTransport
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.hierarchical.apply import apply_leaf_sets
@@ -28,7 +29,7 @@ from rfpipe.transport.hierarchical.some import (
     offsets_of_views,
 )
 from rfpipe.transport.hierarchical.truncation import collapse, found_later
-from rfpipe.transport.stored import Bundle, SetsOnDemand, by_prefix, fits
+from rfpipe.transport.stored import SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
 
 
@@ -92,7 +93,7 @@ class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[
         return unpack_leaves(level, arrays)
 
     @classmethod
-    def _opened(cls, bundle: Bundle, memory_budget: int) -> Sequence[LeafSet]:
+    def _opened(cls, bundle: ArrayBundle, memory_budget: int) -> Sequence[LeafSet]:
         prefixes = by_prefix(bundle, cls.parts)
         return StoredLeaves(bundle, prefixes, keep=fits(bundle, memory_budget))
 

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.store.arrays import ArrayBundle
 from rfpipe.transport.arrays import Arrays, LevelTransport
 from rfpipe.transport.base import Float, Transport, planar_patterns
 from rfpipe.transport.multilevel.pairs import PAIR_PARTS, PairSet, fold
 from rfpipe.transport.multilevel.spread import Spread, spread_by_transpose, spread_evenly
 from rfpipe.transport.rounding import rounded
-from rfpipe.transport.stored import Bundle
 from rfpipe.units import NumberFormat
 
 Double = NDArray[np.float64]
@@ -193,7 +193,7 @@ class MultilevelTransport(LevelTransport[PairSet]):
         return arrays, {**attributes, "symmetric": self.symmetric}
 
     @classmethod
-    def unpack(cls, bundle: Bundle, memory_budget: int) -> Self:
+    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
         """Build a transport from a store; its pairs are read when first used."""
         opened = super().unpack(bundle, memory_budget)
         opened.symmetric = bundle.attributes.get("symmetric", False)

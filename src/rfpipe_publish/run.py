@@ -5,44 +5,35 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from rfpipe.config import load_config, parse_config
+from rfpipe.config import load_config
 from rfpipe.config.model import ReportConfig
-from rfpipe.errors import ConfigError, InputError, IntegrityError
+from rfpipe.errors import InputError, IntegrityError
 from rfpipe.store import open_arrays, read_manifest
-from rfpipe.store.chunks import METADATA
-from rfpipe.store.packed import INDEX
+from rfpipe.store.places import METADATA
 from rfpipe.transport.places import STORE_NAME, transports_in
-
-__all__ = ["SETTINGS", "Acquisition", "Run", "files_of_store", "find_run", "settings_of"]
-
-_RESULTS = "results"
-_TO_LOGS = re.compile(rb' <a href="[^"]*\.log">log</a>')  # which stay at home
-_MOST_NAMED = 6
-_LEFT_OUT = (".log", ".benchmark.tsv", ".asked", ".tmp")
+from rfpipe_publish.packed import packed_in
 
 SETTINGS = "settings.yaml"
 """Under which the settings are published."""
 
+_TO_LOGS = re.compile(rb' <a href="[^"]*\.log">log</a>')  # which stay at home
+_LEFT_OUT = (".log", ".benchmark.tsv", ".asked", ".tmp")
+_MOST_NAMED = 6
+
+Source = Path | bytes
+"""A file, or its content."""
+
 
 @dataclass(frozen=True)
 class Acquisition:
-    """A scene acquired by a method.
-
-    Attributes
-    ----------
-    scene, method : str
-    folder : Path
-        Where it lies.
-    facts : dict
-        The manifest of its transport.
-    """
+    """A scene acquired by a method: its folder, and the manifest of its transport."""
 
     scene: str
     method: str
@@ -52,20 +43,26 @@ class Acquisition:
     @property
     def name(self) -> str:
         """Folder in a publication."""
-        return f"{_RESULTS}/{self.scene}/{self.method}"
+        return f"results/{self.scene}/{self.method}"
 
     @property
     def store(self) -> Path:
         """Where its transport lies."""
         return self.folder / STORE_NAME
 
-    def check(self) -> None:
-        """Check that the transport is whole, and the one that its manifest is about.
+    @property
+    def store_name(self) -> str:
+        """Name of its transport in a publication."""
+        return f"{self.name}/{STORE_NAME}"
 
-        Raises
-        ------
-        IntegrityError
-        """
+    @property
+    def about(self) -> str:
+        """What its transport is, for people."""
+        patterns = f"{self.facts['patterns']:,} patterns"
+        return f"light transport of {self.scene} by {self.method}, {patterns} (zarr 3)"
+
+    def check(self) -> None:
+        """Raise IntegrityError unless the transport is whole, and that of its manifest."""
         bundle = open_arrays(self.store)
         if bundle.digest != self.facts["digest"]:
             raise IntegrityError(
@@ -78,12 +75,11 @@ class Acquisition:
 
 @dataclass(frozen=True)
 class Run:
-    """A run's folder.
+    """A run's folder, which holds ``results``.
 
     Attributes
     ----------
     folder : Path
-        Holds ``results``.
     acquisitions : list of Acquisition
         Those that have a transport, by scene and method.
     settings : dict, optional
@@ -92,18 +88,12 @@ class Run:
 
     folder: Path
     acquisitions: list[Acquisition]
-    settings: dict[str, Any] | None = field(default=None)
+    settings: dict[str, Any] | None
 
     @property
     def results(self) -> Path:
         """Where its results lie."""
-        return self.folder / _RESULTS
-
-    @property
-    def report(self) -> Path | None:
-        """Its report's folder, if there is one."""
-        report = self.results / "report"
-        return report if (report / "index.html").is_file() else None
+        return self.folder / "results"
 
     @property
     def incomplete(self) -> list[str]:
@@ -118,11 +108,19 @@ class Run:
         titled = (self.settings or {}).get("report", {}).get("title")
         if titled and titled != ReportConfig().title:
             return str(titled)
-        return f"Light transport of {self.scenes}"
+        return f"Light transport of {self._scenes}"
 
     @property
-    def scenes(self) -> str:
-        """The scenes' names, or how many there are, for people."""
+    def description(self) -> str:
+        """What was acquired, in a sentence."""
+        methods = dict.fromkeys(found.method for found in self.acquisitions)
+        return (
+            f"Light transport between a projector and a camera: {self._scenes}, acquired by "
+            f"{', '.join(methods)} with rfpipe, to be relit under any pattern."
+        )
+
+    @property
+    def _scenes(self) -> str:
         names = [*dict.fromkeys(found.scene for found in self.acquisitions)]
         if len(names) <= _MOST_NAMED:
             return ", ".join(names)
@@ -139,13 +137,11 @@ class Run:
         first, last = (datetime.fromtimestamp(int(t), UTC) for t in (min(seconds), max(seconds)))
         return first.isoformat(), last.isoformat()
 
-    def report_files(self) -> Iterator[tuple[str, Path | bytes]]:
-        """Yield name and place, or content, of the pages: report, viewers and catalogue."""
-        pages = self.report or self.results / "report" / "view"
-        if pages.is_dir():
-            yield from self._below(pages)
-        folder = self.results / "catalogue"
-        for name, file in self._below(folder) if folder.is_dir() else ():
+    def report_files(self) -> Iterator[tuple[str, Source]]:
+        """Yield name and source of the pages: report, viewers and catalogue."""
+        report = self.results / "report"
+        yield from self._below(report if (report / "index.html").is_file() else report / "view")
+        for name, file in self._below(self.results / "catalogue"):
             if file.suffix == ".html":
                 yield name, _TO_LOGS.sub(b"", file.read_bytes())
             elif file.suffix != ".json":
@@ -156,15 +152,12 @@ class Run:
 
         They go to a folder of their own, since the stores that they are about stay at home.
         """
-        for found in self.acquisitions:
-            for file in sorted(found.folder.rglob("*.json")):
-                inside = file.relative_to(found.folder)
-                in_store = any(part.endswith(".zarr") for part in inside.parts)
-                if not in_store and inside.as_posix() != "transport.json":
-                    yield f"provenance/{found.scene}/{found.method}/{inside.as_posix()}", file
+        for name, file in self.captured():
+            if file.suffix == ".json" and ".zarr/" not in name:
+                yield name.replace("results/", "provenance/", 1), file
 
     def captured(self) -> Iterator[tuple[str, Path]]:
-        """Yield name and place of all that the acquisitions left, the captured frames too."""
+        """Yield name and place of all that the acquisitions left but the transports."""
         for found in self.acquisitions:
             for name, file in self._below(found.folder):
                 if f"/{STORE_NAME}/" not in name and not name.endswith("/transport.json"):
@@ -179,39 +172,38 @@ class Run:
 
 
 def find_run(folder: Path) -> Run:
-    """Look at the folder of a run, or at its ``results``.
-
-    Raises
-    ------
-    InputError
-        When no acquisition's transport lies there.
-    """
+    """Return the run of a folder, or of its ``results``; InputError when it has no transport."""
     folder = folder.resolve()
-    if folder.name == _RESULTS:
+    if folder.name == "results":
         folder = folder.parent
     found = []
-    for name in transports_in(folder / _RESULTS):
-        parts = name.split("/")
-        if len(parts) != 3:  # a study's, not an acquisition's
-            continue
-        scene, method, _ = parts
-        place = folder / _RESULTS / scene / method
-        facts = read_manifest(place / "transport.json")
-        found.append(Acquisition(scene, method, place, facts))
-    packed = [place for place in (folder, folder / _RESULTS) if (place / INDEX).is_file()]
+    for name in transports_in(folder / "results"):
+        scene, method, *more = name.split("/")
+        if len(more) == 1:  # else a study's, not an acquisition's
+            place = folder / "results" / scene / method
+            found.append(Acquisition(scene, method, place, read_manifest(place / "transport.json")))
+    packed = packed_in(folder) or packed_in(folder / "results")
     if packed and not found:
         raise InputError(
-            f"{packed[0]}: is a packed run; publish it as it was: 'rfpipe collection unpack "
-            f"{packed[0]} -o {folder}_whole/{_RESULTS}', then 'rfpipe publish {folder}_whole'. Or "
-            "give the packed folder itself to others, with its list of SHA-256: "
-            "rfpipe.open_collection reads it"
+            f"{packed}: is a packed run; publish it as it was: 'rfpipe collection unpack {packed} "
+            f"-o {folder}_whole/results', then 'rfpipe publish {folder}_whole'. Or give the packed "
+            "folder itself to others: rfpipe.open_collection reads it"
         )
     if not found:
         raise InputError(
-            f"{folder}: has no {_RESULTS}/<scene>/<method>/{STORE_NAME}; give the folder of a run, "
+            f"{folder}: has no results/<scene>/<method>/{STORE_NAME}; give the folder of a run, "
             "in which 'results' lies, after the run is complete"
         )
-    return Run(folder, found, _settings_in(folder / _RESULTS / "report" / "results.json"))
+    results = folder / "results/report/results.json"
+    settings: dict[str, Any] | None = None
+    try:
+        if results.exists():
+            settings = json.loads(results.read_bytes())["provenance"]["configuration"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise IntegrityError(
+            f"{results}: damaged ({type(error).__name__}: {error}); remove the report and run again"
+        ) from error
+    return Run(folder, found, settings)
 
 
 def files_of_store(store: Path, name: str) -> Iterator[tuple[str, Path]]:
@@ -254,26 +246,7 @@ def settings_of(run: Run, config: Path | None) -> bytes | None:
     text = yaml.safe_dump(
         _without_unset_methods(shaping), sort_keys=False, allow_unicode=True, width=98
     )
-    head = "# All settings that shaped this run's results.\n"
-    try:
-        parse_config(yaml.safe_load(text), SETTINGS)
-    except ConfigError:  # of another version of rfpipe
-        head = "# All settings that shaped this run's results, by the rfpipe that made it.\n"
-    return (head + text).encode()
-
-
-def _settings_in(results: Path) -> dict[str, Any] | None:
-    try:
-        configuration: dict[str, Any] = json.loads(results.read_bytes())["provenance"][
-            "configuration"
-        ]
-    except FileNotFoundError:
-        return None
-    except (ValueError, KeyError, TypeError) as error:
-        raise IntegrityError(
-            f"{results}: damaged ({type(error).__name__}: {error}); remove the report and run again"
-        ) from error
-    return configuration
+    return f"# All settings that shaped this run's results.\n{text}".encode()
 
 
 def _without_unset_methods(value: Any) -> Any:

@@ -7,14 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 from urllib.parse import quote
 
-from rfpipe.errors import StoreError, installing
 from rfpipe.provenance import versions
-from rfpipe.publish.citation import UNPUBLISHED, Citation
+from rfpipe_publish.citation import UNPUBLISHED, Citation
 
-__all__ = ["METADATA_FILE", "PREVIEW_FILE", "Described", "crate_metadata", "need_rocrate"]
-
-_PAGE = "README.md"
-METADATA_FILE, PREVIEW_FILE = "ro-crate-metadata.json", "ro-crate-preview.html"
+METADATA_FILE = "ro-crate-metadata.json"
 
 _PROFILES = {
     "https://w3id.org/ro/wfrun/process/0.5": "Process Run Crate",
@@ -26,24 +22,12 @@ _TERMS = {
     "creditText": "http://schema.org/creditText",
     "sha256": "https://w3id.org/ro/terms/workflow-run#sha256",
 }
-_PARAMETER = "https://bioschemas.org/profiles/FormalParameter/1.0-RELEASE"
-_WORKFLOW_PROFILE = "https://bioschemas.org/profiles/ComputationalWorkflow/1.0-RELEASE"
-
-Described = Mapping[str, Mapping[str, Any]]
-"""Properties by name; the names of folders end in a slash."""
-
-
-def need_rocrate() -> None:
-    """Raise StoreError if ro-crate-py isn't installed."""
-    try:
-        import rocrate.rocrate  # noqa: F401
-    except ImportError as error:
-        raise StoreError(f"to publish, {installing('publish')}") from error
+_BIOSCHEMAS = "https://bioschemas.org/profiles"
 
 
 def crate_metadata(
     citation: Citation,
-    parts: Described,
+    parts: Mapping[str, Mapping[str, Any]],
     *,
     workflow: str | None,
     settings: list[str],
@@ -56,7 +40,7 @@ def crate_metadata(
     ----------
     citation : Citation
     parts : mapping of str to mapping
-        Properties of every file and folder, by name.
+        Properties of every file and folder, by name; the names of folders end in a slash.
     workflow : str, optional
         Name of the workflow's main file. Without one it is a Process Run Crate, rfpipe itself
         being what ran.
@@ -70,14 +54,11 @@ def crate_metadata(
     crate = ROCrate(version="1.1")
     crate.metadata.extra_terms.update(_TERMS)
     for name, properties in parts.items():
-        if name == workflow:
-            continue
-        if name.endswith("/"):
-            crate.add_directory(None, name, properties=dict(properties))
-        else:
-            crate.add_file(None, name, properties=dict(properties))
-    if _PAGE in parts:
-        crate.dereference(_PAGE)["about"] = crate.root_dataset
+        if name != workflow:
+            add = crate.add_directory if name.endswith("/") else crate.add_file
+            add(None, name, properties=dict(properties))
+    root = crate.root_dataset
+    crate.dereference("README.md")["about"] = root
     _describe_root(crate, citation)
     software = _add(
         crate,
@@ -91,11 +72,11 @@ def crate_metadata(
     if workflow is not None:
         instrument = _add_workflow(crate, workflow, parts[workflow], settings, outputs)
         instrument["hasPart"] = software
-    profiles = dict(list(_PROFILES.items())[: 1 if workflow is None else None])
-    crate.root_dataset["conformsTo"] = _one_or_all(
+    profiles = list(_PROFILES.items())[: 1 if workflow is None else None]
+    root["conformsTo"] = _one_or_all(
         [
             _add(crate, key, "CreativeWork", name=name, version=key.rpartition("/")[2])
-            for key, name in profiles.items()
+            for key, name in profiles
         ]
     )
     action = _add(
@@ -110,14 +91,10 @@ def crate_metadata(
         actionStatus="http://schema.org/CompletedActionStatus",
     )
     action["instrument"] = instrument
-    action["agent"] = crate.root_dataset["creator"]
+    action["agent"] = root["creator"]
     action["object"] = _one_or_all([crate.dereference(name) for name in settings])
     action["result"] = _one_or_all([crate.dereference(name) for name in outputs])
-    crate.root_dataset["mentions"] = action
-    return _metadata(crate)
-
-
-def _metadata(crate: Any) -> str:
+    root["mentions"] = action
     return json.dumps(crate.metadata.generate(), indent=1, ensure_ascii=False) + "\n"
 
 
@@ -136,26 +113,19 @@ def _describe_root(crate: Any, citation: Citation) -> None:
         description=f"The licence {citation.license}.",
         url=citation.license_url,
     )
-    creators = [
-        _add(
-            crate,
-            f"https://orcid.org/{creator.orcid}" if creator.orcid else f"#creator-{number}",
-            "Person" if "," in creator.name or creator.orcid else "Organization",
-            name=creator.name,
-            **(
-                {"affiliation": _organization(crate, creator.affiliation)}
-                if creator.affiliation
-                else {}
-            ),
-        )
-        for number, creator in enumerate(citation.creators, 1)
-    ]
+    creators = []
+    for number, creator in enumerate(citation.creators, 1):
+        kind = "Person" if creator.is_person else "Organization"
+        entity = _add(crate, creator.orcid_url or f"#creator-{number}", kind, name=creator.name)
+        if creator.affiliation:
+            entity["affiliation"] = _organization(crate, creator.affiliation)
+        creators.append(entity)
     root["creator"] = root["author"] = _one_or_all(creators)
     root["creditText"] = citation.text
     if citation.publisher != UNPUBLISHED:
         root["publisher"] = _organization(crate, citation.publisher)
     if citation.doi:
-        root["identifier"] = f"https://doi.org/{citation.doi}"
+        root["identifier"] = citation.doi_url
 
 
 def _organization(crate: Any, name: str) -> Any:
@@ -173,24 +143,23 @@ def _add_workflow(
     main = crate.add_workflow(
         None, workflow, main=True, lang="snakemake", properties=dict(properties)
     )
-    main["conformsTo"] = _add(
-        crate, _WORKFLOW_PROFILE, "CreativeWork", name="ComputationalWorkflow"
-    )
+    key = f"{_BIOSCHEMAS}/ComputationalWorkflow/1.0-RELEASE"
+    main["conformsTo"] = _add(crate, key, "CreativeWork", name="ComputationalWorkflow")
     main["version"] = versions()["rfpipe"]
     main["license"] = "https://spdx.org/licenses/MIT"
-    profile = _add(crate, _PARAMETER, "CreativeWork", name="FormalParameter")
+    key = f"{_BIOSCHEMAS}/FormalParameter/1.0-RELEASE"
+    profile = _add(crate, key, "CreativeWork", name="FormalParameter")
     for term, names in (("input", settings), ("output", outputs)):
         parameters = []
         for number, name in enumerate(names, 1):
             part = crate.dereference(name)
-            is_folder = name.endswith("/")
             parameter = _add(
                 crate,
                 f"#{term}-{number}",
                 "FormalParameter",
                 name=name.strip("/"),
                 description=part.get("description", name),
-                additionalType="Dataset" if is_folder else "File",
+                additionalType="Dataset" if name.endswith("/") else "File",
                 valueRequired=term == "input",
             )
             parameter["conformsTo"] = profile

@@ -7,19 +7,16 @@ once; and unlike links, it stays so when the folder is copied, zipped or publish
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import IO, Any
+from typing import Any
 
 from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.store.files import storage_errors, write_atomically
-from rfpipe.store.places import Place, Range, ranges_of_file
-
-__all__ = ["INDEX", "PackedPlace", "Sizes", "pack", "packed_in", "unpack"]
+from rfpipe.store.places import Place, Range, content_of, read_ranges
 
 INDEX = "packed.json"
 """Names, digests and sizes of the files; written last."""
@@ -48,7 +45,7 @@ class Sizes:
     stored: int
 
 
-def pack(folder: Path, files: Iterable[Path], output: Path, about: Mapping[str, Any]) -> Sizes:
+def pack(folder: Path, files: Iterable[Path], output: Path) -> Sizes:
     """Store files by what they hold; a pack that was stopped is gone on with.
 
     Parameters
@@ -59,8 +56,6 @@ def pack(folder: Path, files: Iterable[Path], output: Path, about: Mapping[str, 
         In `folder`.
     output : Path
         A new folder, or one to go on with.
-    about : mapping
-        Plain data to keep with them.
 
     Raises
     ------
@@ -79,7 +74,9 @@ def pack(folder: Path, files: Iterable[Path], output: Path, about: Mapping[str, 
             stored.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(stored, content)
         sizes[digest] = len(content)
-    text = json.dumps({"kind": _KIND, "version": 1, "about": dict(about), "files": index}, indent=0)
+    text = json.dumps(
+        {"kind": _KIND, "version": 1, "about": {"of": "results"}, "files": index}, indent=0
+    )
     whole = hashlib.sha256(text.encode()).hexdigest()
     lines = [f"{digest}  {_object(digest)}" for digest in sorted(sizes)]
     write_atomically(output / _LIST, "\n".join([*lines, f"{whole}  {INDEX}", ""]).encode())
@@ -123,24 +120,19 @@ def packed_in(base: Path | Place) -> PackedPlace | None:
     IntegrityError
         When its index is damaged, or names files outside of the folder.
     """
-    if isinstance(base, Path):
-        file = base / INDEX
-        content = file.read_bytes() if file.is_file() else None
-    else:
-        content = base.read_many([INDEX]).get(INDEX)
+    content = content_of(base / INDEX)
     if content is None:
         return None
     try:
         found = json.loads(content)
         index = {name: (str(digest), int(size)) for name, (digest, size) in found["files"].items()}
-        is_ours = found["kind"] == _KIND and all(map(_is_inside, index))
+        if found["kind"] != _KIND or not all(map(_is_inside, index)):
+            raise ValueError("of another kind")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise IntegrityError(
             f"{base}/{INDEX}: damaged, or no index of a packed folder ({error!r}); fetch it anew"
         ) from error
-    if not is_ours:
-        raise IntegrityError(f"{base}/{INDEX}: is no index of a packed folder; fetch it anew")
-    return PackedPlace(base, index, found["about"])
+    return PackedPlace(base, index)
 
 
 class PackedPlace(Place):
@@ -152,76 +144,56 @@ class PackedPlace(Place):
         The packed folder.
     index : mapping of str to (str, int)
         Digest and bytes of the files by name.
-    about : mapping
-        What was kept with them.
     key : str
     """
 
     def __init__(
-        self,
-        base: Path | Place,
-        index: Mapping[str, tuple[str, int]],
-        about: Mapping[str, Any],
-        key: str = "",
+        self, base: Path | Place, index: Mapping[str, tuple[str, int]], key: str = ""
     ) -> None:
         super().__init__(key)
-        self.base, self.index, self.about = base, index, about
+        self.base, self.index = base, index
 
     def __str__(self) -> str:
-        return f"{self.base}/{self.key}" if self.key else str(self.base)
+        return f"{self.base}/{self.key}".rstrip("/")
 
     def at(self, key: str) -> PackedPlace:
-        """Return another place in the same whole."""
-        return PackedPlace(self.base, self.index, self.about, key)
+        return PackedPlace(self.base, self.index, key)
 
     def read_bytes(self) -> bytes:
         """Read a file, and check that it is what its name says."""
-        try:
-            digest, _ = self.index[self.key]
-        except KeyError:
-            raise FileNotFoundError(str(self)) from None
-        stored = self.base / _object(digest)
-        try:
-            content = stored.read_bytes()
-        except FileNotFoundError:
-            raise IntegrityError(
-                f"{stored}: is missing, of {self.key}; copy or fetch {self.base} anew"
-            ) from None
-        if hashlib.sha256(content).hexdigest() != digest:
-            raise IntegrityError(
-                f"{stored}: damaged, of {self.key}; copy or fetch {self.base} anew"
-            )
+        stored, digest = self._stored
+        content = content_of(stored)
+        if content is None or hashlib.sha256(content).hexdigest() != digest:
+            what = "is missing" if content is None else "damaged"
+            raise IntegrityError(f"{stored}: {what}, of {self.key}; copy or fetch {self.base} anew")
         return content
 
     def read_ranges(self, ranges: Sequence[Range]) -> list[bytes]:
         """Read parts of a file, which can't be compared with its name."""
-        return ranges_of_file(self._stored()[0], ranges)
-
-    def read_end(self, nbytes: int) -> tuple[bytes, int]:
-        """Read the last bytes of a file; these and the file's size. As `read_ranges`."""
-        stored, size = self._stored()
-        return ranges_of_file(stored, [(max(0, size - nbytes), size)])[0], size
-
-    def _stored(self) -> tuple[Path | Place, int]:
-        """Where this file's content lies, and its bytes."""
-        if self.key not in self.index:
-            raise FileNotFoundError(str(self))
-        digest, size = self.index[self.key]
-        return self.base / _object(digest), size
-
-    def open(self) -> IO[bytes]:
-        """Open a file for reading, after its check."""
-        return io.BytesIO(self.read_bytes())
+        return read_ranges(self._stored[0], ranges)
 
     def files(self) -> list[str]:
-        """Keys, relative to this one, of all files in this folder."""
-        prefix = f"{self.key}/" if self.key else ""
-        return sorted(name.removeprefix(prefix) for name in self.index if name.startswith(prefix))
+        return sorted(name[len(self._prefix) :] for name in self._inside)
 
     def nbytes(self) -> int:
-        """Bytes of all files in this folder, those that others share with it as well."""
-        prefix = f"{self.key}/" if self.key else ""
-        return sum(size for name, (_, size) in self.index.items() if name.startswith(prefix))
+        """Return the bytes of all files in this folder, those that others share as well."""
+        return sum(size for _, size in self._inside.values())
+
+    @property
+    def _prefix(self) -> str:
+        return f"{self.key}/" if self.key else ""
+
+    @property
+    def _inside(self) -> dict[str, tuple[str, int]]:
+        return {name: of for name, of in self.index.items() if name.startswith(self._prefix)}
+
+    @property
+    def _stored(self) -> tuple[Path | Place, str]:
+        """Where this file's content lies, and its digest."""
+        if self.key not in self.index:
+            raise FileNotFoundError(str(self))
+        digest, _ = self.index[self.key]
+        return self.base / _object(digest), digest
 
 
 def _object(digest: str) -> str:

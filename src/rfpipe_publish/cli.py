@@ -1,0 +1,249 @@
+"""``rfpipe publish``, ``keep`` and ``collection``: results on their way to others."""
+
+from __future__ import annotations
+
+import sys
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rfpipe.errors import InputError
+
+if TYPE_CHECKING:
+    from rfpipe_publish.run import Run
+
+Folder = Annotated[
+    Path, typer.Argument(metavar="FOLDER", help="A run's folder, in which its 'results' lie.")
+]
+
+
+def publish(
+    folder: Folder,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Zip file (*.zip) or folder to write; publication.zip in FOLDER by default. Of a "
+            "zip, others can relight over the network with few requests.",
+        ),
+    ] = None,
+    license_: Annotated[
+        str | None,
+        typer.Option("--license", help="Licence, by its name in the SPDX list, such as CC-BY-4.0."),
+    ] = None,
+    creator: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Who is to be cited: 'Family, Given; ORCID; affiliation'; may be repeated.",
+        ),
+    ] = None,
+    title: Annotated[str | None, typer.Option(help="Title; the report's by default.")] = None,
+    description: Annotated[str | None, typer.Option(help="What it is, in a few sentences.")] = None,
+    publisher: Annotated[str | None, typer.Option(help="Who keeps it, such as Zenodo.")] = None,
+    doi: Annotated[str | None, typer.Option(help="Its DOI, if it has one already.")] = None,
+    keywords: Annotated[
+        list[str] | None, typer.Option("--keyword", help="May be repeated.")
+    ] = None,
+    version: Annotated[
+        str | None, typer.Option(help="Version of the data, 1.0.0 at first.")
+    ] = None,
+    published: Annotated[
+        str | None, typer.Option("--date", help="Of publication, YYYY-MM-DD; at first, today.")
+    ] = None,
+    captured: Annotated[
+        bool,
+        typer.Option(
+            "--captured", help="Publish the captured frames, too, and all that was made of them."
+        ),
+    ] = False,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="The run's settings, where it has no report, which knows them."),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the rig's calibration; 'calibration' in FOLDER by default, for runs "
+            "with a real rig."
+        ),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a publication that stands there.")
+    ] = False,
+) -> None:
+    """Write a run's transports, report and pictures as a crate that can be cited and checked.
+
+    The crate is a Workflow Run RO-Crate with DataCite and Croissant metadata, SHA-256 of every
+    file, and a ten-line example that relights it from a folder, a zip file or an address. Licence
+    and creators are asked for once and kept in FOLDER/publication.yaml, which may be edited; the
+    options change what is kept there. Without a terminal, give --license and --creator.
+    """
+    from rfpipe_publish.citation import Citation, Creator, checked, kept_values, write_citation
+    from rfpipe_publish.publication import publish as write
+    from rfpipe_publish.run import find_run
+
+    run = find_run(folder)
+    given: dict[str, Any] = {
+        "title": title,
+        "description": description,
+        "creators": [Creator.parse(text).model_dump() for text in creator or []],
+        "license": license_,
+        "publisher": publisher,
+        "published": published,
+        "version": version,
+        "keywords": keywords,
+        "doi": doi,
+    }
+    values = kept_values(run.folder) | {name: value for name, value in given.items() if value}
+    citation = checked(Citation, _completed(values, run))
+    write_citation(run.folder, citation)
+    place = output or run.folder / "publication.zip"
+    files, nbytes = write(
+        run,
+        citation,
+        place,
+        captured=captured,
+        config=config,
+        calibration=calibration,
+        overwrite=overwrite,
+    )
+    typer.echo(f"{place}: {files:,} files, {nbytes / 1e6:,.1f} MB, {citation.license}")
+    typer.echo(f"cite as: {citation.text}")
+    typer.echo(f"check:   rfpipe verify {place}")
+    if run.settings is None and config is None:
+        typer.echo(
+            "without its settings, which a run without a report doesn't keep: give them, "
+            "--config SETTINGS.yaml, with --overwrite",
+            err=True,
+        )
+    if run.incomplete:
+        typer.echo(f"left out, since they aren't complete: {', '.join(run.incomplete)}", err=True)
+
+
+def _completed(values: dict[str, Any], run: Run) -> dict[str, Any]:
+    """Fill in what nobody has said yet; ask for it where that is for a person to say."""
+    from rfpipe_publish.citation import CITATION_FILE, Creator
+
+    values.setdefault("title", run.title)
+    values.setdefault("description", run.description)
+    values.setdefault("published", date.today().isoformat())
+    options = {"creators": "--creator 'Family, Given'", "license": "--license CC-BY-4.0"}
+    missing = [name for name in options if not values.get(name)]
+    if missing and not sys.stdin.isatty():
+        raise InputError(
+            f"{run.folder / CITATION_FILE}: {' and '.join(missing)} aren't known; give "
+            f"{' and '.join(options[name] for name in missing)}, once: they are kept"
+        )
+    if missing:
+        typer.echo(f"Asked once, and kept in {run.folder / CITATION_FILE}:")
+        values["title"] = typer.prompt("Title", default=values["title"])
+    if "creators" in missing:
+        names = [typer.prompt("Creator, as 'Family, Given; ORCID; affiliation'")]
+        while name := typer.prompt("Another creator (empty for none)", default="").strip():
+            names.append(name)
+        values["creators"] = [Creator.parse(name).model_dump() for name in names]
+    if "license" in missing:
+        values["license"] = typer.prompt("Licence (SPDX name)", default="CC-BY-4.0")
+    return values
+
+
+def keep(
+    folder: Folder,
+    address: Annotated[
+        str,
+        typer.Argument(metavar="ADDRESS", help="Of this run alone: s3://bucket/folder."),
+    ],
+) -> None:
+    """Bring a run's transports, relit pictures and report into a bucket; captures stay here.
+
+    What is there already isn't sent again, and an upload that was interrupted goes on: run it
+    again. Credentials come from the environment: AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY,
+    AWS_REGION and, for servers other than Amazon's, AWS_ENDPOINT_URL. Read what is there with
+    rfpipe.open_transport("s3://..."), rfpipe relight and rfpipe verify. A run whose settings have
+    storage.keep_at does this by itself, at its end.
+    """
+    from rfpipe_publish.keep import keep as bring
+    from rfpipe_publish.run import find_run
+
+    kept = bring(find_run(folder), address, lambda name: typer.echo(f"  {name}", err=True))
+    typer.echo(
+        f"{kept.address}: {kept.objects:,} objects, {kept.nbytes / 1e6:,.1f} MB; sent "
+        f"{kept.sent:,} of them, {kept.nbytes_sent / 1e6:,.1f} MB"
+    )
+    typer.echo(f"check: rfpipe verify {kept.address}")
+
+
+collection = typer.Typer(
+    help="Keep a run's results with what its scenes share stored once, and get them back.",
+    no_args_is_help=True,
+)
+
+
+@collection.command()
+def pack(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="A run's results.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The folder to make.")],
+    transports: Annotated[
+        bool,
+        typer.Option(
+            "--transports", help="Keep transports and manifests alone: all that relighting needs."
+        ),
+    ] = False,
+) -> None:
+    """Store a run's files by what they hold, each content once.
+
+    What is the same in many scenes (dark frames, patterns, schedules, calibration) takes its place
+    once, and does so still when the folder is copied, zipped or put on a server, where
+    rfpipe.open_collection reads it as it lies. 'rfpipe verify' checks it; 'unpack' gives back the
+    same files.
+    """
+    from rfpipe.transport.places import STORE_NAME
+    from rfpipe_publish.packed import pack as store
+
+    if not results.is_dir():
+        raise InputError(f"{results}: is no folder; give a run's results")
+    if output.absolute().is_relative_to(results.absolute()):
+        raise InputError(f"--output {output}: lies in {results}; it would be packed the next time")
+    files = [
+        file
+        for file in results.rglob("*")
+        if file.is_file()
+        and not any(part.startswith(".") for part in file.relative_to(results).parts)
+        and (not transports or STORE_NAME in file.parts or file.name == "transport.json")
+    ]
+    if not files:
+        raise InputError(f"{results}: has no files of a run")
+    sizes = store(results, files, output)
+    saved = sizes.nbytes - sizes.stored
+    typer.echo(
+        f"{output}: {sizes.files:,} files of {sizes.nbytes / 1e6:,.1f} MB as {sizes.objects:,} "
+        f"contents of {sizes.stored / 1e6:,.1f} MB; {saved / 1e6:,.1f} MB "
+        f"({saved / max(1, sizes.nbytes):.0%}) are shared"
+    )
+
+
+@collection.command()
+def unpack(
+    packed: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PACKED", help="What 'pack' made: its folder, a zip file of it, or its address."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write.")],
+) -> None:
+    """Write the files of a packed run as they were; each is checked."""
+    from rfpipe_publish.packed import PackedPlace, packed_in
+    from rfpipe_publish.packed import unpack as write
+    from rfpipe_publish.places import locate
+
+    place = locate(packed)
+    found = place if isinstance(place, PackedPlace) else packed_in(place)
+    if found is None:
+        raise InputError(f"{packed}: is no packed run; 'rfpipe collection pack' makes one")
+    sizes = write(found, output)
+    typer.echo(f"{output}: {sizes.files:,} files, {sizes.nbytes / 1e6:,.1f} MB")

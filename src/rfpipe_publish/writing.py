@@ -1,0 +1,123 @@
+"""Writing a zip file or a folder: streamed, digested, whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import zipfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from rfpipe.errors import InputError
+from rfpipe.store import StoreLock
+from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors
+
+_BLOCK_BYTES = 2**20
+_LARGE = 2**31  # above, a zip entry needs 64-bit sizes, which must be said before it is written
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # of zip files: the time of writing would change the bytes
+
+
+class Writer:
+    """Takes files, one after the other, into a zip file or a folder.
+
+    In a zip they lie as they are: what is in them is compressed, and is read by ranges.
+
+    Attributes
+    ----------
+    digests : dict of str to str
+        SHA-256 of every file written, by its name.
+    sizes : dict of str to int
+        Bytes of every file written.
+    """
+
+    def __init__(self, target: zipfile.ZipFile | Path) -> None:
+        self._target = target
+        self.digests: dict[str, str] = {}
+        self.sizes: dict[str, int] = {}
+        self._stores: set[str] = set()
+
+    def add(self, name: str, source: Path | bytes) -> None:
+        """Write a file, a copy of another or some bytes; StoreError when it can't be."""
+        if name in self.digests:
+            raise InputError(f"{name}: stands twice in a publication")
+        size = len(source) if isinstance(source, bytes) else source.stat().st_size
+        with self._opened(name, size) as target:
+            self.digests[name], self.sizes[name] = measured(source, target)
+
+    def _opened(self, name: str, size: int) -> IO[bytes]:
+        if isinstance(self._target, Path):
+            path = self._target / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            return path.open("wb")
+        store, found, _ = name.partition(".zarr/")
+        if found and store not in self._stores:  # a folder that is spoken of as a whole
+            self._stores.add(store)
+            self._target.writestr(_entry(f"{store}.zarr/", (0o40755 << 16) | 0x10), b"")
+        return self._target.open(_entry(name, 0o100644 << 16), "w", force_zip64=size >= _LARGE)
+
+
+def measured(source: Path | bytes, target: IO[bytes] | None = None) -> tuple[str, int]:
+    """Return SHA-256 and size of a file, and copy it."""
+    digest = hashlib.sha256()
+    with storage_errors(source if isinstance(source, Path) else "", "reading"):
+        opened: IO[bytes] = io.BytesIO(source) if isinstance(source, bytes) else source.open("rb")
+    with opened:
+        while block := opened.read(_BLOCK_BYTES):
+            digest.update(block)
+            if target is not None:
+                target.write(block)
+        return digest.hexdigest(), opened.tell()
+
+
+def _entry(name: str, attributes: int) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo(name, _EPOCH)
+    info.compress_type = zipfile.ZIP_STORED
+    info.create_system = 3  # Unix, on every machine
+    info.external_attr = attributes
+    return info
+
+
+@contextmanager
+def writing(output: Path, needed_bytes: int) -> Iterator[Writer]:
+    """Write a zip file, where the name ends so, or else a folder; it replaces what stands there.
+
+    It is written beside its place and renamed at the end, so that an interrupted publication
+    leaves nothing there, or the one before; the next one begins anew.
+
+    Raises
+    ------
+    LockedError
+        When another process writes it.
+    StoreError
+        When the disk is full or the folder isn't writable.
+    """
+    new = hidden_sibling(output, "new")
+    with StoreLock(output), storage_errors(output, "publishing", needed_bytes):
+        remove_tree(new)
+        try:
+            if output.suffix.lower() == ".zip":
+                with new.open("wb") as file:
+                    with zipfile.ZipFile(file, "w", strict_timestamps=False) as archive:
+                        yield Writer(archive)
+                    file.flush()
+                    os.fsync(file.fileno())
+            else:
+                new.mkdir(parents=True)
+                yield Writer(new)
+            if output.is_dir() or not new.is_file():
+                remove_tree(output)
+            new.replace(output)
+        except BaseException:
+            remove_tree(new)
+            raise
+
+
+def write_zip(output: Path, files: Iterable[tuple[str, Path]]) -> None:
+    """Write files by their names; the same files give the same bytes."""
+    files = list(files)
+    with writing(output, sum(file.stat().st_size for _, file in files)) as writer:
+        for name, file in files:
+            writer.add(name, file)
