@@ -6,8 +6,8 @@ INSTALLED := $(VENV)/.installed
 PIP := $(VENV)/bin/python -m pip
 # the settings of a rig, for calibrate and serve
 RIG ?= config/bench.yaml
-# the settings of the thesis' figures; at full size config/figures_full.yaml
-FIGURES ?= config/figures.yaml
+# the settings of the thesis' figures, in config/ and figures/; at full size figures_full
+FIGURES ?= figures
 LOCK_OPTIONS := --upgrade --universal --python-version 3.11 --generate-hashes --no-header \
   --no-annotate --quiet
 # one worker more than cores: much of the tests is waiting
@@ -53,10 +53,13 @@ run: $(INSTALLED) ## run the default workflow (config/config.yaml) and print the
 
 thesis: $(INSTALLED) ## run the thesis' full size (config/thesis.yaml) in the folder thesis/
 	@rfpipe run --directory thesis --configfile config/thesis.yaml $(ARGS)
+	@snakemake --snakefile figures/Snakefile --directory thesis --configfile figures/thesis.yaml $(ARGS)
 
 figures: $(INSTALLED) ## make every figure and table of the thesis, reduced, in the folder figures/
-	@rfpipe run --directory figures --configfile $(FIGURES) $(ARGS)
-	@rfpipe verify figures/results/report
+	@python -m figures check
+	@rfpipe run --directory figures --configfile config/$(FIGURES).yaml $(ARGS)
+	@snakemake --snakefile figures/Snakefile --directory figures \
+	  --configfile figures/$(FIGURES).yaml $(ARGS)
 
 calibrate: $(INSTALLED) ## calibrate a rig: make calibrate RIG=config/rig.yaml (docs/rig.md)
 	@rfpipe calibrate $(RIG)
@@ -68,8 +71,8 @@ unlock: $(INSTALLED) ## free the folders after a killed run; then: make unlock r
 	@snakemake --unlock $(ARGS)
 	@if [ -d thesis ]; then \
 	  snakemake --directory thesis --configfile config/thesis.yaml --unlock; fi
-	@if [ -d figures ]; then \
-	  snakemake --directory figures --configfile $(FIGURES) --unlock; fi
+	@if [ -d figures/results ]; then \
+	  snakemake --directory figures --configfile config/$(FIGURES).yaml --unlock; fi
 
 test: $(INSTALLED) ## run the quick tests, which need nothing more: at most 5 minutes on 2 cores
 	$(PYTEST) -m "not slow and not needs"
@@ -87,13 +90,13 @@ lint: $(INSTALLED) ## check style, types, layers and the workflow
 	ruff format --check .
 	mypy
 	lint-imports
-	snakefmt --check Snakefile workflow/rules
+	snakefmt --check Snakefile figures/Snakefile workflow/rules
 	snakemake --lint
 
 format: $(INSTALLED) ## format the sources and the workflow
 	ruff check --fix .
 	ruff format .
-	snakefmt Snakefile workflow/rules
+	snakefmt Snakefile figures/Snakefile workflow/rules
 
 bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 	@mkdir -p results/bench
@@ -112,4 +115,4 @@ lock: $(INSTALLED) ## resolve pyproject.toml anew into requirements.lock and val
 
 clean: ## remove caches and build files; results and .venv stay
 	rm -rf .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis dist
-	find src tests workflow benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests workflow benchmarks figures -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,1 @@
+"""The thesis' figures and tables, a script each: ``make figures``."""

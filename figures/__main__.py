@@ -1,0 +1,76 @@
+"""Make a script's figures and tables: ``python -m figures SCRIPT FOLDER [--side 48 ...]``.
+
+Writes ``{slug}.png`` and ``{slug}.csv`` into the folder and, last, ``{script}.json`` with their
+names, captions and costs; ``python -m figures index FOLDER`` makes the page of all of them, and
+``python -m figures check`` tells whether LLVM is here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import sys
+from dataclasses import asdict, fields
+from importlib import import_module
+from pathlib import Path
+
+from figures.common import Picture, Size, Table
+from figures.index import write_index
+from rfpipe.errors import RfpipeError
+from rfpipe.store.files import write_atomically
+
+
+def main() -> None:
+    """Run a script, or write the page."""
+    parser = argparse.ArgumentParser(prog="python -m figures", description=__doc__)
+    parser.add_argument("script", help="a module of this folder, index, or check")
+    parser.add_argument("folder", type=Path, nargs="?", default=Path())
+    for each in fields(Size):
+        kind = type(each.default)
+        many = {"nargs": "+", "type": int} if kind is tuple else {"type": kind}
+        parser.add_argument(f"--{each.name}", default=each.default, **many)
+    given = vars(parser.parse_args())
+    script, folder = given.pop("script"), given.pop("folder")
+    if script == "check":
+        _check()
+    elif script == "index":
+        write_index(folder)
+    else:
+        folder.mkdir(parents=True, exist_ok=True)
+        run(script, folder, Size(**given))
+
+
+def _check() -> None:
+    """End with a line that says what to install where physically based scenes can't be traced."""
+    from rfpipe_mitsuba.variant import need_llvm
+
+    try:
+        need_llvm("make figures")
+    except RfpipeError as error:
+        sys.exit(f"figures: {error}")
+
+
+def run(script: str, folder: Path, size: Size) -> None:
+    """Write what a script yields, each file whole or not at all."""
+    shown: list[dict[str, object]] = []
+    costs = []
+    for item in import_module(f"figures.{script}").items(size):
+        if isinstance(item, Picture):
+            image = io.BytesIO()
+            item.figure.savefig(image, format="png", metadata={"Software": None})
+            write_atomically(folder / f"{item.slug}.png", image.getvalue())
+            shown.append({"file": f"{item.slug}.png", "name": item.name, "thesis": item.thesis,
+                          "caption": item.caption})  # fmt: skip
+        elif isinstance(item, Table):
+            text = item.rows.to_csv(index=False, float_format="%.6g")
+            write_atomically(folder / f"{item.slug}.csv", text.encode())
+            shown.append({"file": f"{item.slug}.csv", "name": item.name, "caption": item.caption})
+        else:
+            costs.append(asdict(item))
+    about = json.dumps({"shown": shown, "costs": costs}, indent=1)
+    write_atomically(folder / f"{script}.json", about.encode())
+
+
+if __name__ == "__main__":
+    main()

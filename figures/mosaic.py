@@ -1,0 +1,121 @@
+"""Fig. B.1: colour normalization of single-pixel images under a Bayer mosaic."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from figures.common import Float, Items, Picture, Size, Table, error, percent
+from figures.panels import Panel, draw
+from rfpipe import CameraModel
+from rfpipe.photometry import Merged
+from rfpipe.photometry.demosaic import demosaic, mosaic
+from rfpipe.photometry.normalize import apply, level_gain
+from rfpipe.scenes import GEOMETRIES, RadiosityScene, surface_points
+
+_SHAPE = (24, 28)
+_BAYER = "RGGB"
+_MEDIAN_PIXELS = 5
+_BLACK_FRAMES = 8
+_SIGNIFICANCE = 3.0  # standard deviations of the noise, as acquisitions have it by default
+_MODES = {
+    "none": "sum of all images",
+    "per_channel": "normalized per channel",
+    "total_energy": "normalized by total energy",
+}
+# Albedo of the bars: red, yellow, green, cyan, blue, magenta, grey.
+_BARS = (
+    (0.8, 0.2, 0.2), (0.8, 0.7, 0.2), (0.2, 0.7, 0.2), (0.2, 0.6, 0.7),
+    (0.2, 0.25, 0.8), (0.7, 0.25, 0.7), (0.75, 0.75, 0.75),
+)  # fmt: skip
+
+
+def items(_size: Size) -> Items:
+    """Light colour bars on two planes one pixel at a time, and sum up the images.
+
+    Two ways to a picture: the whole bracket and a linear interpolation of the mosaic, and one as
+    cameras had it: the shortest exposure alone, medians of colour differences [Freeman 1988],
+    light within noise dropped.
+    """
+    height, width = _SHAPE
+    bars = np.array(_BARS, np.float32)[np.arange(width) * len(_BARS) // width]
+    albedo = np.broadcast_to(bars, (height, width, 3))
+    scene = RadiosityScene(surface_points(_SHAPE, GEOMETRIES["wedge"]), albedo)
+    rays = height * width
+    patterns = np.concatenate([np.ones((1, rays)), np.eye(rays)]).astype(np.float32)
+    truth = scene.apply(patterns).reshape(-1, *_SHAPE, 3)
+    camera = CameraModel()
+    rows, panels = [], []
+    for chain, sensor in (
+        ("whole bracket, linear", camera),
+        ("short exposure, median", replace(camera, exposures=camera.exposures[:1])),
+    ):
+        merged = _through_mosaic(truth, sensor)
+        images, variance = demosaic(merged.radiance, merged.variance, _BAYER)
+        if "median" in chain:
+            images = _smooth_colours(images)
+            images = np.where(images > _SIGNIFICANCE * np.sqrt(variance), images, 0)
+        floodlit, single, spread = images[0], images[1:], variance[1:]
+        bright = float(floodlit.max())
+        row = [Panel(floodlit, "floodlit", chain, bright)]
+        for mode, title in _MODES.items():
+            gain = level_gain(floodlit, single.sum(0), spread.sum(0), mode, complete=True,
+                              significance=_SIGNIFICANCE)  # fmt: skip
+            scaled, _ = apply(single, spread, gain)
+            total = scaled.sum(axis=0)
+            energy = float(total.sum() / floodlit.sum())
+            contrast = _contrast(total) / _contrast(floodlit)
+            below = f"light {energy:.0%}, colour contrast {contrast:.0%}"
+            row.append(Panel(total, title, below, bright))
+            rows.append(
+                {"chain": chain, "normalization": mode, "energy": energy,
+                 "colour_contrast": contrast, "rms": error(total, floodlit),
+                 "image_error": error(scaled, truth[1:])}
+            )  # fmt: skip
+        panels.append(row)
+    bare = [row for row in rows if row["normalization"] == "none"]
+    told = "; ".join(
+        f"{row['chain']}: {percent(row['energy'])} of the light and "
+        f"{percent(row['colour_contrast'])} of the colour contrast before it"
+        for row in bare
+    )
+    worst = percent(max(row["rms"] for row in rows if row not in bare))
+    caption = f"{told}; normalized within {worst} of the floodlit image."
+    thesis = (
+        "the sum of the images of single pixels is dimmer and paler than the floodlit image; "
+        "normalization restores it."
+    )
+    yield Picture("fig_b_1", "Fig. B.1", thesis, caption, draw(panels, 2.4))
+    about = "Of the sum against the floodlit image; image_error: of the images against the truth."
+    yield Table("mosaic", "Colour normalization", about, pd.DataFrame(rows))
+
+
+def _through_mosaic(truth: Float, camera: CameraModel) -> Merged:
+    """Capture and merge images (P, H, W, 3) behind a mosaic: radiance and variance (P, H, W)."""
+    samples = mosaic(truth, _BAYER)[..., None]
+    frames = np.stack([camera.expose(image, 1, (1, n)) for n, image in enumerate(samples)])
+    dark = np.zeros_like(samples[0])
+    off = np.stack([camera.expose(dark, 1, (2, n)) for n in range(_BLACK_FRAMES)])
+    merged = camera.merge(frames, off.mean(axis=0, dtype=np.float64).astype(np.float32))
+    return Merged(merged.radiance[..., 0], merged.variance[..., 0], merged.saturated)
+
+
+def _smooth_colours(images: Float) -> Float:
+    """Replace red and blue by green plus the median of their difference around."""
+    from scipy.ndimage import median_filter
+
+    green = images[..., 1]
+    window = (1, _MEDIAN_PIXELS, _MEDIAN_PIXELS)
+    red, blue = (
+        green + median_filter(images[..., channel] - green, size=window, mode="mirror")
+        for channel in (0, 2)
+    )
+    return np.stack([red, green, blue], axis=-1)
+
+
+def _contrast(image: Float) -> float:
+    """Return how far the channels are from grey, relative to the image's light."""
+    grey = image.mean(axis=-1, keepdims=True)
+    return float(np.linalg.norm(image - grey) / np.linalg.norm(grey))

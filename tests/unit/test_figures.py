@@ -1,0 +1,100 @@
+"""What the thesis' figures and tables are made by."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from figures.__main__ import run
+from figures.common import Size, error, turned
+from figures.growth import line_fit
+from figures.index import ORDER, cost_table, write_index
+from figures.panels import Error, Panel, draw, srgb
+from figures.sweets import letters
+
+from rfpipe_mitsuba.views import View
+
+ROW = {
+    "table": "3.1", "figure": "Fig. 3.4, box", "scene": "two blocks", "camera_rays": 64,
+    "rays": 25, "patterns": 20, "megabytes": 1.0, "processing_s": 6.0, "error": 0.1, "positions": 1,
+}  # fmt: skip
+LEVELS = np.arange(3, 8)
+
+
+def fits(patterns: np.ndarray) -> pd.DataFrame:
+    numbers = pd.DataFrame({"levels": LEVELS, "rays": 4**LEVELS, "patterns": patterns})
+    return pd.DataFrame([line_fit(numbers)], index=["box"])
+
+
+def test_lines_and_power_laws_are_fitted_to_patterns_by_resolution() -> None:
+    line = fits(7 + 30 * LEVELS).loc["box"]
+    assert line["slope"] == pytest.approx(30)
+    assert line["explained"] == pytest.approx(1)
+    assert fits(4**LEVELS).loc["box", "exponent"] == pytest.approx(1)
+
+
+def test_costs_stand_beside_brute_force_and_the_thesis() -> None:
+    (alone,) = cost_table("3.1", [ROW], pd.DataFrame()).to_dict("records")
+    assert "extrapolated_line" not in alone
+    assert alone["brute_force_days"] == pytest.approx(1 / (60 * 24))
+    assert alone["min"] == pytest.approx(20 / 25 + 0.1)
+    assert alone["thesis_patterns"] == 352
+    (fitted,) = cost_table("3.1", [ROW], fits(10 * LEVELS)).to_dict("records")
+    assert fitted["extrapolated_line"] == pytest.approx(20 + 10 * np.log2(512 * 512 / 25) / 2)
+    arc = {**ROW, "figure": "Fig. 3.9, 80 positions", "patterns": 100, "positions": 5}
+    (field,) = cost_table("3.1", [arc], fits(10 * LEVELS)).to_dict("records")
+    assert field["brute_force"] == 125
+    assert field["extrapolated_line"] == pytest.approx(80 * (20 + 5 * np.log2(162_900 / 25)))
+
+
+def test_a_view_turned_keeps_its_distance_and_goes_right_and_up() -> None:
+    origin = np.array(turned(View((0, 0, 4), (0, 0, 0)), 30, 20)["origin"])
+    assert np.linalg.norm(origin) == pytest.approx(4)
+    assert origin[0] > 0
+    assert origin[1] == pytest.approx(4 * np.sin(np.radians(20)))
+
+
+@pytest.mark.parametrize("side", [8, 48])
+def test_letters_fit_into_any_picture(side: int) -> None:
+    picture = letters(side)
+    assert picture.shape == (side, side)
+    assert 0.02 < picture.mean() < 0.4
+
+
+def test_panels_show_light_and_errors_on_one_scale() -> None:
+    truth = np.full((4, 6, 3), 0.5)
+    rows = [[Panel(truth, "true"), Error(1.1 * truth, truth)], [None, Error(0.8 * truth, truth)]]
+    figure = draw(rows)
+    shown = [axis.images[0] for axis in figure.axes if axis.images and axis.get_title() == "error"]
+    assert [float(image.get_array().mean()) for image in shown] == pytest.approx([5, -10])
+    assert len({image.get_clim() for image in shown}) == 1
+    np.testing.assert_allclose(
+        srgb(np.array([[0.0, 0.5, 2.0]]), 1.0)[0, :, 1], [0, 0.7354, 1], 1e-4
+    )
+    assert np.isnan(error(truth, 0 * truth))
+
+
+def test_a_script_leaves_its_files_and_the_page_shows_them(tmp_path: Path) -> None:
+    folder = tmp_path / "results" / "figures"
+    folder.mkdir(parents=True)
+    tables = tmp_path / "results" / "report" / "tables"
+    tables.mkdir(parents=True)
+    acquired = {**ROW, "scene": "planes_ii", "method": "symmetric", "mean_error": 0.01}
+    pd.DataFrame([acquired]).to_csv(tables / "results.csv", index=False)
+    run("walk", folder, Size())
+    assert "Here 13 patterns without conflicts and 21" in (folder / "walk.json").read_text()
+    assert (folder / "fig_3_1.png").stat().st_size > 10_000
+    (folder / "box.json").write_text(json.dumps({"shown": [], "costs": [ROW]}))
+    write_index(folder)
+    page = (folder / "index.html").read_text()
+    for shown in ("fig_3_1.png", "Table 3.1", "Table 5.1", "takes 21 patterns", "table_5_1.csv"):
+        assert shown in page
+    assert pd.read_csv(folder / "table_5_1.csv")["thesis_patterns"].tolist() == [1085]
+
+
+def test_the_page_has_a_place_for_every_script() -> None:
+    names = {path.stem for path in Path("figures").glob("*.py")}
+    assert names - set(ORDER) == {"__init__", "__main__", "common", "index", "panels", "relit"}
