@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 import rfpipe
-from rfpipe.methods.held_out.patterns import octave_noise
+from rfpipe.methods.adaptive.patterns import octave_noise
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import SimulatedRig

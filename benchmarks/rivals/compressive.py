@@ -7,7 +7,7 @@ S. Darabi, *Compressive dual photography*, Computer Graphics Forum 28 (2009).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, PatternOptions
+from rfpipe.methods.brute_force import BruteForce, ScanState
 from rfpipe.methods.images import planar_batches, rounding
-from rfpipe.methods.scan import DenseMethod, ScanState
-from rfpipe.methods.states import Packing, level_row
+from rfpipe.methods.states import level_row
 from rfpipe.patterns import Schedule
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class CompressiveState(ScanState):
     variance: Float
 
 
-class Compressive(DenseMethod[CompressiveState]):
+class Compressive(BruteForce):
     """Compressive sensing of the rows of ``T``, as a `Method`.
 
     The patterns are the published ones of compressive dual photography, on and off at random; the
@@ -74,7 +74,7 @@ class Compressive(DenseMethod[CompressiveState]):
     Options = PatternOptions
     trades = "patterns"
     trials = (50, 100, 200, 500)
-    packing = Packing(("level", "rows"), ("matrix", "floodlit", "variance"))
+    line = "-"
 
     def expected_patterns(
         self, camera: RayDomain, projector: RayDomain, options: PatternOptions
@@ -124,11 +124,11 @@ class Compressive(DenseMethod[CompressiveState]):
         measured, variance = (np.empty((channels, count, pixels), np.float32) for _ in range(2))
         for part, radiance, spread in planar_batches(images, channels, pixels):
             measured[:, part], variance[:, part] = radiance, spread
-        atoms = 0
+        atoms, new = 0, {}
         if state.level == 0:
             floodlit, variance = measured[:, 0], variance[:, 0]
             matrix = np.repeat(floodlit[..., None] / np.float32(rays), rays, axis=2)
-            state = replace(state, floodlit=floodlit, variance=variance, matrix=matrix)
+            new = {"floodlit": floodlit, "variance": variance, "matrix": matrix}
         elif count:
             floodlit = state.floodlit[:, None]
             measured = np.concatenate([floodlit, 2 * measured - floodlit], axis=1)
@@ -139,9 +139,9 @@ class Compressive(DenseMethod[CompressiveState]):
                 [np.ones((1, rays), np.float32), random_signs(count, rays, _SEED, state.level)]
             )
             matrix, atoms = recover(signs, measured, variance, state.projector)
-            state = replace(state, matrix=matrix)
+            new = {"matrix": matrix}
         row = level_row(state.level, count, nodes=pixels * channels, scalar=atoms)
-        return state.after(row)
+        return state.after(row, **new)
 
 
 def pattern_count(rays: int, asked: int) -> int:

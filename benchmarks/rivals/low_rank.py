@@ -8,6 +8,7 @@ of a matrix*, Applied Numerical Mathematics 57 (2007).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import ceil, log2, sqrt
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, Float, LevelImages
 from rfpipe.methods.images import planar_batches, rounding
-from rfpipe.methods.states import MethodState, Packing, PackingMethod, level_row
+from rfpipe.methods.states import MethodState, PackingMethod, grown, kept, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.low_rank import LowRankTransport
 
@@ -163,6 +164,22 @@ OWN_MOST, _MOST = 512, 4096
 
 
 @dataclass(frozen=True)
+class Round:
+    """Pictures of a level.
+
+    Attributes
+    ----------
+    images : ndarray of float32, shape (C, patterns, rays)
+        ``T q`` for signed patterns q, all ones at level 0.
+    noise : ndarray of float64, shape (C, patterns)
+        Mean variance of a pixel of each.
+    """
+
+    images: Float
+    noise: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class LowRankState(MethodState):
     """The state of an optical low-rank acquisition, beside what all states have.
 
@@ -171,10 +188,8 @@ class LowRankState(MethodState):
 
     Attributes
     ----------
-    images : tuple of ndarray of float32, shape (C, patterns, rays)
-        ``T q`` for each level's signed patterns q, all ones at level 0.
-    noise : tuple of ndarray of float64, shape (C, patterns)
-        Mean variance of a pixel of each.
+    rounds : sequence of Round
+        One a level.
     fit : Fit
         To all of them.
     done : bool
@@ -182,15 +197,14 @@ class LowRankState(MethodState):
     """
 
     options: ErrorOptions
-    fit: Fit
-    images: tuple[Float, ...] = ()
-    noise: tuple[NDArray[np.float64], ...] = ()
+    fit: Fit = kept(Fit)
+    rounds: Sequence[Round] = grown(Round)
     done: bool = False
 
     @property
     def shown(self) -> int:
         """Patterns shown so far."""
-        return sum(images.shape[1] for images in self.images)
+        return sum(each.images.shape[1] for each in self.rounds)
 
 
 class LowRank(PackingMethod[LowRankState]):
@@ -214,7 +228,6 @@ class LowRank(PackingMethod[LowRankState]):
     Options = ErrorOptions
     trades = "patterns"
     trials = (50, 100, 200, 500)
-    packing = Packing(("level", "done", "rows"), groups={"fit": ""}, latest=("images", "noise"))
 
     def expected_patterns(
         self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
@@ -233,7 +246,7 @@ class LowRank(PackingMethod[LowRankState]):
     ) -> LowRankState:
         """Return the state before the floodlit image."""
         fit = start_fit(channels, camera.size)
-        return LowRankState(camera, projector, channels, options, fit)
+        return LowRankState(camera, projector, channels, options, fit=fit)
 
     def schedule(self, state: LowRankState) -> Schedule:
         """Show the floodlit pattern, then in each round as many random signs as before it."""
@@ -258,14 +271,11 @@ class LowRank(PackingMethod[LowRankState]):
             estimate, within_noise = _held_out(state.fit, signs, signed, noise)
             found = {"estimated_error": estimate}
             done = within_noise or estimate <= state.options.target_error
-        state = replace(
-            state, images=(*state.images, signed), noise=(*state.noise, noise), done=done
-        )
-        if count:
-            state = replace(state, fit=_fit_all(state))
-        rank = state.fit.strengths.shape[1]
+        new = Round(signed, noise)
+        fitted = _fit_all(state, [*state.rounds, new]) if count else state.fit
+        rank = fitted.strengths.shape[1]
         row = level_row(level, count, nodes=1, rank1=rank, scalar=state.projector.size, **found)
-        return state.after(row)
+        return state.after(row, rounds=[new], fit=fitted, done=done)
 
     def transport(self, state: LowRankState) -> LowRankTransport:
         """Return the diagonal and the terms, the strongest first."""
@@ -298,9 +308,9 @@ def _read(state: LowRankState, images: LevelImages) -> tuple[Float, NDArray[np.f
     for part, radiance, variance in planar_batches(images, channels, rays):
         signed[:, part], noise[:, part] = radiance, trimmed_mean(variance)
     if state.level:
-        signed = 2 * signed - state.images[0]
+        signed = 2 * signed - state.rounds[0].images
         # the floodlit image's noise is common to all, and the least of all by far; not its rounding
-        noise = 4 * noise + rounding(state.images[0]).mean(axis=-1, dtype=np.float64)
+        noise = 4 * noise + rounding(state.rounds[0].images).mean(axis=-1, dtype=np.float64)
     return signed, noise
 
 
@@ -319,8 +329,8 @@ def _held_out(
     return sqrt(max(excess, 0.0) / energy) if energy else 0.0, within_noise
 
 
-def _fit_all(state: LowRankState) -> Fit:
-    counts = [images.shape[1] for images in state.images]
+def _fit_all(state: LowRankState, rounds: Sequence[Round]) -> Fit:
+    counts = [each.images.shape[1] for each in rounds]
     signs = np.concatenate([_signs(state.projector, level, n) for level, n in enumerate(counts)])
-    signed = np.concatenate(state.images, axis=1)
-    return fit(signs, signed, np.concatenate(state.noise, axis=1))
+    signed = np.concatenate([each.images for each in rounds], axis=1)
+    return fit(signs, signed, np.concatenate([each.noise for each in rounds], axis=1))

@@ -9,8 +9,8 @@ import pytest
 
 import rfpipe
 from rfpipe.methods import Method
-from rfpipe.methods.footprints.method import Footprints
-from rfpipe.methods.near_far.method import NearFar
+from rfpipe.methods.adaptive.footprints.method import Footprints
+from rfpipe.methods.adaptive.near_far import NearFar
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,13 +13,11 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.methods import options_of
-from rfpipe.methods.conjugate_gradients import conjugate_gradients
-from rfpipe.methods.footprints import candidates, rounds
-from rfpipe.methods.footprints.matching import Templates
-from rfpipe.methods.footprints.method import Footprints
-from rfpipe.methods.footprints.patterns import random_patterns
-from rfpipe.methods.footprints.series import Series
-from rfpipe.methods.footprints.state import ROUNDS, most_of
+from rfpipe.methods.adaptive.footprints import candidates, method
+from rfpipe.methods.adaptive.footprints.matching import Templates
+from rfpipe.methods.adaptive.footprints.method import ROUNDS, Footprints
+from rfpipe.methods.adaptive.footprints.series import Series
+from rfpipe.methods.adaptive.patterns import view_patterns
 from rfpipe.patterns import Schedule
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
@@ -95,21 +92,12 @@ def run(matrix: np.ndarray, camera: Any, projector: Any, **options: Any):
 # --- parts
 
 
-def test_patterns_are_half_lit_and_different() -> None:
-    shown = random_patterns((13, 17), 3, 6)
-    assert shown.shape == (6, 13, 17)
-    assert (np.abs(shown.mean(axis=(1, 2)) - 0.5) < 0.01).all()
-    assert len({each.tobytes() for each in (*shown, *random_patterns((13, 17), 4, 6))}) == 12
-    changes = [(each[:, 1:] != each[:, :-1]).mean() for each in shown[:3]]
-    assert changes[0] < changes[2] < changes[1]  # very coarse, white, between
-
-
 @pytest.mark.parametrize(
     ("camera", "projector"), [((24, 24), (24, 24)), ((23, 31), (29, 19)), ((14, 16), (28, 32))]
 )
 def test_footprints_of_a_warp_are_found(camera: Any, projector: Any) -> None:
     direct = footprints_of(camera, projector)
-    lit = np.concatenate([np.ones((1, *projector), bool), random_patterns(projector, 1, 40)])
+    lit = np.concatenate([np.ones((1, *projector), bool), view_patterns(projector, 1, 40)])
     lit = np.ascontiguousarray(lit.reshape(41, -1).T, np.float32)
     seen = (direct @ lit).astype(np.float32)
     series = Series(lit, seen, np.full_like(seen, 1e-8))
@@ -125,7 +113,7 @@ def test_footprints_of_a_warp_are_found(camera: Any, projector: Any) -> None:
     shining = direct.sum(axis=1) > 0.5
     assert relative_rms(matrix[shining], direct[shining]) < 0.02
     assert (matrix >= 0).all()
-    kept = candidates.pruned(series, found)
+    kept = found.pruned(series)
     assert len(kept.keys) < len(found.keys)
     assert relative_rms(kept.matrix(*direct.shape).toarray()[shining], direct[shining]) < 0.02
 
@@ -137,7 +125,7 @@ def test_a_precision_is_the_inverse_covariance_of_unknown_weights() -> None:
     series = Series(lit, seen.astype(np.float32), variance.astype(np.float32))
     keys = np.array([0, 2, 5, 6 + 1, 3 * 6 + 0, 3 * 6 + 4])
     spread = random.uniform(0.5, 2, 6).astype(np.float32)
-    found = candidates.Footprints(keys, spread, np.zeros(6, np.float32))
+    found = candidates.Candidates(keys, spread, np.zeros(6, np.float32))
     precision = candidates.Precision.of(series, found)
     for pixel in range(4):
         own = keys // 6 == pixel
@@ -153,17 +141,6 @@ def test_a_precision_is_the_inverse_covariance_of_unknown_weights() -> None:
     assert precision.sizes.tolist() == [3, 1, 0, 2]
 
 
-def test_conjugate_gradients_solve() -> None:
-    random = np.random.default_rng(0)
-    root = random.standard_normal((12, 12))
-    matrix = (root @ root.T + np.eye(12)).astype(np.float32)
-    goal = random.standard_normal(12).astype(np.float32)
-    for start in (np.zeros(12, np.float32), np.ones(12, np.float32)):
-        scaling = (1 / np.diag(matrix)).astype(np.float32)
-        found = conjugate_gradients(lambda x: matrix @ x, goal, scaling, start, 1e-6, 60)
-        np.testing.assert_allclose(matrix @ found, goal, atol=1e-4)
-
-
 # --- acquisitions
 
 
@@ -175,15 +152,6 @@ def test_a_diffuse_scene_is_good_after_few_patterns() -> None:
     assert error < 0.024
     assert told <= 0.02
     assert 1 / 1.6 < told / error < 1.6
-
-
-@pytest.mark.slow
-def test_other_shapes_colours_and_densities() -> None:
-    camera, projector = (22, 30), (35, 27)
-    matrix, _ = scene(camera, projector, channels=3)
-    result = run(matrix, camera, projector, target_error=0.03)
-    assert result.patterns <= 1 + 6 + sum(ROUNDS[:3])
-    assert errors(matrix, result.transport, projector) < 0.04
 
 
 @pytest.mark.slow
@@ -203,7 +171,7 @@ def test_a_mirror_goes_to_dual_photography_and_says_how_good_it_is() -> None:
 
 
 def test_too_many_pixels_go_to_dual_photography_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rounds, "_MOST_PAIRS", 20**4 - 1)
+    monkeypatch.setattr(method, "_MOST_PAIRS", 20**4 - 1)
     matrix, _ = scene((20, 20), (20, 20))
     result = run(matrix, (20, 20), (20, 20), target_error=0.02)
     shown = {row["level"]: row["patterns"] for row in result.transport.level_rows}
@@ -224,17 +192,17 @@ def test_a_limit_of_patterns_is_kept() -> None:
 
 def test_pixels_that_are_unknown_are_no_evidence() -> None:
     matrix, _ = scene((20, 20), (20, 20))
-    method, domain = Footprints(), RayDomain((20, 20))
+    own, domain = Footprints(), RayDomain((20, 20))
     bad = np.zeros((20, 20), bool)
     bad[3, 4] = bad[11, 12:15] = True
 
     def acquired(defective: bool) -> np.ndarray:
-        state = method.start(domain, domain, 1, options_of(method, patterns=57))
-        for _ in range(method.n_levels(domain, domain)):
-            images: Any = MatrixImages(matrix, (20, 20), method.schedule(state), 2e-3)
-            state = method.refine(state, Masked(images, bad) if defective else images)
+        state = own.start(domain, domain, 1, options_of(own, patterns=57))
+        for _ in range(own.n_levels(domain, domain)):
+            images: Any = MatrixImages(matrix, (20, 20), own.schedule(state), 2e-3)
+            state = own.refine(state, Masked(images, bad) if defective else images)
         assert all(np.isfinite(each.error) for each in state.estimates)
-        return dense(method.transport(state))[0]
+        return dense(own.transport(state))[0]
 
     whole, masked = acquired(False), acquired(True)
     assert np.isfinite(masked).all()
@@ -261,25 +229,6 @@ class Masked:
         return radiance, variance
 
 
-def test_it_resumes_after_any_round_to_the_last_bit() -> None:
-    matrix, _ = scene((20, 20), (20, 20), channels=3)
-    method, options = Footprints(), {"target_error": 0.004}
-    done = run_method(method, matrix, (20, 20), (20, 20), sigma=2e-3, **options)
-    assert sum(count > 0 for count in done.patterns[: len(ROUNDS) + 1]) >= 3
-    packs = [type(p)(p.arrays, json.loads(json.dumps(p.attributes))) for p in done.packs]
-    for level in (1, 2, 3, len(packs)):
-        restored = method.restore(done.states[0], packs[:level])
-        if level < len(packs):
-            schedule = method.schedule(restored)
-            assert schedule.digest() == done.schedules[level].digest()
-            restored = method.refine(restored, MatrixImages(matrix, (20, 20), schedule, 2e-3))
-            level += 1  # noqa: PLW2901
-        found, wanted = (method.transport(s).pack()[0] for s in (restored, done.states[level]))
-        assert set(found) == set(wanted)
-        for name, array in wanted.items():
-            np.testing.assert_array_equal(found[name], array)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("shapes", [((1, 1), (1, 1)), ((1, 9), (12, 11)), ((2, 9, 9), (2, 11, 10))])
 def test_small_and_stacked_domains_end(shapes: Any) -> None:
@@ -291,15 +240,3 @@ def test_small_and_stacked_domains_end(shapes: Any) -> None:
     assert sum(done.patterns) <= Footprints().most_patterns(
         RayDomain(camera), RayDomain(projector), options_of(Footprints())
     )
-
-
-def test_darkness_and_noise_give_no_light() -> None:
-    done = run_method(Footprints(), np.zeros((144, 144)), (12, 12), (12, 12), sigma=0.01)
-    relit = done.transport.relight(np.ones((12, 12)))
-    assert np.abs(relit).max() < 0.1
-
-
-def test_the_forecast_is_that_of_all_rounds() -> None:
-    method, domain = Footprints(), RayDomain((64, 64))
-    assert method.expected_patterns(domain, domain, options_of(method)) == most_of(1)
-    assert method.expected_patterns(domain, domain, options_of(method, patterns=50)) == 50

@@ -12,20 +12,15 @@ from tests.helpers import dense
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods import options_of
-from rfpipe.methods.footprints import matching
-from rfpipe.methods.footprints.both_ways import (
+from rfpipe.methods.adaptive.footprints.both_ways import (
     averaged,
-    is_symmetric,
     joined,
     split,
     with_other_way,
 )
-from rfpipe.methods.footprints.candidates import Footprints as Found
-from rfpipe.methods.footprints.chart import Chart, chart_of
-from rfpipe.methods.footprints.matching import Templates
-from rfpipe.methods.footprints.method import Footprints
-from rfpipe.methods.footprints.patterns import random_patterns
-from rfpipe.methods.footprints.state import in_round, most_of
+from rfpipe.methods.adaptive.footprints.candidates import Candidates as Found
+from rfpipe.methods.adaptive.footprints.chart import Chart, chart_of
+from rfpipe.methods.adaptive.footprints.method import Footprints, in_round, most_of
 from rfpipe.scenes import room_scene
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
@@ -59,39 +54,6 @@ def errors(transport: Any, matrix: np.ndarray) -> float:
 
 def rounds_of(views: int, *numbers: int) -> int:
     return sum(in_round(number, views) for number in numbers)
-
-
-def test_views_are_lit_one_at_a_time_first_all_of_each() -> None:
-    shown = random_patterns(SHAPE, 1, 9).reshape(9, VIEWS, -1)
-    lit = shown.any(axis=2)
-    assert (lit.sum(axis=1) == 1).all()
-    assert [int(each.argmax()) for each in lit] == [0, 1, 2] * 3
-    assert (shown.sum(axis=(1, 2)) == [120] * 3 + [60] * 6).all()
-    later = random_patterns(SHAPE, 2, 3)
-    assert (later.reshape(3, -1).sum(axis=1) == 60).all()
-
-
-def test_parts_and_both_ways_of_footprints() -> None:
-    matrix = np.zeros((6, 6), np.float32)
-    matrix[0, 0], matrix[1, 4], matrix[4, 1], matrix[2, 5] = 4, 2, 3, 1
-    keys = np.flatnonzero(matrix)
-    found = Found(keys, np.ones(4, np.float32), matrix.ravel()[keys])
-    parts = split(found, 2, 3)
-    assert [each.matrix(6, 3).toarray().tolist() for each in parts] == [
-        matrix[:, :3].tolist(),
-        matrix[:, 3:].tolist(),
-    ]
-    again = joined(parts, 3)
-    np.testing.assert_array_equal(again.keys, found.keys)
-    np.testing.assert_array_equal(again.weights, found.weights)
-    np.testing.assert_array_equal(
-        averaged(found, 6).matrix(6, 6).toarray(), (matrix + matrix.T) / 2
-    )
-    wider = with_other_way(found, 6)
-    np.testing.assert_array_equal(wider.matrix(6, 6).toarray(), matrix)
-    assert 5 * 6 + 2 in wider.keys
-    assert is_symmetric(found, 6)
-    assert not is_symmetric(Found(keys[3:], found.variance[3:], found.weights[3:]), 6)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -152,25 +114,6 @@ def test_rays_that_see_nothing_of_the_middle_lie_beside_their_neighbours() -> No
     np.testing.assert_allclose(chart.places[:24] - margin, np.stack([row, column], axis=1))
     np.testing.assert_allclose(chart.places[24:] - margin, np.stack([row, column + 2], axis=1))
     assert chart.shape == (8, 10)
-
-
-@pytest.mark.slow
-def test_many_pixels_match_where_a_grid_of_them_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    image, camera = (24, 30), RayDomain((2, 24, 30))
-    lit = np.concatenate([np.ones((1, *image), bool), random_patterns(image, 1, 24)])
-    lit = np.ascontiguousarray(lit.reshape(25, -1).T, np.float32)
-    ray = np.arange(720)
-    places = np.concatenate([ray, np.clip(ray % 30 + 3, 0, 29) + ray // 30 * 30])
-    asked = np.random.default_rng(0).random(1440) > 0.1
-    series = lit[places][asked]
-    templates = Templates.of(RayDomain(image), lit, 1.0)
-    whitener = templates.whitener(lit, 1e-4)
-    best, score = templates.match_views(series, whitener, camera, asked)
-    monkeypatch.setattr(matching, "_MOST_PAIRS", 1)
-    monkeypatch.setattr(matching, "_SEEDS", 30)
-    near, near_score = templates.match_views(series, whitener, camera, asked)
-    assert (best == near).mean() > 0.97
-    np.testing.assert_allclose(near_score[best == near], score[best == near], atol=1e-5)
 
 
 def test_a_light_field_is_good_after_few_patterns_and_resumes_to_the_last_bit() -> None:

@@ -9,10 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rfpipe.methods.residual.estimate import estimate
-from rfpipe.methods.residual.fit import Evidence, Posterior
-from rfpipe.methods.residual.pictures import Canvas, CellPictures
-from rfpipe.methods.residual.prior import first_guess, learned
+from rfpipe.methods.adaptive.posterior import Posterior
+from rfpipe.methods.adaptive.residual import Canvas, CellPictures, residual_of
 from rfpipe.methods.states import joined
 from rfpipe.provenance import generator
 from rfpipe.scenes import reference_scene
@@ -104,11 +102,15 @@ def test_the_transport_is_its_definition_and_symmetric(shape, side, tmp_path) ->
 # --- the fit
 
 
-def evidence_of(matrix: np.ndarray, count: int, deviation: float) -> Evidence:
+def posterior_of(
+    haar: Haar, matrix: np.ndarray, count: int, deviation: float
+) -> tuple[Posterior, np.ndarray]:
+    """Return the posterior of pictures, and the pictures."""
     random = generator(0, 7)
     light = (random.random((len(matrix), count)) < 0.4).astype(np.float32)
-    seen = matrix @ light + deviation * random.standard_normal(light.shape)
-    return Evidence(light, seen.astype(np.float32), np.full(light.shape, deviation**2, np.float32))
+    seen = (matrix @ light + deviation * random.standard_normal(light.shape)).astype(np.float32)
+    spread = np.full(light.shape, deviation**2, np.float32)
+    return Posterior(haar, light, seen, spread), seen
 
 
 def symmetric_matrix(haar: Haar, prior: np.ndarray) -> np.ndarray:
@@ -121,24 +123,24 @@ def symmetric_matrix(haar: Haar, prior: np.ndarray) -> np.ndarray:
 def test_the_solution_is_the_mean_of_the_posterior() -> None:
     """Against all entries at once, by dense algebra."""
     haar = Haar((1, 6, 6))
-    prior = first_guess(haar, 1.0)
+    prior = posterior_of(haar, np.eye(36), 5, 0.01)[0].guessed()
+    prior /= prior.sum()
     matrix = symmetric_matrix(haar, prior)
-    evidence = evidence_of(matrix, 5, 0.01)
-    posterior = Posterior(haar, evidence)
+    posterior, seen = posterior_of(haar, matrix, 5, 0.01)
     posterior.prepare(prior)
-    posterior.solve(posterior.seen, 300)
+    posterior.solve(posterior.observed, 300)
     size, count = haar.size, 5
     first, second = np.triu_indices(size)
     told = np.zeros((size, count, len(first)))
-    light = haar.forward(evidence.light)
+    light = posterior.light
     pair = np.arange(len(first))
     for picture in range(count):
         told[first, picture, pair] += light[second, picture]
         off = first != second
         told[second[off], picture, pair[off]] += light[first[off], picture]
-    seen = haar.forward(evidence.seen)
+    seen = haar.forward(seen)
     # the direct light of each cell is unknown, too
-    cells = np.eye(size, dtype=np.float32)[:, None] * evidence.light[:, :, None]
+    cells = np.eye(size, dtype=np.float32)[:, None] * posterior.cells[:, :, None]
     direct = np.stack([haar.forward(np.ascontiguousarray(cells[..., k])) for k in range(size)], -1)
     told = np.concatenate([told, direct], axis=2).reshape(size * count, -1)
     # in units of the prior's deviation; off the diagonal, an entry is there twice
@@ -158,11 +160,11 @@ def test_variances_are_learned_from_pictures() -> None:
     haar = Haar((1, 12, 12))
     matrix = np.zeros((12, 12, 12, 12))
     matrix[:4, :4, 8:, 8:] = matrix[8:, 8:, :4, :4] = 0.01
-    posterior = Posterior(haar, evidence_of(matrix.reshape(144, 144), 40, 1e-4))
+    posterior, _ = posterior_of(haar, matrix.reshape(144, 144), 40, 1e-4)
     found = posterior.guessed()
     for _ in range(4):
         posterior.prepare(found)
-        posterior.solve(posterior.seen, 30)
+        posterior.solve(posterior.observed, 30)
         found = posterior.relearned()
     np.testing.assert_array_equal(found, found.T)
     assert (found > 0).all()
@@ -171,17 +173,6 @@ def test_variances_are_learned_from_pictures() -> None:
     one, other, far = coarse.start, coarse.start + 8, coarse.start + 2
     assert found[one, other] > 0.3 * (0.01 * 4 * 4) ** 2
     assert found[one, far] < 0.1 * found[one, other]
-
-
-def test_pooled_variances_are_those_of_pairs_of_scales_where_nothing_else_is_known() -> None:
-    haar = Haar((2, 12, 12))
-    energy = np.ones((haar.size, haar.size), np.float32)
-    np.testing.assert_allclose(learned(haar, energy), 1, rtol=1e-5)
-    places = haar.groups[0]
-    energy[places.rows, places.rows] = 4
-    found = learned(haar, energy)
-    np.testing.assert_allclose(found[places.rows, places.rows], 4, rtol=1e-5)
-    np.testing.assert_allclose(found[places.rows.stop :, places.rows.stop :], 1, rtol=1e-5)
 
 
 # --- the estimate
@@ -210,7 +201,7 @@ def test_it_finds_what_a_model_leaves_and_no_darkness_below_nought(side: int, un
     canvas = Canvas(Cells(shape, side), floodlit, known)
     direct = np.einsum("cii->ci", matrix)[..., None] * np.eye(256)
     model = DenseTransport(shape, shape, channels, [], {"matrix": direct.astype(np.float32)})
-    found = estimate(canvas, pictures_of(matrix, canvas, 60, known), model)
+    found = residual_of(canvas, pictures_of(matrix, canvas, 60, known), model)
     left = found.transport(canvas)
     for channel in range(channels):
         cell = canvas.cells.of_ray
@@ -227,18 +218,6 @@ def test_it_finds_what_a_model_leaves_and_no_darkness_below_nought(side: int, un
         assert relit.min() > -0.02 * truth.max()
 
 
-def test_a_dark_channel_leaves_nothing() -> None:
-    shape = (12, 12)
-    scene = reference_scene("IV", shape, channels=1)
-    matrix = np.stack([scene.dense(), np.zeros((144, 144))])
-    known = np.ones(144, np.bool_)
-    canvas = Canvas(Cells(shape, 1), matrix.sum(axis=2).astype(np.float32), known)
-    model = DenseTransport(shape, shape, 2, [], {"matrix": np.zeros((2, 144, 144), np.float32)})
-    found = estimate(canvas, pictures_of(matrix, canvas, 30, known), model)
-    assert found.cores[0].any()
-    assert not found.cores[1].any()
-
-
 def test_of_too_many_pictures_those_tell_that_the_model_predicts_worst(monkeypatch) -> None:
     """Half of them show what the model has already."""
     shape = (12, 12)
@@ -249,9 +228,9 @@ def test_of_too_many_pictures_those_tell_that_the_model_predicts_worst(monkeypat
     model = DenseTransport(shape, shape, 1, [], {"matrix": direct})
     told, known_light = (pictures_of(each, canvas, 30, known) for each in (matrix, direct))
     both = joined([told, CellPictures(*(each[1:] for each in astuple(known_light)))], axis=0)
-    few = estimate(canvas, told, model)
-    monkeypatch.setattr("rfpipe.methods.residual.estimate._MOST_PICTURES", 31)
+    few = residual_of(canvas, told, model)
+    monkeypatch.setattr("rfpipe.methods.adaptive.residual._MOST_PICTURES", 31)
     for pictures in (told, both):
-        found = estimate(canvas, pictures, model)
+        found = residual_of(canvas, pictures, model)
         np.testing.assert_array_equal(found.pairs, few.pairs)
         np.testing.assert_array_equal(found.cores, few.cores)

@@ -58,7 +58,7 @@ def read(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize(
     ("method", "passing"),
-    [("symmetric", "frontier_"), ("dual", "frontier_"), ("near_far", "cores")],
+    [("symmetric", "frontier_"), ("dual", "frontier_"), ("near_far", "model_")],
 )
 def test_what_only_the_next_level_needed_is_not_read_later(
     method: str, passing: str, tmp_path: Path, read: list[tuple[str, str]]
@@ -87,17 +87,17 @@ def test_a_state_is_restored_once(tmp_path: Path, read: list[tuple[str, str]]) -
     before = len(read)
     assert plan.state_before(folder, 2) is found
     assert len(read) == before
-    write_refined(folder, run, 1, dark=1 - run.packs[1].arrays["dark"])
+    write_refined(folder, run, 0, dark=1 - run.packs[0].arrays["dark"])
     assert (plan.state_before(folder, 2).dark != found.dark).all()
 
 
 def test_damage_of_what_is_read_names_its_stage(tmp_path: Path) -> None:
     run = acquired("dual")
     folder, plan = left_in(tmp_path, run), Plan("dual", "dual", SHAPE, SHAPE, 1)
-    chunks = list((folder.store(1, "refine") / "stored_values").rglob("*"))
+    chunks = list((folder.store(1, "refine") / "stored_001_values").rglob("*"))
     for chunk in chunks:
         if chunk.is_file() and chunk.name != "zarr.json":
             chunk.write_bytes(b"not a chunk")
-    with pytest.raises(DamagedStageError, match="stored_values") as told:
-        plan.state_before(folder, 3)
+    with pytest.raises(DamagedStageError, match="stored_001_values") as told:
+        plan.method.transport(plan.state_before(folder, 3))
     assert told.value.manifest == folder.manifest(1, "refine")

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.fitting.series import Series
-from rfpipe.methods.near_far.beyond import all_pictures, canvas_of
-from rfpipe.methods.near_far.model import fit
-from rfpipe.methods.near_far.pictures import Pictures, completed
-from rfpipe.methods.near_far.transport import as_transport
-from rfpipe.methods.residual.estimate import estimate
+from rfpipe.methods.adaptive.pictures import Pictures
+from rfpipe.methods.adaptive.residual import Canvas, residual_of
+from rfpipe.methods.adaptive.smooth import as_transport, fit
+from rfpipe.methods.states import joined
 from rfpipe.transport.base import Transport
 
 __all__ = ["floodlit_of", "near_far_models"]
@@ -60,17 +59,14 @@ def near_far_models(series: Series, rows: list[dict[str, Any]]) -> Iterator[tupl
     assert known is not None
     told = ~series.patterns.all(axis=1) & series.patterns.any(axis=1)
     shape = series.projector_shape
-    pictures = Pictures(
-        completed(shape, *known),
-        known[1],
-        series.patterns[told] > 0,
-        series.radiance[told],
-        series.variance[told],
-    )
+    white = np.ones((1, series.patterns.shape[1]), np.bool_)
+    floodlit = Pictures(white, known[0][None], known[1][None]).completed(shape)
+    probes = Pictures(series.patterns[told] > 0, series.radiance[told], series.variance[told])
+    pictures = joined([floodlit, probes], axis=0)
     model = fit(shape, pictures)
     smooth = as_transport(shape, rows, model, pictures)
     yield "near_far", smooth
-    canvas = canvas_of(shape, pictures)
-    left = estimate(canvas, all_pictures(canvas, pictures, None), smooth)
-    rest = left.transport(canvas)
+    canvas = Canvas.of(shape, pictures)
+    taken = canvas.taken(pictures.lit, pictures.radiance, pictures.variance)
+    rest = residual_of(canvas, taken, smooth).transport(canvas)
     yield "near_far and what it leaves", as_transport(shape, rows, model, pictures, [rest])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,18 +13,10 @@ from pydantic import Field
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
 from rfpipe.conflicts import colour_seen
-from rfpipe.methods.base import (
-    MEMORY_BYTES,
-    TOLERANCES,
-    Float,
-    LevelImages,
-    Method,
-    Pack,
-    TargetOptions,
-)
+from rfpipe.methods.adaptive.descent import Descent
+from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, Float, LevelImages, TargetOptions
 from rfpipe.methods.images import batches
-from rfpipe.methods.states import Descent, MethodState, Packing, arrays_of, level_row, unprefixed
-from rfpipe.methods.targeted.method import Targeted
+from rfpipe.methods.states import MethodState, grown, kept, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
 from rfpipe.transport.multilevel.pairs import PairSet, fold, no_pairs
@@ -33,8 +25,6 @@ from rfpipe.transport.multilevel.transport import MultilevelTransport
 
 Index = NDArray[np.int64]
 Blocks = NDArray[np.int32]
-
-_LARGEST = np.finfo(np.float32).max
 
 # What the responses stored for a pixel may come to, added up like noise, in tolerances of the
 # floodlit image's root mean square. A tenth of that or less of a picture is wrong by their spread.
@@ -45,7 +35,7 @@ _DROPPED, _STORED, _OPEN = 0, 1, 2
 
 
 class DualOptions(TargetOptions):
-    """What dual photography may be told."""
+    """The options of dual photography."""
 
     tolerance: Fraction = Field(
         1e-3,
@@ -61,13 +51,13 @@ class DualOptions(TargetOptions):
 
 @dataclass(frozen=True)
 class DualState(MethodState):
-    """The state of dual photography before a level, beside what all states have.
+    """The state of dual photography before a level.
 
     Attributes
     ----------
     tree : BlockTree
         Of the projector's rays.
-    stored : tuple of PairSet
+    stored : sequence of PairSet
         Responses stored so far, one set a level.
     frontier : PairSet
         Responses of level ``level - 1`` that are to be subdivided: the sets B_k of the thesis.
@@ -78,9 +68,9 @@ class DualState(MethodState):
     """
 
     options: DualOptions
-    tree: BlockTree
-    stored: tuple[PairSet, ...]
-    frontier: PairSet
+    tree: BlockTree = field(kw_only=True)
+    stored: Sequence[PairSet] = grown(PairSet)
+    frontier: PairSet = kept(PairSet)
     floodlit_maximum: float = 0.0
     floodlit_rms: float = 0.0
     complete: bool = True
@@ -101,25 +91,17 @@ class Dual(Descent[DualState]):
     marker = "s"
     bytes_per_ray = 20_000
     thesis_patterns = 7_382  # of scene IV
-    tolerance_share = 0.3
     Options = DualOptions
-    trades = "tolerance"
     trials = TOLERANCES[:-1]  # beyond, responses are noise at the default camera
-    packing = Packing(
-        ("level", "floodlit_maximum", "floodlit_rms", "complete", "rows"),
-        groups={"frontier": "frontier_"},
-    )
-
-    def with_options(self, options: DualOptions) -> Method[Any]:
-        """Return the method that ends at the error asked for, where one is."""
-        return self if options.target_error is None else Targeted(self)
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: DualOptions
     ) -> DualState:
         """Return the state before the floodlit image."""
-        tree, nothing = BlockTree(projector), no_pairs(0, channels)
-        return DualState(camera, projector, channels, options, tree, (), nothing)
+        nothing = no_pairs(0, channels)
+        return DualState(
+            camera, projector, channels, options, tree=BlockTree(projector), frontier=nothing
+        )
 
     def schedule(self, state: DualState) -> Schedule:
         """Colour the conflict graph of the blocks to be subdivided; light their children in turn.
@@ -128,7 +110,7 @@ class Dual(Descent[DualState]):
         and those of one block conflict with each other.
         """
         if state.level == 0:
-            return Schedule.floodlit(state.tree.domain.shape)
+            return Schedule.floodlit(state.projector.shape)
         tree, level = state.tree, state.level
         pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
         if len(state.frontier):
@@ -146,51 +128,47 @@ class Dual(Descent[DualState]):
     ) -> DualState:
         """Drop, store or subdivide each response that the level measured (ProcessResults, C.1)."""
         tree, level, schedule = state.tree, state.level, images.schedule
-        asked = _candidates(state)
-        pattern = schedule.pattern_of_block(tree)[asked.block]
-        divisible = _divisible_into(tree, level)[asked.block]
-        begin = np.cumsum(asked.count) - asked.count
-        total = int(asked.count.sum())
+        block, pixel = _asked(state)
+        total, planar = len(block), (-1, state.camera.size, state.channels)
+        pattern = schedule.pattern_of_block(tree)[block]
+        divisible = _divisible_into(tree, level)[block]
         values = np.empty((state.channels, total), np.float32)
         outcome = np.empty(total, np.uint8)
         maximum, rms = state.floodlit_maximum, state.floodlit_rms
         together = _TOGETHER * np.sqrt(state.camera.size / max(total, 1))
         known = _transport(state, state.stored) if state.options.subtract_stored else None
-        planar = (-1, state.camera.size, state.channels)
         for first, last in batches(schedule.count, state.camera.size * state.channels):
             radiance, variance = (part.reshape(planar) for part in images.read(first, last))
             if level == 0:
                 maximum = float(radiance.max())
                 rms = float(np.sqrt(np.mean(np.square(radiance, dtype=np.float64))))
             here = np.flatnonzero((pattern >= first) & (pattern < last))
-            count = asked.count[here]
-            pixel = asked.pixel[ragged_ranges(asked.first[here], count)]
-            seen = np.repeat(pattern[here] - first, count), pixel
-            response = radiance[seen]
+            measured = pattern[here] - first, pixel[here]
+            response = radiance[measured]
             rounding = np.finfo(np.float32).eps * response
-            # what is unknown has no response; its infinite noise must stay a number, times 0, too
-            noise = np.sqrt(np.minimum(variance[seen] + rounding * rounding, _LARGEST))
+            # an unknown pixel has no response; its infinite noise must stay a number, times 0, too
+            largest = np.finfo(np.float32).max
+            noise = np.sqrt(np.minimum(variance[measured] + rounding * rounding, largest))
             if known is not None:
                 predicted = known.relight_batch(schedule.batch(first, last))
-                response -= predicted.reshape(planar)[seen]
-            place = ragged_ranges(begin[here], count)
-            values[:, place] = np.maximum(response, 0.0).T
-            outcome[place] = _judge(
+                response -= predicted.reshape(planar)[measured]
+            values[:, here] = np.maximum(response, 0.0).T
+            outcome[here] = _judge(
                 response,
                 state.options.noise_significance * noise,
                 state.options.tolerance * min(maximum, together * rms),
-                np.repeat(divisible[here], count),
+                divisible[here],
             )
-        block = np.repeat(asked.block, asked.count).astype(np.int32)
-        pixel = asked.pixel[ragged_ranges(asked.first, asked.count)]
         stored, frontier = (
             PairSet(level, block[chosen], pixel[chosen], values[:, chosen])
             for chosen in (outcome == _STORED, outcome == _OPEN)
         )
         unlit_from_now_on = np.setdiff1d(stored.block, frontier.block)
+        kind = "scalar" if level == tree.n_levels - 1 else "rank1"
+        counts = {"empty": total - len(stored) - len(frontier), kind: len(stored)}
         return state.after(
-            _row(tree, schedule, total, len(stored), len(frontier)),
-            stored=(*state.stored, stored),
+            level_row(level, schedule.count, nodes=total, **counts, subdivided=len(frontier)),
+            stored=(stored,),
             frontier=frontier,
             floodlit_maximum=maximum,
             floodlit_rms=rms,
@@ -214,22 +192,6 @@ class Dual(Descent[DualState]):
         )
         return _transport(state, pair_sets, symmetric)
 
-    def pack(self, state: DualState) -> Pack:
-        """Return the responses that the last refinement stored, and the frontier."""
-        own = super().pack(state)
-        return own | Pack(arrays_of(state.stored[-1], "stored_"), {})
-
-    def _restored(self, start: DualState, packs: Sequence[Pack]) -> DualState:
-        state = super()._restored(start, packs)
-        return replace(
-            state,
-            stored=tuple(
-                PairSet(level, **unprefixed("stored_", pack.arrays))
-                for level, pack in enumerate(packs)
-            ),
-            frontier=replace(state.frontier, level=state.level - 1),
-        )
-
 
 def _transport(
     state: DualState, pair_sets: Sequence[PairSet], symmetric: bool = False
@@ -240,41 +202,21 @@ def _transport(
     )
 
 
-@dataclass(frozen=True)
-class _Candidates:
-    """The pairs (block, pixel) that a level measures.
+def _asked(state: DualState) -> tuple[Blocks, Blocks]:
+    """Return the blocks and pixels of the pairs that a level measures, (n,) each, by block.
 
-    Attributes
-    ----------
-    block : ndarray of int64, shape (n_blocks,)
-        The blocks that the level lights, ascending.
-    first, count : ndarray of int64, shape (n_blocks,)
-        Each block's pixels are ``pixel[first : first + count]``, ascending.
-    pixel : ndarray of int32
+    All pixels and the root; later, the frontier's pixels and their blocks' children.
     """
-
-    block: Index
-    first: Index
-    count: Index
-    pixel: NDArray[np.int32]
-
-
-def _candidates(state: DualState) -> _Candidates:
-    """Pair all pixels with the root; later, the frontier's pixels with their blocks' children."""
     tree, level, frontier = state.tree, state.level, state.frontier
     if level == 0:
         pixel = np.arange(state.camera.size, dtype=np.int32)
-        zero = np.zeros(1, np.int64)
-        return _Candidates(zero, zero, zero + len(pixel), pixel)
+        return np.zeros_like(pixel), pixel
     parents, first, count = np.unique(frontier.block, return_index=True, return_counts=True)
     begin = tree.child_starts[level - 1][parents]
     children = tree.child_starts[level - 1][parents + 1] - begin
-    return _Candidates(
-        ragged_ranges(begin, children),
-        np.repeat(first, children),
-        np.repeat(count, children),
-        frontier.pixel,
-    )
+    pixels = np.repeat(count, children)
+    block = np.repeat(ragged_ranges(begin, children), pixels).astype(np.int32)
+    return block, frontier.pixel[ragged_ranges(np.repeat(first, children), pixels)]
 
 
 def _divisible_into(tree: BlockTree, level: int) -> Index:
@@ -307,14 +249,6 @@ def _judge(
     large = (response >= limit).any(axis=1) & (children > 0)
     outcome = np.where(large, _OPEN, _STORED)
     return np.where(significant, outcome, _DROPPED).astype(np.uint8)
-
-
-def _row(
-    tree: BlockTree, schedule: Schedule, nodes: int, stored: int, subdivided: int
-) -> dict[str, int]:
-    kind = "scalar" if schedule.level == tree.n_levels - 1 else "rank1"
-    counts = {"nodes": nodes, "empty": nodes - stored - subdivided, kind: stored}
-    return level_row(schedule.level, schedule.count, **counts, subdivided=subdivided)
 
 
 def coloured_blocks(frontier: PairSet, pixels: int) -> tuple[Index, NDArray[np.int32]]:

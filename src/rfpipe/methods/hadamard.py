@@ -15,31 +15,26 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Options
-from rfpipe.methods.scan import Scan, ScanState, read_columns
+from rfpipe.methods.brute_force import BruteForce, ScanState, read_columns
+from rfpipe.methods.images import batches
 from rfpipe.methods.states import level_row
 from rfpipe.patterns import Schedule
 
-# Pixels decoded at a time.
-_BATCH_BYTES = 32 * 2**20
 
-
-class Hadamard(Scan):
-    """A scan of the projector's rays by the rows of an S-matrix, as a `Method`.
+class Hadamard(BruteForce):
+    """A scan of the projector's rays by the rows of an S-matrix.
 
     Of all sets of n patterns of on and off for n unknowns, an S-matrix has the least noise where
-    it is the same in every picture: each entry of ``T`` has ``4 n / (n + 1)^2`` of the variance of
-    a picture, against 1 by brute force. Where noise grows with the light it gains nothing: the
-    pictures are as much brighter as there are rays lit in them, and for pure photon noise an
-    entry's variance is about twice the mean one of brute force.
-
-    Patterns and unknowns are equal in number, so that the pictures' variances can't weigh them:
-    the one solution fits all of them. Nothing is clamped, as this would bias what is relit.
+    noise is the same in every picture: each entry of ``T`` has ``4 n / (n + 1)^2`` of a picture's
+    variance, against 1 by brute force. Pure photon noise gives about twice the mean variance of
+    brute force. Nothing is clamped, as this would bias what is relit.
     """
 
     name = "hadamard"
     title = "Hadamard multiplexing"
     colour = "#7d5ba6"
     marker = "^"
+    line = "-"
 
     def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Options) -> int:
         """Return the order of the S-matrix."""
@@ -71,9 +66,13 @@ def s_matrix_order(rays: int) -> int:
     That is 1 or a prime of the form 4 k + 3; columns beyond the rays are left out. Powers of two,
     the orders of Hadamard's matrices by Sylvester, would take up to twice the patterns.
     """
+
+    def is_prime(number: int) -> bool:
+        return all(number % divisor for divisor in range(2, isqrt(number) + 1))
+
     if rays == 1:
         return 1
-    return next(order for order in count(rays + (3 - rays) % 4, 4) if _is_prime(order))
+    return next(order for order in count(rays + (3 - rays) % 4, 4) if is_prime(order))
 
 
 def s_matrix_row(order: int) -> NDArray[np.uint8]:
@@ -94,7 +93,7 @@ def decode(coded: NDArray[Any], rays: int) -> Float:
     Parameters
     ----------
     coded : ndarray of float, shape (pixels, n)
-        What each pixel saw under the rows of the S-matrix of order n.
+        Each pixel under the rows of the S-matrix of order n.
     rays : int
         Unknowns, at most n.
 
@@ -107,13 +106,7 @@ def decode(coded: NDArray[Any], rays: int) -> Float:
     order = coded.shape[1]
     inverse = fft.rfft(4.0 / (order + 1) * s_matrix_row(order) - 2.0 / (order + 1))
     found = np.empty((len(coded), rays), np.float32)
-    step = max(1, _BATCH_BYTES // (order * np.dtype(np.complex128).itemsize))
-    for first in range(0, len(coded), step):
-        chosen = slice(first, first + step)
-        spectrum = fft.rfft(coded[chosen].astype(np.float64), axis=1)
-        found[chosen] = fft.irfft(inverse * spectrum.conj(), order, axis=1)[:, :rays]
+    for first, last in batches(len(coded), 4 * order):  # complex128
+        spectrum = fft.rfft(coded[first:last].astype(np.float64), axis=1)
+        found[first:last] = fft.irfft(inverse * spectrum.conj(), order, axis=1)[:, :rays]
     return found
-
-
-def _is_prime(number: int) -> bool:
-    return number > 1 and all(number % divisor for divisor in range(2, isqrt(number) + 1))

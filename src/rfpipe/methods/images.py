@@ -7,19 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Float, LevelImages
 from rfpipe.patterns import Schedule
-
-__all__ = [
-    "FloodlitImage",
-    "RenumberedImages",
-    "batches",
-    "planar_batches",
-    "read_planar",
-    "renumbered",
-    "rounding",
-]
 
 # Images read at a time.
 _BATCH_BYTES = 32 * 2**20
@@ -32,6 +21,11 @@ class RenumberedImages:
     schedule: Schedule
     images: LevelImages
 
+    @classmethod
+    def of(cls, images: LevelImages, level: int) -> RenumberedImages:
+        """Return a level's images under another number."""
+        return cls(replace(images.schedule, level=level), images)
+
     def read(self, first: int, last: int) -> tuple[Float, Float]:
         """Return radiance and variance of some patterns."""
         return self.images.read(first, last)
@@ -39,29 +33,15 @@ class RenumberedImages:
 
 @dataclass(frozen=True)
 class FloodlitImage:
-    """A floodlit image that is there already, as the images of level 0."""
+    """A floodlit image, radiance and variance (1, *camera_shape, C), as the images of level 0."""
 
     schedule: Schedule
-    image: tuple[Float, Float]
-
-    @classmethod
-    def of(
-        cls, camera: RayDomain, projector: RayDomain, radiance: Float, variance: Float
-    ) -> FloodlitImage:
-        """Take radiance and variance, float32 (C, pixels)."""
-        shape = (1, *camera.shape, len(radiance))
-        one, other = (np.ascontiguousarray(each.T).reshape(shape) for each in (radiance, variance))
-        return cls(Schedule.floodlit(projector.shape), (one, other))
+    radiance: Float
+    variance: Float
 
     def read(self, first: int, last: int) -> tuple[Float, Float]:
         """Return radiance and variance."""
-        radiance, variance = self.image
-        return radiance[first:last], variance[first:last]
-
-
-def renumbered(images: LevelImages, level: int) -> RenumberedImages:
-    """Return a level's images under another number."""
-    return RenumberedImages(replace(images.schedule, level=level), images)
+        return self.radiance[first:last], self.variance[first:last]
 
 
 def batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
@@ -75,32 +55,33 @@ def batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
 
 
 def planar_batches(
-    images: LevelImages, channels: int, rays: int, count: int | None = None
+    images: LevelImages, channels: int, rays: int, first: int = 0, last: int | None = None
 ) -> Iterator[tuple[slice, Float, Float]]:
-    """Read a level's images, or the first `count` of them, a few at a time, channel by channel.
+    """Read a level's images, all or some, a few at a time, channel by channel.
 
     Yields
     ------
     slice, ndarray of float32 (C, k, rays), ndarray of float32 (C, k, rays)
-        Which images; their radiance; its variance, with that of `rounding`, above 0.
+        Which images, counted from the first; their radiance; its variance, with that of
+        `rounding`, above 0.
     """
-    for first, last in batches(images.schedule.count if count is None else count, channels * rays):
+    last = images.schedule.count if last is None else last
+    for begin, end in batches(last - first, channels * rays):
         radiance, variance = (
-            np.moveaxis(part.reshape(last - first, rays, channels), -1, 0)
-            for part in images.read(first, last)
+            np.moveaxis(part.reshape(end - begin, rays, channels), -1, 0)
+            for part in images.read(first + begin, first + end)
         )
-        yield slice(first, last), radiance, variance + rounding(radiance)
+        yield slice(begin, end), radiance, variance + rounding(radiance)
 
 
-def read_planar(images: LevelImages, channels: int, rays: int, count: int) -> tuple[Float, Float]:
-    """Read the first images of a level, radiance and variance, float32 (count, C, rays).
-
-    As `planar_batches`.
-    """
-    radiance = np.empty((count, channels, rays), np.float32)
+def read_planar(
+    images: LevelImages, channels: int, rays: int, first: int, last: int
+) -> tuple[Float, Float]:
+    """Read some of a level's images, radiance and variance, float32 (last - first, C, rays)."""
+    radiance = np.empty((last - first, channels, rays), np.float32)
     variance = np.empty_like(radiance)
-    for part, seen, spread in planar_batches(images, channels, rays, count):
-        radiance[part], variance[part] = np.moveaxis(seen, 0, 1), np.moveaxis(spread, 0, 1)
+    for part, observed, spread in planar_batches(images, channels, rays, first, last):
+        radiance[part], variance[part] = np.moveaxis(observed, 0, 1), np.moveaxis(spread, 0, 1)
     return radiance, variance
 
 

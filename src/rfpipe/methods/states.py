@@ -1,44 +1,45 @@
-"""What the states of methods share: rows of the table of levels, packing and restoring."""
+"""States of methods: the table of levels, and what each level changes, packed and restored."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Self, TypeVar
+from functools import partial
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Method, Pack, State
-
-__all__ = [
-    "Descent",
-    "MethodState",
-    "Packing",
-    "PackingMethod",
-    "appended",
-    "arrays_of",
-    "joined",
-    "level_row",
-    "unprefixed",
-    "with_arrays",
-]
+from rfpipe.transport.stored import SetsOnDemand
 
 Arrays = Mapping[str, NDArray[Any]]
 S = TypeVar("S", bound=Any)
 
-_COUNTS = ("nodes", "empty", "rank1", "scalar", "subdivided")
-
 
 def level_row(level: int, patterns: int, **counts: Any) -> dict[str, Any]:
     """Return a row of the table of levels; what isn't counted is 0."""
-    return {"level": level, "patterns": patterns, **dict.fromkeys(_COUNTS, 0), **counts}
+    names = ("nodes", "empty", "rank1", "scalar", "subdivided")
+    return {"level": level, "patterns": patterns, **dict.fromkeys(names, 0), **counts}
+
+
+def kept(kind: type) -> Any:
+    """Return a state's field for a dataclass of arrays, or None; levels replace it."""
+    return field(default=None, kw_only=True, metadata={"kind": kind})
+
+
+def grown(kind: type) -> Any:
+    """Return a state's field for a sequence of dataclasses of arrays; levels add to it."""
+    return field(default=(), kw_only=True, metadata={"kind": kind, "grows": True})
 
 
 @dataclass(frozen=True)
 class MethodState:
     """What the states of rfpipe's own methods have in common.
+
+    Fields are plain data, arrays, or dataclasses of both (`kept`, `grown`). What a level changes,
+    by `after` and `changed`, is packed and restored by its name.
 
     Attributes
     ----------
@@ -51,6 +52,8 @@ class MethodState:
         Level to be scheduled next; 0 is the first.
     rows : tuple of dict
         The table of levels so far.
+    news : mapping of str to int
+        Fields that the last level changed; how many sets it added to those that grow.
     """
 
     camera: RayDomain
@@ -59,129 +62,108 @@ class MethodState:
     options: Any
     level: int = field(default=0, kw_only=True)
     rows: tuple[dict[str, Any], ...] = field(default=(), kw_only=True)
+    news: Mapping[str, int] = field(default_factory=dict, kw_only=True, repr=False)
 
-    def after(self, row: dict[str, Any], **found: Any) -> Self:
-        """Return the state after a level: its row of the table, and what it found by name."""
-        return replace(self, level=self.level + 1, rows=(*self.rows, row), **found)
+    def after(self, row: dict[str, Any], **new: Any) -> Self:
+        """Return the state after a level: its row of the table, and what `changed` takes."""
+        following = replace(self, level=self.level + 1, rows=(*self.rows, row), news={})
+        return following.changed(**new)
 
-
-@dataclass(frozen=True)
-class Packing:
-    """Which fields of a method's states are packed, and how.
-
-    Attributes
-    ----------
-    plain : tuple of str
-        Plain data; tuples are packed as lists.
-    arrays : tuple of str
-    groups : mapping of str to str
-        Dataclasses of arrays, and what the names of their arrays begin with.
-    latest : tuple of str
-        Tuples of arrays to which each level adds one.
-    """
-
-    plain: tuple[str, ...]
-    arrays: tuple[str, ...] = ()
-    groups: Mapping[str, str] = field(default_factory=dict)
-    latest: tuple[str, ...] = ()
+    def changed(self, **new: Any) -> Self:
+        """Return the state with other fields; of those that grow, with more sets."""
+        news = dict(self.news)
+        for each in fields(self):
+            if each.name in new:
+                grows = "grows" in each.metadata
+                news[each.name] = news.get(each.name, 0) + (len(new[each.name]) if grows else 1)
+                if grows:
+                    new[each.name] = (*getattr(self, each.name), *new[each.name])
+        return replace(self, **new, news=news)
 
 
 class PackingMethod(Method[State]):
-    """A method that packs and restores its states by the names of their fields.
+    """A method that packs and restores its states by the names of their fields."""
 
-    Attributes
-    ----------
-    packing : Packing
-    """
-
-    packing: ClassVar[Packing]
-
-    def pack(self, state: State) -> Pack:
-        """Return what the last refinement added, and what the next one needs."""
-        arrays = {name: _stored(getattr(state, name)) for name in self.packing.arrays}
-        arrays |= {name: getattr(state, name)[-1] for name in self.packing.latest}
-        for name, prefix in self.packing.groups.items():
-            arrays |= arrays_of(getattr(state, name), prefix)
-        plain = {name: getattr(state, name) for name in self.packing.plain}
+    def pack(self, state: Any) -> Pack:
+        """Return what the last level changed."""
+        arrays: dict[str, NDArray[Any]] = {}
+        plain: dict[str, Any] = {}
+        for each in fields(state):
+            name, value = each.name, getattr(state, each.name)
+            if name not in {"level", "rows", *state.news}:
+                continue
+            if isinstance(value, np.ndarray):
+                arrays[name] = value
+            elif "grows" in each.metadata:
+                first = len(value) - state.news[name]
+                plain[name] = [
+                    _split(one, f"{name}_{number:03d}_", arrays)
+                    for number, one in enumerate(value[first:], first)
+                ]
+            elif "kind" in each.metadata and value is not None:
+                plain[name] = _split(value, f"{name}_", arrays)
+            else:
+                plain[name] = list(value) if isinstance(value, tuple) else value
+        truths = [name for name, array in arrays.items() if array.dtype == np.bool_]
         return Pack(
-            arrays,
-            {name: list(v) if isinstance(v, tuple) else v for name, v in plain.items()},
+            arrays | {name: arrays[name].astype(np.uint8) for name in truths},
+            plain | {"truths": truths},
         )
 
-    def restore(self, start: State, packs: Sequence[Pack]) -> State:
+    def restore(self, start: Any, packs: Sequence[Pack]) -> Any:
         """Return the state after the last of `packs`, one a level from level 0 on."""
-        return self._restored(start, packs) if packs else start
-
-    def _restored(self, start: State, packs: Sequence[Pack]) -> State:
-        last = packs[-1]
-        plain = {name: last.attributes[name] for name in self.packing.plain}
-        found = {name: tuple(v) if isinstance(v, list) else v for name, v in plain.items()}
-        for name in self.packing.arrays:
-            found[name] = _like(getattr(start, name), last.arrays[name])
-        for name in self.packing.latest:
-            found[name] = tuple(pack.arrays[name] for pack in packs)
-        for name, prefix in self.packing.groups.items():
-            found[name] = with_arrays(getattr(start, name), last.arrays, prefix)
-        restored: State = replace(start, **found)  # type: ignore[type-var]
-        return restored
-
-
-class Descent(PackingMethod[State]):
-    """A method that goes down the projector's block tree, from the floodlit root to its rays.
-
-    Attributes
-    ----------
-    thesis_patterns : int
-        Those of a scene of the thesis at 310 x 350 rays, in ten levels.
-    tolerance_share : float
-        The tolerance at which to meet a ``target_error``, as a share of it.
-    """
-
-    thesis_patterns: ClassVar[int]
-    tolerance_share: ClassVar[float]
-
-    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
-        """Return the depth of the block tree."""
-        self.check(camera, projector)
-        return BlockTree(projector).n_levels
-
-    def asks(self, state: Any) -> bool:
-        """Tell whether blocks are left to subdivide, without colouring them."""
-        return state.level == 0 or len(state.frontier) > 0
-
-    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Guess the patterns from those of the thesis' scene, so many a level."""
-        levels = self.n_levels(camera, projector)
-        return min(projector.size, round(levels * self.thesis_patterns / 10))
-
-    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
-        """Return the patterns of a scene for which all blocks are lit one by one."""
-        tree = BlockTree(projector)
-        return sum(tree.n_blocks(level) for level in range(tree.n_levels))
+        found: dict[str, Any] = {}
+        for each in fields(start):
+            name = each.name
+            kind: Any = each.metadata.get("kind")
+            own = [pack for pack in packs if name in pack.attributes or name in pack.arrays]
+            if not own:
+                continue
+            value = own[-1].attributes.get(name)
+            if "grows" in each.metadata:
+                sets = [(pack, plain) for pack in own for plain in pack.attributes[name]]
+                numbered = [(f"{name}_{n:03d}_", *one) for n, one in enumerate(sets)]
+                found[name] = SetsOnDemand(numbered, partial(_whole, kind), keep=True)
+            elif name in own[-1].arrays:
+                found[name] = _array(own[-1], name)
+            elif kind is not None and value is not None:
+                found[name] = _whole(kind, (f"{name}_", own[-1], value))
+            else:
+                found[name] = tuple(value) if isinstance(value, list) else value
+        return replace(start, **found)
 
 
-def arrays_of(group: Any, prefix: str = "") -> dict[str, NDArray[Any]]:
-    """Return the arrays of a dataclass by name, as stores keep them."""
-    return {f"{prefix}{name}": _stored(array) for name, array in _held(group).items()}
+def _split(group: Any, prefix: str, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    """Write the arrays of a dataclass, or a mapping, by their names; return its plain data."""
+    values: dict[str, Any] = group if isinstance(group, dict) else _values(group)
+    own = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
+    arrays |= {f"{prefix}{name}": array for name, array in own.items()}
+    return {name: value for name, value in values.items() if name not in own}
 
 
-def with_arrays(group: S, arrays: Arrays, prefix: str = "") -> S:
-    """Return a dataclass with other arrays, by the names that `arrays_of` gave them."""
-    own = {name: _like(array, arrays[f"{prefix}{name}"]) for name, array in _held(group).items()}
-    return replace(group, **own)
+def _values(group: Any) -> dict[str, Any]:
+    return {each.name: getattr(group, each.name) for each in fields(group) if each.init}
+
+
+def _whole(kind: type, held: tuple[str, Pack, dict[str, Any]]) -> Any:
+    """Undo `_split`."""
+    prefix, pack, plain = held
+    names = [name for name in pack.arrays if name.startswith(prefix)]
+    return kind(**plain, **{name.removeprefix(prefix): _array(pack, name) for name in names})
+
+
+def _array(pack: Pack, name: str) -> NDArray[Any]:
+    array = pack.arrays[name]
+    return array.astype(np.bool_) if name in pack.attributes["truths"] else array
 
 
 def joined(parts: Sequence[S], axis: int = -1) -> S:
-    """Put the arrays of dataclasses, found one after the other, together; `parts` isn't empty."""
+    """Put the arrays of dataclasses, one after the other, together; `parts` isn't empty."""
     if len(parts) == 1:
         return parts[0]
-    held = [_held(part) for part in parts]
-    return replace(parts[0], **{n: np.concatenate([own[n] for own in held], axis) for n in held[0]})
-
-
-def appended(before: S | None, more: S) -> S:
-    """Put the arrays of a dataclass behind those of another, where there is one, by axis 0."""
-    return more if before is None else joined([before, more], axis=0)
+    held = [_values(part) for part in parts]
+    names = [name for name, value in held[0].items() if isinstance(value, np.ndarray)]
+    return replace(parts[0], **{n: np.concatenate([own[n] for own in held], axis) for n in names})
 
 
 def unprefixed(prefix: str, arrays: Arrays) -> Arrays:
@@ -211,18 +193,3 @@ class _Renamed(Mapping[str, NDArray[Any]]):
 
     def __len__(self) -> int:
         return len(self.names)
-
-
-def _held(group: Any) -> dict[str, NDArray[Any]]:
-    values = {found.name: getattr(group, found.name) for found in fields(group)}
-    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-
-
-def _stored(array: NDArray[Any]) -> NDArray[Any]:
-    """Return truth values as stores keep them, other arrays as they are."""
-    return array.astype(np.uint8) if array.dtype == np.bool_ else array
-
-
-def _like(array: NDArray[Any], stored: NDArray[Any]) -> NDArray[Any]:
-    """Undo `_stored`."""
-    return stored.astype(np.bool_) if array.dtype == np.bool_ else stored

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,23 +12,9 @@ from pydantic import Field
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
 from rfpipe.conflicts import colour_apart, conflict_graph
-from rfpipe.methods.base import (
-    MEMORY_BYTES,
-    TOLERANCES,
-    LevelImages,
-    Method,
-    Pack,
-    TargetOptions,
-)
-from rfpipe.methods.states import (
-    Descent,
-    MethodState,
-    Packing,
-    arrays_of,
-    joined,
-    level_row,
-    unprefixed,
-)
+from rfpipe.methods.adaptive.descent import Descent
+from rfpipe.methods.base import MEMORY_BYTES, TOLERANCES, LevelImages, TargetOptions
+from rfpipe.methods.states import MethodState, grown, joined, kept, level_row
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
     as_leaves,
@@ -52,11 +37,9 @@ from rfpipe.methods.symmetric.rank_test import (
     rank_test,
     reconcile,
 )
-from rfpipe.methods.targeted.method import Targeted
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
-from rfpipe.transport.stored import SetsOnDemand
 
 # By how many tolerances a half-lit picture may be wrong if all nodes of a level are as far off as
 # they may be.
@@ -82,8 +65,6 @@ class SymmetricState(MethodState):
     tree : BlockTree
     known : sequence of LeafSet
         Leaves found so far.
-    added : sequence of LeafSet
-        Those of them that the last refinement found.
     frontier : Frontier
         Unknown nodes of level ``level - 1``.
     floodlit_maximum, floodlit_rms : float
@@ -93,11 +74,10 @@ class SymmetricState(MethodState):
     """
 
     options: SymmetricOptions
-    tree: BlockTree
-    frontier: Frontier
-    dark: NDArray[np.bool_]
-    known: Sequence[LeafSet] = ()
-    added: Sequence[LeafSet] = ()
+    tree: BlockTree = field(kw_only=True)
+    frontier: Frontier = kept(Frontier)
+    dark: NDArray[np.bool_] = field(kw_only=True)
+    known: Sequence[LeafSet] = grown(LeafSet)
     floodlit_maximum: float = 0.0
     floodlit_rms: float = 0.0
 
@@ -111,19 +91,8 @@ class Symmetric(Descent[SymmetricState]):
     needs_coaxial_rig = True
     bytes_per_ray = 20_000
     thesis_patterns = 1_085  # of scene II
-    tolerance_share = 0.3
     Options = SymmetricOptions
-    trades = "tolerance"
     trials = TOLERANCES
-    packing = Packing(
-        ("level", "floodlit_maximum", "floodlit_rms", "rows"),
-        ("dark",),
-        groups={"frontier": "frontier_"},
-    )
-
-    def with_options(self, options: SymmetricOptions) -> Method[Any]:
-        """Return the method that ends at the error asked for, where one is."""
-        return self if options.target_error is None else Targeted(self)
 
     def start(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: SymmetricOptions
@@ -132,7 +101,9 @@ class Symmetric(Descent[SymmetricState]):
         self.n_levels(camera, projector)
         tree, nothing = BlockTree(projector), no_nodes(channels)
         dark = np.zeros(projector.size, np.bool_)
-        return SymmetricState(camera, projector, channels, options, tree, nothing, dark)
+        return SymmetricState(
+            camera, projector, channels, options, tree=tree, frontier=nothing, dark=dark
+        )
 
     def schedule(self, state: SymmetricState) -> Schedule:
         """Colour the square of the graph of unknown transport (Lemmas 1 and 2)."""
@@ -159,7 +130,7 @@ class Symmetric(Descent[SymmetricState]):
             return self._begin(state, images)
         tree, level, nodes = state.tree, state.level, state.frontier
         if not images.schedule.count:
-            return state.after(level_row(level, 0, rank_k=0), added=())
+            return state.after(level_row(level, 0, rank_k=0))
         limits = _limits(state, tests=int(child_counts(tree, level - 1, nodes).sum()))
         refined = [
             _refine_nodes(state, select(tree, level - 1, nodes, run), images, limits, memory_bytes)
@@ -183,8 +154,7 @@ class Symmetric(Descent[SymmetricState]):
         row = level_row(level, images.schedule.count, nodes=children, rank_k=0, **counts)
         return replace(state, rows=(*state.rows[:-1], {**before, **outcome})).after(
             row,
-            known=(*state.known, *added),
-            added=added,
+            known=added,
             frontier=joined([part.found.frontier for part in refined]),
         )
 
@@ -193,18 +163,22 @@ class Symmetric(Descent[SymmetricState]):
         root, channels = np.zeros(1, np.int32), state.channels
         pieces = collect(state.tree, root, root, (), channels, images, MEMORY_BYTES)
         significant = pieces.values > state.options.noise_significance * np.sqrt(pieces.variances)
-        state = replace(
-            state,
-            floodlit_maximum=float(pieces.values.max(initial=0.0)),
-            floodlit_rms=float(np.sqrt(np.mean(np.square(pieces.values, dtype=np.float64)))),
-            dark=np.logical_not(significant.any(axis=0)),
-        )
+        maximum = float(pieces.values.max(initial=0.0))
+        rms = float(np.sqrt(np.mean(np.square(pieces.values, dtype=np.float64))))
+        dark = np.logical_not(significant.any(axis=0))
+        state = replace(state, floodlit_maximum=maximum, floodlit_rms=rms)
         first, nothing, unsettled = np.zeros(1, np.int64), no_nodes(channels), np.zeros(1, np.bool_)
         limits = _limits(state, tests=1)
         found = classify(state.tree, 0, pieces, first, unsettled, nothing, first, limits)
         row = level_row(0, 1, nodes=1, rank_k=0, **found.counts)
-        leaves = (found.leaves,)
-        return state.after(row, known=leaves, added=leaves, frontier=found.frontier)
+        return state.after(
+            row,
+            known=(found.leaves,),
+            frontier=found.frontier,
+            floodlit_maximum=maximum,
+            floodlit_rms=rms,
+            dark=dark,
+        )
 
     def transport(self, state: SymmetricState) -> HierarchicalTransport:
         """Return the hierarchical tensor; nodes still unknown at their rank-1 estimate."""
@@ -212,32 +186,6 @@ class Symmetric(Descent[SymmetricState]):
         return HierarchicalTransport.from_leaf_sets(
             state.tree, state.channels, list(state.rows), [*state.known, estimate]
         )
-
-    def pack(self, state: SymmetricState) -> Pack:
-        """Return the leaves that the last refinement added, and the frontier."""
-        own = super().pack(state)
-        arrays = dict(own.arrays)
-        for leaves in state.added:
-            arrays |= arrays_of(leaves, _prefix(leaves.level))
-        levels = [leaves.level for leaves in state.added]
-        return Pack(arrays, {**own.attributes, "leaf_levels": levels})
-
-    def _restored(self, start: SymmetricState, packs: Sequence[Pack]) -> SymmetricState:
-        found = [(pack, level) for pack in packs for level in pack.attributes["leaf_levels"]]
-        last = [(pack, level) for pack, level in found if pack is packs[-1]]
-        known, added = (SetsOnDemand(sets, _leaves_of, keep=True) for sets in (found, last))
-        return replace(super()._restored(start, packs), known=known, added=added)
-
-
-def _leaves_of(found: tuple[Pack, int]) -> LeafSet:
-    """Read the leaves of a level that a refinement added: not every stage needs them."""
-    pack, level = found
-    return LeafSet(level, **unprefixed(_prefix(level), pack.arrays))
-
-
-def _prefix(level: int) -> str:
-    """What the names of a level's leaves begin with."""
-    return f"leaves_{level:02d}_"
 
 
 def _limits(state: SymmetricState, tests: int) -> Limits:

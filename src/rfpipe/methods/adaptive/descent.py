@@ -1,0 +1,288 @@
+"""Methods that go down a block tree, and their end at an error that held-out pictures tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.methods.adaptive.decisions import hierarchy
+from rfpipe.methods.adaptive.estimate import MOST_HELD_OUT
+from rfpipe.methods.adaptive.rounds import Adaptive, AdaptiveState, inner_packs
+from rfpipe.methods.base import (
+    MEMORY_BYTES,
+    Float,
+    LevelImages,
+    Method,
+    Pack,
+    State,
+    TargetOptions,
+)
+from rfpipe.methods.states import PackingMethod, level_row
+from rfpipe.transport.base import Transport
+
+
+class Descent(PackingMethod[State]):
+    """A method that goes down the projector's block tree, from the floodlit root to its rays.
+
+    Attributes
+    ----------
+    thesis_patterns : int
+        Those of a scene of the thesis at 310 x 350 rays, in ten levels.
+    """
+
+    trades = "tolerance"
+    thesis_patterns: ClassVar[int]
+
+    def with_options(self, options: Any) -> Method[Any]:
+        """Return the method that ends at the error asked for, where one is."""
+        return self if options.target_error is None else Targeted(self)
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
+        """Return the depth of the block tree."""
+        self.check(camera, projector)
+        return BlockTree(projector).n_levels
+
+    def asks(self, state: Any) -> bool:
+        """Tell whether blocks are left to subdivide, without colouring them."""
+        return state.level == 0 or len(state.frontier) > 0
+
+    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
+        """Guess the patterns from those of the thesis' scene, so many a level."""
+        levels = self.n_levels(camera, projector)
+        return min(projector.size, round(levels * self.thesis_patterns / 10))
+
+    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
+        """Return the patterns of a scene for which all blocks are lit one by one."""
+        tree = BlockTree(projector)
+        return sum(tree.n_blocks(level) for level in range(tree.n_levels))
+
+
+@dataclass(frozen=True)
+class TargetedState(AdaptiveState):
+    """The state of a descent that ends at a target.
+
+    Attributes
+    ----------
+    best : MethodState, optional
+        The hierarchy's state whose transport predicts the held-out pictures best: of a level
+        further up, where the levels below made it worse.
+    best_level : int
+        Its level.
+    """
+
+    following: str = "hierarchy"
+    best: Any = None
+    best_level: int = 0
+
+
+class Targeted(Adaptive):
+    """A method that goes down a block tree, until held-out pictures are predicted well enough.
+
+    After the floodlit image come pictures of random shapes; when those are predicted, or the tree
+    is at its end, pictures of the strip where most light stays near and of small spots, too. None
+    of them is shown to the inner method.
+
+    Parameters
+    ----------
+    inner : Descent
+    """
+
+    State = TargetedState
+
+    def __init__(self, inner: Descent[Any]) -> None:
+        self._inner = inner
+        about = (
+            "name title colour marker line needs_coaxial_rig bytes_per_ray Options trades trials"
+        )
+        for name in about.split():
+            setattr(self, name, getattr(inner, name))
+
+    @property
+    def hierarchy(self) -> Method[Any]:
+        """The inner method."""
+        return self._inner
+
+    def n_levels(self, camera: RayDomain, projector: RayDomain) -> int:
+        """Return the depth of the block tree, and two levels of held-out pictures."""
+        return self._inner.n_levels(camera, projector) + 2
+
+    def expected_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
+        """Guess the patterns from those of the inner method."""
+        return self._inner.expected_patterns(camera, projector, options) + MOST_HELD_OUT
+
+    def most_patterns(self, camera: RayDomain, projector: RayDomain, options: Any) -> int:
+        """Return the patterns of a scene for which all blocks are lit one by one."""
+        return self._inner.most_patterns(camera, projector, options) + MOST_HELD_OUT
+
+    def start(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: TargetOptions
+    ) -> AdaptiveState:
+        """Return the state before the floodlit image; without a ``target_error`` it ends at none.
+
+        The tolerance follows from the target: relit pictures are off by some three tolerances.
+        """
+        own: Any = options
+        tolerance = own.tolerance
+        if own.target_error is not None:
+            default = type(own).model_fields["tolerance"].default
+            follows = 0.3 * own.target_error
+            tolerance = follows if tolerance == default else min(tolerance, follows)
+        state = TargetedState(camera, projector, channels, options, tolerance=tolerance)
+        begun = self.inner_start(state)
+        return replace(state, inner=begun, best=begun)
+
+    def slot(self, state: AdaptiveState) -> str:
+        """Return what follows: no level is kept for anything else."""
+        return state.following
+
+    def in_round(self, state: AdaptiveState) -> int:
+        """Return 0: only held-out pictures are shown beside the hierarchy's."""
+        return 0
+
+    def nearness(self, state: AdaptiveState) -> Float:
+        """Return how much of each ray's light stays near, (*shape)."""
+        return nearness(self.transport(state))
+
+    def row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
+        """Return the next level's row: ``block_level`` is that which the hierarchy has reached."""
+        alike = dict.fromkeys(state.inner.rows[0], 0) if state.inner.rows else {}
+        own = level_row(state.level, patterns, block_level=len(state.descended) - 1)
+        return {**alike, **own}
+
+    def begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
+        """Take the floodlit image."""
+        taken = super().begun(state, images).taken
+        return self.descend(state, images, MEMORY_BYTES, taken=taken)
+
+    def descend(
+        self, state: AdaptiveState, images: LevelImages, memory_bytes: int, **new: Any
+    ) -> AdaptiveState:
+        """Let the inner method refine a level."""
+        after = super().descend(state, images, memory_bytes, **new)
+        if isinstance(after, TargetedState) and not after.held:
+            after = replace(after, best=after.inner).changed(best_level=after.inner.level)
+        return self.decided(after)
+
+    def fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
+        """Fit nothing: the inner method does."""
+        return state
+
+    def patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
+        """Show nothing beside held-out patterns."""
+        return np.zeros((count, *state.projector.shape), np.bool_)
+
+    def dark(self, state: AdaptiveState) -> None:
+        """Return None: nothing is known of direct light."""
+
+    def candidates(self, state: AdaptiveState) -> Iterator[Transport]:
+        """Yield the transport of the inner method's best state."""
+        assert isinstance(state, TargetedState)
+        found = self.hierarchy.transport(state.best)
+        found.level_rows = list(state.rows)
+        yield found
+
+    def judged(self, state: AdaptiveState) -> AdaptiveState:
+        """Take the inner method's transport for the best where it is no worse."""
+        assert isinstance(state, TargetedState)
+        states = [state.inner] if state.best is state.inner else [state.inner, state.best]
+        estimates = [self.estimate(state, self.hierarchy.transport(each)) for each in states]
+        found, best = min(zip(estimates, states, strict=True), key=lambda each: each[0].error)
+        after = replace(state, best=best).changed(best_level=best.level, estimates=[found])
+        return after.counted(estimated_error=found.error)
+
+    def transport(self, state: AdaptiveState) -> Transport:
+        """Return what predicts the held-out pictures best, of the inner method's kind."""
+        return next(self.candidates(state))
+
+    def decided(self, state: AdaptiveState) -> AdaptiveState:
+        """Go on down the tree, ask for what held-out pictures are missing, or end."""
+        depth = self._inner.n_levels(state.camera, state.projector)
+        return state.changed(following=hierarchy(state, depth))
+
+    def known(self, state: AdaptiveState) -> Transport:
+        """Return what the inner method goes on with."""
+        return self.hierarchy.known(state.inner)
+
+    def restore(self, start: AdaptiveState, packs: Sequence[Pack]) -> AdaptiveState:
+        """Return the state after the last of `packs`, one a level from level 0 on."""
+        state, inner = super().restore(start, packs), inner_packs(packs)
+        assert isinstance(state, TargetedState)
+        if state.best_level == state.inner.level:
+            return replace(state, best=state.inner)
+        best = self.hierarchy.restore(self.inner_start(state), inner[: state.best_level])
+        return replace(state, best=best)
+
+
+def nearness(transport: Transport) -> Float:
+    """Tell how much of the light that a ray sends reaches pixels from elsewhere, but from near.
+
+    Under a chequerboard a pixel has direct light, and half of the indirect light from beyond a
+    square or so; or, under its inverse, the latter alone (S. K. Nayar et al., *Fast separation of
+    direct and global components*, SIGGRAPH 2006). Boards of all sizes, relit, tell from how far
+    it comes, without knowing which pixel sees which ray.
+
+    Returns
+    -------
+    ndarray of float32, shape (*projector_shape)
+        Share of the light that comes from elsewhere, over the distance in pixels; at least 0.
+    """
+    shape, channels = transport.projector_shape, range(transport.channels)
+    floodlit = _pictures(transport, np.ones((1, *shape), np.float32))[0]
+    sides = _sides(shape)
+    shares = [_share(_pictures(transport, _boards(shape, side)), floodlit) for side in sides]
+    near = np.zeros_like(floodlit)
+    shares.append(np.zeros_like(near))
+    for side, share, beyond in zip(sides, shares[:-1], shares[1:], strict=True):
+        near += np.maximum(share - beyond, 0) / side
+    weights = np.stack([near, np.ones_like(near)]).astype(np.float32)[:, None]
+    light = np.broadcast_to(weights, (2, transport.channels, len(near)))
+    of_near, of_all = transport.adjoint(light, channels).sum(axis=1, dtype=np.float64)
+    # dimmer rays say nothing
+    bright = of_all > max(0.01 * of_all.mean(), 0)
+    mean = np.divide(of_near, of_all, out=np.zeros_like(of_all), where=bright)
+    image: Float = mean.astype(np.float32).reshape(shape)
+    return image
+
+
+def _sides(shape: tuple[int, ...]) -> list[int]:
+    """Return the sides of a board's squares: from 2 rays, doubling, to the image's."""
+    longest = max(RayDomain(shape).image_shape)
+    return [2**power for power in range(1, longest.bit_length()) if 2**power < longest]
+
+
+def _boards(shape: tuple[int, ...], side: int) -> Float:
+    """Return chequerboards (8, *shape): moved by half a square either way, and their inverses.
+
+    A pixel that sees the edge of two squares has direct light from both: not so of another board.
+    """
+    height, width = RayDomain(shape).image_shape
+    row, column = np.ogrid[:height, :width]
+    boards = [
+        np.broadcast_to(((row + down) // side + (column + across) // side) % 2, shape)
+        for down in (0, side // 2)
+        for across in (0, side // 2)
+    ]
+    lit = np.stack(boards).astype(np.float32)
+    return np.concatenate([lit, 1 - lit])
+
+
+def _pictures(transport: Transport, patterns: Float) -> NDArray[np.float64]:
+    """Return relit pictures (P, M), their channels added up."""
+    light = patterns.reshape(len(patterns), 1, -1)
+    white = np.broadcast_to(light, (len(light), transport.channels, light.shape[-1]))
+    relit = transport.forward(white, range(transport.channels))
+    images: NDArray[np.float64] = relit.sum(axis=1, dtype=np.float64)
+    return images
+
+
+def _share(pictures: NDArray[np.float64], floodlit: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the share of each pixel's light that comes from beyond a square of the boards."""
+    darkest = 2 * pictures.min(axis=0)
+    share = np.divide(darkest, floodlit, out=np.zeros_like(floodlit), where=floodlit > 0)
+    clipped: NDArray[np.float64] = share.clip(0, 1)
+    return clipped

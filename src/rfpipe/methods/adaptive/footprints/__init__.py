@@ -1,0 +1,1 @@
+"""The model of any rig: each camera pixel's few projector pixels, and smooth indirect light."""

@@ -1,0 +1,223 @@
+"""Footprints: the projector pixels that may light each camera pixel directly, and how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.footprints.kernels import apply_precision, marginal, solve_weights
+from rfpipe.methods.adaptive.footprints.matching import Templates, coarse_light
+from rfpipe.methods.adaptive.footprints.series import Double, Float, Int64, Series, distinct
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+# What explains less than so many squared standard deviations is no footprint; another footprint,
+# in what is left over, explains more.
+_EVIDENCE, _ANOTHER = 12.0, 25.0
+# What the model may be wrong by where weights are found, as a fraction of the floodlit image.
+_WRONG = 0.003
+_TINY = np.finfo(np.float32).tiny
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Candidates of each camera pixel, and their weights.
+
+    Attributes
+    ----------
+    keys : ndarray of int64, shape (n,)
+        ``i N + j`` for projector pixel j of N as a candidate of camera pixel i; ascending.
+    variance : ndarray of float32, shape (n,)
+        Of each weight about 0, as it is expected.
+    weights : ndarray of float32, shape (n,)
+        Radiance, at least 0.
+    """
+
+    keys: Int64
+    variance: Float
+    weights: Float
+
+    def pixels(self, rays: int) -> Int64:
+        """Return the candidates' camera pixels, of a projector of so many rays."""
+        return self.keys // rays
+
+    def starts(self, pixels: int, rays: int) -> Int64:
+        """Return where each camera pixel's candidates begin, (pixels + 1,)."""
+        return np.searchsorted(self.keys, np.arange(pixels + 1) * rays)
+
+    def matrix(self, pixels: int, rays: int) -> csr_array[np.float32]:
+        """Return the weights as a sparse matrix (pixels, rays)."""
+        from scipy.sparse import csr_array
+
+        columns = (self.keys % rays).astype(np.int32)
+        starts = self.starts(pixels, rays).astype(np.int32)
+        return csr_array((self.weights, columns, starts), shape=(pixels, rays))
+
+    def uncertain(self, series: Series, part: float, part_of_all: float) -> Candidates:
+        """Return them with deviations of parts of the weight and of the floodlit image, squared."""
+        floodlit = series.floodlit[self.pixels(len(series.lit))]
+        variance = np.square(part * self.weights) + np.square(part_of_all * floodlit)
+        return replace(self, variance=variance.astype(np.float32))
+
+    def pruned(self, series: Series) -> Candidates:
+        """Drop candidates that turned out to give no light."""
+        floodlit = series.floodlit[self.pixels(len(series.lit))]
+        held = self.weights > 0.005 * floodlit
+        left = Candidates(self.keys[held], self.variance[held], self.weights[held])
+        return left.uncertain(series, 1.0, 0.02)
+
+    def looked_at(self, series: Series, chosen: Int64 | None) -> tuple[Series, Candidates]:
+        """Return the pictures and candidates of chosen camera pixels, ascending; None for all."""
+        if chosen is None:
+            return series, self
+        rays = len(series.lit)
+        pixels, place = self.pixels(rays), np.full(len(series.observed), -1)
+        place[chosen] = np.arange(len(chosen))
+        held = place[pixels] >= 0
+        keys = place[pixels[held]] * rays + self.keys[held] % rays
+        return series.of(chosen), Candidates(keys, self.variance[held], self.weights[held])
+
+    def weighed(
+        self,
+        floodlit: Float,
+        lit: Float,
+        certainty: Float,
+        observed: Float,
+        expected: Float | None = None,
+    ) -> Candidates:
+        """Return them with the non-negative weights that explain what is observed best."""
+        rays = len(lit)
+        least = np.square(1e-4 * floodlit[self.pixels(rays)])
+        # a black pixel's candidate, which only the other way has, has no deviation at all
+        ridge = (1 / np.maximum(self.variance + least, _TINY)).astype(np.float32)
+        lit, certainty, observed = (
+            np.ascontiguousarray(each) for each in (lit, certainty, observed)
+        )
+        own = (self.keys % rays).astype(np.int32)
+        starts = self.starts(len(observed), rays)
+        about = np.zeros_like(ridge) if expected is None else expected
+        weights = solve_weights(starts, own, ridge, about, lit, certainty, observed, _EVIDENCE)
+        return replace(self, weights=weights)
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Inverse covariance of each pixel's pictures when the weights of its footprint are unknown.
+
+    Attributes
+    ----------
+    trace : ndarray of float32, shape (pixels,)
+    """
+
+    starts: Int64
+    factors: Double
+    certainty: Float
+    trace: Float
+
+    @classmethod
+    def of(cls, series: Series, found: Candidates) -> Precision:
+        """Marginalise the weights of footprints."""
+        rays, pixels = len(series.lit), len(series.observed)
+        starts = found.starts(pixels, rays)
+        own = (found.keys % rays).astype(np.int32)
+        least = np.square(1e-3 * series.floodlit[found.pixels(rays)])
+        # of a pixel that is black, too, which only the other way has made a candidate
+        variance = np.maximum(found.variance, np.maximum(least, _TINY)).astype(np.float32)
+        certainty = series.certainty()
+        factors, trace = marginal(starts, own, variance, series.lit, certainty)
+        return cls(starts, factors, certainty, trace)
+
+    @property
+    def sizes(self) -> Int64:
+        """Candidates of each pixel, (pixels,)."""
+        return np.diff(self.starts)
+
+    def applied(self, observed: Float) -> Float:
+        """Return the precision times pictures (pixels, P)."""
+        pictures = np.ascontiguousarray(observed, np.float32)
+        return apply_precision(self.starts, self.factors, self.certainty, pictures)
+
+
+def first_footprints(
+    series: Series, camera: RayDomain, projector: RayDomain, templates: Templates
+) -> Candidates:
+    """Find footprints of which nothing is known, taking indirect light for what is smooth.
+
+    Weights deviate by a quarter of the floodlit image, indirect light by a fifth.
+    """
+    rays, lit = len(series.lit), series.lit
+    floodlit, there = series.floodlit, series.shining
+    shining = np.flatnonzero(there)
+    whitener = templates.whitener(lit, series.relative_noise())
+    own = series.observed[shining] / floodlit[shining, None]
+    best, score = templates.match_views(own, whitener, camera, there)
+    keys = templates.windows(shining[score > 0], best[score > 0])
+    variance = np.square(1 / 4 * floodlit[keys // rays])
+    found = Candidates(keys, variance.astype(np.float32), np.zeros(len(keys), np.float32))
+    # what smooth light does over time, and how strongly: pictures are turned into its axes
+    cells = coarse_light(projector, lit) + 0.5
+    strength, axes = np.linalg.eigh(cells.T @ cells / len(cells))
+    smooth = np.square(0.2 * floodlit)[:, None] * np.maximum(strength, 0)
+    known = series.known[:, None]
+    noise = np.where(known, 1 / np.maximum(series.certainty(_WRONG), _TINY), 1)
+    certainty = np.where(known, 1 / (noise.mean(axis=1, keepdims=True) + smooth), 0)
+    turned = (x.astype(np.float32) for x in (lit @ axes, certainty, series.observed @ axes))
+    return found.weighed(floodlit, *turned)
+
+
+def reweighted(
+    series: Series, found: Candidates, indirect: Float, expected: Float | None = None
+) -> Candidates:
+    """Find the weights anew in what indirect light (pixels, P) leaves of the pictures.
+
+    They lie about what is `expected` (candidates,), or 0, as uncertain as `found` has it.
+    """
+    left = (series.observed - indirect).astype(np.float32)
+    again = found.weighed(series.floodlit, series.lit, series.certainty(_WRONG), left, expected)
+    return again.uncertain(series, 1.0, 0.03)
+
+
+def found_anew(
+    series: Series, found: Candidates, indirect: Float, templates: Templates
+) -> Candidates:
+    """Look again: around what was found, and where what is left over shows another footprint."""
+    rays, pixels, floodlit = len(series.lit), len(series.observed), series.floodlit
+    strong = found.weights > 0.01 * floodlit[found.pixels(rays)]
+    keys = [_surroundings(found.keys[strong], templates.projector)]
+    left = series.observed - indirect - found.matrix(pixels, rays) @ series.lit
+    certainty = series.certainty(_WRONG)
+    rest = np.einsum("im,im,im->i", certainty, left, left)
+    asked = np.flatnonzero(series.shining & (rest > max(_ANOTHER, left.shape[1] / 2)))
+    if len(asked) > templates.most_pixels:
+        asked = np.sort(asked[np.argsort(-rest[asked], kind="stable")[: templates.most_pixels]])
+    if len(asked):
+        whitener = templates.whitener(series.lit, series.relative_noise())
+        best, score = templates.match(left[asked] / floodlit[asked, None], whitener)
+        box, weight = templates.seen[best], certainty[asked]
+        gain = np.square(np.einsum("im,im,im->i", weight, left[asked], box))
+        gain /= np.maximum(np.einsum("im,im,im->i", weight, box, box), _TINY)
+        there = (score > 0) & (gain > _ANOTHER) & (gain > 0.25 * rest[asked])
+        keys.append(templates.windows(asked[there], best[there]))
+    together = distinct(np.concatenate(keys))
+    weights = np.zeros(len(together), np.float32)
+    weights[np.searchsorted(together, found.keys[strong])] = found.weights[strong]
+    least = 0.05 * floodlit[together // rays]
+    variance = np.square(np.maximum(weights, least)).astype(np.float32)
+    return Candidates(together, variance, weights)
+
+
+def _surroundings(keys: Int64, projector: RayDomain) -> Int64:
+    """Return candidates and their eight neighbours, as sorted keys."""
+    _, height, width = projector.stack_shape
+    row, column = keys // width % height, keys % width
+    around = [keys[:0]]
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            row_fits = (row + down >= 0) & (row + down < height)
+            fits = row_fits & (column + right >= 0) & (column + right < width)
+            around.append(keys[fits] + down * width + right)
+    return distinct(np.concatenate(around))

@@ -1,0 +1,244 @@
+"""The functions of both sides between which indirect light goes, and their pairs.
+
+The camera's functions are B-splines of several scales, `MultiscaleBasis`, on its own side, or,
+where the projector has several views, on a chart. On the projector's side the same functions arrive
+as the footprints carry them, where the camera sees what the projector lights; where it doesn't,
+there are B-splines of the projector's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.footprints.chart import ChartBasis
+from rfpipe.methods.adaptive.footprints.series import Double, Float, Int32, Int64
+from rfpipe.methods.adaptive.smooth_fit import OCTAVES
+from rfpipe.transport.multiscale.basis import REACH, VIEW, MultiscaleBasis
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+@dataclass(frozen=True)
+class Carry:
+    """How functions over the camera's pixels become functions over the projector's.
+
+    A projector pixel takes the mean of the camera pixels that see what it lights.
+
+    Attributes
+    ----------
+    means : csr_array of float32, shape (projector pixels, camera pixels)
+        Rows of sum 1, or 0 where nothing is seen.
+    seen : ndarray of float32, shape (projector pixels,)
+        How well the camera sees what a projector pixel lights, 0 to 1.
+    shared : bool
+        Whether each projector pixel is the camera pixel of the same number.
+    """
+
+    means: csr_array[np.float32]
+    seen: Float
+    shared: bool = False
+
+
+def carry_of(direct: csr_array[np.float32], floodlit: Float) -> Carry:
+    """Take the way from camera to projector out of footprints (camera pixels, projector pixels).
+
+    A projector pixel is half seen where .15 of its light comes back, relative to what the camera
+    sees.
+    """
+    from scipy.sparse import diags_array
+
+    sent: Float = np.asarray(direct.sum(axis=0)).ravel()
+    share = np.divide(1, sent, out=np.zeros_like(sent), where=sent > 0)
+    means = (diags_array(share) @ direct.T).tocsr().astype(np.float32)
+    typical = means @ floodlit
+    share = np.divide(sent, typical, out=np.zeros_like(sent), where=typical > 0)
+    # where a camera pixel covers several projector pixels each gets a part of its light
+    usual = float(np.median(share[share > 0])) if (share > 0).any() else 1.0
+    share = share / usual
+    seen = np.where(share > 0.05, share / (share + 0.15), 0)
+    return Carry(means, seen.astype(np.float32))
+
+
+def shared_rays(size: int) -> Carry:
+    """Return the way between the sides of a coaxial rig of so many rays."""
+    from scipy.sparse import eye_array
+
+    return Carry(eye_array(size, dtype=np.float32).tocsr(), np.ones(size, np.float32), True)
+
+
+def camera_factor(direct: csr_array[np.float32], floodlit: Float) -> Float:
+    """Return how much indirect light each camera pixel takes, in units of the floodlit image.
+
+    It is what the floodlit image has besides direct light, so that it has no jump at the edge of a
+    shadow, scaled to be as bright as the floodlit image where a pixel is lit.
+    """
+    lit: Float = np.asarray(direct.sum(axis=1)).ravel()
+    rest = np.maximum(floodlit - lit, 1e-6 * floodlit)
+    own = (lit > 0.5 * floodlit) & (rest > 0)
+    ratio = np.clip(np.median(floodlit[own] / rest[own]), 1, 20.0) if own.any() else 1.0
+    found: Float = (np.clip(rest, 0.03 * floodlit, floodlit) * ratio).astype(np.float32)
+    return found
+
+
+def projector_factor(carry: Carry, factor: Float, floodlit: Float) -> Float:
+    """Return how much indirect light each projector pixel gives, in the same units.
+
+    Where the camera doesn't see it, it is as much as of a typical pixel.
+    """
+    shining = floodlit[floodlit > 0]
+    typical = float(np.median(shining)) if len(shining) else 0.0
+    found: Float = carry.seen * (carry.means @ factor) + (1 - carry.seen) * np.float32(typical)
+    return found.astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Functions:
+    """Functions over the rays of both sides.
+
+    Attributes
+    ----------
+    camera : MultiscaleBasis
+    own : MultiscaleBasis
+        The projector's own.
+    carry : Carry
+    """
+
+    camera: MultiscaleBasis
+    own: MultiscaleBasis
+    carry: Carry
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns: cores both ways, one way, and from functions of the projector."""
+        return 2 * len(self.camera.first) + len(self.from_own[0])
+
+    @cached_property
+    def left(self) -> csr_array[np.float32]:
+        """Functions over the camera's rays, (camera rays, n)."""
+        return self.camera.weights
+
+    @cached_property
+    def right(self) -> csr_array[np.float32]:
+        """Those functions and then the projector's own, (projector rays, n + own)."""
+        from scipy.sparse import diags_array, hstack
+
+        seen = self.carry.seen
+        if isinstance(self.camera, ChartBasis):
+            arriving = self.camera.at(np.asarray(self.carry.means @ self.camera.places))
+        else:
+            arriving = self.carry.means @ self.left
+        carried = diags_array(seen) @ arriving
+        together: Any = carried
+        if len(self.own):
+            together = hstack([carried, diags_array(1 - seen) @ self.own.weights])
+        found: csr_array[np.float32] = together.tocsr().astype(np.float32)
+        return found
+
+    @cached_property
+    def density(self) -> float:
+        """Projector rays of a view that a camera ray spans a side, about."""
+        if isinstance(self.camera, ChartBasis):
+            return 1.0
+        return float(np.sqrt(np.prod(self.own.shape) / np.prod(self.camera.shape)))
+
+    @property
+    def _crowd(self) -> float:
+        """Projector rays of all views that light what a camera ray sees, about."""
+        if isinstance(self.camera, ChartBasis):
+            return float(RayDomain(self.own.shape).views)
+        return self.density**2
+
+    @cached_property
+    def from_own(self) -> tuple[Int32, Int32, Double]:
+        """Pairs of a camera's function and one of the projector's own, and their distances.
+
+        Numbers of the functions, int32 (pairs,) each, and distances in camera pixels.
+        """
+        if not len(self.own):
+            none = np.zeros(0, np.int32)
+            return none, none, np.zeros(0)
+        place, view, arrives = self._arrivals()
+        apart = np.abs(place[:, None] - self.own.centres[None]) / self.density
+        largest = apart.max(axis=2)
+        scale, other = self.camera.scales[:, None], self.own.scales[None] / self.density
+        coarser = np.maximum(scale, other)
+        near = (largest <= REACH * coarser) & arrives[:, None]
+        near &= view[:, None] == self.own.functions[None, :, VIEW]
+        # the coarsest meet all; what doesn't arrive anywhere has no distance
+        near |= (scale == self.camera.scales.max()) | (self.own.scales == self.own.scales.max())
+        first, second = np.nonzero(near)
+        side = max(RayDomain(self.camera.shape).image_shape)
+        distance = np.hypot(*apart[first, second].T)
+        distance = np.where(arrives[first], np.minimum(distance, side), side)
+        return first.astype(np.int32), second.astype(np.int32), distance
+
+    def _arrivals(self) -> tuple[Double, Int64, NDArray[np.bool_]]:
+        """Return where the camera's functions are on the projector, and which are at all."""
+        carried = self.right[:, : len(self.camera)]
+        views, height, width = RayDomain(self.own.shape).stack_shape
+        ray = np.arange(views * height * width)
+        place = np.column_stack(
+            [ray // width % height + 0.5, ray % width + 0.5, ray // (width * height)]
+        )
+        mass = np.asarray(carried.sum(axis=0), np.float64).ravel()
+        arrives = mass > 1e-6 * mass.max(initial=0)
+        found = (carried.T @ place) / np.where(arrives, mass, 1)[:, None]
+        return found[:, :2], np.rint(found[:, 2]).astype(np.int64), arrives
+
+    def deviations(self, indirect: float, floodlit: float) -> Float:
+        """Return how large cores are expected to be before any fit, (count,).
+
+        `indirect` is the indirect light under full light, `floodlit` the mean floodlit radiance.
+        What goes one way and not the other is a fifth of what goes both ways.
+        """
+        _, _, coarser, distance, odd = self._places()
+        area = np.square(np.maximum(distance, coarser)) * OCTAVES
+        level = indirect / (max(floodlit, float(np.finfo(np.float32).tiny)) ** 2)
+        expected = level / (area * self._crowd)
+        return np.where(odd, 0.2 * expected, expected).astype(np.float32)
+
+    @cached_property
+    def groups(self) -> Int64:
+        """Number of each unknown's group: those of the same scales at about the same distance."""
+        kind, finer, coarser, distance, _ = self._places()
+        key = kind.astype(np.int64)
+        for scale in (coarser, finer):
+            # in quarters of an octave; scales of the other side may lie below one camera pixel
+            key = key * 1024 + np.rint(4 * np.log2(scale)).astype(np.int64)
+        place = np.minimum(2 * distance / coarser, 255).astype(np.int64)
+        found: Int64 = np.unique(key * 256 + place, return_inverse=True)[1]
+        return found
+
+    def _places(self) -> tuple[Int64, Double, Double, Double, NDArray[np.bool_]]:
+        """Return kind, finer and coarser scale, and distance of all unknowns; which are odd."""
+        basis = self.camera
+        scales = basis.scales[basis.first], basis.scales[basis.second]
+        first, second, apart = self.from_own
+        others = basis.scales[first], self.own.scales[second] / self.density
+        finer = np.concatenate([np.minimum(*scales)] * 2 + [np.minimum(*others)])
+        coarser = np.concatenate([np.maximum(*scales)] * 2 + [np.maximum(*others)])
+        near = basis.distances()
+        distance = np.concatenate([near, near, apart])
+        kind = np.repeat([0, 1, 2], [len(near), len(near), len(apart)])
+        return kind, finer.astype(np.float64), coarser.astype(np.float64), distance, kind == 1
+
+    def cores(self, unknowns: Any) -> csr_array[np.float32]:
+        """Return what the functions exchange as a sparse matrix (n, n + own)."""
+        from scipy.sparse import coo_array
+
+        basis, pairs = self.camera, len(self.camera.first)
+        even, odd, own = unknowns[:pairs], unknowns[pairs : 2 * pairs], unknowns[2 * pairs :]
+        first, second, _ = self.from_own
+        off = basis.first != basis.second
+        rows = np.concatenate([basis.first, basis.second[off], first])
+        columns = np.concatenate([basis.second, basis.first[off], second + len(basis)])
+        values = np.concatenate([even + odd, (even - odd)[off], own]).astype(np.float32)
+        shape = (len(basis), len(basis) + len(self.own))
+        return coo_array((values, (rows, columns)), shape=shape).tocsr()

@@ -1,0 +1,300 @@
+"""Kernels of footprint acquisition: over camera pixels' candidates, and over pairs of functions.
+
+A camera pixel's candidates are the projector pixels that may light it directly:
+``rays[starts[i] : starts[i + 1]]``. `lit` are the patterns, float32 (projector pixels, M): a
+candidate's row is what it shows over time.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from rfpipe.methods.adaptive.footprints.series import Double, Float, Int32, Int64
+
+# Weights are found to this part of the largest, in so many sweeps at most.
+_FINE, _SWEEPS = 1e-4, 300
+
+
+@njit(cache=True, nogil=True)
+def _gram(rays: Int32, lit: Float, certainty: Float) -> Double:
+    """Return ``A^T W A`` of a pixel's candidates."""
+    count = len(rays)
+    gram = np.empty((count, count))
+    for a in range(count):
+        for b in range(a + 1):
+            total = 0.0
+            for m in range(lit.shape[1]):
+                total += certainty[m] * lit[rays[a], m] * lit[rays[b], m]
+            gram[a, b] = gram[b, a] = total
+    return gram
+
+
+@njit(cache=True, nogil=True)
+def solve_weights(
+    starts: Int64,
+    rays: Int32,
+    ridge: Float,
+    expected: Float,
+    lit: Float,
+    certainty: Float,
+    seen: Float,
+    least: float,
+) -> Float:
+    """Return each pixel's non-negative least-squares weights, by coordinate descent.
+
+    Parameters
+    ----------
+    starts, rays
+        Candidates.
+    ridge, expected : ndarray of float32, shape (candidates,)
+        Inverse variance of each weight, and about what.
+    lit : ndarray of float32, shape (projector pixels, M)
+    certainty, seen : ndarray of float32, shape (pixels, M)
+        Inverse variances of the pictures, and the pictures.
+    least : float
+        Weights that explain less than this of a pixel's squared standard deviations are 0.
+    """
+    weights = np.zeros(len(rays), np.float32)
+    for pixel in range(len(starts) - 1):
+        first, last = starts[pixel], starts[pixel + 1]
+        count = last - first
+        if count == 0:
+            continue
+        own = rays[first:last]
+        gram = _gram(own, lit, certainty[pixel])
+        goal = np.zeros(count)
+        for a in range(count):
+            for m in range(lit.shape[1]):
+                goal[a] += certainty[pixel, m] * lit[own[a], m] * seen[pixel, m]
+        found, rest = np.zeros(count), goal.copy()
+        for _ in range(_SWEEPS):
+            change, largest = 0.0, 0.0
+            for a in range(count):
+                stiff = gram[a, a] + ridge[first + a]
+                pulled = ridge[first + a] * (expected[first + a] - found[a])
+                new = max(0.0, found[a] + (rest[a] + pulled) / stiff)
+                step = new - found[a]
+                if step != 0.0:
+                    found[a] = new
+                    for b in range(count):
+                        rest[b] -= gram[a, b] * step
+                change, largest = max(change, abs(step)), max(largest, new)
+            if change <= _FINE * largest:
+                break
+        gain = 0.0
+        for a in range(count):
+            gain += found[a] * (goal[a] + rest[a])
+        if gain >= least:
+            weights[first:last] = found
+    return weights
+
+
+@njit(cache=True, nogil=True)
+def marginal(
+    starts: Int64, rays: Int32, variance: Float, lit: Float, certainty: Float
+) -> tuple[Double, Float]:
+    """Return what takes unknown weights out of each pixel's pictures, and its precision's trace.
+
+    The precision of pixel i is ``W - W A H A^T W`` with ``H = (G^-1 + A^T W A)^-1``, G the weights'
+    variances: ``W - U^T U`` with ``U = C^-1 A^T W``, C the Cholesky factor of H's inverse.
+
+    Parameters
+    ----------
+    starts, rays
+        Candidates.
+    variance : ndarray of float32, shape (candidates,)
+        Of each weight.
+    lit, certainty
+        As for `solve_weights`.
+
+    Returns
+    -------
+    ndarray of float64, shape (candidates, M)
+        U of all pixels. In float32 the precision would not be positive where pictures are exact.
+    ndarray of float32, shape (pixels,)
+    """
+    factors = np.empty((len(rays), lit.shape[1]))
+    trace = np.empty(len(starts) - 1, np.float32)
+    for pixel in range(len(starts) - 1):
+        first, last = starts[pixel], starts[pixel + 1]
+        own, count = rays[first:last], last - first
+        total = 0.0
+        for m in range(lit.shape[1]):
+            total += certainty[pixel, m]
+        if count:
+            gram = _gram(own, lit, certainty[pixel])
+            for a in range(count):
+                gram[a, a] += 1 / variance[first + a]
+            lower = np.linalg.cholesky(gram)
+            for a in range(count):
+                row = factors[first + a]
+                for m in range(lit.shape[1]):
+                    row[m] = np.float64(lit[own[a], m]) * certainty[pixel, m]
+                for b in range(a):
+                    for m in range(lit.shape[1]):
+                        row[m] -= lower[a, b] * factors[first + b, m]
+                for m in range(lit.shape[1]):
+                    row[m] /= lower[a, a]
+                    total -= row[m] * row[m]
+        trace[pixel] = max(total, 0.0)
+    return factors, trace
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def match_near(
+    own: Float, boxes: Float, guesses: Double, reach: float, per_width: int, across: int
+) -> tuple[Int64, Float]:
+    """Find the box that each series resembles most among those near some places.
+
+    Parameters
+    ----------
+    own, boxes : ndarray of float32, shape (n, M), (widths x per_width, M)
+        Series of length 1.
+    guesses : ndarray of float64, shape (n, places, 2)
+        Row and column in pixels; NaN for none.
+    reach : float
+        Pixels from a place, along either axis.
+    per_width, across : int
+        Boxes of each width, and in each row of them, at half-pixel positions from 1/2.
+
+    Returns
+    -------
+    ndarray of int64, shape (n,)
+    ndarray of float32, shape (n,)
+        Correlations; 0 where there is no place.
+    """
+    best, score = np.zeros(len(own), np.int64), np.zeros(len(own), np.float32)
+    down = per_width // across
+    for pixel in range(len(own)):
+        for place in range(guesses.shape[1]):
+            row, column = guesses[pixel, place]
+            if np.isnan(row):
+                continue
+            top = max(0, int(np.ceil(2 * (row - reach) - 1)))
+            bottom = min(down - 1, int(np.floor(2 * (row + reach) - 1)))
+            left = max(0, int(np.ceil(2 * (column - reach) - 1)))
+            right = min(across - 1, int(np.floor(2 * (column + reach) - 1)))
+            for first in range(0, len(boxes), per_width):
+                for y in range(top, bottom + 1):
+                    for box in range(first + y * across + left, first + y * across + right + 1):
+                        alike = np.float32(0)
+                        for m in range(own.shape[1]):
+                            alike += own[pixel, m] * boxes[box, m]
+                        if alike > score[pixel]:
+                            best[pixel], score[pixel] = box, alike
+    return best, score
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def apply_precision(starts: Int64, factors: Double, certainty: Float, seen: Float) -> Float:
+    """Return each pixel's precision, as `marginal` has it, times its pictures, (pixels, M)."""
+    out = np.empty_like(seen)
+    count = seen.shape[1]
+    back = np.empty(count)
+    for pixel in range(len(starts) - 1):
+        back[:] = 0
+        for candidate in range(starts[pixel], starts[pixel + 1]):
+            told = 0.0
+            for m in range(count):
+                told += factors[candidate, m] * seen[pixel, m]
+            for m in range(count):
+                back[m] += told * factors[candidate, m]
+        for m in range(count):
+            out[pixel, m] = np.float64(certainty[pixel, m]) * seen[pixel, m] - back[m]
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def couple(first: Int32, second: Int32, even: Float, odd: Float, light: Float, out: Float) -> None:
+    """Add ``S light`` to `out`: S has ``even + odd`` at (first, second), else ``even - odd``."""
+    for pair in range(len(first)):
+        a, b = first[pair], second[pair]
+        there, back = even[pair] + odd[pair], even[pair] - odd[pair]
+        for m in range(light.shape[1]):
+            out[a, m] += there * light[b, m]
+        if a != b:
+            for m in range(light.shape[1]):
+                out[b, m] += back * light[a, m]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def couple_one_way(first: Int32, second: Int32, cores: Float, light: Float, out: Float) -> None:
+    """Add to `out` what functions of one side send to those of the other."""
+    for pair in range(len(first)):
+        a, b = first[pair], second[pair]
+        for m in range(light.shape[1]):
+            out[a, m] += cores[pair] * light[b, m]
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def correlate(
+    first: Int32, second: Int32, seen: Float, light: Float, even: Float, odd: Float
+) -> None:
+    """Write the adjoint of `couple` by cores."""
+    for pair in range(len(first)):
+        a, b = first[pair], second[pair]
+        there, back = np.float32(0), np.float32(0)
+        for m in range(light.shape[1]):
+            there += seen[a, m] * light[b, m]
+            back += seen[b, m] * light[a, m]
+        even[pair] = there if a == b else there + back
+        odd[pair] = 0 if a == b else there - back
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def correlate_one_way(first: Int32, second: Int32, seen: Float, light: Float, out: Float) -> None:
+    """Write the adjoint of `couple_one_way` by cores."""
+    for pair in range(len(first)):
+        total = np.float32(0)
+        for m in range(light.shape[1]):
+            total += seen[first[pair], m] * light[second[pair], m]
+        out[pair] = total
+
+
+@njit(cache=True, nogil=True)
+def united(
+    own: Int64, weights: Float, variance: Float, back: Int64, other: Float, spread: Float
+) -> tuple[Int64, Float, Float, Float]:
+    """Return candidates of two lists of ascending keys, and what each list has of them.
+
+    Parameters
+    ----------
+    own, weights, variance : ndarray, shape (n,)
+        The first list; all of its candidates count.
+    back, other, spread : ndarray, shape (m,)
+        The second; those that only it has count where their weight is above 0.
+
+    Returns
+    -------
+    keys : ndarray of int64, ascending
+    first, second : ndarray of float32
+        Weights of either list, 0 where it lacks the candidate.
+    largest : ndarray of float32
+        The larger variance.
+    """
+    count = len(own)
+    place = 0
+    for index in range(len(back)):
+        while place < len(own) and own[place] < back[index]:
+            place += 1
+        if other[index] > 0 and (place == len(own) or own[place] != back[index]):
+            count += 1
+    keys = np.empty(count, np.int64)
+    first, second = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    largest = np.zeros(count, np.float32)
+    a, b, at = 0, 0, 0
+    while at < count:
+        ahead = a < len(own) and (b == len(back) or own[a] <= back[b])
+        if not ahead and other[b] <= 0:
+            b += 1
+            continue
+        keys[at] = own[a] if ahead else back[b]
+        if b < len(back) and back[b] == keys[at]:
+            second[at], largest[at] = other[b], spread[b]
+            b += 1
+        if ahead:
+            first[at], largest[at] = weights[a], max(largest[at], variance[a])
+            a += 1
+        at += 1
+    return keys, first, second, largest

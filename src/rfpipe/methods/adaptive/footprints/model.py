@@ -1,0 +1,327 @@
+"""Candidates and indirect light found in turn, each from what the other leaves of the pictures.
+
+The model is ``T = D + f L S R^T g``: footprints D, sparse; indirect light that is smooth up to the
+factors f and g. Neither is known at first. A rough D is enough to tell how the projector's pixels
+lie among the camera's, and so for a first S; what S leaves of the pictures makes a better D.
+
+Each view of a projector that has several is lit by patterns of its own: a camera pixel has
+footprints on each. Where cameras share these rays, both ways are one and the same light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.footprints.both_ways import (
+    averaged,
+    is_symmetric,
+    joined,
+    reconciled,
+    split,
+    with_other_way,
+)
+from rfpipe.methods.adaptive.footprints.candidates import (
+    Candidates,
+    Precision,
+    first_footprints,
+    found_anew,
+    reweighted,
+)
+from rfpipe.methods.adaptive.footprints.chart import Chart, chart_of
+from rfpipe.methods.adaptive.footprints.exchange import FULLY, NEARLY, ROUGHLY, Exchange
+from rfpipe.methods.adaptive.footprints.functions import (
+    Carry,
+    Functions,
+    camera_factor,
+    carry_of,
+    projector_factor,
+    shared_rays,
+)
+from rfpipe.methods.adaptive.footprints.matching import Templates
+from rfpipe.methods.adaptive.footprints.series import Double, Float, Int64, Series
+from rfpipe.methods.adaptive.patterns import SEED
+from rfpipe.methods.adaptive.pictures import SIGNIFICANT
+from rfpipe.provenance import generator
+from rfpipe.transport.multiscale.basis import (
+    MultiscaleBasis,
+    cells,
+    coarsest_scale,
+    functions_over,
+)
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+# A basis does not grow beyond so many unknowns.
+_MOST_UNKNOWNS = 1_500_000
+# Camera rays that fits of a light field look at, of more.
+_ENOUGH = 4096
+
+Views = tuple[Series, ...]
+Channel = tuple[Candidates, Exchange]
+
+
+@dataclass(frozen=True)
+class Model:
+    """What pictures tell of the transport.
+
+    Attributes
+    ----------
+    grey : Candidates
+        Candidates of the sum of the channels, with what a later search begins from.
+    channels : tuple of (Candidates, Exchange)
+        Candidates and indirect light of each.
+    """
+
+    grey: Candidates
+    channels: tuple[Channel, ...]
+
+
+def find(
+    camera: RayDomain,
+    projector: RayDomain,
+    grey: Views,
+    channels: Iterable[Views],
+    before: Candidates | None,
+) -> Model:
+    """Find the model.
+
+    Candidates are searched for twice when nothing is known, once in later rounds.
+
+    Parameters
+    ----------
+    camera, projector : RayDomain
+    grey : tuple of Series
+        The sum of the channels: pictures of patterns on each of the projector's views.
+    channels : iterable of tuple of Series
+        Each is fitted before the next is asked for; empty where the sum is the only channel.
+    before : Candidates or None
+        As an earlier model's `Model.grey`; None at first.
+    """
+    rays, view = projector.rays_per_image, RayDomain(projector.image_shape)
+    templates = []
+    for each in grey:
+        # projector pixels of a view that a shining camera pixel spans a side, about
+        density = np.sqrt(rays / max(1.0, float(each.shining.sum()) / camera.views))
+        templates.append(Templates.of(view, each.lit, float(density)))
+    fresh = before is None
+    if before is not None:
+        parts = split(before, projector.views, rays)
+    else:
+        pairs = zip(grey, templates, strict=True)
+        parts = [first_footprints(each, camera, view, own) for each, own in pairs]
+    for number in range(2 if fresh else 1):
+        exchange = _refined(camera, projector, grey, joined(parts, rays))
+        sides = zip(grey, parts, exchange.indirect(), templates, strict=True)
+        parts = [
+            reweighted(each, found_anew(each, part, light, own), light)
+            for each, part, light, own in sides
+        ]
+        if exchange.shares_rays:
+            together = with_other_way(joined(parts, rays), projector.size)
+            together = _reweighted(grey, together, exchange.indirect())
+            parts = split(together, projector.views, rays)
+        if number or not fresh:
+            parts = [part.pruned(each) for each, part in zip(grey, parts, strict=True)]
+    found, exchange = _settled(grey, joined(parts, rays), exchange)
+    fitted = tuple(_of_channel(each, grey, found, exchange) for each in channels)
+    return Model(found, fitted or ((found, exchange),))
+
+
+def _settled(series: Views, found: Candidates, exchange: Exchange) -> Channel:
+    """Find weights and exchange once more, with the footprints' last candidates."""
+    if exchange.shares_rays:
+        return _agreed(series, found, exchange)
+    own = replace(exchange, precision=_precisions(series, found, exchange.looked_at))
+    fitted = own.fitted(own.learned(), FULLY).with_gains()
+    return _reweighted(series, found, fitted.indirect()), fitted
+
+
+def _agreed(series: Views, found: Candidates, exchange: Exchange) -> Channel:
+    """Find weights that agree both ways, and what is exchanged beside them, in turn.
+
+    Where both ways are known to be alike, weights are known so well that little of them has to be
+    marginalised.
+    """
+    rays, views = len(series[0].lit), len(series)
+    everywhere, looked_at = rays * views, exchange.looked_at
+    found = _reweighted(series, with_other_way(found, everywhere), exchange.indirect())
+    for _ in range(2):
+        found = reconciled(series, found, exchange.indirect())
+        mean = averaged(found, everywhere)
+        sides = zip(series, split(mean, views, rays), strict=True)
+        # footprints that agree have small deviations left
+        known = [
+            part.uncertain(each, 0.05, 0.003).looked_at(each, looked_at) for each, part in sides
+        ]
+        own = replace(
+            exchange,
+            precision=tuple(Precision.of(*each) for each in known),
+            series=tuple(
+                replace(
+                    each, observed=each.observed - part.matrix(len(each.observed), rays) @ each.lit
+                )
+                for each, part in known
+            ),
+        )
+        exchange = own.fitted(own.learned(), NEARLY)
+    return reconciled(series, found, exchange.indirect()), exchange
+
+
+def _direct(series: Series, found: Candidates) -> Float:
+    return found.matrix(len(series.observed), len(series.lit)) @ series.lit
+
+
+def _reweighted(series: Views, found: Candidates, indirect: list[Float]) -> Candidates:
+    rays = len(series[0].lit)
+    sides = zip(series, split(found, len(series), rays), indirect, strict=True)
+    return joined([reweighted(*each) for each in sides], rays)
+
+
+def _precisions(series: Views, found: Candidates, looked_at: Int64 | None) -> tuple[Precision, ...]:
+    parts = split(found, len(series), len(series[0].lit))
+    sides = zip(series, parts, strict=True)
+    return tuple(Precision.of(*part.looked_at(each, looked_at)) for each, part in sides)
+
+
+def _of_channel(series: Views, grey: Views, found: Candidates, exchange: Exchange) -> Channel:
+    """Fit a channel, whose light differs little from that of the sum."""
+    floodlit, all_light = _floodlit(series), _floodlit(grey)
+    share = np.divide(floodlit, all_light, out=np.zeros_like(floodlit), where=all_light > 0)
+    if not any(each.shines() for each in series):
+        share[:] = 0
+    rays = len(series[0].lit) * len(series)
+    own = found.pixels(rays)
+    start = Candidates(
+        found.keys, found.variance * np.square(share[own]), found.weights * share[own]
+    )
+    carry = exchange.functions.carry
+    usual = max(float(np.median(share[share > 0])) if (share > 0).any() else 0.0, 0.0)
+    sent = carry.seen * (carry.means @ share) + (1 - carry.seen) * np.float32(usual)
+    begun = replace(
+        exchange,
+        precision=_precisions(series, start, exchange.looked_at),
+        series=tuple(each.of(exchange.looked_at) for each in series),
+        factors=(exchange.camera * share, (exchange.projector * sent).astype(np.float32)),
+        gains=(np.ones_like(exchange.gains[0]), np.ones_like(exchange.gains[1])),
+        unknowns=exchange.unknowns / np.float32(usual or 1.0),
+    )
+    if not share.any():
+        return start, begun
+    if exchange.shares_rays:
+        return _agreed(series, start, begun)
+    fitted = begun.fitted(begun.learned(), NEARLY).with_gains()
+    return _reweighted(series, start, fitted.indirect()), fitted
+
+
+def _floodlit(series: Views) -> Float:
+    """Return what pixels show when all views are lit, at least 0, (pixels,)."""
+    found = series[0].floodlit
+    for each in series[1:]:
+        found = found + each.floodlit
+    return found
+
+
+def _refined(camera: RayDomain, projector: RayDomain, series: Views, found: Candidates) -> Exchange:
+    """Add functions, scale by scale, where pictures differ from the model beyond noise."""
+    direct, floodlit = found.matrix(camera.size, projector.size), _floodlit(series)
+    chart = Chart(camera.shape)
+    if len(series) > 1:  # what all views see of the middle one
+        middle, rays = projector.views // 2, projector.rays_per_image
+        own = split(found, projector.views, rays)[middle].matrix(camera.size, rays)
+        chart = chart_of(camera, own, projector.image_shape, series[middle].floodlit)
+    shares = len(series) > 1 and camera == projector and is_symmetric(found, camera.size)
+    carry = shared_rays(camera.size) if shares else carry_of(direct, floodlit)
+    factor = camera_factor(direct, floodlit)
+    expected = _indirect(series, floodlit, direct)
+    mean = float(floodlit.mean(dtype=np.float64))
+    chosen: Int64 | None = None
+    if len(series) > 1 and camera.size > _ENOUGH:
+        random = generator(SEED, camera.size)
+        chosen = np.sort(random.permutation(camera.size)[:_ENOUGH])
+    scale, top = coarsest_scale(chart.shape), coarsest_scale(projector.shape)
+    on_camera = [functions_over(scale, np.ones(cells(chart.shape, scale), np.bool_))]
+    on_projector = [_own(projector, carry, top, 0.0)]
+
+    def functions() -> Functions:
+        own = MultiscaleBasis(projector.shape, np.concatenate(on_projector))
+        return Functions(chart.basis(np.concatenate(on_camera)), own, carry)
+
+    exchange = Exchange(
+        functions(),
+        _precisions(series, found, chosen),
+        tuple(each.of(chosen) for each in series),
+        (factor, projector_factor(carry, factor, floodlit)),
+        (np.ones(camera.size, np.float32), np.ones(projector.size, np.float32)),
+        np.zeros(0, np.float32),
+        chosen,
+    )
+    exchange = _from_nothing(exchange, expected, mean)
+    finer = scale
+    while finer > 1:
+        finer //= 2
+        wanted = _wanting(chart, finer, exchange)
+        if 2 * finer == scale:
+            wanted[:] = True
+            if top > 1 and len(series) == 1:
+                on_projector.append(_own(projector, carry, top // 2, 0.5))
+        on_camera.append(functions_over(finer, wanted))
+        more = functions()
+        if more.count > _MOST_UNKNOWNS:
+            break
+        exchange = _from_nothing(replace(exchange, functions=more), expected, mean)
+    return exchange.fitted(exchange.learned(), FULLY)
+
+
+def _from_nothing(exchange: Exchange, expected: float, mean: float) -> Exchange:
+    """Fit with the deviations that are expected, then with those that are learned, then gains."""
+    begun = replace(exchange, unknowns=np.zeros(exchange.functions.count, np.float32))
+    first = begun.fitted(exchange.functions.deviations(expected, mean), ROUGHLY)
+    return first.fitted(first.learned(), NEARLY).with_gains()
+
+
+def _own(projector: RayDomain, carry: Carry, scale: int, least: float) -> NDArray[np.int32]:
+    """Return the functions of a scale of the projector's own, where it isn't well seen."""
+    unseen = 1 - carry.seen > max(least, 0.15)
+    found = np.zeros(cells(projector.shape, scale), np.bool_)
+    view, row, column = np.nonzero(unseen.reshape(projector.stack_shape))
+    found[view, row // scale, column // scale] = True
+    return functions_over(scale, found)
+
+
+def _indirect(series: Views, floodlit: Float, direct: csr_array[np.float32]) -> float:
+    """Return indirect light under full light."""
+    if len(series) > 1:
+        rest = floodlit - np.asarray(direct.sum(axis=1)).ravel()
+        return max(float(rest.mean(dtype=np.float64)), 0.0)
+    (only,) = series
+    # from what pixels show that patterns leave dark
+    lit: Float = np.asarray(direct.sum(axis=1)).ravel()
+    share = (direct @ only.lit[:, 1:]) / np.maximum(lit, np.finfo(np.float32).tiny)[:, None]
+    dark = (1 - np.clip(4 * share, 0, 1)) * only.known[:, None]
+    # patterns light half of the projector
+    seen = 2 * float((np.where(dark > 0, only.observed[:, 1:], 0) * dark).sum(dtype=np.float64))
+    return max(seen, 0.0) / max(float(dark.sum(dtype=np.float64)), 1.0)
+
+
+def _wanting(chart: Chart, scale: int, exchange: Exchange) -> NDArray[np.bool_]:
+    """Find the cells of a scale wrong by more than noise and .004 of the floodlight."""
+    shape, cell = cells(chart.shape, scale), chart.cell_of(scale)
+    if exchange.looked_at is not None:
+        cell = cell[exchange.looked_at]
+    excess, free, allowed = exchange.beyond(0.004)
+
+    def total(values: NDArray[Any]) -> Double:
+        summed = np.bincount(cell, values.astype(np.float64), int(np.prod(shape)))
+        return summed.astype(np.float64)
+
+    over, chance = total(excess) - total(free), np.sqrt(2 * total(free))
+    wanted = (over > SIGNIFICANT * chance) & (over > total(allowed))
+    found: NDArray[np.bool_] = wanted.reshape(shape)
+    return found

@@ -1,0 +1,342 @@
+"""Rounds of patterns that end when held-out pictures are predicted well enough.
+
+A round shows patterns, a model is fitted to all pictures so far, and pictures that no fit sees tell
+its error. From that `rfpipe.methods.adaptive.decisions` tells what follows: another round, a
+hierarchy that goes down the block tree, or the end.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.estimate import HELD_OUT, Estimate, Held, error_of
+from rfpipe.methods.adaptive.patterns import held_out_shapes, held_out_spots, held_out_strip
+from rfpipe.methods.adaptive.pictures import Pictures
+from rfpipe.methods.adaptive.residual import CellPictures, Residual
+from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, Float, LevelImages, Method, Pack
+from rfpipe.methods.images import FloodlitImage, RenumberedImages
+from rfpipe.methods.registry import options_of
+from rfpipe.methods.states import (
+    MethodState,
+    PackingMethod,
+    grown,
+    joined,
+    kept,
+    level_row,
+    unprefixed,
+)
+from rfpipe.patterns import Schedule
+from rfpipe.transport.base import Transport
+
+
+@dataclass(frozen=True)
+class AdaptiveState(MethodState):
+    """The state of an acquisition in rounds.
+
+    Attributes
+    ----------
+    following : str
+        What the next level that shows patterns is for: ``model``, ``residual``, ``hierarchy``,
+        ``held`` (held-out pictures alone) or ``done``.
+    taken : sequence of Pictures
+        Pictures of the model's rounds, the floodlit one first.
+    others : sequence of CellPictures
+        Those of all other levels, which are looked at in cells alone.
+    held : sequence of Held
+    estimates : sequence of Estimate
+        After each level that had images, of what is returned from then on.
+    model : object, optional
+        What the method fits to `taken`.
+    residual : Residual, optional
+        What the model, or the hierarchy (`of_hierarchy`), leaves.
+    unfit : bool
+        Whether the model has turned out not to fit: all that its rounds still show is held out.
+    inner : MethodState, optional
+        Where a hierarchy has taken over.
+    tolerance : float
+        Of the hierarchy.
+    descended : tuple of int
+        The levels of the hierarchy's own rows.
+    """
+
+    options: Any
+    following: str = "model"
+    taken: Sequence[Pictures] = grown(Pictures)
+    others: Sequence[CellPictures] = grown(CellPictures)
+    held: Sequence[Held] = grown(Held)
+    estimates: Sequence[Estimate] = grown(Estimate)
+    model: Any = None
+    residual: Residual | None = kept(Residual)
+    of_hierarchy: bool = False
+    unfit: bool = False
+    inner: Any = None
+    tolerance: float = 0.0
+    descended: tuple[int, ...] = ()
+
+    @cached_property
+    def pictures(self) -> Pictures:
+        """All pictures of the model's rounds; before any, a dark floodlit one."""
+        if self.taken:
+            return joined(list(self.taken), axis=0)
+        dark = np.zeros((1, self.channels, self.camera.size), np.float32)
+        return Pictures(np.ones((1, self.projector.size), np.bool_), dark, dark)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Camera pixels that the pictures show, (M,)."""
+        return self.taken[0].known
+
+    @property
+    def shown(self) -> int:
+        """Patterns shown so far."""
+        return sum(row["patterns"] for row in self.rows)
+
+    @property
+    def all_held(self) -> bool:
+        """Whether all held-out pictures are there."""
+        return len(self.held) > 1
+
+    @property
+    def reached(self) -> bool:
+        """Whether the last estimate is at most the target."""
+        return bool(self.estimates) and self.estimates[-1].error <= self.options.target_error
+
+    def counted(self, **counts: Any) -> AdaptiveState:
+        """Return the state with more in the last level's row of the table."""
+        return replace(self, rows=(*self.rows[:-1], {**self.rows[-1], **counts}))
+
+    def leaves(self, share: float) -> bool:
+        """Tell whether the last round left more than this share of the error before it."""
+        # by other held-out pictures, errors don't compare
+        if self.news.get("held") or len(self.estimates) < 3:
+            return False
+        before, found = self.estimates[-2:]
+        return bool(found.error > share * before.error)
+
+
+class Adaptive(PackingMethod[AdaptiveState]):
+    """A method in rounds, ended at an error that held-out pictures tell."""
+
+    estimates_error = True
+    Options = ErrorOptions
+    trades = "target_error"
+    most: ClassVar[int]
+    """Patterns of all rounds."""
+    State: ClassVar[type[AdaptiveState]] = AdaptiveState
+
+    @property
+    @abstractmethod
+    def hierarchy(self) -> Method[Any]:
+        """The method that goes down the block tree."""
+
+    @abstractmethod
+    def slot(self, state: AdaptiveState) -> str:
+        """Return what the next level is for; where something else follows it shows nothing."""
+
+    @abstractmethod
+    def in_round(self, state: AdaptiveState) -> int:
+        """Return how many patterns the next round shows, held-out ones not counted."""
+
+    @abstractmethod
+    def patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
+        """Return the next round's patterns, (count, *shape)."""
+
+    @abstractmethod
+    def nearness(self, state: AdaptiveState) -> Float:
+        """Return how much of each ray's light stays near, (*shape)."""
+
+    @abstractmethod
+    def fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
+        """Return the state with a fit to a round's images, too, from the first on."""
+
+    @abstractmethod
+    def candidates(self, state: AdaptiveState) -> Iterator[Transport]:
+        """Yield what may be returned."""
+
+    @abstractmethod
+    def dark(self, state: AdaptiveState) -> NDArray[np.bool_] | None:
+        """Return the camera pixels without direct light in the first held-out picture."""
+
+    @abstractmethod
+    def decided(self, state: AdaptiveState) -> AdaptiveState:
+        """Go on, go another way, or end."""
+
+    def expected_patterns(
+        self, camera: RayDomain, projector: RayDomain, options: ErrorOptions
+    ) -> int:
+        """Return the patterns of all rounds: they don't grow with the resolution."""
+        return min(projector.size, options.patterns or self.most)
+
+    def start(
+        self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
+    ) -> AdaptiveState:
+        """Return the state before the floodlit image."""
+        self.check(camera, projector)
+        return self.State(camera, projector, channels, options)
+
+    def _due(self, state: AdaptiveState) -> str:
+        return state.following if state.following == self.slot(state) else "done"
+
+    def asked(self, state: AdaptiveState) -> tuple[int, int]:
+        """Return how many held-out pictures a round shows, and how many others."""
+        held = 0 if state.all_held else HELD_OUT * (2 if state.held else 1)
+        count, limit = self.in_round(state), getattr(state.options, "patterns", 0)
+        if not limit:
+            return held, count
+        room = limit - state.shown
+        if room >= held + min(count, 1):
+            return held, min(count, room - held)
+        # without any held-out pictures a round would say nothing of the error
+        return 0, min(count, max(room, 0)) if state.held else 0
+
+    def schedule(self, state: AdaptiveState) -> Schedule:
+        """Show the floodlit pattern, then rounds, held-out patterns before the others."""
+        shape, level, due = state.projector.shape, state.level, self._due(state)
+        if level == 0:
+            return Schedule.floodlit(shape)
+        if due == "done":
+            return Schedule.nothing(level, shape)
+        if due == "hierarchy":
+            return replace(self.hierarchy.schedule(state.inner), level=level)
+        held, count = self.asked(state)
+        shown: list[NDArray[Any]] = []
+        if held:  # shapes at first, then the strip and spots
+            shown = [held_out_shapes(shape)]
+            if state.held:
+                shown = [held_out_strip(self.nearness(state)), held_out_spots(shape)]
+        shown = [each[None] for each in shown for _ in range(HELD_OUT)]
+        if count:
+            shown.append(self.patterns(state, count))
+        weights = np.concatenate([np.zeros((0, *shape)), *shown]).astype(np.float32)
+        return Schedule(level, shape, len(weights), weights=weights)
+
+    def asks(self, state: AdaptiveState) -> bool:
+        """Tell whether the next level has patterns to show."""
+        if self._due(state) == "hierarchy":
+            return self.hierarchy.asks(state.inner)
+        return super().asks(state)
+
+    def refine(
+        self, state: AdaptiveState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
+    ) -> AdaptiveState:
+        """Fit all pictures so far, or refine the hierarchy, and estimate the error."""
+        due, count = self._due(state), images.schedule.count
+        if state.level == 0:
+            return self.begun(state, images)
+        if due == "hierarchy":
+            return self.descend(state, images, memory_bytes)
+        after = state.after(self.row(state, count))
+        if not count:
+            return after if due == "done" else after.changed(following="done")
+        first, _ = self.asked(state)
+        if first:
+            held = Pictures.read(images, state.channels, state.camera.size, 0, first)
+            after = after.changed(held=[Held(held.lit, held.radiance)])
+        if count > first:
+            after = self.fitted(after, images, first)
+        return self.decided(self.judged(after))
+
+    def begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
+        """Take the floodlit image."""
+        floodlit = Pictures.read(images, state.channels, state.camera.size, 0, 1)
+        return state.after(self.row(state, 1, scalar=state.camera.size), taken=[floodlit])
+
+    def row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
+        """Return the next level's row of the table."""
+        return level_row(state.level, patterns, **counts)
+
+    def descend(
+        self, state: AdaptiveState, images: LevelImages, memory_bytes: int, **new: Any
+    ) -> AdaptiveState:
+        """Let the hierarchy refine a level of its own; `new` are other fields that change."""
+        own = RenumberedImages.of(images, state.inner.level)
+        inner = self.hierarchy.refine(state.inner, own, memory_bytes)
+        levels = (*state.descended, state.level)
+        state = replace(state, descended=levels)
+        rows = [*state.rows, self.row(state, images.schedule.count)]
+        # a level may have changed the row of the one before it
+        for back in range(1, min(len(levels), 2) + 1):
+            level = levels[-back]
+            rows[level] = {**rows[level], **inner.rows[-back], "level": level}
+        state = replace(state, rows=tuple(rows[:-1]))
+        state = state.after(rows[-1], inner=inner, descended=levels, **new)
+        return self.judged(state) if images.schedule.count and state.held else state
+
+    def hand_over(self, state: AdaptiveState, tolerance: float) -> AdaptiveState:
+        """Begin the hierarchy with the floodlit image, which is there already."""
+        state = state.changed(following="hierarchy", tolerance=tolerance)
+        pictures, shape = state.pictures, (1, *state.camera.shape, state.channels)
+        image = (
+            np.ascontiguousarray(each[0].T).reshape(shape)
+            for each in (pictures.radiance, pictures.variance)
+        )
+        floodlit = FloodlitImage(Schedule.floodlit(state.projector.shape), *image)
+        return state.changed(inner=self.hierarchy.refine(self.inner_start(state), floodlit))
+
+    def inner_start(self, state: AdaptiveState) -> Any:
+        """Return the hierarchy's state before the floodlit image."""
+        names = {"noise_significance", "subtract_stored"} & set(self.hierarchy.Options.model_fields)
+        same = {n: getattr(state.options, n) for n in names if hasattr(state.options, n)}
+        options = options_of(self.hierarchy, tolerance=state.tolerance, **same)
+        return self.hierarchy.start(state.camera, state.projector, state.channels, options)
+
+    def estimate(self, state: AdaptiveState, transport: Transport) -> Estimate:
+        """Compare a transport's pictures with the held-out ones, where pixels are known."""
+        return error_of(transport, joined(list(state.held), 0), state.known, self.dark(state))
+
+    def best(self, state: AdaptiveState) -> tuple[Transport, Estimate]:
+        """Return what predicts the held-out pictures best, and how well."""
+        if not state.held:
+            return next(iter(self.candidates(state))), Estimate(1.0, 1.0, 1.0, 1.0, 1.0)
+        estimated = [(each, self.estimate(state, each)) for each in self.candidates(state)]
+        return min(estimated, key=lambda pair: pair[1].error)
+
+    def judged(self, state: AdaptiveState) -> AdaptiveState:
+        """Estimate the error of what would be returned after the last level."""
+        found = self.best(state)[1]
+        return state.counted(estimated_error=found.error).changed(estimates=[found])
+
+    def transport(self, state: AdaptiveState) -> Transport:
+        """Return what predicts the held-out pictures best."""
+        return self.best(state)[0]
+
+    def known(self, state: AdaptiveState) -> Transport:
+        """Return the hierarchy while it is refined, however far off it still is."""
+        if state.following != "hierarchy":
+            return self.transport(state)
+        return self.hierarchy.transport(state.inner)
+
+    def pack(self, state: AdaptiveState) -> Pack:
+        """Return what the last level changed, the hierarchy's changes among it."""
+        news = {name: count for name, count in state.news.items() if name != "inner"}
+        own = super().pack(replace(state, news=news))
+        if "inner" not in state.news:
+            return own
+        inner = self.hierarchy.pack(state.inner)
+        arrays = {f"inner_{name}": array for name, array in inner.arrays.items()}
+        return own | Pack(arrays, {"hierarchy": dict(inner.attributes)})
+
+    def restore(self, start: AdaptiveState, packs: Sequence[Pack]) -> AdaptiveState:
+        """Return the state after the last of `packs`, one a level from level 0 on."""
+        state: AdaptiveState = super().restore(start, packs)
+        inner = inner_packs(packs)
+        if not inner:
+            return state
+        return replace(state, inner=self.hierarchy.restore(self.inner_start(state), inner))
+
+
+def inner_packs(packs: Sequence[Pack]) -> list[Pack]:
+    """Return the hierarchy's packs, of those levels that have any."""
+    return [
+        Pack(unprefixed("inner_", pack.arrays), pack.attributes["hierarchy"])
+        for pack in packs
+        if "hierarchy" in pack.attributes
+    ]

@@ -1,1 +1,0 @@
-"""Footprint acquisition: near/far acquisition for rigs whose camera and projector stand apart."""

@@ -1,1 +1,0 @@
-"""Pictures that no fit sees, and what they say of the error of a transport."""

@@ -1,1 +1,0 @@
-"""Near/far acquisition: direct light apart, indirect light smooth at the scale of its distance."""

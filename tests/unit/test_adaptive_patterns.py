@@ -1,0 +1,143 @@
+"""The patterns of near/far acquisition: of every size of detail, along bands, and in strips."""
+
+import numpy as np
+import pytest
+
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.patterns import (
+    block_patterns,
+    held_out_shapes,
+    held_out_spots,
+    held_out_strip,
+    probe_patterns,
+    view_patterns,
+)
+from rfpipe.methods.adaptive.residual import cells_of
+from rfpipe.methods.adaptive.smooth import LightRange
+
+SHAPE = (32, 40)
+CREASE = np.abs(np.arange(40) - 19.5)
+
+
+def crease(shape: tuple[int, int] = SHAPE) -> LightRange:
+    """Light between two planes that meet in the middle column, the nearer the stronger."""
+    distance = np.broadcast_to(CREASE, shape).astype(np.float32)
+    across = np.where(np.arange(40) < 20, 1, -1) * np.ones(shape)
+    return LightRange(
+        np.maximum(distance, 0.5),
+        1 / (1 + distance),
+        np.zeros(shape, np.float32),
+        across.astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize("shape", [(7, 9), (2, 6, 5), (1, 16)])
+def test_half_of_the_rays_are_lit(shape: tuple[int, ...]) -> None:
+    patterns = probe_patterns(shape, 1, 5)
+    assert patterns.dtype == np.bool_
+    assert patterns.shape == (5, *shape)
+    rays = int(np.prod(shape))
+    assert patterns.reshape(5, -1).sum(axis=1).tolist() == [rays // 2] * 5
+
+
+def test_a_pattern_follows_from_its_level_and_number_alone() -> None:
+    few, many = (probe_patterns(SHAPE, 3, count) for count in (2, 6))
+    np.testing.assert_array_equal(many[:2], few)
+    flat = [pattern.tobytes() for level in (3, 4) for pattern in probe_patterns(SHAPE, level, 6)]
+    assert len(set(flat)) == 12
+
+
+def test_every_octave_of_size_has_the_same_power() -> None:
+    patterns = probe_patterns((64, 64), 1, 60) - 0.5
+    power = np.mean(np.abs(np.fft.fft2(patterns)) ** 2, axis=0)
+    frequency = np.hypot(np.fft.fftfreq(64)[:, None], np.fft.fftfreq(64))
+    edges = [1 / 48, 1 / 24, 1 / 12, 1 / 6, 1 / 3]
+    octaves = [power[(frequency >= low) & (frequency < 2 * low)].sum() for low in edges[:-1]]
+    # white noise would have four times the power in each next octave
+    assert max(octaves) < 2 * min(octaves)
+
+
+def test_bands_of_equal_range_are_lit_together() -> None:
+    bands = probe_patterns(SHAPE, 2, 40, crease())
+    noise = probe_patterns(SHAPE, 2, 40)
+    probes = np.arange(40) % 4 > 0
+
+    def alike(patterns: np.ndarray) -> float:
+        """How much of the variance is between columns, which have one range each."""
+        return float(patterns[probes].mean(axis=1).var(axis=1).mean() / 0.25)
+
+    assert alike(bands) > 2 * alike(noise)
+    assert (bands[probes].mean(axis=(1, 2)) == 0.5).all()
+
+
+def test_every_fourth_probe_is_a_strip_on_one_side_of_the_crease() -> None:
+    patterns = probe_patterns(SHAPE, 2, 40, crease())
+    left, right = patterns[..., :20].any(axis=(1, 2)), patterns[..., 20:].any(axis=(1, 2))
+    strip = np.arange(40) % 4 == 0
+    assert (left ^ right)[strip].all()
+    assert (left & right)[~strip].all()
+    assert left[strip].any()
+    assert right[strip].any()
+    sizes = patterns[strip].mean(axis=(1, 2))
+    # one side of what is nearest, from a hundredth of the image to three tenths
+    assert 0 < sizes.min() < 0.03
+    assert 0.08 < sizes.max() <= 0.16
+    for lit in patterns[strip]:
+        columns = CREASE[lit.any(axis=0)]
+        assert columns.max() < len(columns), "not the columns that are nearest"
+
+
+def test_the_held_out_shapes_are_no_probe() -> None:
+    shapes = held_out_shapes(SHAPE)
+    assert shapes.mean() == pytest.approx(0.3, abs=1e-3)
+    assert not any((shapes == probe).all() for probe in probe_patterns(SHAPE, 1, 6))
+
+
+def test_the_held_out_strip_is_where_most_light_stays_near() -> None:
+    strip = held_out_strip(crease().nearness)
+    assert strip.sum() == strip.size // 32
+    # of equal pixels the first: both columns of the crease from the top
+    assert np.flatnonzero(strip.any(axis=0)).tolist() == [19, 20]
+    assert strip[:20, 19:21].all()
+
+
+@pytest.mark.parametrize("shape", [(48, 64), (3, 24, 30), (1, 9), (310, 350), (1, 1)])
+def test_small_spots_are_few_in_every_view(shape: tuple[int, ...]) -> None:
+    views, height, width = RayDomain(shape).stack_shape
+    largest = max(2, min(height, width) / 12 + 0.5)
+    for view in held_out_spots(shape).reshape(views, height, width):
+        assert view.any()
+        assert view.sum() <= 8 * largest**2
+        assert view.sum() < view.size / 4 or view.size < 100
+
+
+@pytest.mark.parametrize("shape", [(48, 48), (2, 13, 31), (1, 5), (200, 220)])
+def test_blocks_are_of_cells_and_of_one_size_a_pattern(shape: tuple[int, ...]) -> None:
+    cells = cells_of(shape)
+    found = block_patterns(cells, 9, 8)
+    assert found.shape == (8, *shape)
+    for pattern in found.reshape(8, -1):
+        # all pixels of a cell are lit or none
+        for lit in (pattern, ~pattern):
+            assert not np.intersect1d(cells.of_ray[lit], cells.of_ray[~lit]).size
+    np.testing.assert_array_equal(found, block_patterns(cells, 9, 8))
+    if min(RayDomain(shape).image_shape) > 20:
+        assert 0.2 < found.mean() < 0.4
+        edges = (found[:, :, 1:] != found[:, :, :-1]).mean(axis=(1, 2))
+        assert (np.diff(edges[:4]) < 0).all()
+
+
+def test_patterns_of_footprints_are_of_three_kinds_of_detail_in_turn() -> None:
+    shown = view_patterns((13, 17), 3, 6)
+    assert (np.abs(shown.mean(axis=(1, 2)) - 0.5) < 0.01).all()
+    assert len({each.tobytes() for each in (*shown, *view_patterns((13, 17), 4, 6))}) == 12
+    changes = [(each[:, 1:] != each[:, :-1]).mean() for each in shown[:3]]
+    assert changes[0] < changes[2] < changes[1]  # very coarse, white, between
+
+
+def test_views_are_lit_one_at_a_time_first_all_of_each() -> None:
+    shown = view_patterns((3, 10, 12), 1, 9).reshape(9, 3, -1)
+    lit = shown.any(axis=2)
+    assert (lit.sum(axis=1) == 1).all()
+    assert [int(each.argmax()) for each in lit] == [0, 1, 2] * 3
+    assert (shown.sum(axis=(1, 2)) == [120] * 3 + [60] * 6).all()
