@@ -24,8 +24,7 @@ import rfpipe
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
-from rfpipe_mitsuba.kind import Mitsuba, MitsubaOptions
-from rfpipe_mitsuba.scene import MitsubaScene
+from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
 from rfpipe_mitsuba.worlds import WORLDS
 
 OUTPUT = Path("results/bench")
@@ -42,10 +41,9 @@ Array = NDArray[np.float64]
 def recorded(scene: str, side: int) -> MitsubaScene:
     """Return a scene whose light is recorded."""
     options = MitsubaOptions(
-        kind="rfpipe_mitsuba.kind:Mitsuba", scene=scene, shape=(side, side), samples=16384
+        kind="rfpipe_mitsuba.scene:MitsubaScene", scene=scene, shape=(side, side), samples=16384
     )
-    made: Any = Mitsuba.make(options)
-    return made
+    return MitsubaScene(options)
 
 
 def pictures(matrix: Array, side: int) -> Array:

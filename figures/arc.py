@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,11 +33,11 @@ def items(size: Size) -> Items:
     from rfpipe_mitsuba.worlds import WORLDS
 
     world = WORLDS[_WORLD]
-    projectors = [asdict(each) for each in world.projectors or ()]
+    projectors = [each.model_dump() for each in world.projectors or ()]
 
     def scene_at(index: int, side: int) -> Any:
         shapes = {"shape": (side, side), "projector_shape": (size.side, size.side)}
-        camera = asdict(world.cameras[index])
+        camera = world.cameras[index].model_dump()
         return physical(size, _WORLD, cameras=[camera], projectors=projectors, **shapes)
 
     last = len(world.cameras) - 1

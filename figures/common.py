@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -93,7 +93,7 @@ def aside(size: Size, name: str, right: float = 22.0, up: float = 12.0, **option
     from rfpipe_mitsuba.worlds import WORLDS
 
     camera = WORLDS[name].cameras[0]
-    views = {"cameras": [asdict(camera)], "projectors": [turned(camera, right, up)]}
+    views = {"cameras": [camera.model_dump()], "projectors": [turned(camera, right, up)]}
     return physical(size, name, **views, **options)
 
 
@@ -104,7 +104,7 @@ def turned(view: Any, right: float, up: float) -> dict[str, Any]:
     out = _rotated(np.array(view.origin) - target, upward, np.radians(right))
     across = np.cross(upward, out)
     out = _rotated(out, across / np.linalg.norm(across), -np.radians(up))
-    return {**asdict(view), "origin": tuple(map(float, target + out))}
+    return {**view.model_dump(), "origin": tuple(map(float, target + out))}
 
 
 def _rotated(vector: Any, axis: Any, angle: float) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -49,7 +48,7 @@ def _duality(size: Size) -> tuple[Double, Double, list[Any]]:
     from rfpipe_mitsuba.worlds import WORLDS
 
     camera = WORLDS["two_blocks"].cameras[0]
-    views = [[asdict(camera)], [turned(camera, 22.0, 12.0)]]
+    views = [[camera.model_dump()], [turned(camera, 22.0, 12.0)]]
     forth = physical(size, "two_blocks", cameras=views[0], projectors=views[1])
     back = physical(size, "two_blocks", cameras=views[1], projectors=views[0])
     one = np.stack([forth.dense(channel).T for channel in range(3)])
@@ -81,7 +80,7 @@ def _symmetry(size: Size) -> list[Any]:
 
     rows = []
     for name in ("two_blocks", "glossy_metal"):
-        camera = [asdict(WORLDS[name].cameras[0])]
+        camera = [WORLDS[name].cameras[0].model_dump()]
         scene = physical(size, name, cameras=camera, projectors=camera)
         blocks = _blocks(sum(scene.dense(channel) for channel in range(3)), scene.camera_shape[0])
         aside = blocks - np.diag(np.diag(blocks))

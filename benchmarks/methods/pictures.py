@@ -71,29 +71,21 @@ def _dot(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
 
 def _hits(scene: MitsubaScene) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Points (V, H, W, 3), normals towards the projector, and a pixel's side there (V, H, W)."""
-    from rfpipe_mitsuba.variant import load_mitsuba
+    from rfpipe_mitsuba.rendering import hits
     from rfpipe_mitsuba.world import load_scene
 
-    mi = load_mitsuba()
     shapes = load_scene(scene.world)
     side = scene.projector
-    height, width = side.shape
-    rows, columns = np.mgrid[:height, :width] + 0.5
-    plane = np.stack([width / 2 - columns, height / 2 - rows], axis=-1) * side.pitch
-    plane = np.concatenate([plane, np.ones((height, width, 1))], axis=-1).reshape(-1, 3)
     found = []
-    for view in side.views:
-        ways = plane @ view.axes
+    for pinhole in side.pinholes:
+        ways = pinhole.rays()
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        rays = mi.Ray3f(mi.Point3f(*map(float, view.origin)), mi.Vector3f(ways.T))
-        hit = shapes.ray_intersect(rays)
-        lengths = hit.t.numpy().astype(np.float64)
-        normals = hit.n.numpy().T.astype(np.float64)
+        lengths, normals = hits(shapes, pinhole)
         cosines = _dot(ways, normals)
         normals *= -np.sign(cosines)[:, None]
         lengths[~np.isfinite(lengths)] = np.nan
         pitch = side.pitch * lengths / np.sqrt(np.maximum(np.abs(cosines), 1e-3))
-        found.append((np.asarray(view.origin) + lengths[:, None] * ways, normals, pitch))
+        found.append((pinhole.origin + lengths[:, None] * ways, normals, pitch))
     points, turned, sizes = (np.stack(each) for each in zip(*found, strict=True))
-    shape = (len(side.views), height, width)
+    shape = (len(side.pinholes), *side.shape)
     return points.reshape(*shape, 3), turned.reshape(*shape, 3), sizes.reshape(shape)

@@ -84,14 +84,14 @@ def _world(name: str) -> Kind:
 
 def _mitsuba(name: str, side: int, channels: int, samples: int, cache: Path) -> MitsubaScene:
     """Return a world; the views of a stack share about the pixels of one picture."""
-    from rfpipe_mitsuba.kind import Mitsuba, MitsubaOptions
+    from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
 
     world = WORLDS[name]
     views = max(len(world.cameras), len(world.projectors or ()))
     each = max(min(side, _LEAST_SIDE), round(side / math.sqrt(views)))
     options = MitsubaOptions.model_validate(
         {
-            "kind": "rfpipe_mitsuba.kind:Mitsuba",
+            "kind": "rfpipe_mitsuba.scene:MitsubaScene",
             "scene": name,
             "shape": (each, each),
             "channels": channels,
@@ -99,8 +99,7 @@ def _mitsuba(name: str, side: int, channels: int, samples: int, cache: Path) -> 
             "cache": str(cache),
         }
     )
-    made: Any = Mitsuba.make(options)
-    return made
+    return MitsubaScene(options)
 
 
 KINDS: dict[str, Kind] = {name: _world(name) for name in WORLDS} | {

@@ -15,35 +15,26 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array, hstack
 
 from rfpipe.errors import InputError, IntegrityError, LockedError, StoreError
-from rfpipe.provenance import generator, versions
+from rfpipe.provenance import versions
 from rfpipe.store import open_arrays, write_arrays
 from rfpipe.store.files import remove_tree
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import read_manifest, write_manifest
-from rfpipe_mitsuba.brightness import brightness
-from rfpipe_mitsuba.light import Light
-from rfpipe_mitsuba.views import Views
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
-    from rfpipe_mitsuba.tracing import Tracer
-
-__all__ = ["Recording", "record"]
+from rfpipe_mitsuba.views import Side
+from rfpipe_mitsuba.world import Light
 
 Double = NDArray[np.float64]
+Channels = list[csr_array[np.float32]]
 
 _PIECE_BYTES = 192 * 2**20  # of the sums of one piece
 _WAIT_SECONDS = 1.0
-_PROBES = ("half_lit", "random", "spot")
-_PROBE_SEED = 0
-_SPOT = 3  # pixels along either side
 
 
 @dataclass(frozen=True)
@@ -56,8 +47,8 @@ class Recording:
     pieces : tuple of (int, int)
         First camera pixel of each piece, and the one after its last.
     noise : dict of str to dict
-        By the picture (half_lit, random, spot): the standard error of radiance, relative to the
-        picture's norm, over the whole and where no direct light falls (`unlit`).
+        Of the picture ``half_lit``: the standard error of radiance, relative to the picture's norm,
+        over the `whole` and where no direct light falls (`unlit`).
     scale : float
         What entries are multiplied by.
     """
@@ -67,7 +58,7 @@ class Recording:
     noise: dict[str, dict[str, float]]
     scale: float
 
-    def piece(self, index: int) -> list[csr_array[np.float32]]:
+    def piece(self, index: int) -> Channels:
         """Read a run of rows, one matrix a channel, without the scale.
 
         Raises
@@ -75,18 +66,17 @@ class Recording:
         IntegrityError
             When it is missing or damaged.
         """
-        return _read(self.folder / f"transport_{index:04d}.zarr")
+        return _read(_transport(self.folder, index))
 
 
 def record(
     scene: Callable[[], Any],
-    camera: Views,
-    projector: Views,
+    camera: Side,
+    projector: Side,
     light: Light,
     folder: Path,
     *,
     coaxial: bool,
-    progress: Callable[[str], None] = lambda _message: None,
 ) -> Recording:
     """Record a transport matrix, or find the one that was recorded.
 
@@ -102,8 +92,6 @@ def record(
         Where the recording is kept. Another process that wants it waits for the one that makes it.
     coaxial
         Whether the two sides are one.
-    progress
-        Told of each piece that is done.
 
     Raises
     ------
@@ -121,239 +109,137 @@ def record(
             continue
         with lock:
             if not manifest.exists():
-                _record(scene(), camera, projector, light, folder, coaxial, progress)
-    found = read_manifest(manifest)
-    pieces = tuple((first, last) for first, last in found["pieces"])
-    return Recording(folder, pieces, found["noise"], found["scale"])
+                _record(scene(), camera, projector, light, folder, coaxial)
+    kept = read_manifest(manifest)
+    pieces = tuple((first, last) for first, last in kept["pieces"])
+    return Recording(folder, pieces, kept["noise"], kept["scale"])
 
 
 def _record(
-    scene: Any,
-    camera: Views,
-    projector: Views,
-    light: Light,
-    folder: Path,
-    coaxial: bool,
-    progress: Callable[[str], None],
+    scene: Any, camera: Side, projector: Side, light: Light, folder: Path, coaxial: bool
 ) -> None:
+    from rfpipe_mitsuba.rendering import brightness
     from rfpipe_mitsuba.tracing import Tracer
 
     tracer = Tracer(scene, camera, projector, light)
-    rows, columns = _all_traced(tracer, camera, projector, light, folder, progress)
-    coaxial = coaxial and _symmetric(tracer)
-    halves = _halves(rows, columns, camera.rays, coaxial)
-    _put_together(folder, rows, columns, coaxial)
-    write_manifest(
-        folder / "recording.json",
-        {
-            "pieces": [[piece.first, piece.last] for piece in rows],
-            "noise": _noise(halves, _unlit(tracer, rows, _probes(projector))),
-            "scale": brightness(scene, projector),
-            "light": light.describe(),
-            "versions": {**versions(), "mitsuba": metadata.version("mitsuba")},
-        },
-    )
-    for piece in (*rows, *columns):
-        remove_tree(piece.path)
-
-
-def _all_traced(
-    tracer: Tracer,
-    camera: Views,
-    projector: Views,
-    light: Light,
-    folder: Path,
-    progress: Callable[[str], None],
-) -> tuple[list[_Piece], list[_Piece]]:
-    """Trace rows from the camera and, for caustics, columns from the projector."""
-    seen, lit = _probes(camera), _probes(projector)
-    rows = [
-        _traced(folder / f"rows_{first:08d}.zarr", tracer.rows, first, last, lit, seen, progress)
-        for first, last in _runs(camera.rays, projector.rays)
-    ]
-    columns = [
-        _traced(
-            folder / f"columns_{first:08d}.zarr", tracer.columns, first, last, seen, lit, progress
-        )
-        for first, last in _runs(projector.rays, camera.rays)
-        if light.caustics
-    ]
-    return rows, columns
-
-
-def _symmetric(tracer: Tracer) -> bool:
-    """Tell whether a coaxial rig's matrix is symmetric; warn if it isn't."""
-    if not tracer.is_whole:
+    if coaxial and not tracer.is_whole:
+        coaxial = False
         warnings.warn(
             "the scene has mirrors or lenses, but caustics aren't followed: the transport that is "
             "recorded isn't symmetric, which methods for coaxial rigs rely on",
             stacklevel=2,
         )
-    return tracer.is_whole
-
-
-def _halves(rows: list[_Piece], columns: list[_Piece], rays: int, coaxial: bool) -> Double:
-    """Return pictures (2, P, rays, 3) of the probes by either half, of the mean if coaxial.
-
-    Raises
-    ------
-    InputError
-        When they are dark.
-    """
-    halves = _pictures(rows, columns, rays)
-    if coaxial:
-        halves = (halves + _pictures(columns, rows, rays)) / 2
-    if not halves.any():
+    rows = _traced(folder, tracer.rows, camera.rays, projector.rays)
+    columns = _traced(folder, tracer.columns, projector.rays, camera.rays) if light.caustics else {}
+    half_lit = np.zeros((len(projector.pinholes), *projector.shape))
+    half_lit[..., : projector.shape[1] // 2] = 1
+    pattern, pictures, unlit = half_lit.ravel(), [], []
+    entries = 0
+    for index, (first, last) in enumerate(rows):
+        halves = [_assembled(rows, columns, half, first, last) for half in (0, 1)]
+        if coaxial:
+            back = [_assembled(columns, rows, half, first, last) for half in (0, 1)]
+            halves = [_mean(*pair) for pair in zip(halves, back, strict=True)]
+        mean = _mean(*halves)
+        entries += sum(channel.nnz for channel in mean)
+        pictures.append([[np.asarray(each @ pattern) for each in half] for half in halves])
+        unlit.append(np.einsum("iok,o->ik", tracer.direct(first, last), pattern) == 0)
+        _write(_transport(folder, index), mean)
+    if not entries:
         raise InputError(
             "no light comes back to the camera: nothing that it sees is lit by the projector; turn "
             "them towards the same part of the scene, and look whether one stands within a body"
         )
-    return halves
+    one, other = np.moveaxis(np.concatenate(pictures, axis=2), 1, 2)  # (2, M, 3)
+    dark = np.concatenate(unlit)
+    write_manifest(
+        folder / "recording.json",
+        {
+            "pieces": list(rows),
+            "noise": {
+                "half_lit": {
+                    "whole": _relative(one - other, one + other),
+                    "unlit": _relative((one - other)[dark], (one + other)[dark]),
+                }
+            },
+            "scale": brightness(scene, projector),
+            "light": light.describe(),
+            "versions": {**versions(), "mitsuba": metadata.version("mitsuba")},
+        },
+    )
+    for path in (*rows.values(), *columns.values()):
+        remove_tree(path)
 
 
-def _put_together(folder: Path, rows: list[_Piece], columns: list[_Piece], coaxial: bool) -> None:
-    """Write the matrix, in runs of rows; the mean of it and its transpose if coaxial."""
-    for index, piece in enumerate(rows):
-        matrices = _total(piece.first, piece.last, rows, columns)
-        if coaxial:
-            back = _total(piece.first, piece.last, columns, rows)
-            matrices = [_mean(one, other) for one, other in zip(matrices, back, strict=True)]
-        _write(folder / f"transport_{index:04d}.zarr", matrices, {})
-
-
-def _unlit(tracer: Tracer, rows: list[_Piece], lit: Double) -> NDArray[np.bool_]:
-    """Tell which pixels no direct light comes from, under each probe: (P, rays, 3)."""
-    dark = [
-        np.einsum("iok,po->pik", tracer.direct(piece.first, piece.last), lit) == 0 for piece in rows
-    ]
-    return np.concatenate(dark, axis=1)
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """Rows, or columns, of the matrix that are done: both halves' mean, and their pictures.
-
-    `forth` (2, P, last - first, 3) are the pictures of patterns of the other side, `back` (2, P,
-    others, 3) those of this side's, put through the transpose; of either half.
-    """
-
-    first: int
-    last: int
-    path: Path
-    forth: Double
-    back: Double
-
-
-def _runs(count: int, others: int) -> list[tuple[int, int]]:
-    """Cut `count` rows of `others` entries into runs that fit into memory."""
-    length = max(1, min(count, _PIECE_BYTES // (others * 3 * 8)))
-    return [(first, min(first + length, count)) for first in range(0, count, length)]
+def _transport(folder: Path, index: int) -> Path:
+    """Where the rows of a piece are."""
+    return folder / f"transport_{index:04d}.zarr"
 
 
 def _traced(
-    path: Path,
-    trace: Callable[[int, int, int], Double],
+    folder: Path, trace: Callable[[int, int, int], Double], count: int, others: int
+) -> dict[tuple[int, int], Path]:
+    """Trace `count` rows or columns of `others` entries, in runs that fit into memory.
+
+    Returns
+    -------
+    dict
+        First and last + 1 ray of each run to its file: three channels of either half.
+    """
+    length = max(1, min(count, _PIECE_BYTES // (others * 3 * 8)))
+    runs = {}
+    for first in range(0, count, length):
+        last = min(first + length, count)
+        path = runs[first, last] = folder / f"{trace.__name__}_{first:08d}.zarr"
+        try:
+            open_arrays(path)
+        except (StoreError, IntegrityError):
+            halves = [trace(half, first, last).astype(np.float32) for half in (0, 1)]
+            _write(path, [csr_array(half[..., k]) for half in halves for k in range(3)])
+    return runs
+
+
+def _assembled(
+    along: dict[tuple[int, int], Path],
+    across: dict[tuple[int, int], Path],
+    half: int,
     first: int,
     last: int,
-    patterns: Double,
-    own_patterns: Double,
-    progress: Callable[[str], None],
-) -> _Piece:
-    """Trace a piece, or find it on disk."""
-    from scipy.sparse import csr_array
-
-    try:
-        bundle = open_arrays(path)
-        return _Piece(first, last, path, bundle.read("forth"), bundle.read("back"))
-    except (StoreError, IntegrityError):
-        pass
-    halves = [trace(half, first, last) for half in (0, 1)]
-    forth = np.stack([np.einsum("iok,po->pik", half, patterns) for half in halves])
-    back = np.stack(
-        [np.einsum("iok,pi->pok", half, own_patterns[:, first:last]) for half in halves]
-    )
-    mean = ((halves[0] + halves[1]) / 2).astype(np.float32)
-    matrices = [csr_array(mean[..., channel]) for channel in range(3)]
-    _write(path, matrices, {"forth": forth, "back": back})
-    progress(f"{path.stem}: up to ray {last}")
-    return _Piece(first, last, path, forth, back)
-
-
-def _total(
-    first: int, last: int, own: list[_Piece], across: list[_Piece]
-) -> list[csr_array[np.float32]]:
-    """Rows of the matrix: those traced by row, and what was traced by column of them."""
-    from scipy.sparse import hstack
-
-    parts = [_read(piece.path) for piece in own if piece.first == first]
+) -> Channels:
+    """Rows of one half of the matrix: those traced by row, and those of what goes by column."""
+    parts = [_read(along[first, last], half)] if along else []
     if across:
-        slices = [[each[:, first:last].T for each in _read(piece.path)] for piece in across]
-        parts.append([hstack(blocks).tocsr() for blocks in zip(*slices, strict=True)])
+        turned = [[each[:, first:last].T for each in _read(path, half)] for path in across.values()]
+        parts.append([hstack(blocks).tocsr() for blocks in zip(*turned, strict=True)])
     return [sum(each[1:], each[0]).tocsr() for each in zip(*parts, strict=True)]
 
 
-def _mean(one: csr_array[np.float32], other: csr_array[np.float32]) -> csr_array[np.float32]:
-    return ((one + other) * np.float32(0.5)).tocsr()
-
-
-def _write(
-    path: Path,
-    matrices: list[csr_array[np.float32]],
-    arrays: dict[str, Double],
-) -> None:
-    """Write matrices, one a channel, with other arrays."""
-    named: dict[str, NDArray[Any]] = dict(arrays)
-    for channel, matrix in enumerate(matrices):
-        named[f"values_{channel}"] = matrix.data.astype(np.float32)
-        named[f"columns_{channel}"] = matrix.indices.astype(np.int32)
-        named[f"starts_{channel}"] = matrix.indptr.astype(np.int64)
-    write_arrays(path, named, {"others": matrices[0].shape[1]})
-
-
-def _read(path: Path) -> list[csr_array[np.float32]]:
-    """Read matrices, one a channel."""
-    from scipy.sparse import csr_array
-
-    bundle = open_arrays(path)
-    matrices = []
-    for channel in range(3):
-        starts = bundle.read(f"starts_{channel}")
-        parts = bundle.read(f"values_{channel}"), bundle.read(f"columns_{channel}"), starts
-        matrices.append(csr_array(parts, shape=(len(starts) - 1, bundle.attributes["others"])))
-    return matrices
-
-
-def _probes(views: Views) -> Double:
-    """Return the pictures that tell the noise: half lit, random, a small spot; (3, rays)."""
-    height, width = views.shape
-    probes = np.zeros((len(_PROBES), len(views.views), height, width))
-    probes[0, ..., : width // 2] = 1
-    probes[1] = generator(_PROBE_SEED).random(probes.shape[1:]) < 0.5
-    probes[2, ..., height // 3 : height // 3 + _SPOT, width // 3 : width // 3 + _SPOT] = 1
-    return probes.reshape(len(_PROBES), -1)
-
-
-def _pictures(own: list[_Piece], across: list[_Piece], rays: int) -> Double:
-    """Pictures (2, P, rays, 3) of the probes by either half."""
-    pictures = np.zeros((2, len(_PROBES), rays, 3))
-    for piece in own:
-        pictures[:, :, piece.first : piece.last] += piece.forth
-    for piece in across:
-        pictures += piece.back
-    return pictures
-
-
-def _noise(halves: Double, unlit: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
-    """Return the standard errors of the mean of two halves, relative, of each probe."""
-    noise = {}
-    for index, name in enumerate(_PROBES):
-        difference, total = halves[0, index] - halves[1, index], halves[:, index].sum(axis=0)
-        parts = {"whole": slice(None), "unlit": unlit[index]}
-        noise[name] = {part: _relative(difference[at], total[at]) for part, at in parts.items()}
-    return noise
+def _mean(one: Channels, other: Channels) -> Channels:
+    return [((a + b) * np.float32(0.5)).tocsr() for a, b in zip(one, other, strict=True)]
 
 
 def _relative(difference: Double, total: Double) -> float:
-    """Return how long a difference is beside a total; 0 where there is no light."""
+    """Length of a difference beside a total; 0 where there is no light."""
     length = float(np.linalg.norm(total))
     return float(np.linalg.norm(difference)) / length if length else 0.0
+
+
+def _write(path: Path, matrices: Channels) -> None:
+    """Write matrices of one shape."""
+    arrays: dict[str, NDArray[Any]] = {}
+    for index, matrix in enumerate(matrices):
+        arrays[f"values_{index}"] = matrix.data.astype(np.float32)
+        arrays[f"columns_{index}"] = matrix.indices.astype(np.int32)
+        arrays[f"starts_{index}"] = matrix.indptr.astype(np.int64)
+    write_arrays(path, arrays, {"others": matrices[0].shape[1]})
+
+
+def _read(path: Path, half: int = 0) -> Channels:
+    """Read the three matrices of a half, one a channel."""
+    bundle = open_arrays(path)
+    matrices = []
+    for index in range(3 * half, 3 * half + 3):
+        starts = bundle.read(f"starts_{index}")
+        parts = bundle.read(f"values_{index}"), bundle.read(f"columns_{index}"), starts
+        matrices.append(csr_array(parts, shape=(len(starts) - 1, bundle.attributes["others"])))
+    return matrices

@@ -1,91 +1,182 @@
-"""Physically based scenes by Mitsuba 3, as ground truth of a simulated rig."""
+"""The kind of scene ``mitsuba``: any materials, any light, as ground truth of a simulated rig."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
 
+from rfpipe.config.base import Extent
+from rfpipe.config.scenes import SceneSettings
+from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-from rfpipe_mitsuba.light import Light
 from rfpipe_mitsuba.recording import Recording, record
 from rfpipe_mitsuba.variant import need_llvm
-from rfpipe_mitsuba.views import Views
-from rfpipe_mitsuba.world import World, load_scene
-
-__all__ = ["MitsubaScene"]
+from rfpipe_mitsuba.views import Side, View
+from rfpipe_mitsuba.world import Light, World, load_scene, world_of_file
+from rfpipe_mitsuba.worlds import WORLDS
 
 Double = NDArray[np.float64]
+
 _LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear sRGB (ITU-R BT.709)
 
 
-class MitsubaScene(Scene):
-    """A scene of Mitsuba 3 between cameras and projectors.
+class MitsubaOptions(SceneSettings):
+    """A physically based scene, and the light that is followed in it."""
 
-    Parameters
-    ----------
-    world
-        The scene.
-    camera, projector
-        The two sides.
-    channels
-        Colour channels: 3, or 1 for its luminance.
-    coaxial
-        Whether the two sides are one.
-    samples
-        Paths a pixel, at least 2.
-    bounces, caustics
-        What light is followed; None for what the scene needs.
-    seed
-        Of the paths.
-    rendered
-        Whether Mitsuba renders each pattern, rather than recording the transport once.
-    cache
-        Folder of recorded matrices.
-    """
+    scene: str = Field(
+        min_length=1,
+        description=f"Which scene: one of {', '.join(WORLDS)}; or a file of Mitsuba 3, .xml, or "
+        ".json of a scene's dict. Its sensors and lights but for projectors are left out.",
+    )
+    projector_shape: tuple[Extent, Extent] | None = Field(
+        None,
+        description="Height and width of each projector's picture in pixels, 1 to 4096; null for "
+        "the camera's.",
+    )
+    cameras: tuple[View, ...] | None = Field(
+        None, min_length=1, description="Where the cameras stand; null for the scene's own."
+    )
+    projectors: tuple[View, ...] | None = Field(
+        None,
+        min_length=1,
+        description="Where the projectors stand; null for the scene's own, and where the cameras "
+        "stand if it has none.",
+    )
+    light: Literal["recorded", "rendered"] = Field(
+        "recorded",
+        description="recorded: the transport matrix is traced once and kept. rendered: Mitsuba "
+        "renders each pattern, slowly, and without caustics.",
+    )
+    samples: int = Field(
+        16384, ge=2, le=2**20, description="Paths of light a pixel, 2 to 1,048,576."
+    )
+    bounces: int | None = Field(
+        None,
+        ge=1,
+        le=64,
+        description="Surfaces, or scatterings, that a path of light meets at most: 1 is direct "
+        "light alone; null for what the scene needs.",
+    )
+    caustics: bool | None = Field(
+        None,
+        description="Whether to follow light that the projector sends by mirrors or lenses: true "
+        "or false; null for what the scene needs.",
+    )
+    seed: int = Field(0, ge=0, description="Seed of the paths, 0 or more.")
+    cache: str = Field(
+        "results/recorded",
+        min_length=1,
+        description="Folder that recorded matrices are kept in, relative to the working folder.",
+    )
 
-    def __init__(
-        self,
-        world: World,
-        camera: Views,
-        projector: Views,
-        *,
-        channels: int = 3,
-        coaxial: bool = False,
-        samples: int = 16384,
-        bounces: int | None = None,
-        caustics: bool | None = None,
-        seed: int = 0,
-        rendered: bool = False,
-        cache: Path = Path("results/recorded"),
-    ) -> None:
-        super().__init__(camera.domain, projector.domain, channels)
-        self.world, self.camera, self.projector = world, camera, projector
-        self.coaxial, self.cache = coaxial, cache
-        self.light = Light(
-            bounces or world.bounces,
-            samples,
-            (world.caustics if caustics is None else caustics) and not rendered,
-            seed,
+    @cached_property
+    def world(self) -> World:
+        """The scene.
+
+        Raises
+        ------
+        InputError
+            When there is none of this name, or the file is no scene.
+        """
+        if self.scene in WORLDS:
+            return WORLDS[self.scene]
+        path = Path(self.scene)
+        if path.suffix not in {".xml", ".json"}:
+            raise InputError(
+                f"scene is {self.scene!r}; expected a file of Mitsuba 3, .xml or .json, or one of "
+                f"{', '.join(WORLDS)}"
+            )
+        return world_of_file(path)
+
+    @property
+    def followed(self) -> Light:
+        """The light that is followed; no caustics where patterns are rendered."""
+        caustics = self.world.caustics if self.caustics is None else self.caustics
+        bounces = self.bounces or self.world.bounces
+        return Light(bounces, self.samples, caustics and self.light == "recorded", self.seed)
+
+    def own_options(self) -> dict[str, Any]:
+        """Return the options of the kind, with the light that is followed in numbers."""
+        light = self.followed
+        numbers = {"bounces": light.bounces, "caustics": light.caustics}
+        return {**super().own_options(), **numbers}
+
+    @property
+    def is_coaxial(self) -> bool:
+        """Whether camera and projector share their rays."""
+        return self.projectors is None and (
+            self.cameras is not None or self.world.projectors is None
         )
-        self.rendered = rendered
+
+    @property
+    def camera_side(self) -> Side:
+        """The cameras."""
+        views = self.cameras or self.world.cameras
+        return Side(tuple(view.pinhole(self.shape) for view in views))
+
+    @property
+    def projector_side(self) -> Side:
+        """The projectors."""
+        if self.is_coaxial:
+            return self.camera_side
+        views = self.projectors or self.world.projectors or ()
+        return Side(tuple(view.pinhole(self.projector_shape or self.shape) for view in views))
+
+    @property
+    def ray_shape(self) -> tuple[int, ...]:
+        """Shape of the projector's ray domain: (H, W), or (V, H, W) of several projectors."""
+        return self.projector_side.domain
+
+    @property
+    def camera_ray_shape(self) -> tuple[int, ...]:
+        """Shape of the camera's ray domain: (H, W), or (V, H, W) of several cameras."""
+        return self.camera_side.domain
+
+    @property
+    def view_grid(self) -> tuple[int, int]:
+        """One row of as many views as there are cameras."""
+        return 1, len(self.camera_side.pinholes)
+
+    @model_validator(mode="after")
+    def _can_be_made(self) -> Self:
+        if self.is_coaxial and self.projector_shape not in {None, self.shape}:
+            raise ValueError(
+                f"projector_shape is {self.projector_shape}; a rig whose projectors stand where "
+                "its cameras stand has one shape: leave it out, or name projectors"
+            )
+        return self
+
+
+class MitsubaScene(Scene):
+    """A physically based scene of Mitsuba 3: any materials, any light."""
+
+    Options: ClassVar[type[SceneSettings]] = MitsubaOptions
+
+    def __init__(self, options: MitsubaOptions) -> None:
+        self.options, self.world, self.light = options, options.world, options.followed
+        self.camera, self.projector = options.camera_side, options.projector_side
+        self.coaxial = options.is_coaxial
+        super().__init__(self.camera.domain, self.projector.domain, options.channels)
 
     def describe(self) -> dict[str, Any]:
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
         return {
             "scene": "mitsuba",
             "world": self.world.describe(),
-            "camera": self.camera.describe(),
-            "projector": self.projector.describe(),
+            "camera": asdict(self.camera),
+            "projector": asdict(self.projector),
             "light": self.light.describe(),
             "coaxial": self.coaxial,
             "channels": self.channels,
-            "rendered": self.rendered,
+            "rendered": self.options.light == "rendered",
             "mitsuba": metadata.version("mitsuba"),
         }
 
@@ -99,13 +190,9 @@ class MitsubaScene(Scene):
             When it wasn't, and there is no LLVM to record it with.
         """
         described = {**self.describe(), "channels": 3}
+        folder = Path(self.options.cache) / f"{self.world.name}-{fingerprint(described)[:12]}"
         return record(
-            self._loaded,
-            self.camera,
-            self.projector,
-            self.light,
-            self.cache / f"{self.world.name}-{fingerprint(described)[:12]}",
-            coaxial=self.coaxial,
+            self._loaded, self.camera, self.projector, self.light, folder, coaxial=self.coaxial
         )
 
     def _loaded(self) -> Any:
@@ -121,27 +208,28 @@ class MitsubaScene(Scene):
             If the patterns don't have N rays each, no light comes back to the camera, or the
             transport can't be recorded here.
         """
+        radiance = self._rendered if self.options.light == "rendered" else self._recorded
         return apply_in_batches(
-            self._rendered if self.rendered else self._recorded,
-            patterns,
-            self.projector_shape,
-            self.channels,
-            self.camera.rays,
+            radiance, patterns, self.projector_shape, self.channels, self.camera.rays
         )
 
     def _recorded(self, weights: Double) -> Double:
         """Radiance (M, B, C) of patterns (N, B), by the recorded matrix."""
-        radiance = np.empty((self.camera.rays, weights.shape[1], self.channels))
-        for (first, last), matrices in zip(self.recording.pieces, self._matrices, strict=True):
-            for channel, matrix in enumerate(matrices):
-                radiance[first:last, :, channel] = matrix @ weights
-        return radiance * self.recording.scale
+        pictures = [
+            np.stack([matrix @ weights for matrix in piece], axis=-1) for piece in self._matrices
+        ]
+        return np.concatenate(pictures) * self.recording.scale
 
     @cached_property
     def _matrices(self) -> list[list[Any]]:
         """The recorded matrix in memory, piece by piece, a sparse one a channel, float32."""
-        pieces = (self.recording.piece(index) for index in range(len(self.recording.pieces)))
-        return [piece if self.channels == 3 else [_luminance(piece)] for piece in pieces]
+        pieces = [self.recording.piece(index) for index in range(len(self.recording.pieces))]
+        if self.channels == 3:
+            return pieces
+        return [
+            [sum(share * matrix for share, matrix in zip(_LUMINANCE, piece, strict=True))]
+            for piece in pieces
+        ]
 
     @cached_property
     def _renderer(self) -> Any:
@@ -160,12 +248,7 @@ class MitsubaScene(Scene):
 
     def dense(self, channel: int = 0) -> Double:
         """The whole matrix (M, N) of one channel."""
-        if self.rendered:
+        if self.options.light == "rendered":
             return super().dense(channel)
         rows = [piece[channel].toarray() for piece in self._matrices]
         return np.concatenate(rows).astype(np.float64) * self.recording.scale
-
-
-def _luminance(piece: list[Any]) -> Any:
-    red, green, blue = (share * matrix for share, matrix in zip(_LUMINANCE, piece, strict=True))
-    return red + green + blue

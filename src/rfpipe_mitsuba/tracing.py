@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
-from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.provenance import generator
-from rfpipe_mitsuba.chains import trace_chains
-from rfpipe_mitsuba.merging import Ends
-from rfpipe_mitsuba.particles import trace_particles
-from rfpipe_mitsuba.paths import trace_paths
-from rfpipe_mitsuba.pinholes import Pinholes
-from rfpipe_mitsuba.sums import Sums
-from rfpipe_mitsuba.views import Views
-from rfpipe_mitsuba.volumes import trace_volumes
-
-if TYPE_CHECKING:
-    from rfpipe_mitsuba.light import Light
-
-__all__ = ["Tracer"]
+from rfpipe_mitsuba.beams import Pinholes, Rig, Sums
+from rfpipe_mitsuba.caustics import Ends, trace_chains, trace_particles
+from rfpipe_mitsuba.paths import trace_paths, trace_volumes
+from rfpipe_mitsuba.views import Side
+from rfpipe_mitsuba.world import Light
 
 Double = NDArray[np.float64]
 
@@ -36,16 +26,7 @@ _DIRECT_SAMPLES = 32  # a pixel, to tell where direct light falls
 
 
 class Tracer:
-    """Traces pieces of the matrix of one scene, rig and kind of light.
-
-    Parameters
-    ----------
-    scene
-        Mitsuba's scene.
-    camera, projector
-        The two sides.
-    light
-        What is followed.
+    """Traces pieces of the matrix of one scene of Mitsuba's, rig and kind of light.
 
     Attributes
     ----------
@@ -54,66 +35,64 @@ class Tracer:
         no mirror or lens is there, or caustics are followed.
     """
 
-    def __init__(self, scene: Any, camera: Views, projector: Views, light: Light) -> None:
-        self._scene, self._light = scene, light
-        self._camera, self._projector = Pinholes(camera), Pinholes(projector)
-        bent = [mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission]
+    def __init__(self, scene: Any, camera: Side, projector: Side, light: Light) -> None:
+        self._rig = Rig(scene, Pinholes(camera), Pinholes(projector), light.bounces)
+        self._light = light
         through = _has(scene, mi.BSDFFlags.Null) or any(
             shape.is_medium_transition() for shape in scene.shapes()
         )
         self._trace_rows = trace_volumes if through else trace_paths
-        self._bends = any(_has(scene, flag) for flag in bent)
+        self._bends = _has(scene, mi.BSDFFlags.DeltaReflection) or _has(
+            scene, mi.BSDFFlags.DeltaTransmission
+        )
         self.is_whole = light.caustics or not self._bends
         self._ends: dict[int, Ends | None] = {}
 
     def rows(self, half: int, first: int, last: int) -> Double:
         """Trace rows [first, last) of one half: float64 (last - first, N, 3)."""
-        return self._traced(self._trace_rows, self._projector, 2 * half, first, last)
+        others = self._rig.projector.side.rays
+        trace = partial(self._trace_rows, self._rig)
+        return self._traced(trace, self._light.samples, others, 2 * half, first, last)
 
     def columns(self, half: int, first: int, last: int) -> Double:
         """Trace what caustics add to columns [first, last) of one half: (last - first, M, 3)."""
         if half not in self._ends:
             self._ends[half] = self._chain_ends(half) if self._bends else None
-        trace = partial(trace_particles, ends=self._ends[half])
-        return self._traced(trace, self._camera, 2 * half + 1, first, last)
-
-    def _chain_ends(self, half: int) -> Ends | None:
-        """Trace what the camera sees by mirrors and lenses, if anything."""
-        wanted = np.clip(_CHAINS // self._camera.views.rays, _LEAST_CHAINS, _MOST_CHAINS)
-        ends = trace_chains(
-            self._scene,
-            self._camera,
-            samples=4 ** int(np.log2(wanted) / 2),
-            bounces=self._light.bounces,
-            seed=int(generator(self._light.seed, 2 * half + 5).integers(2**31)),
-        )
-        return Ends(ends) if len(ends.pixel) else None
+        others = self._rig.camera.side.rays
+        trace = partial(trace_particles, self._rig, ends=self._ends[half])
+        return self._traced(trace, self._light.samples, others, 2 * half + 1, first, last)
 
     def direct(self, first: int, last: int) -> Double:
         """Trace rows [first, last) of direct light alone, roughly."""
-        few = replace(self._light, bounces=1, samples=2 * _DIRECT_SAMPLES)
-        tracer = copy(self)
-        tracer._light = few
-        return tracer.rows(2, first, last)
+        trace = partial(self._trace_rows, self._rig._replace(bounces=1))
+        others = self._rig.projector.side.rays
+        return self._traced(trace, 2 * _DIRECT_SAMPLES, others, 4, first, last)
+
+    def _chain_ends(self, half: int) -> Ends | None:
+        """Trace what the camera sees by mirrors and lenses, if anything."""
+        wanted = np.clip(_CHAINS // self._rig.camera.side.rays, _LEAST_CHAINS, _MOST_CHAINS)
+        seed = int(generator(self._light.seed, 2 * half + 5).integers(2**31))
+        ends = trace_chains(self._rig, 4 ** int(np.log2(wanted) / 2), seed)
+        return Ends(ends) if len(ends.pixel) else None
 
     def _traced(
-        self, trace: Callable[..., None], others: Pinholes, stream: int, first: int, last: int
+        self,
+        trace: Callable[[Sums, int, int], None],
+        samples: int,
+        others: int,
+        stream: int,
+        first: int,
+        last: int,
     ) -> Double:
         """Trace half of the samples of some pixels: float64 (last - first, others, 3)."""
-        sums = Sums(first, last - first, others.views.rays)
-        samples = self._light.samples // 2
-        passed = 4 ** int(np.log2(min(samples, max(1, _LANES // sums.count))) / 2)
-        passes = -(-samples // passed)
+        sums = Sums(first, last - first, others)
+        passed = 4 ** int(np.log2(min(samples // 2, max(1, _LANES // sums.count))) / 2)
+        passes = -(-(samples // 2) // passed)
         for index in range(passes):
-            seed = int(generator(self._light.seed, stream, first, index).integers(2**31))
             trace(
-                self._scene,
-                self._camera,
-                self._projector,
                 sums,
-                samples=passed,
-                bounces=self._light.bounces,
-                seed=seed,
+                passed,
+                int(generator(self._light.seed, stream, first, index).integers(2**31)),
             )
             sums.flush()
         mean: Double = sums.to_numpy() / (passed * passes)

@@ -8,18 +8,12 @@ from __future__ import annotations
 
 import os
 import re
-import sys
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import InputError, installing
 
-__all__ = ["load_mitsuba", "need_llvm", "usable_llvm"]
-
-_VECTORISED = "llvm_ad_rgb"
-_SCALAR = "scalar_rgb"
 _VARIABLE = "DRJIT_LIBLLVM_PATH"
 # Dr.Jit 1.5 refuses LLVM 14 and crashes with 15 and 16; it ran with 19 and 22.
 _LEAST_LLVM = 19
@@ -32,7 +26,6 @@ _PLACES = (
     "/opt/homebrew/opt/llvm*/lib/libLLVM*.dylib",
     "/usr/local/opt/llvm*/lib/libLLVM*.dylib",
 )
-_VERSION = re.compile(r"libLLVM(?:-|\.so\.|\.)(\d+)")
 
 
 @cache
@@ -58,25 +51,16 @@ def load_mitsuba() -> Any:
             f"{installing('mitsuba')}"
         ) from error
     if mitsuba.variant() is None:
-        mitsuba.set_variant(_VECTORISED if library is not None else _SCALAR)
+        mitsuba.set_variant("scalar_rgb" if library is None else "llvm_ad_rgb")
     return mitsuba
 
 
 def need_llvm(what: str) -> None:
-    """Refuse what Mitsuba's scalar variant can't do.
+    """Raise InputError, which names what asks for it, where there is no LLVM to trace with.
 
-    It can render pictures, but not trace the transport between pixels. That of pictures has their
-    noise: an asymmetry of 14 to 21 % by 64 paths a pixel, of 3 to 6 % by 16 times as many.
-
-    Parameters
-    ----------
-    what
-        Who asks, such as a setting.
-
-    Raises
-    ------
-    InputError
-        When there is no LLVM that Mitsuba can use.
+    Mitsuba's scalar variant can render pictures, but not trace the transport between pixels. That
+    of pictures has their noise: an asymmetry of 14 to 21 % by 64 paths a pixel, of 3 to 6 % by 16
+    times as many.
     """
     if usable_llvm() is None:
         raise InputError(
@@ -87,28 +71,21 @@ def need_llvm(what: str) -> None:
 
 
 def usable_llvm() -> Path | None:
-    """Return the newest LLVM library here that Mitsuba's LLVM variants run with, if any.
+    """Return the newest LLVM library here that Mitsuba's LLVM variants run with, or None.
 
     Where the environment variable DRJIT_LIBLLVM_PATH names one, it is that or none.
     """
     named = os.environ.get(_VARIABLE)
-    if named:
-        return _newest([Path(named)])
-    found = (path for pattern in _PLACES for path in Path("/").glob(pattern.removeprefix("/")))
-    return _newest(found) if sys.platform != "win32" else None
-
-
-def _newest(libraries: Iterable[Path]) -> Path | None:
-    """Return the library of the highest version of those that are recent enough."""
-    versions = {path: _version(path) or 0 for path in libraries}
+    places = (path for pattern in _PLACES for path in Path("/").glob(pattern[1:]))
+    versions = {path: _version(path) for path in ([Path(named)] if named else places)}
     usable = sorted((version, path) for path, version in versions.items() if version >= _LEAST_LLVM)
     return usable[-1][1] if usable else None
 
 
-def _version(library: Path) -> int | None:
-    """Return the major version of an LLVM library, by its name or that of what it links to."""
+def _version(library: Path) -> int:
+    """Major version of an LLVM library, by its name or that of its link's target; 0 if unknown."""
     for path in (library, library.resolve()):
-        match = _VERSION.search(path.name)
+        match = re.search(r"libLLVM(?:-|\.so\.|\.)(\d+)", path.name)
         if match:
             return int(match.group(1))
-    return None
+    return 0

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,10 +16,35 @@ from rfpipe.provenance import fingerprint
 from rfpipe_mitsuba.variant import load_mitsuba
 from rfpipe_mitsuba.views import View
 
-__all__ = ["World", "load_scene", "world_of_file"]
+# Within which light counts as that of a place which the camera sees by mirrors and lenses, relative
+# to the footprint of a pixel there.
+MERGING_RADIUS = 0.5
 
-# What a rig brings along, or what asks for a renderer of another kind.
-_LEFT_OUT = ("Emitter", "Sensor", "Integrator")
+
+class Light(NamedTuple):
+    """What light is followed, and how long.
+
+    Attributes
+    ----------
+    bounces : int
+        Most vertices of a path between projector and camera, at least 1: direct light alone.
+    samples : int
+        Paths a pixel, at least 2: half of them for either half.
+    caustics : bool
+        Whether light that the projector sends by mirrors and lenses is followed, too.
+    seed : int
+        Of the random numbers.
+    """
+
+    bounces: int
+    samples: int
+    caustics: bool
+    seed: int
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests."""
+        merging = {"merging_radius": MERGING_RADIUS} if self.caustics else {}
+        return self._asdict() | merging
 
 
 @dataclass(frozen=True)
@@ -29,8 +54,6 @@ class World:
     Attributes
     ----------
     name : str
-    tests : str
-        What the scene is there for.
     build : callable
         Returns the scene as a dict of Mitsuba's, in plain data: `to_world` as a list of four rows,
         `bitmap` as an array float32 (H, W, 3), a shape of type `mesh` with `vertices` float32
@@ -45,7 +68,6 @@ class World:
     """
 
     name: str
-    tests: str
     build: Callable[[], dict[str, Any]]
     cameras: tuple[View, ...]
     projectors: tuple[View, ...] | None = None
@@ -69,7 +91,6 @@ def world_of_file(path: Path) -> World:
     InputError
         When the file can't be read or is no scene, or has no perspective sensor.
     """
-    mi = load_mitsuba()
     try:
         text = path.read_text(encoding="utf-8")
         if path.suffix == ".json":
@@ -78,24 +99,23 @@ def world_of_file(path: Path) -> World:
             description = {"type": "scene", "path": str(path.resolve()), "text": text}
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: the scene can't be read: {error}") from error
-    _, state = _parsed(mi, description, str(path))
-    description["files"] = _files_of(state, path.parent)
-    views = {
-        kind: [_view_of(node, path) for node in state.nodes if node.props.plugin_name() == kind]
-        for kind in ("perspective", "projector")
+    _, state = _parsed(description, str(path))
+    named = {str(node.props["filename"]) for node in state.nodes if "filename" in node.props}
+    description["files"] = {  # digests of its meshes and pictures
+        name: fingerprint(np.frombuffer((path.parent / name).read_bytes(), np.uint8))
+        for name in sorted(named)
+        if (path.parent / name).is_file()
     }
-    if not views["perspective"]:
+    camera, projector = (
+        tuple(_view_of(node, path) for node in state.nodes if node.props.plugin_name() == kind)[:1]
+        for kind in ("perspective", "projector")
+    )
+    if not camera:
         raise InputError(
             f"{path}: the scene has no sensor of type perspective; expected one, which the camera "
             "takes its place and field of view from"
         )
-    return World(
-        path.stem,
-        "a scene of your own",
-        lambda: description,
-        tuple(views["perspective"][:1]),
-        tuple(views["projector"][:1]) or None,
-    )
+    return World(path.stem, lambda: description, camera, projector or None)
 
 
 def load_scene(world: World) -> Any:
@@ -107,9 +127,9 @@ def load_scene(world: World) -> Any:
         When Mitsuba can't make it: says what Mitsuba said.
     """
     mi = load_mitsuba()
-    config, state = _parsed(mi, world.build(), world.name)
-    kinds = mi.ObjectType
-    left_out = {getattr(kinds, name) for name in _LEFT_OUT}
+    config, state = _parsed(world.build(), world.name)
+    # what a rig brings along, or what asks for a renderer of another kind
+    left_out = mi.ObjectType.Emitter, mi.ObjectType.Sensor, mi.ObjectType.Integrator
     gone = {index for index, node in enumerate(state.nodes) if node.type in left_out}
     for node in state.nodes:
         for key in list(node.props):
@@ -123,28 +143,19 @@ def load_scene(world: World) -> Any:
     return scene
 
 
-def _parsed(mi: Any, description: dict[str, Any], name: str) -> tuple[Any, Any]:
+def _parsed(description: dict[str, Any], name: str) -> tuple[Any, Any]:
     """Let Mitsuba parse a description, each shape for itself."""
+    mi = load_mitsuba()
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_meshes = False
-    own = {key: value for key, value in description.items() if key != "files"}
+    parts = {key: value for key, value in description.items() if key != "files"}
     with _mitsuba_errors(name):
-        if "text" in own:
-            state = mi.parser.parse_file(config, own["path"])
+        if "text" in parts:
+            state = mi.parser.parse_file(config, parts["path"])
         else:
-            state = mi.parser.parse_dict(config, _for_mitsuba(mi, own))
+            state = mi.parser.parse_dict(config, _for_mitsuba(mi, parts))
         mi.parser.transform_all(config, state)
     return config, state
-
-
-def _files_of(state: Any, folder: Path) -> dict[str, str]:
-    """Return the digests of the meshes and pictures that a scene's file names."""
-    named = {str(node.props["filename"]) for node in state.nodes if "filename" in node.props}
-    return {
-        name: fingerprint(np.frombuffer((folder / name).read_bytes(), np.uint8))
-        for name in sorted(named)
-        if (folder / name).is_file()
-    }
 
 
 @contextmanager
@@ -168,10 +179,14 @@ def _view_of(node: Any, path: Path) -> View:
             f"{path}: the fov_axis of {node.props.plugin_name()} is {node.props['fov_axis']}; "
             "expected x, the field of view across the picture's width"
         )
-    left, up, ahead, origin = (tuple(float(x) for x in column) for column in matrix[:3].T)
-    target = tuple(x + step for x, step in zip(origin, ahead, strict=True))
-    view = View(origin, target, up, float(node.props.get("fov", 40.0)))  # type: ignore[arg-type]
-    if not np.allclose(view.axes[0], left, atol=1e-4):
+    left, up, ahead, origin = matrix[:3].T
+    view = View(
+        origin=tuple(origin),
+        target=tuple(origin + ahead),
+        up=tuple(up),
+        degrees=float(node.props.get("fov", 40.0)),
+    )
+    if not np.allclose(view.pinhole((1, 1)).axes[0], -left, atol=1e-4):
         raise InputError(
             f"{path}: to_world of {node.props.plugin_name()} mirrors, scales or shears; expected a "
             "turn and a move, such as a lookat"

@@ -51,7 +51,7 @@ def test_costs_stand_beside_brute_force_and_the_thesis() -> None:
 
 
 def test_a_view_turned_keeps_its_distance_and_goes_right_and_up() -> None:
-    origin = np.array(turned(View((0, 0, 4), (0, 0, 0)), 30, 20)["origin"])
+    origin = np.array(turned(View(origin=(0, 0, 4), target=(0, 0, 0)), 30, 20)["origin"])
     assert np.linalg.norm(origin) == pytest.approx(4)
     assert origin[0] > 0
     assert origin[1] == pytest.approx(4 * np.sin(np.radians(20)))

@@ -1,4 +1,4 @@
-"""Scenes of Mitsuba as scenes of rfpipe: files, errors, and the recording on disk."""
+"""Scenes of Mitsuba as scenes of rfpipe: files, errors, the recording on disk, and LLVM."""
 
 import json
 import threading
@@ -11,8 +11,9 @@ from pydantic import ValidationError
 from rfpipe.errors import InputError
 from rfpipe.store.manifest import read_manifest
 from rfpipe.testing import SceneContract
-from rfpipe_mitsuba import recording
-from rfpipe_mitsuba.kind import Mitsuba, MitsubaOptions
+from rfpipe_mitsuba import recording, variant
+from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
+from rfpipe_mitsuba.tracing import Tracer
 
 LOOKING = """
 <sensor type="perspective"><float name="fov" value="40"/><transform name="to_world">
@@ -26,8 +27,7 @@ THINGS = """
 <shape type="sphere"><float name="radius" value="0.5"/><bsdf type="roughplastic"/></shape>
 <emitter type="constant"/>"""
 
-
-pytestmark = pytest.mark.needs("llvm")
+needs_llvm = pytest.mark.needs("llvm")
 
 
 def options(tmp_path: Path, scene: str | Path = "two_blocks", **given) -> MitsubaOptions:
@@ -43,100 +43,96 @@ def file_of(tmp_path: Path, *parts: str) -> Path:
 
 def pictures(settings: MitsubaOptions) -> np.ndarray:
     rays = int(np.prod(settings.ray_shape))
-    return Mitsuba.make(settings).apply(np.eye(3, rays, dtype=np.float32) + np.float32(0.5))
+    return MitsubaScene(settings).apply(np.eye(3, rays, dtype=np.float32) + np.float32(0.5))
 
 
+@needs_llvm
 class TestTwoBlocks(SceneContract):
     @pytest.fixture(autouse=True)
     def _cache(self, tmp_path_factory: pytest.TempPathFactory) -> None:
         self.folder = tmp_path_factory.getbasetemp() / "two_blocks"
 
     def make_scene(self):
-        return Mitsuba.make(options(self.folder))
+        return MitsubaScene(options(self.folder))
 
 
+@needs_llvm
 class TestAside(TestTwoBlocks):
     coaxial = False
 
     def make_scene(self):
         view = {"origin": (2.2, 0, 3.2), "target": (0, 0, 0), "degrees": 39.3}
         given = {"projectors": [view], "projector_shape": (5, 7)}
-        return Mitsuba.make(options(self.folder, **given))
+        return MitsubaScene(options(self.folder, **given))
 
 
+@needs_llvm
 def test_a_file_s_projector_stands_aside_and_its_other_lights_are_left_out(tmp_path: Path) -> None:
     settings = options(tmp_path, file_of(tmp_path, LOOKING, ASIDE, THINGS), samples=4096)
     assert not settings.is_coaxial
     recorded = pictures(settings)
     rendered = pictures(settings.model_copy(update={"light": "rendered"}))
     assert np.linalg.norm(recorded - rendered) < 0.05 * np.linalg.norm(rendered)
-    assert Mitsuba.make(settings).apply(np.zeros((1, 48))).max() == 0
+    assert MitsubaScene(settings).apply(np.zeros((1, 48))).max() == 0
 
 
+@needs_llvm
 def test_a_file_without_projector_is_coaxial_and_its_transport_symmetric(tmp_path: Path) -> None:
     settings = options(tmp_path, file_of(tmp_path, LOOKING, THINGS))
     assert settings.is_coaxial
-    transport = Mitsuba.make(settings).dense(1)
+    transport = MitsubaScene(settings).dense(1)
     np.testing.assert_array_equal(transport, transport.T)
     assert transport.max() > 0.1
 
 
+@needs_llvm
 def test_a_description_as_json(tmp_path: Path) -> None:
     path = tmp_path / "own.json"
-    wall = {
-        "type": "rectangle",
-        "to_world": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]],
-    }
-    view = {
-        "type": "perspective",
-        "fov": 30.0,
-        "to_world": [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]],
-    }
+    wall = {"type": "rectangle", "to_world": np.diag([2, 2, 2, 1]).tolist()}
+    turned = [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 4], [0, 0, 0, 1]]
+    view = {"type": "perspective", "fov": 30.0, "to_world": turned}
     path.write_text(json.dumps({"type": "scene", "wall": wall, "eye": view}))
     assert pictures(options(tmp_path, path)).min() > 0.1
 
 
-def test_a_name_and_a_file_that_are_none(tmp_path: Path) -> None:
-    for scene, said in (("nonesuch", "two_blocks"), (tmp_path / "no.xml", "can't be read")):
-        with pytest.raises(ValidationError, match=said):
-            options(tmp_path, scene)
-
-
+@needs_llvm
 @pytest.mark.parametrize(
-    ("parts", "said"),
+    ("given", "said"),
     [
-        ((THINGS,), "no sensor of type perspective"),
-        ((LOOKING, "<shape type='nonesuch'/>"), "nonesuch"),
-        ((LOOKING,), "no shape"),
-        ((LOOKING, "<shape"), "can't make it"),
-        ((LOOKING.replace("<lookat", "<scale x='-1' y='1' z='1'/><lookat"),), "mirrors"),
+        ({"scene": "nonesuch"}, "two_blocks"),
+        ({"scene": "no.xml"}, "can't be read"),
+        ({"parts": (THINGS,)}, "no sensor of type perspective"),
+        ({"parts": (LOOKING, "<shape type='nonesuch'/>")}, "nonesuch"),
+        ({"parts": (LOOKING,)}, "no shape"),
+        ({"parts": (LOOKING.replace("<lookat", "<scale x='-1' y='1' z='1'/><lookat"),)}, "mirrors"),
+        # looks away, or stands within a block
+        ({"projectors": [{"origin": (0, 0, 4), "target": (0, 0, 9)}]}, "no light comes back"),
+        ({"cameras": [{"origin": (-0.33, -0.4, -0.28), "target": (0, 0, 9)}]}, "no light comes"),
+        ({"cameras": [{"origin": (0, 0, 0), "target": (0, 2, 0)}]}, "another point to look at"),
     ],
 )
-def test_a_file_that_is_wrong(tmp_path: Path, parts: tuple[str, ...], said: str) -> None:
+def test_scenes_and_rigs_that_are_wrong(tmp_path: Path, given: dict, said: str) -> None:
+    parts = given.pop("parts", None)
+    if parts:
+        given["scene"] = file_of(tmp_path, *parts)
     with pytest.raises((ValidationError, InputError), match=said):
-        pictures(options(tmp_path, file_of(tmp_path, *parts)))
+        pictures(options(tmp_path, **given))
 
 
-@pytest.mark.parametrize(
-    "views",
-    [
-        {"projectors": [{"origin": (0, 0, 4), "target": (0, 0, 9)}]},  # looks away
-        {"cameras": [{"origin": (-0.33, -0.4, -0.28), "target": (0, 0, 9)}]},  # within a block
-    ],
-)
-def test_a_rig_that_sees_no_light(tmp_path: Path, views: dict) -> None:
-    with pytest.raises(InputError, match="no light comes back to the camera"):
-        pictures(options(tmp_path, **views))
-
-
+@needs_llvm
 def test_what_was_recorded_is_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = pictures(options(tmp_path))
+    first = pictures(options(tmp_path, bounces=2))
+    scene = MitsubaScene(options(tmp_path, bounces=2))
+    kept = read_manifest(scene.recording.folder / "recording.json")
+    assert kept["light"]["bounces"] == 2
+    assert "mitsuba" in kept["versions"]
     monkeypatch.setattr(recording, "_record", None)
-    np.testing.assert_array_equal(pictures(options(tmp_path)), first)
+    np.testing.assert_array_equal(pictures(options(tmp_path, bounces=2)), first)
     with pytest.raises(TypeError):
-        pictures(options(tmp_path, seed=1))
+        pictures(options(tmp_path, bounces=2, seed=1))
 
 
+@needs_llvm
 def test_a_recording_that_was_stopped_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,32 +141,23 @@ def test_a_recording_that_was_stopped_goes_on(
     pieced = pictures(options(tmp_path / "pieced"))
     # Other pieces draw other random numbers.
     assert 0 < np.linalg.norm(pieced - whole) < 0.1 * np.linalg.norm(whole)
-    done = []
+    rows, traced = Tracer.rows, []
 
-    def stop(message: str) -> None:
-        done.append(message)
-        if len(done) == 2:
+    def stopping(tracer, half, first, last):
+        traced.append(first)
+        if len(traced) == 5:
             raise KeyboardInterrupt
+        return rows(tracer, half, first, last)
 
-    scene = Mitsuba.make(options(tmp_path))
-    folder = next((tmp_path / "pieced" / "cache").iterdir()).name
-    arguments = (lambda: recording_scene(scene), scene.camera, scene.projector, scene.light)
+    stopping.__name__ = "rows"
+    monkeypatch.setattr(Tracer, "rows", stopping)
     with pytest.raises(KeyboardInterrupt):
-        recording.record(*arguments, scene.cache / folder, coaxial=True, progress=stop)
-    np.testing.assert_array_equal(scene.apply(np.eye(48)), _columns(tmp_path / "pieced"))
-    assert len(done) == 2
+        pictures(options(tmp_path))
+    np.testing.assert_array_equal(pictures(options(tmp_path)), pieced)
+    assert traced == [0, 0, 16, 16, 32, 32, 32]  # either half of a piece
 
 
-def recording_scene(scene):
-    from rfpipe_mitsuba.world import load_scene
-
-    return load_scene(scene.world)
-
-
-def _columns(folder: Path) -> np.ndarray:
-    return Mitsuba.make(options(folder)).apply(np.eye(48))
-
-
+@needs_llvm
 def test_two_that_want_a_recording_make_it_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -186,20 +173,37 @@ def test_two_that_want_a_recording_make_it_once(
     assert len(made) == 1
 
 
+@needs_llvm
 def test_the_noise_that_is_told_is_that_of_another_seed(tmp_path: Path) -> None:
     lit = np.zeros((1, 12, 16), dtype=np.float32)
     lit[..., :8] = 1
     scenes = [
-        Mitsuba.make(options(tmp_path, shape=(12, 16), samples=256, seed=seed)) for seed in (0, 1)
+        MitsubaScene(options(tmp_path, shape=(12, 16), samples=256, seed=seed)) for seed in (0, 1)
     ]
     one, other = (scene.apply(lit).astype(np.float64) for scene in scenes)
     told = np.hypot(*(scene.recording.noise["half_lit"]["whole"] for scene in scenes))
-    found = np.linalg.norm(one - other) / np.linalg.norm((one + other) / 2)
-    assert told / 1.5 < found < told * 1.5
+    apart = np.linalg.norm(one - other) / np.linalg.norm((one + other) / 2)
+    assert told / 1.5 < apart < told * 1.5
 
 
-def test_the_manifest_names_versions_and_light(tmp_path: Path) -> None:
-    scene = Mitsuba.make(options(tmp_path, bounces=2))
-    found = read_manifest(scene.recording.folder / "recording.json")
-    assert found["light"]["bounces"] == 2
-    assert "mitsuba" in found["versions"]
+def test_the_newest_llvm_that_mitsuba_can_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "libLLVM-15.so.1").touch()
+    monkeypatch.setattr(variant, "_PLACES", (f"{tmp_path}/libLLVM*",))
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    assert variant.usable_llvm() is None
+    (tmp_path / "libLLVM.so.19.1").touch()
+    (tmp_path / "libLLVM.so.22.1").touch()
+    assert variant.usable_llvm() == tmp_path / "libLLVM.so.22.1"
+    for name, usable in (("libLLVM.so.19.1", True), ("libLLVM-15.so.1", False)):
+        monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path / name))
+        assert variant.usable_llvm() == (tmp_path / name if usable else None)
+
+
+def test_without_llvm_a_transport_is_not_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "none")
+    with pytest.raises(InputError, match=r"two_blocks.*libllvm19.*DRJIT_LIBLLVM_PATH"):
+        MitsubaScene(options(tmp_path)).apply(np.ones((1, 48)))

@@ -7,49 +7,40 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import InputError
-from rfpipe_mitsuba.rendering import Renderer
-from rfpipe_mitsuba.scene import MitsubaScene
-from rfpipe_mitsuba.views import View, Views
-from rfpipe_mitsuba.world import World
-from rfpipe_mitsuba.worlds import WORLDS
-from rfpipe_mitsuba.worlds.parts import (
+from rfpipe_mitsuba.parts import (
     ball,
     body,
     box,
     glass,
+    lettering,
     matt,
     mirror,
     painted,
     sheet,
     turned,
 )
-from rfpipe_mitsuba.worlds.textures import lettering
+from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
+from rfpipe_mitsuba.world import World
+from rfpipe_mitsuba.worlds import WORLDS, view
 
 SIZE = 12
-AHEAD = View((0, 0, 3), (0, 0, 0), degrees=20)
+AHEAD = view((0, 0, 3), (0, 0, 0), 20)
 LETTER = painted(lettering(["F"]))
 
 
 pytestmark = pytest.mark.needs("llvm")
 
 
-def world(*shapes: dict, camera: View = AHEAD, projector: View | None = None, **given) -> World:
+def world(*shapes, camera=AHEAD, projector=None, **given) -> World:
     described = {"type": "scene"} | {f"shape_{k}": shape for k, shape in enumerate(shapes)}
-    return World("own", "", lambda: described, (camera,), projector and (projector,), **given)
+    return World("own", lambda: described, (camera,), projector and (projector,), **given)
 
 
 def scene_of(tmp_path: Path, of: World, samples: int = 256, **given) -> MitsubaScene:
-    camera = Views(of.cameras, (SIZE, SIZE))
-    projector = Views(of.projectors, (SIZE, SIZE)) if of.projectors else camera
-    return MitsubaScene(
-        of,
-        camera,
-        projector,
-        coaxial=of.projectors is None,
-        samples=samples,
-        cache=tmp_path / "cache",
-        **given,
-    )
+    fixed = {"shape": (SIZE, SIZE), "samples": samples, "cache": str(tmp_path / "cache")}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(WORLDS, of.name, of)
+        return MitsubaScene(MitsubaOptions(kind="mitsuba", scene=of.name, **fixed, **given))
 
 
 def flood(scene: MitsubaScene) -> np.ndarray:
@@ -75,8 +66,7 @@ def differ(one: np.ndarray, other: np.ndarray) -> float:
 def test_recorded_light_is_what_mitsuba_renders(tmp_path: Path, name: str) -> None:
     given = {"samples": 1024, "caustics": False}
     recorded = scene_of(tmp_path, WORLDS[name], **given)
-    renderer = Renderer(WORLDS[name], recorded.camera, recorded.projector, recorded.light)
-    rendered = renderer.render(half_pattern(recorded)).reshape(SIZE, SIZE, 3)
+    rendered = half_lit(scene_of(tmp_path, WORLDS[name], light="rendered", **given))
     picture = half_lit(recorded)
     assert picture.sum() == pytest.approx(rendered.sum(), rel=0.01)
     assert (
@@ -97,7 +87,7 @@ def test_light_within_a_sphere_is_the_same_all_over(tmp_path: Path, bounces: int
     """Each point of a sphere gets the same from each other one: an integrating sphere."""
     albedo, radius = 0.7, 2.0
     inside = {"type": "twosided", "material": matt(albedo)}
-    centre = View((0, 0, 0), (0, 0, -1), degrees=60)
+    centre = view((0, 0, 0), (0, 0, -1), 60)
     hollow = world(ball((0, 0, 0), radius, inside), camera=centre, bounces=bounces)
     scene = scene_of(tmp_path, hollow, 4096)
     flux = scene.recording.scale * (2 * np.tan(np.radians(30))) ** 2 / 2
@@ -120,8 +110,8 @@ def test_the_first_row_of_a_texture_is_on_top(tmp_path: Path) -> None:
 # A mirror at 45 degrees shows a wall at the right as it looks from where the view's image stands.
 MIRROR = sheet((0, 0, 0), (0.8, 0, -0.8), (0, 0.8, 0), mirror(0.9))
 WALL = sheet((2, 0, 0), (0, 0, 1), (0, 1, 0), LETTER)
-IMAGE_OF_AHEAD = View((-3, 0, 0), (0, 0, 0), degrees=20)
-OTHER = View((0.5, 2.5, 0.3), (2, 0, 0), degrees=60)
+IMAGE_OF_AHEAD = view((-3, 0, 0), (0, 0, 0), 20)
+OTHER = view((0.5, 2.5, 0.3), (2, 0, 0), 60)
 
 
 def test_a_mirror_shows_the_picture_from_behind_it(tmp_path: Path) -> None:
@@ -214,7 +204,7 @@ def test_a_plane_behind_a_window_is_lit_once(tmp_path: Path) -> None:
 
 def test_a_body_that_absorbs_dims_what_is_behind_it(tmp_path: Path) -> None:
     wall = sheet((0, 0, -1), (2, 0, 0), (0, 2, 0), matt(0.8))
-    narrow = View((0, 0, 6), (0, 0, 0), degrees=4)
+    narrow = view((0, 0, 6), (0, 0, 0), 4)
     free_path, depth = 0.8, 0.6
     slab = body(box((0, 0, 0), (2, 2, depth), 0, {}), free_path, 0.0, 0.0)
     scenes = [
@@ -247,7 +237,7 @@ def test_a_bottle_of_mesh_refracts(tmp_path: Path) -> None:
     halves = np.full((64, 64, 3), 0.05, dtype=np.float32)
     halves[:32] = 0.8
     wall = sheet((0, 0, -3), (3, 0, 0), (0, 3, 0), painted(halves))
-    lamp = View((2.5, 0, 0), (0, 0, -3), degrees=80)
+    lamp = view((2.5, 0, 0), (0, 0, -3), 80)
     through, past = (
         flood(scene_of(tmp_path, world(*shapes, projector=lamp, bounces=6)))
         for shapes in ((turned((0, -0.5, 0), profile, water), wall), (wall,))

@@ -1,6 +1,6 @@
 """Pinholes: where a camera or a projector stands, and where its pixels look.
 
-Lengths are in scene units, in the camera's frame: x to the right, y down, z ahead.
+Lengths are in scene units. In the frame of rfpipe's own scenes x is to the right, y down, z ahead.
 """
 
 from __future__ import annotations
@@ -13,19 +13,13 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["Pinhole", "Vector"]
-
 Vector = tuple[float, float, float]
 Double = NDArray[np.float64]
-
-_UPRIGHT = 1e-6  # sine of the angle to the vertical below which a picture's right is undefined
 
 
 @dataclass(frozen=True)
 class Pinhole:
     """A camera or a projector of square pixels.
-
-    Its image plane at distance 1 spans -0.5 to 0.5 along the image's short side: 53 degrees.
 
     Parameters
     ----------
@@ -35,16 +29,23 @@ class Pinhole:
         Where it stands; the camera itself at the origin.
     look_at
         A point at which its optical axis aims. The picture's columns are as upright as may be.
+    up
+        What is up in its picture.
+    width
+        Of its image plane at distance 1; None where that plane's short side spans -0.5 to 0.5:
+        53 degrees.
 
     Raises
     ------
     InputError
-        If the shape isn't two positive numbers, or it looks at itself, or straight up or down.
+        If the shape isn't two positive numbers, or it looks at itself or along `up`.
     """
 
     shape: tuple[int, int]
     position: Vector = (0.0, 0.0, 0.0)
     look_at: Vector = (0.0, 0.0, 1.0)
+    up: Vector = (0.0, -1.0, 0.0)
+    width: float | None = None
 
     def __post_init__(self) -> None:
         if len(self.shape) != 2 or min(self.shape) < 1:
@@ -52,17 +53,18 @@ class Pinhole:
                 f"scene shape {tuple(self.shape)}: expected height and width in pixels, each at "
                 "least 1"
             )
-        way = np.subtract(self.look_at, self.position)
-        if not np.hypot(way[0], way[2]) > _UPRIGHT * np.linalg.norm(way):
+        way = np.subtract(self.look_at, self.position, dtype=np.float64)
+        across = np.linalg.norm(np.cross(self.up, way))
+        if not across > 1e-6 * np.linalg.norm(way) * np.linalg.norm(self.up):  # 1e-6: rounding
             raise InputError(
-                f"projector at {self.position}, looking at {self.look_at}: expected another point "
-                "to look at, and not one straight above or below"
+                f"a pinhole at {self.position} looks at {self.look_at}, up being {self.up}: "
+                "expected another point to look at, and not one straight above or below"
             )
 
     @property
     def pitch(self) -> float:
         """Side of a pixel at distance 1."""
-        return 1 / min(self.shape)
+        return 1 / min(self.shape) if self.width is None else self.width / self.shape[1]
 
     @property
     def origin(self) -> Double:
@@ -74,7 +76,7 @@ class Pinhole:
         """Unit vectors to the picture's right, down and ahead: float64 (3, 3)."""
         ahead = np.subtract(self.look_at, self.position, dtype=np.float64)
         ahead /= np.linalg.norm(ahead)
-        right = np.cross([0, 1, 0], ahead)
+        right = np.cross(ahead, self.up)
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(ahead, right), ahead])
 
@@ -95,14 +97,14 @@ class Pinhole:
         return image_plane.reshape(-1, 3) @ self.axes
 
     def project(self, points: Double) -> Double:
-        """Find where points (n, 3) stand in the picture: rows and columns, float64 (n, 2).
+        """Rows and columns at which points (n, 3) stand in the picture: float64 (n, 2).
 
         In pixels from its upper left corner; NaN for points that aren't ahead.
         """
         return self._place(points)[0] / self.pitch + np.array(self.shape) / 2
 
     def project_moves(self, points: Double, moves: Double) -> Double:
-        """Find how far small moves (n, k, 3) of points (n, 3) go in the picture, (n, k, 2)."""
+        """How far small moves (n, k, 3) of points (n, 3) go in the picture: float64 (n, k, 2)."""
         place, depth = self._place(points)
         turned = moves @ self.axes.T
         steps = turned[..., [1, 0]] - place[:, None] * turned[..., 2:]
