@@ -19,10 +19,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError
 from rfpipe.keys import SEQUENCE_KEY
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key
+from rfpipe.rigs.devices import check_frames
 from rfpipe.rigs.stale import Light, is_little
 from rfpipe.units import SATURATION_FRACTION
 
@@ -368,13 +368,8 @@ class DevicePlayer:
             self._projector.play(order, camera.seconds_between(seconds))
         finally:
             frames = np.asarray(camera.collect())  # also disarms it
-        shape = camera.sensor.frame_shape(camera.shape, camera.channels)[1:]
-        if frames.shape[1:] != shape or frames.dtype != camera.sensor.frame_dtype:
-            raise CaptureError(
-                f"a sequence gave {frames.dtype} frames of shape {frames.shape[1:]}; expected "
-                f"{camera.sensor.frame_dtype} {shape}. Check the camera's size and pixel format"
-            )
-        return frames
+        item = camera.sensor.frame_shape(camera.shape, camera.channels)[1:]
+        return check_frames(frames, (len(frames), *item), camera.sensor.frame_dtype)
 
 
 def sequencer_of(

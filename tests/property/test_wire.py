@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from rfpipe.errors import TransferError
-from rfpipe.rigs.messages import pack, unpack
-from rfpipe.rigs.wire import decode_patterns, encode_patterns
+from rfpipe.rigs.messages import decode_patterns, encode_patterns, pack, unpack
 
 SHAPES = npst.array_shapes(min_dims=3, max_dims=4, min_side=1, max_side=6)
 DTYPES = st.sampled_from(

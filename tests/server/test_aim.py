@@ -116,7 +116,7 @@ def test_a_device_that_fails_is_told_of_and_tried_again(
     def fail() -> None:
         raise CaptureError("the cable is out")
 
-    monkeypatch.setattr("rfpipe.server.aim.watch.AGAIN_SECONDS", 0.05)
+    monkeypatch.setattr("rfpipe.server.aim.AGAIN_SECONDS", 0.05)
     bench.camera.expose = fail  # type: ignore[method-assign,assignment]
     wait_until(
         lambda: "cable is out" in (client.get("/state.json").json()["error"] or ""), "the error"

@@ -22,11 +22,9 @@ import rfpipe
 from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig, RemoteRig
-from rfpipe.rigs.messages import MEDIA_TYPE, unpack
-from rfpipe.rigs.wire import encode_patterns
+from rfpipe.rigs.messages import MEDIA_TYPE, encode_patterns, unpack
 from rfpipe.server import ServerSettings
-from rfpipe.server.log import start_log
-from rfpipe.server.run import bound_socket
+from rfpipe.server.run import bound_socket, start_log
 
 ON = np.ones((1, 3, 7), np.float32)
 

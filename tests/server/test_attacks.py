@@ -20,8 +20,7 @@ from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, head_of_capture
 
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
-from rfpipe.rigs.messages import MEDIA_TYPE, pack
-from rfpipe.rigs.wire import encode_patterns
+from rfpipe.rigs.messages import MEDIA_TYPE, encode_patterns, pack
 from rfpipe.server import ServerSettings
 from rfpipe.server.run import bound_socket
 
@@ -358,7 +357,7 @@ def test_slow_clients(server: Running, rig: SlowRig) -> None:
         except OSError:
             pass
         assert time.monotonic() - began < 10  # of twelve: not begun anew by each byte
-    assert server.app.state.served.leases.current is None
+    assert server.app.state.served.leases.holder is None
 
 
 class LargeRig:

@@ -28,8 +28,7 @@ from schemathesis.specs.openapi.checks import (
 )
 from tests.server.harness import RIGHT, Running, SlowRig, running
 
-from rfpipe.rigs.messages import MEDIA_TYPE
-from rfpipe.rigs.wire import encode_patterns
+from rfpipe.rigs.messages import MEDIA_TYPE, encode_patterns
 
 pytestmark = pytest.mark.slow
 

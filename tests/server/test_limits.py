@@ -20,8 +20,7 @@ from tests.ports import free_port
 from tests.server.harness import RIGHT, SlowRig, head_of_capture, running
 from tests.server.test_attacks import crowd
 
-from rfpipe.rigs.messages import MEDIA_TYPE, Message, pack
-from rfpipe.rigs.wire import encode_patterns
+from rfpipe.rigs.messages import MEDIA_TYPE, Message, encode_patterns, pack
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ import pytest
 
 from rfpipe.config import Config, SceneSettings, parse_config
 from rfpipe.errors import ConfigError, InputError
-from rfpipe.rigs.token import read_token
+from rfpipe.rigs.protocol import read_token
 from rfpipe.scenes import scene_from_config
 from rfpipe.server.lease import LeaseHeldError, LeaseLapsedError, Leases
 
@@ -26,23 +26,21 @@ def test_a_lease_lasts_as_long_as_its_heart_beats() -> None:
     leases = Leases(10, clock)
     lease = leases.acquire("one")
     for clock.now in (9.0, 18.0, 27.0):
-        leases.renew(lease.id)
-    with pytest.raises(LeaseHeldError) as held:
+        leases.renew(lease)
+    with pytest.raises(LeaseHeldError, match=r"held by 'one', and for 10\.0 s"):
         leases.acquire("two")
-    assert held.value.seconds_left == 10
-    assert leases.current is not None
-    assert leases.current.client == "one"
+    assert leases.holder == "one"
     clock.now = 37.0
-    assert leases.current is None
-    assert not leases.is_held_by(lease.id)
+    assert leases.holder is None
+    assert not leases.is_held_by(lease)
     with pytest.raises(LeaseLapsedError):
-        leases.renew(lease.id)
+        leases.renew(lease)
     second = leases.acquire("two")
-    assert second.id != lease.id
+    assert second != lease
     with pytest.raises(LeaseLapsedError):
-        leases.release(lease.id)
-    leases.release(second.id)
-    assert leases.current is None
+        leases.release(lease)
+    leases.release(second)
+    assert leases.holder is None
 
 
 @pytest.mark.parametrize("identity", ["", "x", "\udcff", "é" * 10])

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import ConfigError, InputError, IntegrityError, StoreError
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
-from rfpipe.photometry.resampling import Resampling
+from rfpipe.photometry.resampling import ResampledSensor, Resampling
+from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 
@@ -151,6 +152,18 @@ def sensor_of(config: RigConfig) -> CameraModel:
             f"calibration {config.calibration}: its numbers of the camera don't fit the settings "
             f"of sensor: {error}. Calibrate again"
         ) from error
+
+
+def resampled_sensor(sensor: Sensor, resampling: Resampling | None) -> Sensor:
+    """Return the sensor that merges brackets onto the ray grid, where there is one."""
+    if resampling is None:
+        return sensor
+    if not isinstance(sensor, CameraModel):
+        raise InputError(
+            "frames are resampled to rays for a camera of counts alone (CameraModel), not for a "
+            f"{type(sensor).__name__}; give the camera its numbers, or frames of the rays' size"
+        )
+    return ResampledSensor(sensor, resampling)
 
 
 def verdicts_of(facts: Mapping[str, Any]) -> dict[str, dict[str, str]]:

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from rfpipe import plugins
 from rfpipe.errors import InputError
-from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key, check_patterns
-from rfpipe.rigs.calibrated import VERDICTS_KEY
+from rfpipe.rigs.calibrated import VERDICTS_KEY, resampled_sensor
 from rfpipe.rigs.devices import Camera, Closing, Projector, bracket_of, can_play
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.rigs.stale import RETAKE_SECONDS, StaleWatch
@@ -80,7 +79,7 @@ class DeviceRig(Closing):
         self.projector_shape = projector.shape if layout is None else layout.shape
         self.camera_shape = camera.shape if resampling is None else resampling.shape
         self.channels = camera.channels
-        self.sensor = _sensor(camera, resampling)
+        self.sensor = resampled_sensor(camera.sensor, resampling)
         self._frame_shape = camera.sensor.frame_shape(camera.shape, camera.channels)
         self._watch = StaleWatch(camera.sensor)
         self._sequencer: Any = None
@@ -165,18 +164,3 @@ class DeviceRig(Closing):
             self.camera.close()
         finally:
             self.projector.close()
-
-
-def _sensor(camera: Camera, resampling: Resampling | None) -> Sensor:
-    """Return what merges the camera's brackets, onto the ray grid where there is one."""
-    if resampling is None:
-        return camera.sensor
-    from rfpipe.photometry import CameraModel
-    from rfpipe.photometry.resampling import ResampledSensor
-
-    if not isinstance(camera.sensor, CameraModel):
-        raise InputError(
-            f"a resampling needs a camera whose sensor is a CameraModel, not a "
-            f"{type(camera.sensor).__name__}"
-        )
-    return ResampledSensor(camera.sensor, resampling)

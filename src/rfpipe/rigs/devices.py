@@ -176,8 +176,8 @@ def bracket_of(projector: Projector, camera: Camera, picture: Float, name: str) 
             projector.show(picture)
             frames = np.asarray(camera.expose())
             if undisturbed(projector):
-                check_brackets(frames[None], camera.sensor, camera.shape, camera.channels)
-                return frames
+                expected = camera.sensor.frame_shape(camera.shape, camera.channels)
+                return check_frames(frames, expected, camera.sensor.frame_dtype)
             _log.warning(
                 "%s: the projector's picture was lost or hidden while it was taken; taking it "
                 "again", name,
@@ -190,18 +190,16 @@ def bracket_of(projector: Projector, camera: Camera, picture: Float, name: str) 
         raise CaptureError(f"{name}: {error}") from error
 
 
-def check_brackets(
-    brackets: NDArray[Any], sensor: Sensor, shape: tuple[int, ...], channels: int
+def check_frames(
+    frames: NDArray[Any], shape: tuple[int, ...], dtype: np.dtype[Any]
 ) -> NDArray[Any]:
-    """Return brackets (B, E, ...) of a camera, or raise CaptureError where they are none of it."""
-    expected = (len(brackets), *sensor.frame_shape(shape, channels))
-    if brackets.shape != expected or brackets.dtype != sensor.frame_dtype:
+    """Return frames, or raise CaptureError where they have another shape or dtype."""
+    if frames.shape != shape or frames.dtype != dtype:
         raise CaptureError(
-            f"the camera returned {brackets.dtype} frames of shape {brackets.shape[1:]}; expected "
-            f"{sensor.frame_dtype} {expected[1:]}. Check the camera's size, pixel format and "
-            "exposures"
+            f"the camera returned {frames.dtype} frames of shape {frames.shape}; expected {dtype} "
+            f"{shape}. Check the camera's size, pixel format and exposures"
         )
-    return brackets
+    return frames
 
 
 def undisturbed(projector: Projector) -> bool:

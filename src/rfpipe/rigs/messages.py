@@ -1,4 +1,4 @@
-"""Messages between the acquisition server and its client: numpy archives that are checked.
+"""Patterns and brackets between the acquisition server and its client: checked numpy archives.
 
 A message is an ``.npz``: an array is a member ``name.npy``, and plain facts are a member
 ``facts.json``. `numpy.load` reads it, too. Here its members are checked before anything is
@@ -10,29 +10,28 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from math import prod
-from typing import IO, Any
+from typing import IO, Annotated, Any, Literal
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field, ValidationError
 
 from rfpipe.errors import TransferError
-
-__all__ = ["MEDIA_TYPE", "Message", "pack", "unpack"]
+from rfpipe.rigs.base import check_patterns
 
 MEDIA_TYPE = "application/octet-stream"
 
+Float = NDArray[np.float32]
+Kind = Literal["labels", "bits", "levels", "weights"]
+
 _FACTS = "facts.json"
-_MOST_FACTS_BYTES = 2**20
 _MOST_MEMBERS = 4096
-_MOST_AXES = 8
-_MOST_EXTENT = 2**40
 _MOST_HEADER_BYTES = 1024
 _DTYPES = frozenset({"|b1", "|u1", "<u2", "<i4", "<i8", "<f4", "<f8"})
-_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # others allocate as a header tells
-_DIRECTORY_ENTRY = b"PK\x01\x02"
 
 
 class Message:
@@ -49,9 +48,8 @@ class Message:
     def __init__(self, facts: Mapping[str, Any], *, deflate: bool = False) -> None:
         self._how = zipfile.ZIP_DEFLATED if deflate else zipfile.ZIP_STORED
         self._buffer = io.BytesIO()
-        self._write(
-            _FACTS, lambda member: member.write(json.dumps(facts, allow_nan=False).encode())
-        )
+        text = json.dumps(facts, allow_nan=False).encode()
+        self._write(_FACTS, lambda member: member.write(text))
 
     def add(self, name: str, array: NDArray[Any]) -> None:
         """Add an array: booleans, unsigned 8 or 16 bit, signed 32 or 64 bit integers, or floats."""
@@ -104,12 +102,14 @@ def unpack(message: bytes, most_bytes: int) -> tuple[dict[str, Any], dict[str, N
         When the message is no such one, is cut off, too large or altered.
     """
     # each member that is listed takes half a kilobyte once the archive is opened
-    if message.count(_DIRECTORY_ENTRY) > _MOST_MEMBERS:
+    if message.count(b"PK\x01\x02") > _MOST_MEMBERS:
         raise TransferError(f"the message has more than {_MOST_MEMBERS} members")
     try:
         with zipfile.ZipFile(io.BytesIO(message)) as archive:
             members = _checked(archive.infolist(), most_bytes)
-            facts = _facts(archive.read(members.pop(_FACTS)))
+            facts = json.loads(archive.read(members.pop(_FACTS)), parse_constant=_no_constant)
+            if not isinstance(facts, dict):
+                raise TransferError(f"{_FACTS} must be a JSON object")
             return facts, {
                 name.removesuffix(".npy"): _array(archive.read(member))
                 for name, member in members.items()
@@ -126,11 +126,11 @@ def _checked(members: list[zipfile.ZipInfo], most_bytes: int) -> dict[str, zipfi
     by_name = {member.filename: member for member in members}
     if len(by_name) != len(members) or _FACTS not in by_name:
         raise TransferError(f"the message needs one member {_FACTS} and no name twice")
-    for name, member in by_name.items():
-        if member.compress_type not in _COMPRESSIONS:
+    for name, member in by_name.items():  # other compressions allocate as a header says
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise TransferError(f"{name[:60]!r} is compressed in another way than by deflate")
-    if by_name[_FACTS].file_size > _MOST_FACTS_BYTES:
-        raise TransferError(f"{_FACTS} is longer than {_MOST_FACTS_BYTES} bytes")
+    if by_name[_FACTS].file_size > 2**20:
+        raise TransferError(f"{_FACTS} is longer than {2**20} bytes")
     arrays = [member for name, member in by_name.items() if name != _FACTS]
     allowed = most_bytes + _MOST_HEADER_BYTES * len(arrays)
     if sum(member.file_size for member in arrays) > allowed:
@@ -138,18 +138,8 @@ def _checked(members: list[zipfile.ZipInfo], most_bytes: int) -> dict[str, zipfi
     return by_name
 
 
-def _facts(content: bytes) -> dict[str, Any]:
-    try:
-        facts = json.loads(content, parse_constant=_no_constant)
-    except (ValueError, RecursionError) as error:
-        raise TransferError(f"{_FACTS} is no JSON of finite numbers: {error}") from None
-    if not isinstance(facts, dict):
-        raise TransferError(f"{_FACTS} must be a JSON object")
-    return facts
-
-
 def _no_constant(name: str) -> float:
-    raise ValueError(f"it holds {name}")
+    raise TransferError(f"{_FACTS} holds {name}")
 
 
 def _array(content: bytes) -> NDArray[Any]:
@@ -161,9 +151,9 @@ def _array(content: bytes) -> NDArray[Any]:
     shape, is_fortran, dtype = npy.read_array_header_1_0(header)
     if dtype.str not in _DTYPES or is_fortran:
         raise TransferError(f"an array is of the type {str(dtype)[:60]}, or by columns")
-    is_possible = all(type(n) is int and n >= 0 for n in shape) and len(shape) <= _MOST_AXES
+    is_possible = all(type(n) is int and n >= 0 for n in shape) and len(shape) <= 8
     # an extent of nothing doesn't excuse the others: numpy can't make such an array, either
-    if not is_possible or prod(max(1, extent) for extent in shape) > _MOST_EXTENT:
+    if not is_possible or prod(max(1, extent) for extent in shape) > 2**40:
         raise TransferError(f"an array of the shape {str(shape)[:60]} is impossible")
     start = header.tell()
     if len(content) - start != prod(shape) * dtype.itemsize:
@@ -172,3 +162,147 @@ def _array(content: bytes) -> NDArray[Any]:
             f"{prod(shape) * dtype.itemsize}"
         )
     return np.frombuffer(content, dtype, offset=start).reshape(shape)
+
+
+@dataclass(frozen=True)
+class SentPatterns:
+    """Patterns as they were sent, of which a few at a time are expanded.
+
+    Attributes
+    ----------
+    kind : str
+    array : ndarray
+        The patterns, as `encode_patterns` tells those of that kind.
+    projector_shape : tuple of int
+    keys : list of tuple of int
+        A key for each pattern.
+    """
+
+    kind: Kind
+    array: NDArray[Any]
+    projector_shape: tuple[int, ...]
+    keys: list[tuple[int, ...]]
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def expanded(self, first: int, last: int) -> Float:
+        """Return patterns [first, last) as weights, (last - first, *projector_shape)."""
+        if self.kind == "labels":
+            numbers = np.arange(first + 1, last + 1).reshape(-1, *(1,) * self.array.ndim)
+            return np.asarray(self.array[None] == numbers, np.float32)
+        some = self.array[first:last]
+        if self.kind == "levels":
+            return _of_levels(some)
+        if self.kind == "bits":
+            bits = np.unpackbits(some, axis=1, count=prod(self.projector_shape))
+            return bits.astype(np.float32).reshape(-1, *self.projector_shape)
+        return np.asarray(some, np.float32)
+
+
+def encode_patterns(patterns: Float, keys: Sequence[Sequence[int]]) -> bytes:
+    """Return the message that asks for brackets of patterns, without loss and compact.
+
+    Parameters
+    ----------
+    patterns : ndarray of float32, shape (B, *projector_shape)
+    keys : sequence of B sequences of int
+
+    Notes
+    -----
+    Disjoint patterns of ones, as a level of blocks has them, go as one image of pattern numbers;
+    other ones and zeros as bits; multiples of 1/255 as bytes; the rest as float32.
+    """
+    kind, array = _compact(patterns)
+    facts = {"patterns": kind, "keys": [[int(part) for part in key] for key in keys]}
+    return pack(facts, {"patterns": array}, deflate=kind in ("labels", "bits"))
+
+
+def decode_patterns(
+    message: bytes, projector_shape: tuple[int, ...], most: int, most_bytes: int
+) -> SentPatterns:
+    """Return the patterns and keys of `encode_patterns`, checked but not yet expanded.
+
+    Parameters
+    ----------
+    message : bytes
+    projector_shape : tuple of int
+    most : int
+        Patterns that may come at a time.
+    most_bytes : int
+        Bytes that the patterns may take as they are sent, after decompression.
+
+    Raises
+    ------
+    TransferError
+        When the message is malformed, has patterns of another shape or too many of them, or keys
+        that aren't a list of 1 to 8 integers in [0, 2**32) each.
+    InputError
+        When a weight isn't in [0, 1].
+    """
+    facts, arrays = unpack(message, most_bytes)
+    try:
+        sent = _Facts.model_validate(facts)
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[0]
+        place, value = ".".join(map(str, wrong["loc"])), repr(wrong["input"])[:60]
+        raise TransferError(f"the message's facts: {place} is {value}: {wrong['msg']}") from None
+    if list(arrays) != ["patterns"]:
+        raise TransferError("the message must hold the one array 'patterns'")
+    if not 1 <= len(sent.keys) <= most:
+        raise TransferError(f"{len(sent.keys)} patterns; this rig shows 1 to {most} a request")
+    array, keys = arrays["patterns"], [tuple(key) for key in sent.keys]
+    _check_form(sent.patterns, array, (len(keys), *projector_shape))
+    if sent.patterns == "weights":
+        check_patterns(array, keys, projector_shape)
+    return SentPatterns(sent.patterns, array, projector_shape, keys)
+
+
+_KeyPart = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
+_Key = Annotated[list[_KeyPart], Field(min_length=1, max_length=8)]
+
+
+class _Facts(BaseModel):
+    """What a message says of its patterns."""
+
+    patterns: Kind
+    keys: Annotated[list[_Key], Field(max_length=_MOST_MEMBERS)]
+
+
+def _check_form(kind: Kind, array: NDArray[Any], shape: tuple[int, ...]) -> None:
+    """Raise TransferError where an array can't tell patterns of this kind and shape."""
+    count, rays = shape[0], prod(shape[1:])
+    expected = {
+        "labels": (("|u1", "<u2"), shape[1:]),
+        "bits": (("|u1",), (count, -(-rays // 8))),
+        "levels": (("|u1",), shape),
+        "weights": (("<f4",), shape),
+    }
+    dtypes, form = expected[kind]
+    if array.dtype.str not in dtypes or array.shape != form:
+        raise TransferError(
+            f"patterns as {kind} are {array.dtype.str} {array.shape}; expected {dtypes} {form}"
+        )
+    if kind == "labels" and int(array.max(initial=0)) > count:
+        raise TransferError(f"a ray belongs to pattern {array.max()} of {count}")
+
+
+def _compact(patterns: Float) -> tuple[Kind, NDArray[Any]]:
+    """Return the kind and array that tell all of the patterns in the fewest bytes."""
+    lit = patterns == 1
+    if not (lit | (patterns == 0)).all():
+        steps = np.clip(np.nan_to_num(np.rint(patterns * np.float32(255))), 0, 255)
+        levels = steps.astype(np.uint8)
+        is_exact = np.array_equal(_of_levels(levels), patterns)
+        return ("levels", levels) if is_exact else ("weights", np.asarray(patterns, np.float32))
+    count = len(patterns)
+    if count < 2**16 and np.count_nonzero(lit) == np.count_nonzero(lit.any(axis=0)):
+        labels = np.zeros(patterns.shape[1:], np.uint8 if count < 2**8 else np.uint16)
+        for index, pattern in enumerate(lit, start=1):
+            labels[pattern] = index
+        return "labels", labels
+    return "bits", np.packbits(lit.reshape(count, -1), axis=1)
+
+
+def _of_levels(levels: NDArray[np.uint8]) -> Float:
+    return np.asarray(np.divide(levels, 255, dtype=np.float32))

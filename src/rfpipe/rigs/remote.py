@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import secrets
 import socket
+import threading
+import time
 from collections.abc import Sequence
 from os import getpid
 from typing import TYPE_CHECKING, Any
@@ -12,25 +14,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.config.addresses import check_server
 from rfpipe.errors import CaptureError, InputError, TransferError
 from rfpipe.photometry import Sensor, sensor_from_description
 from rfpipe.rigs.base import Key, check_patterns
-from rfpipe.rigs.connection import Connection, RefusedError
 from rfpipe.rigs.devices import Closing
-from rfpipe.rigs.heartbeat import HeartBeat
-from rfpipe.rigs.messages import MEDIA_TYPE, unpack
-from rfpipe.rigs.wire import encode_patterns
+from rfpipe.rigs.messages import MEDIA_TYPE, encode_patterns, unpack
+from rfpipe.rigs.protocol import API, LeaseAnswer, RigAnswer
 
 if TYPE_CHECKING:
     import httpx
 
-__all__ = ["RemoteRig"]
-
 Float = NDArray[np.float32]
-
-_API = 1
-_MOST_ARRAY_BYTES = 2**34
-_SECONDS_PER_REQUEST = 10.0
 
 _log = logging.getLogger(__name__)
 
@@ -67,21 +62,20 @@ class RemoteRig(Closing):
     ) -> None:
         self.url = url
         self._client = client or f"{socket.gethostname()}:{getpid()}"
-        self._connection = Connection(url, token, patience_seconds)
-        self._heart: HeartBeat | None = None
+        self._connection = _Connection(url, token, patience_seconds)
+        self._heart: _HeartBeat | None = None
         try:
-            self._described = self._described_by_server()
-            self.camera_shape: tuple[int, ...] = tuple(self._described["camera_shape"])
-            self.projector_shape: tuple[int, ...] = tuple(self._described["projector_shape"])
-            self.channels: int = self._described["channels"]
-            self.seconds_per_pattern: float = self._described["seconds_per_pattern"]
+            self._rig = self._described()
             self.sensor: Sensor = self._sensor()
         except BaseException:
             self._connection.close()
             raise
+        self.camera_shape, self.projector_shape = self._rig.camera_shape, self._rig.projector_shape
+        self.channels = self._rig.channels
+        self.seconds_per_pattern = self._rig.seconds_per_pattern
         self._frame_shape = self.sensor.frame_shape(self.camera_shape, self.channels)
-        in_time = int(_SECONDS_PER_REQUEST // max(self.seconds_per_pattern, 1e-3))
-        self._at_a_time = max(1, min(self._described["limits"]["patterns"], in_time))
+        in_ten_seconds = int(10 // max(self.seconds_per_pattern, 1e-3))
+        self._at_a_time = max(1, min(self._rig.limits.patterns, in_ten_seconds))
 
     def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Show patterns and return their brackets; see `rfpipe.rigs.Rig.capture`.
@@ -95,35 +89,32 @@ class RemoteRig(Closing):
         patterns = check_patterns(patterns, keys, self.projector_shape)
         frames = np.empty((len(patterns), *self._frame_shape), self.sensor.frame_dtype)
         for first in range(0, len(patterns), self._at_a_time):
-            last = min(first + self._at_a_time, len(patterns))
-            frames[first:last] = self._request(patterns[first:last], keys[first:last])
+            part = slice(first, first + self._at_a_time)
+            frames[part] = self._request(patterns[part], keys[part])
         return frames
 
     def describe(self) -> dict[str, Any]:
         """Return the description of the rig behind the server; where it is shapes no frame."""
-        description: dict[str, Any] = self._described["description"]
-        return description
+        return self._rig.description
 
     @property
     def statistics(self) -> dict[str, dict[str, int]]:
         """What the devices behind the server counted since its start."""
-        found: dict[str, dict[str, int]] = (
+        devices: dict[str, dict[str, int]] = (
             self._connection.send("GET", "/v1/status").json().get("devices", {})
         )
-        return found
+        return devices
 
     def close(self) -> None:
         """Give the rig back to other clients; closing twice is no error."""
-        if self._heart is not None:
-            self._heart.stop()
-            self._heart = None
+        self._stop_heart()
         self._connection.close()
 
     def _request(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Have patterns shown by one request, sent again until its answer arrives whole."""
         body = encode_patterns(patterns, keys)
         half = len(patterns) // 2
-        if half and len(body) > self._described["limits"]["request_bytes"]:
+        if half and len(body) > self._rig.limits.request_bytes:
             parts = (slice(0, half), slice(half, None))
             return np.concatenate([self._request(patterns[part], keys[part]) for part in parts])
         headers = {
@@ -132,90 +123,250 @@ class RemoteRig(Closing):
             "Idempotency-Key": secrets.token_urlsafe(24),
         }
         seconds = self.seconds_per_pattern * len(patterns)
-        rig = self._connection.patience()
+        patience = self._connection.patience()
         while True:
-            lease = {"Rig-Lease": self._lease()}
+            headers["Rig-Lease"] = self._lease()
             try:
                 response = self._connection.send(
-                    "POST", "/v1/captures", seconds, content=body, headers=headers | lease
+                    "POST", "/v1/captures", seconds, content=body, headers=headers
                 )
-                brackets = self._brackets(response, keys)
+                brackets = self._brackets(response.content, keys)
             except TransferError as error:
-                rig.pause(f"its answer arrived damaged ({error})")
-            except RefusedError as refusal:
+                patience.pause(f"its answer arrived damaged ({error})")
+            except _RefusedError as refusal:
                 if refusal.status == 410:
                     self._lose_lease()
-                    continue
-                if refusal.status != 502:
+                elif refusal.status == 502:
+                    patience.pause(f"the rig failed: {refusal.detail}")
+                else:
                     raise
-                rig.pause(f"the rig failed: {refusal.detail}")
             else:
-                if rig.is_tried:
-                    _log.warning("%s: the rig works again; going on", self.url)
+                patience.end("the rig works again; going on")
                 return brackets
 
-    def _brackets(self, response: httpx.Response, keys: Sequence[Key]) -> NDArray[Any]:
+    def _brackets(self, answer: bytes, keys: Sequence[Key]) -> NDArray[Any]:
         """Return the brackets of an answer; raises TransferError where it is damaged."""
-        expected = (len(keys), *self._frame_shape)
-        dtype = self.sensor.frame_dtype
-        size = int(np.prod(expected)) * dtype.itemsize
-        facts, arrays = unpack(response.content, size)
-        brackets = [arrays.get(str(index)) for index in range(len(keys))]
+        frames = np.empty((len(keys), *self._frame_shape), self.sensor.frame_dtype)
+        facts, arrays = unpack(answer, frames.nbytes)
         if facts.get("keys") != [list(map(int, key)) for key in keys]:
             raise TransferError("it answers for other patterns")
-        frames = np.empty(expected, dtype)
-        for index, bracket in enumerate(brackets):
-            if bracket is None or bracket.shape != expected[1:] or bracket.dtype != dtype:
+        for index, frame in enumerate(frames):
+            bracket = arrays.get(str(index))
+            if bracket is None or bracket.shape != frame.shape or bracket.dtype != frame.dtype:
                 form = "none" if bracket is None else f"{bracket.dtype} {bracket.shape}"
-                raise TransferError(f"bracket {index} is {form}; expected {dtype} {expected[1:]}")
-            frames[index] = bracket
+                raise TransferError(f"bracket {index} is {form}; not {frame.dtype} {frame.shape}")
+            frame[...] = bracket
         return frames
 
     def _lease(self) -> str:
         """Return the lease's id, the rig taken if it isn't yet."""
-        if self._heart is None or self._heart.has_stopped:
-            if self._heart is not None:
-                self._lose_lease()
+        if self._heart is not None and not self._heart.is_alive():
+            self._lose_lease()
+        if self._heart is None:
             answer = self._connection.send("POST", "/v1/lease", json={"client": self._client})
-            lease = answer.json()
-            try:
-                self._check_same_rig()
-            finally:
-                self._heart = HeartBeat(
-                    self._connection.another(), lease["lease"], lease["seconds"]
+            self._heart = _HeartBeat(
+                self._connection, LeaseAnswer.model_validate_json(answer.content)
+            )
+            if self._described().digest != self._rig.digest:
+                raise CaptureError(
+                    f"{self.url}: the server serves another rig, or with other settings, than when "
+                    "this capture began. Start it with the settings of then, or run again to begin "
+                    "anew"
                 )
         return self._heart.lease
 
     def _lose_lease(self) -> None:
         _log.warning("%s: the lease lapsed, or the server was restarted; taking it anew", self.url)
-        if self._heart is not None:
-            self._heart.stop()
-            self._heart = None
+        self._stop_heart()
 
-    def _check_same_rig(self) -> None:
-        if self._described_by_server()["digest"] != self._described["digest"]:
-            raise CaptureError(
-                f"{self.url}: the server serves another rig, or with other settings, than when "
-                "this capture began. Start it with the settings of then, or run again to begin "
-                "anew"
-            )
+    def _stop_heart(self) -> None:
+        heart, self._heart = self._heart, None
+        if heart is not None:
+            heart.stop()
 
-    def _described_by_server(self) -> dict[str, Any]:
-        health = self._connection.send("GET", "/v1/health").json()
-        if health.get("api") != _API:
+    def _described(self) -> RigAnswer:
+        api = self._connection.send("GET", "/v1/health").json().get("api")
+        if api != API:
             raise CaptureError(
-                f"{self.url}: speaks version {health.get('api')} of the interface; this rfpipe "
-                f"speaks {_API}. Run the same rfpipe on both sides"
+                f"{self.url}: speaks version {api} of the interface; this rfpipe speaks {API}. Run "
+                "the same rfpipe on both sides"
             )
-        described: dict[str, Any] = self._connection.send("GET", "/v1/rig").json()
-        return described
+        return RigAnswer.model_validate_json(self._connection.send("GET", "/v1/rig").content)
 
     def _sensor(self) -> Sensor:
         arrays = None
-        if self._described["has_arrays"]:
-            answer = self._connection.send("GET", "/v1/rig/arrays")
-            _, arrays = unpack(answer.content, _MOST_ARRAY_BYTES)
+        if self._rig.has_arrays:
+            _, arrays = unpack(self._connection.send("GET", "/v1/rig/arrays").content, 2**34)
         try:
-            return sensor_from_description(self._described["sensor"], arrays)
+            return sensor_from_description(self._rig.sensor, arrays)
         except InputError as error:
             raise CaptureError(f"{self.url}: {error}. Run the same rfpipe on both sides") from error
+
+
+class _RefusedError(CaptureError):
+    """The server's answer is an error that waiting doesn't mend."""
+
+    def __init__(self, url: str, status: int, detail: str) -> None:
+        super().__init__(f"{url}: the server refused with status {status}: {detail}")
+        self.status, self.detail = status, detail
+
+
+class _Connection:
+    """HTTP to a server that may be away for a while; threads may share it."""
+
+    def __init__(self, url: str, token: str, patience_seconds: float) -> None:
+        import httpx
+
+        try:
+            check_server(url)
+        except ValueError as error:
+            raise InputError(f"url is {url!r}; it {error}") from None
+        if not 0 <= patience_seconds < float("inf"):
+            raise InputError(f"patience_seconds is {patience_seconds}; expected at least 0")
+        self._url = url.rstrip("/")
+        self._patience_seconds = patience_seconds
+        self._http = httpx.Client(
+            base_url=self._url,
+            headers={"Authorization": f"Bearer {token}"},
+            limits=httpx.Limits(max_connections=2, keepalive_expiry=60.0),  # and the heart-beat's
+            verify=url.startswith("https"),  # without it, certificates needn't be loaded
+            trust_env=False,  # a proxy for the web doesn't lead to a rig
+        )
+        self._closing = threading.Event()
+        self._waiting = self.patience()
+
+    def patience(self) -> _Patience:
+        """Return as much patience as this connection has, for something behind the server."""
+        return _Patience(self._url, self._patience_seconds, self._closing)
+
+    def send(self, method: str, path: str, seconds: float = 0.0, **request: Any) -> httpx.Response:
+        """Send a request until the server answers it; `seconds` is the rig's part of the time.
+
+        Raises
+        ------
+        _RefusedError
+            When the answer is an error.
+        CaptureError
+            When there is no answer, or others hold the rig, for longer than the patience.
+        """
+        import httpx
+
+        while True:
+            try:
+                response = self.try_once(method, path, seconds, **request)
+            except httpx.TransportError as error:
+                self._waiting.pause(
+                    f"no answer ({type(error).__name__}: {error}); check that 'rfpipe serve' runs "
+                    "there, and the network"
+                )
+                continue
+            if response.status_code not in (408, 409, 429, 503):
+                break
+            self._waiting.pause(_detail(response))
+        self._waiting.end("answers again; going on")
+        if response.is_success:
+            return response
+        detail = _detail(response)
+        if response.status_code == 401:
+            detail += "; see capture.token_file, or the environment variable with the token"
+        raise _RefusedError(self._url, response.status_code, detail)
+
+    def try_once(
+        self, method: str, path: str, seconds: float = 0.0, **request: Any
+    ) -> httpx.Response:
+        """Send a request and return whatever answer; raises httpx.TransportError without one."""
+        import httpx
+
+        # a bracket may take some times what the rig says: retries, a device that reconnects
+        timeout = httpx.Timeout(30.0 + 4.0 * seconds, connect=5.0)
+        return self._http.request(method, path, timeout=timeout, **request)
+
+    def close(self) -> None:
+        """Close the connection; closing twice is no error."""
+        self._closing.set()
+        self._http.close()
+
+
+def _detail(response: httpx.Response) -> str:
+    """Return what an error says of itself."""
+    try:
+        detail = response.json()["detail"]
+    except (ValueError, KeyError, TypeError):
+        detail = response.text[:200]
+    return f"{detail} (status {response.status_code})"
+
+
+class _HeartBeat(threading.Thread):
+    """Renews a lease until it is stopped, then gives it back; ends where the server forgot it."""
+
+    def __init__(self, connection: _Connection, answer: LeaseAnswer) -> None:
+        super().__init__(name="heart-beat", daemon=True)
+        self.lease = answer.lease
+        self._connection = connection
+        self._interval = answer.seconds / 4
+        self._stopping = threading.Event()
+        self.start()
+
+    def stop(self) -> None:
+        """Stop, and give the lease back if the server still knows it."""
+        self._stopping.set()
+        self.join()
+
+    def run(self) -> None:
+        """Beat; what else goes wrong the capture itself says."""
+        import httpx
+
+        headers = {"Rig-Lease": self.lease}
+        while not self._stopping.wait(self._interval):
+            try:
+                answer = self._connection.try_once("PUT", "/v1/lease", headers=headers)
+            except httpx.TransportError:
+                continue
+            if answer.status_code == 410:
+                return
+        try:
+            self._connection.try_once("DELETE", "/v1/lease", headers=headers)
+        except httpx.TransportError as error:
+            _log.info("the lease was not given back (%s); it lapses by itself", error)
+
+
+class _Patience:
+    """Waits between attempts, longer each time, until they have failed for too long."""
+
+    def __init__(self, name: str, seconds: float, closing: threading.Event) -> None:
+        self._name, self._seconds, self._closing = name, seconds, closing
+        self._since: float | None = None
+        self._first = ""
+
+    def end(self, news: str) -> None:
+        """Note a success, and log it after failures."""
+        if self._since is not None:
+            _log.warning("%s: %s", self._name, news)
+            self._since = None
+
+    def pause(self, reason: str) -> None:
+        """Wait a little before the next attempt; log why every half a minute.
+
+        Raises
+        ------
+        CaptureError
+            When the patience is at its end: says why the first attempt failed, which explains
+            most, and the last one, where that differs.
+        """
+        now = time.monotonic()
+        if self._since is None:
+            self._since, self._pause, self._first, self._reminded = now, 0.1, reason, now
+            _log.warning("%s: %s; waiting for up to %g s", self._name, reason, self._seconds)
+        waited = now - self._since
+        if waited >= self._seconds:
+            last = "" if reason == self._first else f". At last: {reason}"
+            raise CaptureError(
+                f"{self._name}: {self._first}{last}. Waited for {waited:.0f} s "
+                "(capture.patience_seconds); what is captured is kept: run again when that is "
+                "mended"
+            )
+        if now - self._reminded >= 30:
+            self._reminded = now
+            _log.warning("%s: %s; waiting since %.0f s", self._name, reason, waited)
+        self._closing.wait(min(self._pause, self._seconds - waited))
+        self._pause = min(2 * self._pause, 5.0)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
+import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from concurrent.futures import Future
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from functools import cached_property
 from math import prod
 from typing import Annotated, Any
 
@@ -20,11 +21,9 @@ import rfpipe
 from rfpipe.errors import CaptureError, InputError, TransferError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
-from rfpipe.rigs.messages import MEDIA_TYPE, pack
-from rfpipe.rigs.wire import decode_patterns
-from rfpipe.server.guard import CAPTURE_PATH, Guard
-from rfpipe.server.lease import Lease, LeaseHeldError, LeaseLapsedError, Leases
-from rfpipe.server.models import (
+from rfpipe.rigs.messages import MEDIA_TYPE, decode_patterns, pack
+from rfpipe.rigs.protocol import (
+    API,
     Health,
     LeaseAnswer,
     LeaseRequest,
@@ -32,18 +31,17 @@ from rfpipe.server.models import (
     RigAnswer,
     StatusAnswer,
 )
+from rfpipe.server.guard import CAPTURE_PATH, Guard
+from rfpipe.server.lease import LeaseHeldError, LeaseLapsedError, Leases
 from rfpipe.server.preview import preview_png
 from rfpipe.server.problems import PROBLEM_TYPE, Problem, add_handlers
 from rfpipe.server.settings import ServerSettings
 from rfpipe.server.worker import (
-    Capture,
     CaptureConflictError,
     CaptureStoppedError,
     RigBusyError,
     RigWorker,
 )
-
-__all__ = ["create_app"]
 
 _log = logging.getLogger("rfpipe.server")
 
@@ -59,33 +57,41 @@ _STATUSES = {
 }
 """How the endpoints answer where an error of these is raised; its text is the detail."""
 
-_open = APIRouter(prefix="/v1")
-_closed = APIRouter(prefix="/v1", dependencies=[Depends(HTTPBearer(auto_error=False))])
-
 
 def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """Say in the OpenAPI description which errors an endpoint has."""
+    """Return the errors of an endpoint for the OpenAPI description."""
     content = {PROBLEM_TYPE: {"schema": Problem.model_json_schema()}}
-    return {
-        status: {"description": "See detail.", "content": content}
-        for status in (400, 401, 405, 413, *statuses)
-    }
+    return {status: {"description": "See detail.", "content": content} for status in statuses}
 
 
-@dataclass
+_COMMON = _problems(400, 401, 405, 413)
+_open = APIRouter(prefix="/v1", responses=_COMMON)
+_closed = APIRouter(
+    prefix="/v1", responses=_COMMON, dependencies=[Depends(HTTPBearer(auto_error=False))]
+)
+
+
 class _Served:
     """What the endpoints share."""
 
-    worker: RigWorker
-    leases: Leases
-    rig: RigAnswer
-    began: float = field(default_factory=time.monotonic)
-    drawn: tuple[int, bytes] = (0, b"")
-    drawing: asyncio.Lock = field(default_factory=asyncio.Lock)
-    arrays: bytes | None = None
-    packing: asyncio.Lock = field(default_factory=asyncio.Lock)
-    reading: asyncio.Lock = field(default_factory=asyncio.Lock)
-    """Held while a capture's body is in memory: one at a time."""
+    def __init__(self, worker: RigWorker, leases: Leases, settings: ServerSettings) -> None:
+        self.worker, self.leases = worker, leases
+        self.began = time.monotonic()
+        self.rig = _described(worker.rig, settings)
+        self.drawn = 0, b""
+        self.drawing = threading.Lock()
+        self.reading = asyncio.Lock()
+        """Held while a capture's body is in memory: one at a time."""
+
+    @cached_property
+    def arrays(self) -> bytes:
+        """The message of the arrays of a resampled sensor."""
+        arrays = getattr(self.worker.rig.sensor, "arrays", dict)
+        return pack({}, arrays(), deflate=True)
+
+    def lease(self, identity: str) -> LeaseAnswer:
+        """Return the answer to who holds the rig."""
+        return LeaseAnswer(lease=identity, seconds=self.leases.seconds)
 
 
 def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> FastAPI:
@@ -128,7 +134,7 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
         redirect_slashes=False,
     )
     app.state.worker = worker
-    app.state.served = _Served(worker, leases, _described(worker.rig, settings))
+    app.state.served = _Served(worker, leases, settings)
     app.include_router(_open)
     app.include_router(_closed)
     app.add_middleware(Guard, token=token, settings=settings)
@@ -136,7 +142,7 @@ def create_app(rig: Rig | Callable[[], Rig], token: str, settings: ServerSetting
     return app
 
 
-def _served(request: Request) -> _Served:
+async def _served(request: Request) -> _Served:
     served: _Served = request.app.state.served
     return served
 
@@ -155,63 +161,56 @@ KeyHeader = Annotated[
 ]
 
 
-@_open.get("/health", responses=_problems())
+@_open.get("/health")
 async def health(served: Served) -> Health:
     """Say that the server is there."""
     status = "stopping" if served.worker.is_stopping else "ok"
-    return Health(status=status, version=rfpipe.__version__, api=1)
+    return Health(status=status, version=rfpipe.__version__, api=API)
 
 
-@_closed.get("/status", responses=_problems())
+@_closed.get("/status")
 async def status(served: Served) -> StatusAnswer:
     """Say who holds the rig and what happened since the start."""
-    lease = served.leases.current
     return StatusAnswer(
         up_seconds=time.monotonic() - served.began,
-        holder=lease and lease.client,
+        holder=served.leases.holder,
         devices=getattr(served.worker.rig, "statistics", None) or {},
         **served.worker.metrics.model_dump(),
     )
 
 
-@_closed.get("/rig", responses=_problems())
+@_closed.get("/rig")
 async def rig(served: Served) -> RigAnswer:
     """Describe the rig."""
     return served.rig
 
 
-@_closed.get(
-    "/rig/arrays",
-    response_class=Response,
-    responses={200: {"content": {MEDIA_TYPE: {}}}, **_problems()},
-)
-async def rig_arrays(served: Served) -> Response:
+@_closed.get("/rig/arrays", response_class=Response, responses={200: {"content": {MEDIA_TYPE: {}}}})
+def rig_arrays(served: Served) -> Response:
     """Return the arrays of a resampled sensor; none of another one."""
-    async with served.packing:
-        if served.arrays is None:
-            arrays = getattr(served.worker.rig.sensor, "arrays", dict)
-            served.arrays = await asyncio.to_thread(lambda: pack({}, arrays(), deflate=True))
-    return Response(served.arrays, media_type=MEDIA_TYPE)
+    with served.drawing:
+        return Response(served.arrays, media_type=MEDIA_TYPE)
 
 
 @_closed.post("/lease", responses=_problems(409, 422))
 async def acquire(request: LeaseRequest, served: Served) -> LeaseAnswer:
     """Take the rig for oneself."""
-    lease = served.leases.acquire(request.client)
-    _log.info("%s takes the rig", lease.client)
-    return _answer(lease, served)
+    identity = served.leases.acquire(request.client)
+    _log.info("%s takes the rig", request.client)
+    return served.lease(identity)
 
 
 @_closed.put("/lease", responses=_problems(410, 422))
 async def renew(lease: LeaseHeader, served: Served) -> LeaseAnswer:
     """Keep the rig: the heart-beat of its holder."""
-    return _answer(served.leases.renew(lease), served)
+    served.leases.renew(lease)
+    return served.lease(lease)
 
 
 @_closed.delete("/lease", status_code=204, responses=_problems(410, 422))
 async def release(lease: LeaseHeader, served: Served) -> None:
     """Give the rig back."""
-    _log.info("%s gives the rig back", served.leases.release(lease).client)
+    _log.info("%s gives the rig back", served.leases.release(lease))
     served.worker.forget()
 
 
@@ -243,7 +242,7 @@ async def capture(request: Request, lease: LeaseHeader, key: KeyHeader, served: 
 
 async def _submitted(request: Request, lease: str, key: str, served: _Served) -> Future[bytes]:
     """Read the body of a capture and have its patterns exposed; the body isn't kept."""
-    projector, limits = tuple(served.rig.projector_shape), served.rig.limits
+    limits = served.rig.limits
 
     def submit() -> Future[bytes]:
         digest = hashlib.sha256(body).hexdigest()
@@ -251,8 +250,10 @@ async def _submitted(request: Request, lease: str, key: str, served: _Served) ->
         if future is not None:
             return future
         # all are checked before the first is shown
-        patterns = decode_patterns(body, projector, limits.patterns, limits.request_bytes)
-        return served.worker.submit(key, Capture(digest, lease, patterns))
+        patterns = decode_patterns(
+            body, served.rig.projector_shape, limits.patterns, limits.request_bytes
+        )
+        return served.worker.submit(key, digest, lease, patterns)
 
     async with served.reading:
         body = b"".join([piece async for piece in request.stream()])
@@ -264,42 +265,37 @@ async def _submitted(request: Request, lease: str, key: str, served: _Served) ->
     response_class=Response,
     responses={200: {"content": {"image/png": {}}}, **_problems(404)},
 )
-async def preview(served: Served) -> Response:
+def preview(served: Served) -> Response:
     """Draw the last bracket: exposures, saturation and histograms."""
     shown = served.worker.last
     if shown is None:
         raise HTTPException(404, "nothing was captured since the server's start")
-    async with served.drawing:
+    with served.drawing:
         if served.drawn[0] != shown.number:
             exposures = served.worker.rig.sensor.exposures
-            picture = await asyncio.to_thread(preview_png, shown, served.rig.sensor, exposures)
-            served.drawn = (shown.number, picture)
+            served.drawn = shown.number, preview_png(shown, served.rig.sensor, exposures)
         return Response(served.drawn[1], media_type="image/png")
 
 
 def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
     """Describe a rig, and how much of it a request may ask for."""
-    described = rig.describe()
+    description = rig.describe()
     bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
     brackets = settings.most_response_bytes // (bracket * rig.sensor.frame_dtype.itemsize)
     # of ones and zeros: eight a byte
     patterns = 8 * settings.most_request_bytes // prod(rig.projector_shape)
     return RigAnswer(
-        camera_shape=list(rig.camera_shape),
-        projector_shape=list(rig.projector_shape),
+        camera_shape=rig.camera_shape,
+        projector_shape=rig.projector_shape,
         channels=rig.channels,
         seconds_per_pattern=rig.seconds_per_pattern,
         sensor=rig.sensor.describe(),
         has_arrays=hasattr(rig.sensor, "arrays"),
-        description=described,
-        digest=fingerprint(described),
+        description=description,
+        digest=fingerprint(description),
         limits=Limits(
             patterns=max(1, min(settings.most_patterns, brackets, patterns)),
             request_bytes=settings.most_request_bytes,
             lease_seconds=settings.lease_seconds,
         ),
     )
-
-
-def _answer(lease: Lease, served: _Served) -> LeaseAnswer:
-    return LeaseAnswer(lease=lease.id, seconds=served.leases.seconds)

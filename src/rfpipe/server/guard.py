@@ -1,4 +1,4 @@
-"""What stands before the application: the token, limits on bodies and answers, and the log."""
+"""What stands before the application: the token, limits on connections, bodies and answers."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import hashlib
 import hmac
 import logging
 import time
-from typing import TYPE_CHECKING
+from http import HTTPStatus
+from typing import TYPE_CHECKING, Any
 
 from starlette.exceptions import HTTPException
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from rfpipe.server.problems import problem_response
 
@@ -18,17 +20,12 @@ if TYPE_CHECKING:
 
     from rfpipe.server.settings import ServerSettings
 
-__all__ = ["CAPTURE_PATH", "Guard"]
+CAPTURE_PATH = "/v1/captures"
 
 _OPEN_PATHS = frozenset({"/v1/health", "/v1/openapi.json"})
 """Paths that need no token: they tell nothing of the rig."""
 
-CAPTURE_PATH = "/v1/captures"
-
-_SMALL_BODY_BYTES = 4096
-_PIECE_BYTES = 2**18
 _HEADERS = ((b"cache-control", b"no-store"), (b"x-content-type-options", b"nosniff"))
-_CLOSE = (b"connection", b"close")
 
 _log = logging.getLogger("rfpipe.server.requests")
 
@@ -62,25 +59,19 @@ class Guard:
             await self._app(scope, receive, send)
             return
         path, headers = scope["path"], dict(scope["headers"])
-        is_known = self._is_right(headers.get(b"authorization"))
+        is_known = self._is_right(headers.get(b"authorization", b""))
         seconds = self._settings.body_seconds
         send = _logged(_in_pieces(send, seconds), scope, closes=not is_known)
-        most = self._settings.most_request_bytes if path == CAPTURE_PATH else _SMALL_BODY_BYTES
-        declared = _declared_length(headers)
+        most = self._settings.most_request_bytes if path == CAPTURE_PATH else 4096
+        length = headers.get(b"content-length", b"0")
+        declared = int(length) if length.isdigit() else 0
         if not is_known and path not in _OPEN_PATHS:
-            refusal = problem_response(
-                401,
-                "the bearer token is missing or wrong; it is the one that the server was started "
-                "with",
-                {"WWW-Authenticate": "Bearer"},
-            )
+            detail = "the bearer token is missing or wrong; it is the one that the server was "
+            refusal = problem_response(401, f"{detail}started with", {"WWW-Authenticate": "Bearer"})
         elif declared > most:
             # closed, rather than to read a long body to its end
-            refusal = problem_response(
-                413,
-                f"a body of {declared} bytes; up to {most} are allowed here",
-                {"Connection": "close"},
-            )
+            detail = f"a body of {declared} bytes; up to {most} are allowed here"
+            refusal = problem_response(413, detail, {"Connection": "close"})
         else:
             try:
                 await self._app(scope, _limited(receive, most, seconds), send)
@@ -89,16 +80,11 @@ class Guard:
             return
         await refusal(scope, receive, send)
 
-    def _is_right(self, authorization: bytes | None) -> bool:
-        scheme, _, given = (authorization or b"").partition(b" ")
+    def _is_right(self, authorization: bytes) -> bool:
+        scheme, _, given = authorization.partition(b" ")
         # of digests, so that the time tells nothing of the token's length, either
         same = hmac.compare_digest(hashlib.sha256(given.strip()).digest(), self._token)
         return scheme.lower() == b"bearer" and same
-
-
-def _declared_length(headers: dict[bytes, bytes]) -> int:
-    length = headers.get(b"content-length", b"0")
-    return int(length) if length.isdigit() else 0
 
 
 def _limited(receive: Receive, most: int, seconds: float) -> Receive:
@@ -114,34 +100,32 @@ def _limited(receive: Receive, most: int, seconds: float) -> Receive:
             async with asyncio.timeout_at(deadline):
                 message = await receive()
         except TimeoutError:
-            raise HTTPException(
-                408, "the request did not arrive in time", {"Connection": "close"}
-            ) from None
+            detail = "the request did not arrive in time"
+            raise HTTPException(408, detail, {"Connection": "close"}) from None
         is_whole = not message.get("more_body", False)
         left -= len(message.get("body", b""))
         if left < 0:
-            raise HTTPException(
-                413, f"the body is longer than {most} bytes", {"Connection": "close"}
-            )
+            detail = f"the body is longer than {most} bytes"
+            raise HTTPException(413, detail, {"Connection": "close"})
         return message
 
     return receive_limited
 
 
 def _in_pieces(send: Send, seconds: float) -> Send:
-    """Send a body piece by piece, each when the one before it was taken.
+    """Send a body in pieces of a quarter MiB, each when the one before it was taken.
 
     Raises _NotTakenError, and leaves the answer incomplete, where that takes too long.
     """
 
     async def send_pieces(message: Message) -> None:
         body = message.get("body", b"")
-        starts = range(0, max(1, len(body)), _PIECE_BYTES)
+        starts = range(0, max(1, len(body)), 2**18)
         for start in starts:
             piece = message
             if len(starts) > 1:
                 is_last = start == starts[-1] and not message.get("more_body", False)
-                some = body[start : start + _PIECE_BYTES]
+                some = body[start : start + 2**18]
                 piece = {**message, "body": some, "more_body": not is_last}
             try:
                 async with asyncio.timeout(seconds):
@@ -161,23 +145,90 @@ def _logged(send: Send, scope: Scope, *, closes: bool) -> Send:
         nonlocal status, sent
         if message["type"] == "http.response.start":
             status = message["status"]
-            added = (*_HEADERS, _CLOSE) if closes else _HEADERS
+            added = (*_HEADERS, (b"connection", b"close")) if closes else _HEADERS
             message["headers"] = [*message.get("headers", ()), *added]
         sent += len(message.get("body", b""))
         await send(message)
         if message["type"] == "http.response.body" and not message.get("more_body", False):
             client = scope.get("client")
-            _log.log(
-                logging.INFO if status < 400 else logging.WARNING,
-                "%s %s: %d",
-                scope["method"],
-                scope["path"][:200],
-                status,
-                extra={
-                    "client": f"{client[0]}:{client[1]}" if client else None,
-                    "ms": round(1e3 * (time.perf_counter() - began), 1),
-                    "bytes": sent,
-                },
-            )
+            level = logging.INFO if status < 400 else logging.WARNING
+            facts = {
+                "client": f"{client[0]}:{client[1]}" if client else None,
+                "ms": round(1e3 * (time.perf_counter() - began), 1),
+                "bytes": sent,
+            }
+            place = scope["method"], scope["path"][:200]
+            _log.log(level, "%s %s: %d", *place, status, extra=facts)
 
     return send_counted
+
+
+def guarded_protocol(settings: ServerSettings) -> type[asyncio.Protocol]:
+    """Return uvicorn's HTTP protocol with a deadline for heads and a bound on connections.
+
+    uvicorn by itself waits for ever for the rest of a head, and its bound on connections refuses
+    the next request of whoever asks, the holder of the rig included. Here, who has asked nothing
+    yet makes room for new ones: that is never somebody who has shown the token, since the
+    connections of those who haven't end with their answer.
+    """
+
+    class GuardedProtocol(H11Protocol):
+        """Closes connections whose requests don't arrive in time, and those that are too many."""
+
+        def __init__(self, *args: Any, **options: Any) -> None:
+            super().__init__(*args, **options)
+            self.since = self.loop.time()
+            self._deadline: asyncio.TimerHandle | None = None
+
+        @property
+        def is_idle(self) -> bool:
+            """Whether no whole head is there that is still to be answered."""
+            return self.cycle is None or self.cycle.response_complete
+
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            self._watch()
+            if len(self.connections) > settings.most_connections:
+                # who has asked nothing before all others, the oldest first
+                idle: list[Any] = [one for one in self.connections if one.is_idle]
+                longest = min(idle, key=lambda one: (one.cycle is not None, one.since))
+                longest.refuse(503, "too many connections; try again later")
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            self._unwatch()
+            super().connection_lost(exc)
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            self._watch()
+
+        def refuse(self, status: int, detail: str) -> None:
+            """Close a connection that awaits no answer, and say why."""
+            self._unwatch()
+            if self.transport.is_closing():
+                return
+            problem = problem_response(status, detail, {"Connection": "close"})
+            lines = [b"HTTP/1.1 %d %s" % (status, HTTPStatus(status).phrase.encode())]
+            lines += [name + b": " + value for name, value in problem.raw_headers]
+            self.transport.write(b"\r\n".join([*lines, b"", bytes(problem.body)]))
+            self.connections.discard(self)
+            self.transport.close()
+
+        def _watch(self) -> None:
+            """Wait for the head that has begun, or is to begin the connection; not anew each time.
+
+            Between requests a connection may rest; for how long is uvicorn's to say.
+            """
+            if not self.is_idle or self.transport.is_closing():
+                self._unwatch()
+            elif self._deadline is None:
+                self._deadline = self.loop.call_later(
+                    settings.head_seconds, self.refuse, 408, "the request did not arrive in time"
+                )
+
+        def _unwatch(self) -> None:
+            if self._deadline is not None:
+                self._deadline.cancel()
+                self._deadline = None
+
+    return GuardedProtocol

@@ -6,39 +6,10 @@ import secrets
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-
-__all__ = ["Lease", "LeaseHeldError", "LeaseLapsedError", "Leases"]
-
-
-@dataclass(frozen=True)
-class Lease:
-    """The right to use the rig.
-
-    Attributes
-    ----------
-    id : str
-        The holder's secret.
-    client : str
-        What the holder calls itself.
-    until : float
-        When it lapses, by the clock of `Leases`.
-    """
-
-    id: str
-    client: str
-    until: float
 
 
 class LeaseHeldError(Exception):
     """Another client holds the rig."""
-
-    def __init__(self, lease: Lease, seconds_left: float) -> None:
-        super().__init__(
-            f"the rig is held by {lease.client!r}, and for {seconds_left:.1f} s yet if its heart "
-            "stops; wait until it is released"
-        )
-        self.seconds_left = seconds_left
 
 
 class LeaseLapsedError(Exception):
@@ -59,59 +30,48 @@ class Leases:
     def __init__(self, seconds: float, clock: Callable[[], float] = time.monotonic) -> None:
         self.seconds = seconds
         self._clock = clock
-        self._lease: Lease | None = None
+        self._identity, self._client, self._until = "", "", clock()
         self._lock = threading.Lock()
 
-    def acquire(self, client: str) -> Lease:
-        """Take the rig, or raise LeaseHeldError."""
-        with self._lock:
-            held = self._current()
-            if held is not None:
-                raise LeaseHeldError(held, held.until - self._clock())
-            identity = secrets.token_urlsafe(24)
-            self._lease = Lease(identity, client, self._clock() + self.seconds)
-            return self._lease
+    @property
+    def holder(self) -> str | None:
+        """What the client that holds the rig calls itself, if there is one."""
+        return self._client if self._clock() < self._until else None
 
-    def renew(self, identity: str) -> Lease:
+    def acquire(self, client: str) -> str:
+        """Take the rig and return the holder's secret; LeaseHeldError where another has it."""
+        with self._lock:
+            if self.holder is not None:
+                raise LeaseHeldError(
+                    f"the rig is held by {self._client!r}, and for "
+                    f"{self._until - self._clock():.1f} s yet if its heart stops; wait until it is "
+                    "released"
+                )
+            self._identity, self._client = secrets.token_urlsafe(24), client
+            self._until = self._clock() + self.seconds
+            return self._identity
+
+    def renew(self, identity: str) -> None:
         """Take a heart-beat; raises LeaseLapsedError where it comes too late."""
         with self._lock:
-            held = self._checked(identity)
-            self._lease = replace(held, until=self._clock() + self.seconds)
-            return self._lease
+            self._check(identity)
+            self._until = self._clock() + self.seconds
 
-    def release(self, identity: str) -> Lease:
-        """Give the rig back; raises LeaseLapsedError where it isn't held by this lease."""
+    def release(self, identity: str) -> str:
+        """Give the rig back and return the client; LeaseLapsedError where it isn't the holder."""
         with self._lock:
-            released = self._checked(identity)
-            self._lease = None
-            return released
+            self._check(identity)
+            self._until = self._clock()
+            return self._client
 
     def is_held_by(self, identity: str) -> bool:
-        """Whether this lease is in force."""
-        with self._lock:
-            held = self._current()
-            return held is not None and secrets.compare_digest(_known(held.id), _known(identity))
+        """Tell whether this lease is in force."""
+        given, known = (one.encode("utf-8", "surrogatepass") for one in (identity, self._identity))
+        return self.holder is not None and secrets.compare_digest(given, known)
 
-    @property
-    def current(self) -> Lease | None:
-        """The lease in force, if any."""
-        with self._lock:
-            return self._current()
-
-    def _checked(self, identity: str) -> Lease:
-        held = self._current()
-        if held is None or not secrets.compare_digest(_known(held.id), _known(identity)):
+    def _check(self, identity: str) -> None:
+        if not self.is_held_by(identity):
             raise LeaseLapsedError(
                 "this lease is not in force: it lapsed or the server was started anew; acquire "
                 "again"
             )
-        return held
-
-    def _current(self) -> Lease | None:
-        if self._lease is not None and self._lease.until <= self._clock():
-            self._lease = None
-        return self._lease
-
-
-def _known(identity: str) -> bytes:
-    return identity.encode("utf-8", "surrogatepass")

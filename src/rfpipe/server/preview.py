@@ -13,8 +13,6 @@ from rfpipe.pictures.images import srgb
 from rfpipe.server.worker import Shown
 from rfpipe.units import SATURATION_FRACTION
 
-__all__ = ["preview_png"]
-
 _MOST_PIXELS = 512
 _BINS = 128
 _SATURATED_COLOUR = (0.85, 0.1, 0.1)

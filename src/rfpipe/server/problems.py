@@ -12,11 +12,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 
-__all__ = ["PROBLEM_TYPE", "Problem", "add_handlers", "problem_body", "problem_response"]
-
 PROBLEM_TYPE = "application/problem+json"
-
-_COME_AGAIN = (409, 429, 503)
 
 
 class Problem(BaseModel):
@@ -27,51 +23,33 @@ class Problem(BaseModel):
     detail: str = Field(description="What was wrong and what to do about it.")
 
 
-def problem_body(status: int, detail: str) -> bytes:
-    """Return the body of an error's response."""
-    problem = Problem(title=HTTPStatus(status).phrase, status=status, detail=detail)
-    return problem.model_dump_json().encode()
-
-
-def problem_response(status: int, detail: str, headers: dict[str, str] | None = None) -> Response:
+def problem_response(
+    status: int, detail: str, headers: Mapping[str, str] | None = None
+) -> Response:
     """Return an error's response."""
-    return Response(problem_body(status, detail), status, headers, PROBLEM_TYPE)
+    problem = Problem(title=HTTPStatus(status).phrase, status=status, detail=detail)
+    return Response(problem.model_dump_json(), status, headers, PROBLEM_TYPE)
 
 
 def add_handlers(app: FastAPI, statuses: Mapping[type[Exception], int]) -> None:
-    """Answer every error of an application in this way.
+    """Answer every error of an application by a problem; of `statuses` the text is for the client.
 
-    Parameters
-    ----------
-    app : FastAPI
-    statuses : mapping
-        The status of errors whose text is meant for the client.
+    Bugs are answered without their text.
     """
 
-    async def of_kind(_request: Request, error: Exception) -> Response:
-        status = next(statuses[kind] for kind in type(error).__mro__ if kind in statuses)
-        headers = {"Retry-After": "1"} if status in _COME_AGAIN else None
-        return problem_response(status, str(error), headers)
+    async def answered(_request: Request, error: Exception) -> Response:
+        if isinstance(error, HTTPException):
+            return problem_response(error.status_code, str(error.detail), error.headers)
+        if isinstance(error, RequestValidationError):
+            details = (f"{'.'.join(map(str, one['loc']))}: {one['msg']}" for one in error.errors())
+            return problem_response(422, "; ".join(details))
+        if isinstance(error, ClientDisconnect):
+            return problem_response(400, "the client closed the connection within its request")
+        status = next((statuses[kind] for kind in type(error).__mro__ if kind in statuses), 500)
+        if status == 500:
+            return problem_response(500, "the server made a mistake; its log says more")
+        come_again = {"Retry-After": "1"} if status in (409, 429, 503) else None
+        return problem_response(status, str(error), come_again)
 
-    for kind in statuses:
-        app.add_exception_handler(kind, of_kind)
-
-    @app.exception_handler(HTTPException)
-    async def of_http(_request: Request, error: HTTPException) -> Response:
-        headers = dict(error.headers) if error.headers else None
-        return problem_response(error.status_code, str(error.detail), headers)
-
-    @app.exception_handler(RequestValidationError)
-    async def of_validation(_request: Request, error: RequestValidationError) -> Response:
-        problems = [
-            f"{'.'.join(map(str, problem['loc']))}: {problem['msg']}" for problem in error.errors()
-        ]
-        return problem_response(422, "; ".join(problems))
-
-    @app.exception_handler(ClientDisconnect)
-    async def of_disconnect(_request: Request, _error: ClientDisconnect) -> Response:
-        return problem_response(400, "the client closed the connection within its request")
-
-    @app.exception_handler(Exception)
-    async def of_bug(_request: Request, _error: Exception) -> Response:
-        return problem_response(500, "the server made a mistake; its log says more")
+    for kind in (*statuses, HTTPException, RequestValidationError, ClientDisconnect, Exception):
+        app.add_exception_handler(kind, answered)

@@ -1,11 +1,14 @@
-"""Running the server: its socket, its signals, and its end."""
+"""Running the server: its socket, its log, its signals, and its end."""
 
 from __future__ import annotations
 
+import json
 import logging
 import socket
 from collections.abc import Callable
 from contextlib import closing, suppress
+from datetime import UTC, datetime
+from pathlib import Path
 from types import FrameType
 
 import uvicorn
@@ -13,18 +16,9 @@ import uvicorn
 from rfpipe.errors import ConfigError
 from rfpipe.rigs import Rig
 from rfpipe.server.api import create_app
-from rfpipe.server.log import start_log
-from rfpipe.server.protocol import guarded_protocol
+from rfpipe.server.guard import guarded_protocol
 from rfpipe.server.settings import ServerSettings
 from rfpipe.server.worker import RigWorker
-
-__all__ = ["bound_socket", "make_server", "serve"]
-
-_MOST_HEAD_BYTES = 16 * 2**10
-_KEEP_ALIVE_SECONDS = 120
-_BACKLOG = 512
-# for requests under way; the exposure in hand has what time it takes
-_SHUTDOWN_SECONDS = 30
 
 _log = logging.getLogger("rfpipe.server")
 
@@ -41,6 +35,46 @@ class _Server(uvicorn.Server):
         super().handle_exit(sig, frame)
 
 
+class _JsonLines(logging.Formatter):
+    """One JSON object a record."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        extra = ((name, getattr(record, name, None)) for name in ("client", "ms", "bytes"))
+        line = {
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+            **{name: value for name, value in extra if value},
+        }
+        if record.exc_info:
+            line["traceback"] = self.formatException(record.exc_info)
+        return json.dumps(line)
+
+
+def start_log(file: Path | None = None) -> None:
+    """Log lines of JSON to stderr, and to the end of a file where one is named.
+
+    Raises
+    ------
+    ConfigError
+        When the file can't be written.
+    """
+    handlers: list[logging.Handler] = [logging.StreamHandler()]
+    if file is not None:
+        try:
+            handlers.append(logging.FileHandler(file, encoding="utf-8"))
+        except OSError as error:
+            raise ConfigError(f"{file}: can't be written as a log file: {error}") from error
+    for handler in handlers:
+        handler.setFormatter(_JsonLines())
+    for name in ("rfpipe", "uvicorn.error"):
+        logger = logging.getLogger(name)
+        logger.handlers = list(handlers)
+        logger.setLevel(logging.INFO)
+        logger.propagate = False
+
+
 def make_server(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettings) -> _Server:
     """Return the server of a rig, whose `run` takes the `bound_socket`."""
     app = create_app(rig, token, settings)
@@ -52,10 +86,10 @@ def make_server(rig: Rig | Callable[[], Rig], token: str, settings: ServerSettin
         access_log=False,
         proxy_headers=False,
         server_header=False,
-        backlog=_BACKLOG,
-        timeout_keep_alive=_KEEP_ALIVE_SECONDS,
-        timeout_graceful_shutdown=_SHUTDOWN_SECONDS,
-        h11_max_incomplete_event_size=_MOST_HEAD_BYTES,
+        timeout_keep_alive=120,
+        # for requests under way; the exposure in hand has what time it takes
+        timeout_graceful_shutdown=30,
+        h11_max_incomplete_event_size=16 * 2**10,
     )
     return _Server(config, app.state.worker)
 
@@ -74,9 +108,7 @@ def bound_socket(settings: ServerSettings) -> socket.socket:
         )[0]
         is_dual = family == socket.AF_INET6 and socket.has_dualstack_ipv6()
         # listens at once: else others on this port are refused only once the rig is open
-        bound = socket.create_server(
-            address, family=family, backlog=_BACKLOG, dualstack_ipv6=is_dual
-        )
+        bound = socket.create_server(address, family=family, backlog=512, dualstack_ipv6=is_dual)
     except OSError as error:
         raise ConfigError(
             f"server: can't listen on {settings.host}, port {settings.port}: {error}. Stop what "

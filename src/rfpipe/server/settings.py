@@ -13,8 +13,6 @@ from rfpipe.config.base import Settings
 from rfpipe.config.problems import explained
 from rfpipe.errors import ConfigError
 
-__all__ = ["ServerSettings"]
-
 
 class ServerSettings(Settings):
     """Where a server listens, and its limits.

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,25 +16,10 @@ from numpy.typing import NDArray
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
-from rfpipe.rigs.messages import Message
-from rfpipe.rigs.wire import SentPatterns
+from rfpipe.rigs.devices import check_frames
+from rfpipe.rigs.messages import Message, SentPatterns
+from rfpipe.rigs.protocol import Metrics
 from rfpipe.server.lease import Leases
-from rfpipe.server.models import Metrics
-
-__all__ = [
-    "Capture",
-    "CaptureConflictError",
-    "CaptureStoppedError",
-    "RigBusyError",
-    "RigWorker",
-    "Shown",
-]
-
-Patterns = NDArray[np.float32]
-Frames = list[NDArray[Any]]
-
-# of which one ends before its next pattern, since its lease has lapsed
-_MOST_UNDER_WAY = 2
 
 _log = logging.getLogger("rfpipe.server")
 
@@ -51,8 +36,7 @@ class CaptureStoppedError(Exception):
     """The server is being stopped, or the client's lease lapsed; the rest wasn't exposed."""
 
 
-@dataclass(frozen=True)
-class Shown:
+class Shown(NamedTuple):
     """The last bracket: its number since the start, its pattern's key and its frames."""
 
     number: int
@@ -61,28 +45,12 @@ class Shown:
 
 
 @dataclass
-class Capture:
-    """The patterns of one request, and the message of the brackets of those exposed so far.
-
-    Attributes
-    ----------
-    digest : str
-        Of the request's content.
-    lease : str
-    patterns : SentPatterns or None
-        None once they were exposed, or their exposure ended.
-    brackets : Message or None
-        None once it is the result.
-    exposed : int
-        Patterns whose brackets are there.
-    result : Future or None
-        Of the message; None until it was begun.
-    """
+class _Capture:
+    """One request: `message` holds the brackets of the first `exposed` of its patterns."""
 
     digest: str
     lease: str
-    patterns: SentPatterns | None
-    brackets: Message | None = None
+    message: Message
     exposed: int = 0
     result: Future[bytes] | None = None
 
@@ -90,6 +58,11 @@ class Capture:
     def is_under_way(self) -> bool:
         """Whether it was begun and goes on."""
         return self.result is not None and not self.result.done()
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether it ended before its last pattern."""
+        return self.result is not None and self.result.done() and bool(self.result.exception())
 
 
 class RigWorker:
@@ -113,7 +86,7 @@ class RigWorker:
     def __init__(self, rig: Rig | Callable[[], Rig], leases: Leases, kept: int) -> None:
         self._leases = leases
         self._kept = kept
-        self._captures: dict[str, Capture] = {}
+        self._captures: dict[str, _Capture] = {}
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._is_closed = False
@@ -132,8 +105,7 @@ class RigWorker:
         Asked before anything of a request is read, or held in memory.
         """
         with self._lock:
-            capture = self._captures.get(identity)
-            if capture is None or capture.result is None:
+            if identity not in self._captures:
                 self._check_free()
 
     def again(self, identity: str, digest: str, lease: str) -> Future[bytes] | None:
@@ -153,20 +125,24 @@ class RigWorker:
                     "this Idempotency-Key was used with other patterns; take a new one"
                 )
             capture.lease = lease
-            if not capture.is_under_way and capture.brackets is not None:
+            if capture.has_failed:
                 return None
             self.metrics.answered_again += 1
             return capture.result
 
-    def submit(self, identity: str, asked: Capture) -> Future[bytes]:
-        """Have patterns exposed that weren't yet under this identity, which isn't under way.
+    def submit(
+        self, identity: str, digest: str, lease: str, patterns: SentPatterns
+    ) -> Future[bytes]:
+        """Have the patterns of a request exposed that isn't under way.
 
         Parameters
         ----------
         identity : str
             Of the request; the same when it comes again.
-        asked : Capture
-            With its patterns.
+        digest : str
+            Of its content.
+        lease : str
+        patterns : SentPatterns
 
         Returns
         -------
@@ -185,9 +161,10 @@ class RigWorker:
             capture = self._captures.get(identity)
             if capture is None:
                 self._forget(self._kept - 1)
-                capture = self._captures[identity] = asked
-            capture.patterns, capture.lease = asked.patterns, asked.lease
-            capture.result = self._thread.submit(self._expose, capture)
+                capture = _Capture(digest, lease, Message({"keys": patterns.keys}))
+                self._captures[identity] = capture
+            capture.lease = lease
+            capture.result = self._thread.submit(self._expose, capture, patterns)
             return capture.result
 
     def forget(self) -> None:
@@ -207,23 +184,19 @@ class RigWorker:
     def close(self) -> None:
         """Wait for the exposure in hand and close the devices; closing twice is no error."""
         self.stop()
-        close = getattr(self.rig, "close", None)
         with self._lock:
             if self._is_closed:
                 return
             self._is_closed = True
         try:
-            if close is not None:
-                self._thread.submit(close).result()
+            self._thread.submit(getattr(self.rig, "close", lambda: None)).result()
         finally:
             self._thread.shutdown()
 
     def _check_free(self) -> None:
         busy = [capture for capture in self._captures.values() if capture.is_under_way]
-        # one that has lost its lease ends before its next pattern
-        if len(busy) >= _MOST_UNDER_WAY or any(
-            self._leases.is_held_by(capture.lease) for capture in busy
-        ):
+        # one that has lost its lease ends before its next pattern, and may be waited for by one
+        if len(busy) >= 2 or any(self._leases.is_held_by(capture.lease) for capture in busy):
             raise RigBusyError("another capture is under way; send one at a time")
 
     def _forget(self, kept: int) -> None:
@@ -232,12 +205,8 @@ class RigWorker:
         for name in done[: max(0, len(done) - kept)]:
             del self._captures[name]
 
-    def _expose(self, capture: Capture) -> bytes:
+    def _expose(self, capture: _Capture, patterns: SentPatterns) -> bytes:
         """Expose the patterns that are missing: by sequences where the rig has them."""
-        patterns, capture.patterns = capture.patterns, None  # freed with the end of this
-        assert patterns is not None
-        if capture.brackets is None:
-            capture.brackets = Message({"keys": patterns.keys})
         step = max(1, sequence_patterns(self.rig))
         for first in range(capture.exposed, len(patterns), step):
             if self.is_stopping:
@@ -252,14 +221,19 @@ class RigWorker:
             self.metrics.brackets += last - first
             self.last = Shown(self.metrics.brackets, keys[-1], brackets[-1])
             for index, bracket in enumerate(brackets, first):
-                capture.brackets.add(str(index), bracket)
+                capture.message.add(str(index), bracket)
             capture.exposed = last
-        message, capture.brackets = capture.brackets.content(), None
-        return message
+        content, capture.message = capture.message.content(), Message({})  # not held twice
+        return content
 
-    def _taken(self, patterns: Patterns, keys: Sequence[tuple[int, ...]]) -> Frames:
+    def _taken(
+        self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
+    ) -> NDArray[Any]:
+        rig = self.rig
         try:
-            return self._checked(capture_batch(self.rig, patterns, keys), len(keys))
+            shape = rig.sensor.frame_shape(rig.camera_shape, rig.channels)
+            brackets = capture_batch(rig, patterns, keys)
+            return check_frames(brackets, (len(keys), *shape), rig.sensor.frame_dtype)
         except InputError:
             raise
         except Exception as error:
@@ -269,13 +243,3 @@ class RigWorker:
             if isinstance(error, CaptureError):
                 raise
             raise CaptureError(f"the rig failed: {type(error).__name__}: {error}") from error
-
-    def _checked(self, frames: NDArray[Any], count: int) -> Frames:
-        sensor = self.rig.sensor
-        shape = (count, *sensor.frame_shape(self.rig.camera_shape, self.rig.channels))
-        if frames.shape != shape or frames.dtype != sensor.frame_dtype:
-            raise CaptureError(
-                f"the rig returned {frames.dtype} frames of shape {frames.shape}; expected "
-                f"{sensor.frame_dtype} {shape}. Check the camera's size, pixel format and exposures"
-            )
-        return [np.ascontiguousarray(bracket) for bracket in frames]

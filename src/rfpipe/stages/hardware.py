@@ -14,7 +14,7 @@ from rfpipe.errors import CaptureError, InputError, StoreError
 from rfpipe.photometry import Sensor, sensor_from_description
 from rfpipe.rigs import RemoteRig, Rig
 from rfpipe.rigs.calibrated import warn_of
-from rfpipe.rigs.token import read_token
+from rfpipe.rigs.protocol import read_token
 from rfpipe.stages import capture
 from rfpipe.stages.aside import differing
 from rfpipe.stages.capture import frame_settings

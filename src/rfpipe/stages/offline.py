@@ -112,7 +112,7 @@ class OfflineAcquisition:
             about.ray_shape,
             about.channels,
         )
-        rig.brackets = checked
+        rig.bracket = checked and checked.bracket
         return rig
 
     def write(self, rig: OfflineRig, folder: Path, settings_file: Path, results: Path) -> Sheet:

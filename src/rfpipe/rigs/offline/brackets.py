@@ -16,24 +16,26 @@ from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures import Header, picture_files, read_header, read_picture
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import Key
-from rfpipe.rigs.offline.markers import first_bracket
 from rfpipe.rigs.offline.rig import OfflineRig
 from rfpipe.rigs.offline.sheet import Sheet
 from rfpipe.units import SATURATION_FRACTION
 
-__all__ = ["Checked", "check_pictures"]
+Picture = tuple[Header, Path]
 
-# By so much of it an exposure time may differ from the one set: cameras round 1/64 s to 1/60.
-_EXPOSURE_ERROR = 0.1
-# Of the floodlit picture, what may be saturated in the shortest exposure, and the least that its
-# longest one has to be above the black one, of full scale.
-_MOST_SATURATED, _LEAST_LIGHT = 0.01, 0.002
-_KEPT_PICTURES = 8
+EXPOSURE_ERROR = 0.1
+"""Share by which an exposure time may differ from the one set: cameras round 1/64 s to 1/60."""
+
+SAME = 0.3
+"""Two pictures are of one marker where they differ by less than this share of its opposite."""
+
+MOST_SATURATED, LEAST_LIGHT = 0.01, 0.002
+"""Largest saturated share of a picture's shortest exposure, and least light of the white picture's
+longest one, of full scale."""
 
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """Pictures that fit what was to be shown; an `rfpipe.rigs.offline.Brackets`.
+    """Pictures that fit what was to be shown.
 
     Attributes
     ----------
@@ -52,7 +54,7 @@ class Checked:
     notes: list[str] = field(default_factory=list)
 
     def bracket(self, key: Key, pattern: NDArray[np.float32]) -> NDArray[Any] | None:
-        """Return a pattern's frames; see `rfpipe.rigs.offline.Brackets`."""
+        """Return a pattern's frames; see `OfflineRig.bracket`."""
         if key not in self.files:
             return None
         if self.patterns[key] != fingerprint(np.asarray(pattern, np.float32)):
@@ -87,36 +89,33 @@ def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool 
     files = picture_files(folder)
     step = len(sheet.exposures_s)
     expected = step * len(sheet.shown)
-    if len(files) < expected or (len(files) > expected and not sheet.has_markers):
+    surplus = len(files) - expected
+    if surplus < 0 or (surplus and not sheet.has_markers):
         raise CaptureError(
             f"{folder}: holds {len(files)} pictures; {len(sheet.shown)} patterns of {step} "
             f"exposures each make {expected}, as {sheet.folder} says. Check that the first and "
             "the last are there, and none twice"
         )
-    headers = [_checked_header(rig, path) for path in files]
-    first = 0
+    pictures = [(_checked_header(rig, path), path) for path in files]
     if sheet.has_markers:
-        firsts = _firsts(rig, headers, sheet, len(files) - expected + 1)
-        first = _first(rig, files, expected, step, folder, firsts)
-    notes = []
-    if len(files) > expected:
-        notes.append(f"{len(files) - expected} pictures before or after the markers are left out")
-    chosen = range(first, first + expected, step)
-    found: dict[Key, tuple[Path, ...]] = {}
-    timed = all(header.exposure_s is not None for header in headers[first : first + expected])
-    if step > 1 and not timed:
+        first = _first_of_series(rig, pictures, sheet, folder)
+        pictures = pictures[first : first + expected]
+    is_timed = all(header.exposure_s is not None for header, _ in pictures)
+    notes = [f"{surplus} pictures before or after the markers are left out"] if surplus else []
+    if step > 1 and not is_timed:
         notes.append(
             "not all pictures say their exposure time: each bracket is taken to go from the "
             "shortest to the longest"
         )
-    for start, shown in zip(chosen, sheet.shown, strict=True):
-        some = list(zip(headers[start : start + step], files[start : start + step], strict=True))
-        if timed and isinstance(rig.camera_sensor, CameraModel):
-            some = _by_exposure(some, sheet.exposures_s, shown.file)
+    of_key: dict[Key, tuple[Path, ...]] = {}
+    for index, shown in enumerate(sheet.shown):
+        bracket = pictures[step * index : step * (index + 1)]
+        if is_timed and isinstance(rig.camera_sensor, CameraModel):
+            bracket = _by_exposure(bracket, sheet.exposures_s, shown.file)
         if shown.key is not None:
-            found[shown.key] = tuple(path for _, path in some)
+            of_key[shown.key] = tuple(path for _, path in bracket)
     patterns = {shown.key: shown.pattern for shown in sheet.shown if shown.key is not None}
-    checked = Checked(rig, found, patterns, notes)
+    checked = Checked(rig, of_key, patterns, notes)
     wrong = _brightness(checked, sheet)
     if wrong and not anyway:
         raise CaptureError(f"{folder}: {'; '.join(wrong)}. To take them all the same: --anyway")
@@ -124,60 +123,8 @@ def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool 
     return checked
 
 
-def _firsts(rig: OfflineRig, headers: list[Header], sheet: Sheet, most: int) -> list[int]:
-    """Return the pictures at which the series may begin: with the exposures of a bracket."""
-    step = len(sheet.exposures_s)
-    found = []
-    for first in range(most):
-        seconds = [header.exposure_s or 0 for header in headers[first : first + step]]
-        following = [header.exposure_s or 0 for header in headers[first + step : first + 2 * step]]
-        is_timed = all(seconds) and isinstance(rig.camera_sensor, CameraModel)
-        if not is_timed or (
-            _are(seconds, sheet.exposures_s) and _are(following, sheet.exposures_s)
-        ):
-            found.append(first)
-    # none: the messages about single brackets tell more
-    return found or list(range(most))
-
-
-def _are(seconds: list[float], exposures: tuple[float, ...]) -> bool:
-    """Tell whether exposure times are those of a bracket, in any order."""
-    return all(
-        abs(found - expected) <= _EXPOSURE_ERROR * expected
-        for found, expected in zip(sorted(seconds), exposures, strict=True)
-    )
-
-
-def _first(
-    rig: OfflineRig,
-    files: list[Path],
-    expected: int,
-    step: int,
-    folder: Path,
-    firsts: list[int],
-) -> int:
-    """Find the series among the pictures by its markers."""
-
-    @lru_cache(maxsize=3 * (len(files) - expected + 1))
-    def image(start: int) -> NDArray[Any]:
-        frames = (_pixels(rig, path) for path in files[start : start + step])
-        light: NDArray[Any] = np.stack([_small(frame) for frame in frames]).sum(axis=0)
-        return light
-
-    return first_bracket(image, len(files), expected, step, str(folder), firsts)
-
-
-def _small(frame: NDArray[Any]) -> NDArray[np.float32]:
-    """Return a picture in so many fields as tell a marker, in the mean."""
-    rows, columns = frame.shape[:2]
-    down, across = max(1, rows // 64), max(1, columns // 64)
-    cut = frame[: rows // down * down, : columns // across * across].astype(np.float32)
-    fields = cut.reshape(rows // down, down, columns // across, across, -1)
-    small: NDArray[np.float32] = fields.mean(axis=(1, 3, 4))
-    return small
-
-
 def _checked_header(rig: OfflineRig, path: Path) -> Header:
+    """Return a picture's header, of the kind, size and channels of the settings' camera."""
     header = read_header(path)
     is_counts = isinstance(rig.camera_sensor, CameraModel)
     if header.kind != ("counts" if is_counts else "light"):
@@ -202,17 +149,83 @@ def _checked_header(rig: OfflineRig, path: Path) -> Header:
     return header
 
 
-def _by_exposure(
-    bracket: list[tuple[Header, Path]], exposures: tuple[float, ...], name: str
-) -> list[tuple[Header, Path]]:
+def _first_of_series(rig: OfflineRig, pictures: list[Picture], sheet: Sheet, folder: Path) -> int:
+    """Return the picture at which the series begins: marker, opposite, patterns, opposite."""
+    step = len(sheet.exposures_s)
+    last = step * (len(sheet.shown) - 1)
+    surplus = len(pictures) - last - step
+
+    @lru_cache(maxsize=3 * (surplus + 1))
+    def image(start: int) -> NDArray[np.float32]:
+        frames = (_pixels(rig, path) for _, path in pictures[start : start + step])
+        light: NDArray[np.float32] = sum(_small(frame) for frame in frames)  # type: ignore[assignment]
+        return light
+
+    firsts = range(surplus + 1)
+    timed = [first for first in firsts if _begins_a_bracket(rig, pictures, first, sheet)]
+    # none: the messages about single brackets explain more
+    fitting = [
+        first
+        for first in timed or firsts
+        if _is_same(image(first + step), image(first + last), image(first))
+    ]
+    if len(fitting) == 1:
+        return fitting[0]
+    if fitting:
+        raise CaptureError(
+            f"{folder}: the markers fit pictures {', '.join(str(one + 1) for one in fitting)} as "
+            "the first; take away those that don't belong to the series"
+        )
+    if not surplus and _is_same(image(0), image(last - step), image(last)):
+        raise CaptureError(
+            f"{folder}: the markers stand the other way round: the pictures are in reverse order. "
+            "Name them in the order in which they were taken"
+        )
+    raise CaptureError(
+        f"{folder}: the series doesn't begin with the marker and its opposite and end with the "
+        "opposite, as it was to be shown: a picture is missing or out of order, or these are of "
+        "another series. Names are sorted by the numbers in them"
+    )
+
+
+def _begins_a_bracket(rig: OfflineRig, pictures: list[Picture], first: int, sheet: Sheet) -> bool:
+    """Tell whether a picture's and the next ones' exposure times are those of two brackets."""
+    step = len(sheet.exposures_s)
+    seconds = [header.exposure_s or 0 for header, _ in pictures[first : first + 2 * step]]
+    if not all(seconds[:step]) or not isinstance(rig.camera_sensor, CameraModel):
+        return True  # nobody can tell
+    ordered = sorted(seconds[:step]) + sorted(seconds[step:])
+    return all(map(_is_exposure, ordered, 2 * sheet.exposures_s))
+
+
+def _is_exposure(seconds: float, expected: float) -> bool:
+    return abs(seconds - expected) <= EXPOSURE_ERROR * expected
+
+
+def _is_same(one: NDArray[Any], other: NDArray[Any], opposite: NDArray[Any]) -> bool:
+    """Tell whether two pictures are alike, beside one that should be their opposite."""
+    apart = float(np.linalg.norm(opposite - other))
+    return float(np.linalg.norm(one - other)) < SAME * apart
+
+
+def _small(frame: NDArray[Any]) -> NDArray[np.float32]:
+    """Return the means of about 64 x 64 fields, which tell a marker."""
+    rows, columns = frame.shape[:2]
+    down, across = max(1, rows // 64), max(1, columns // 64)
+    cut = frame[: rows // down * down, : columns // across * across].astype(np.float32)
+    fields = cut.reshape(rows // down, down, columns // across, across, -1)
+    return np.asarray(fields.mean(axis=(1, 3, 4)))
+
+
+def _by_exposure(bracket: list[Picture], exposures: tuple[float, ...], name: str) -> list[Picture]:
     """Sort a bracket by its exposure times, which have to be those that were set."""
     ordered = sorted(bracket, key=lambda each: each[0].exposure_s or 0)
     for (header, path), expected in zip(ordered, exposures, strict=True):
-        found = header.exposure_s or 0
-        if abs(found - expected) > _EXPOSURE_ERROR * expected:
+        seconds = header.exposure_s or 0
+        if not _is_exposure(seconds, expected):
             times = ", ".join(f"{each.exposure_s:g}" for each, _ in ordered)
             raise CaptureError(
-                f"{path}: was exposed for {found:g} s; the bracket of {name} ({times} s) should "
+                f"{path}: was exposed for {seconds:g} s; the bracket of {name} ({times} s) should "
                 f"have {', '.join(f'{each:g}' for each in exposures)} s, as camera.exposures says. "
                 "A picture may be missing before it, or be there twice"
             )
@@ -220,29 +233,29 @@ def _by_exposure(
 
 
 def _brightness(checked: Checked, sheet: Sheet) -> list[str]:
-    """Say what is wrong with the light of the pictures."""
-    sensor = checked.rig.camera_sensor
+    """Return what is wrong with the light of the pictures."""
+    rig, sensor = checked.rig, checked.rig.camera_sensor
     if not isinstance(sensor, CameraModel):
         return []
     wrong = []
     top = SATURATION_FRACTION * sensor.white_level
     saturated = [
-        sheet_file
-        for sheet_file, key in ((each.file, each.key) for each in sheet.shown)
-        if key is not None
-        and float((_pixels(checked.rig, checked.files[key][0]) >= top).mean()) > _MOST_SATURATED
+        shown.file
+        for shown in sheet.shown
+        if shown.key is not None
+        and (_pixels(rig, checked.files[shown.key][0]) >= top).mean() > MOST_SATURATED
     ]
     if saturated:
         more = f" and {len(saturated) - 1} more" if len(saturated) > 1 else ""
         wrong.append(
-            f"the pictures of {saturated[0]}{more} have over {_MOST_SATURATED:.0%} of their pixels "
+            f"the pictures of {saturated[0]}{more} have over {MOST_SATURATED:.0%} of their pixels "
             f"saturated in the shortest exposure, {sensor.exposures[0]:g} s: add a shorter one, or "
             "dim the projector"
         )
     white, black = (FLOODLIT_KEY, 0), (BLACK_LEVEL_KEY, 0)
     if white in checked.files and black in checked.files:
-        lit, dark = (_pixels(checked.rig, checked.files[key][-1]).mean() for key in (white, black))
-        if lit - dark < _LEAST_LIGHT * sensor.white_level:
+        lit, dark = (_pixels(rig, checked.files[key][-1]).mean() for key in (white, black))
+        if lit - dark < LEAST_LIGHT * sensor.white_level:
             wrong.append(
                 f"the white picture's longest exposure has {lit - dark:.1f} counts of light on "
                 "average: lens cap, projector, or a longer exposure"
@@ -250,32 +263,28 @@ def _brightness(checked: Checked, sheet: Sheet) -> list[str]:
     return wrong
 
 
-@lru_cache(maxsize=_KEPT_PICTURES)
+@lru_cache(maxsize=8)
 def _pixels(rig: OfflineRig, path: Path) -> NDArray[Any]:
     """Read a picture as a frame of the rig's camera, (H, W, C), or (H, W) of a mosaic."""
-    picture = read_picture(path)
-    sensor = rig.camera_sensor
+    pixels, sensor = read_picture(path).pixels, rig.camera_sensor
     if isinstance(sensor, CameraModel):
-        largest = int(picture.pixels.max(initial=0))
-        if largest > sensor.white_level:
+        if (largest := int(pixels.max(initial=0))) > sensor.white_level:
+            shift = 16 - sensor.bits
+            is_shifted = not (pixels & np.uint16(2**shift - 1)).any()
             raise CaptureError(
                 f"{path}: holds {largest} counts; full scale of camera.bits {sensor.bits} is "
-                f"{sensor.white_level}. {_advice_on_bits(picture.pixels, sensor)}"
+                f"{sensor.white_level}. "
+                + (
+                    f"All counts are multiples of {2**shift}: the file has them shifted to 16 "
+                    f"bits. Set camera.bits to 16, and camera.black_level_counts to {2**shift} "
+                    "times what it is"
+                    if is_shifted
+                    else "Set camera.bits to those of the file"
+                )
             )
-    elif not np.isfinite(picture.pixels).all():
+    elif not np.isfinite(pixels).all():
         raise CaptureError(f"{path}: holds NaN or infinity; light is finite. Take it again")
-    return picture.pixels[..., 0] if _is_mosaic(rig) else picture.pixels
-
-
-def _advice_on_bits(pixels: NDArray[Any], sensor: CameraModel) -> str:
-    """Say what may have become of counts that are larger than full scale."""
-    shift = 16 - sensor.bits
-    if not (pixels & np.uint16(2**shift - 1)).any():
-        return (
-            f"All counts are multiples of {2**shift}: the file has them shifted to 16 bits. Set "
-            f"camera.bits to 16, and camera.black_level_counts to {2**shift} times what it is"
-        )
-    return "Set camera.bits to those of the file"
+    return pixels[..., 0] if _is_mosaic(rig) else pixels
 
 
 def _is_mosaic(rig: OfflineRig) -> bool:

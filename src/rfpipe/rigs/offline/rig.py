@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,23 +15,14 @@ from rfpipe.errors import InputError, PicturesNeeded
 from rfpipe.photometry.camera import sensor_from_config
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key, check_patterns
+from rfpipe.rigs.calibrated import load_calibration, resampled_sensor
 from rfpipe.rigs.layout import DARK, ProjectorLayout
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig, OfflineConfig
     from rfpipe.photometry.resampling import Resampling
 
-__all__ = ["Brackets", "OfflineRig", "offline_rig"]
-
-
-class Brackets(Protocol):
-    """Pictures that were taken, by the patterns that they show."""
-
-    def bracket(self, key: Key, pattern: NDArray[np.float32]) -> NDArray[Any] | None:
-        """Return the frames of a pattern, as `Rig.capture` has them; None where there are none.
-
-        Raises CaptureError where those of this key are of another pattern.
-        """
+Float = NDArray[np.float32]
 
 
 class OfflineRig:
@@ -48,8 +39,12 @@ class OfflineRig:
         Where the rays lie on the projector. None: each of its pixels is a ray.
     resampling : Resampling, optional
         How the camera's pictures become images on its rays. None: its pixels are its rays.
-    brackets : Brackets, optional
-        What was taken so far.
+
+    Attributes
+    ----------
+    bracket : callable or None
+        ``bracket(key, pattern)`` returns the frames of a pattern, or None where it wasn't taken;
+        CaptureError where those of this key are of another pattern.
 
     Raises
     ------
@@ -67,10 +62,10 @@ class OfflineRig:
         channels: int,
         layout: ProjectorLayout | None = None,
         resampling: Resampling | None = None,
-        brackets: Brackets | None = None,
     ) -> None:
         self.camera_shape, self.projector_shape = tuple(camera_shape), tuple(projector_shape)
-        self.channels, self.layout, self.brackets = channels, layout, brackets
+        self.channels, self.layout = channels, layout
+        self.bracket: Callable[[Key, Float], NDArray[Any] | None] | None = None
         for name, part, shape in (
             ("layout", layout, self.projector_shape),
             ("resampling", resampling, self.camera_shape),
@@ -80,21 +75,14 @@ class OfflineRig:
                     f"the {name} is of {part.shape} rays; the scene's settings say {shape}. Set "
                     "them to those of the calibration"
                 )
-        self.camera_sensor, self.sensor = sensor, sensor
+        self.camera_sensor = sensor
+        self.sensor = resampled_sensor(sensor, resampling)
         self.picture_shape = RayDomain(self.camera_shape).picture_shape
         if resampling is not None:
-            from rfpipe.photometry import CameraModel, ResampledSensor
-
-            if not isinstance(sensor, CameraModel):
-                raise InputError(
-                    "pictures of exact radiance can't be resampled to rays; give camera its "
-                    "numbers, or pictures of the rays' size"
-                )
             self.picture_shape = resampling.camera_shape
-            self.sensor = ResampledSensor(sensor, resampling)
         self._frame_shape = self.sensor.frame_shape(self.camera_shape, channels)
 
-    def capture(self, patterns: NDArray[np.float32], keys: Sequence[Key]) -> NDArray[Any]:
+    def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Return the brackets that were taken of patterns; see `rfpipe.rigs.Rig.capture`.
 
         Raises
@@ -105,17 +93,17 @@ class OfflineRig:
         patterns = check_patterns(patterns, keys, self.projector_shape)
         frames = np.empty((len(patterns), *self._frame_shape), self.sensor.frame_dtype)
         for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
-            found = None if self.brackets is None else self.brackets.bracket(tuple(key), pattern)
-            if found is None:
+            taken = self.bracket and self.bracket(tuple(key), pattern)
+            if taken is None:
                 raise PicturesNeeded(
                     f"the pictures of pattern {tuple(key)} are still to be taken: 'rfpipe "
                     "patterns' writes what to show, 'rfpipe import' reads what was taken"
                 )
-            frames[index] = found.reshape(self._frame_shape)
+            frames[index] = taken.reshape(self._frame_shape)
         return frames
 
-    def picture(self, pattern: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return what the projector shows of a pattern, (Hp, Wp): views one above the other."""
+    def picture(self, pattern: Float) -> Float:
+        """Return the projector's picture of a pattern, (Hp, Wp): views one above the other."""
         if self.layout is not None:
             return self.layout.picture(pattern)
         return np.reshape(pattern, RayDomain(self.projector_shape).picture_shape)
@@ -148,11 +136,8 @@ def offline_rig(
     StoreError
         When the calibration can't be read.
     """
-    sensor = sensor_from_config(camera)
     layout = resampling = None
     if config.calibration is not None:
-        from rfpipe.rigs.calibrated import load_calibration
-
         known = load_calibration(Path(config.calibration))
         layout, resampling = known.layout, known.resampling
     if layout is None and config.projector_shape is not None:
@@ -160,11 +145,13 @@ def offline_rig(
     if resampling is None and config.camera_corners is not None:
         assert config.picture_shape is not None  # the settings' model sees to it
         resampling = _within(config.camera_corners, camera_shape, config.picture_shape)
-    return OfflineRig(sensor, camera_shape, projector_shape, channels, layout, resampling)
+    return OfflineRig(
+        sensor_from_config(camera), camera_shape, projector_shape, channels, layout, resampling
+    )
 
 
 def _within(corners: Any, shape: tuple[int, ...], picture_shape: tuple[int, int]) -> Resampling:
-    """Return what gives a ray the mean of the camera's pixels whose middle lies on it."""
+    """Return the resampling to means of the camera's pixels whose middles lie on a ray."""
     from scipy.sparse import csr_array
 
     from rfpipe.photometry.resampling import Resampling

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +18,10 @@ from rfpipe.rigs.base import Key
 from rfpipe.rigs.offline.rig import OfflineRig
 from rfpipe.store import read_manifest, write_manifest
 
-__all__ = ["MANIFEST", "MARKERS_FIRST", "Sheet", "Shown", "read_sheet", "write_sheet"]
-
 MANIFEST = "patterns.json"
 """Beside the pictures that it names."""
 
-MARKERS_FIRST = 2
-"""Markers before the patterns: one and its opposite, which comes again after the last."""
-
 _NAMES = {BLACK_LEVEL_KEY: "black", FLOODLIT_KEY: "white", SYMMETRY_KEY: "random"}
-_MARKER = "marker"
 
 
 @dataclass(frozen=True)
@@ -39,7 +33,7 @@ class Shown:
     file : str
         Its name in the folder.
     key : tuple of int, or None
-        What the acquisition calls it; None of a marker.
+        The pattern's key; None of a marker.
     pattern : str
         Fingerprint of its weights.
     """
@@ -70,11 +64,11 @@ class Sheet:
     about: dict[str, Any]
     exposures_s: tuple[float, ...]
     picture_size: tuple[int, int]
-    shown: tuple[Shown, ...] = field(default=())
+    shown: tuple[Shown, ...]
 
     @property
     def has_markers(self) -> bool:
-        """Whether it begins and ends with markers."""
+        """Whether it begins with a marker and its opposite, and ends with the opposite."""
         return bool(self.shown) and self.shown[0].key is None
 
     @property
@@ -125,20 +119,22 @@ def write_sheet(
         write_code_picture(folder / file, rig.picture(pattern), gamma)
         shown.append(Shown(file, key, fingerprint(pattern)))
 
-    first, opposite = marker(rig.projector_shape)
+    # two by two fields of light and dark
+    height, width = rig.projector_shape[-2:]
+    row, column = np.indices(rig.projector_shape)[-2:]
+    marker = ((2 * row // height + 2 * column // width) % 2 == 0).astype(np.float32)
     if markers:
-        show(_MARKER, None, first)
-        show(_MARKER, None, opposite)
+        show("marker", None, marker)
+        show("marker", None, 1 - marker)
     for key, pattern in asked:
         show(_NAMES.get(key[0], "pattern"), key, np.asarray(pattern, np.float32))
     if markers:
-        show(_MARKER, None, opposite)
-    sheet = Sheet(
-        folder, about, tuple(rig.camera_sensor.exposures), rig.picture_shape, tuple(shown)
-    )
-    stated = asdict(sheet)
-    del stated["folder"]
-    write_manifest(folder / MANIFEST, stated)
+        show("marker", None, 1 - marker)
+    exposures = tuple(rig.camera_sensor.exposures)
+    sheet = Sheet(folder, about, exposures, rig.picture_shape, tuple(shown))
+    facts = asdict(sheet)
+    del facts["folder"]
+    write_manifest(folder / MANIFEST, facts)
     return sheet
 
 
@@ -157,18 +153,10 @@ def read_sheet(folder: Path) -> Sheet:
             f"{folder}: holds no {MANIFEST}; give the folder that 'rfpipe patterns' wrote, with "
             "the pictures taken in its folder 'pictures', or named by --pictures"
         )
-    stated = read_manifest(folder / MANIFEST)
+    facts = read_manifest(folder / MANIFEST)
     shown = tuple(
         Shown(each["file"], each["key"] and tuple(each["key"]), each["pattern"])
-        for each in stated["shown"]
+        for each in facts["shown"]
     )
-    height, width = stated["picture_size"]
-    return Sheet(folder, stated["about"], tuple(stated["exposures_s"]), (height, width), shown)
-
-
-def marker(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the marker, two by two fields of light and dark, and its opposite."""
-    row, column = np.indices(shape)[-2:]
-    down, across = 2 * row // shape[-2], 2 * column // shape[-1]
-    first = ((down + across) % 2 == 0).astype(np.float32)
-    return first, 1 - first
+    height, width = facts["picture_size"]
+    return Sheet(folder, facts["about"], tuple(facts["exposures_s"]), (height, width), shown)

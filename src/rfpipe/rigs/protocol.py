@@ -1,20 +1,23 @@
-"""What the server's JSON requests and answers hold."""
+"""What the acquisition server and its client say to each other beside patterns and brackets."""
 
 from __future__ import annotations
 
+import os
+import stat
+from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-__all__ = [
-    "Health",
-    "LeaseAnswer",
-    "LeaseRequest",
-    "Limits",
-    "Metrics",
-    "RigAnswer",
-    "StatusAnswer",
-]
+from rfpipe.errors import ConfigError
+
+API = 1
+"""Version of the interface."""
+
+_ADVICE = (
+    "make one with: (umask 077; python -c 'import secrets; print(secrets.token_urlsafe(32))' "
+    "> rig.token)"
+)
 
 
 class Health(BaseModel):
@@ -59,8 +62,8 @@ class Limits(BaseModel):
 class RigAnswer(BaseModel):
     """The rig, as `rfpipe.rigs.Rig` has it."""
 
-    camera_shape: list[int]
-    projector_shape: list[int]
+    camera_shape: tuple[int, ...]
+    projector_shape: tuple[int, ...]
     channels: int
     seconds_per_pattern: float
     sensor: dict[str, Any] = Field(description="The sensor's description.")
@@ -85,3 +88,54 @@ class LeaseAnswer(BaseModel):
 
     lease: str = Field(description="To be sent as the header Rig-Lease, and told to nobody.")
     seconds: float = Field(description="Time that it lasts without a heart-beat.")
+
+
+def read_token(file: Path | None = None, variable: str = "RFPIPE_TOKEN") -> str:
+    """Read the bearer token from a file or from the environment; never from a command line.
+
+    Parameters
+    ----------
+    file : Path, optional
+        Holds nothing but the token; nobody but its owner may read it.
+    variable : str
+        Environment variable to look into without a file.
+
+    Returns
+    -------
+    str
+        16 to 512 visible ASCII characters.
+
+    Raises
+    ------
+    ConfigError
+        When there is none, others may read the file, or the token is too short, too long or holds
+        other characters. No message shows it.
+    """
+    if file is None:
+        source, token = f"the environment variable {variable}", os.environ.get(variable, "")
+        if not token:
+            raise ConfigError(f"{source} is not set and no token file is named; {_ADVICE}")
+    else:
+        source, token = str(file), _content(file)
+    is_visible = token.isascii() and all(33 <= ord(character) <= 126 for character in token)
+    if not is_visible or not 16 <= len(token) <= 512:
+        raise ConfigError(
+            f"{source}: holds a token of {len(token)} characters; expected 16 to 512 ASCII "
+            f"letters, digits and signs without spaces; {_ADVICE}"
+        )
+    return token
+
+
+def _content(file: Path) -> str:
+    try:
+        with file.open(encoding="utf-8") as opened:
+            mode = stat.S_IMODE(os.fstat(opened.fileno()).st_mode)
+            content = opened.read(1024)
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: can't be read as a token file: {error}; {_ADVICE}") from error
+    if os.name == "posix" and mode & 0o077:
+        raise ConfigError(
+            f"{file}: has the mode {mode:o}, so that others may read the token; run: "
+            f"chmod 600 {file}"
+        )
+    return content.strip()

@@ -1,0 +1,262 @@
+"""The page of `rfpipe aim`: what the camera sees, live, to frame, focus and expose."""
+
+from __future__ import annotations
+
+import hmac
+import io
+import secrets
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
+from importlib.resources import files
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+import uvicorn
+from fastapi import Body, FastAPI, HTTPException, Request, Response
+from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
+from numpy.typing import NDArray
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+
+from rfpipe.calibration.base import camera_model
+from rfpipe.calibration.sight import SATURATED, measure_sight, sight_findings, sight_pictures
+from rfpipe.calibration.sight_picture import sight_picture
+from rfpipe.errors import RfpipeError
+from rfpipe.rigs.devices import Camera, Projector, bracket_of
+from rfpipe.server.run import bound_socket
+from rfpipe.server.settings import ServerSettings
+
+Devices = Callable[[], tuple[Projector, Camera]]
+Mode = Literal["measure", "white", "stripes", "off"]
+"""What the projector shows: all that is measured from, in turn; or one picture, held."""
+
+AGAIN_SECONDS = 2.0
+"""Wait after a device failed, before it is tried again."""
+
+_COOKIE = "rfpipe-aim"
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Content-Security-Policy": "default-src 'self'; style-src 'unsafe-inline'; "
+    "script-src 'unsafe-inline'; frame-ancestors 'none'",
+}
+
+
+def aim(devices: Devices, period: int, port: int, say: Callable[[str], object]) -> None:
+    """Serve the page of a rig on this machine alone, until SIGTERM or SIGINT.
+
+    Parameters
+    ----------
+    devices : callable
+        Returns projector and camera.
+    period : int
+        Of the stripes in projector pixels.
+    port : int
+        0 takes a free one.
+    say : callable
+        Is given the page's address, its token in it, once it can be opened.
+
+    Raises
+    ------
+    ConfigError
+        When the port is taken.
+    RfpipeError
+        When the devices can't be opened.
+    """
+    token = secrets.token_urlsafe(24)
+    watch = Watch(devices, period)
+    with bound_socket(ServerSettings(port=port)) as bound, closing(watch):
+        watch.start()
+        config = uvicorn.Config(
+            create_app(watch, token), log_config=None, access_log=False, ws="none",
+            server_header=False, proxy_headers=False, timeout_graceful_shutdown=2,
+        )  # fmt: skip
+        say(f"http://127.0.0.1:{bound.getsockname()[1]}/?token={token}")
+        with suppress(KeyboardInterrupt):  # uvicorn raises it again after its end
+            uvicorn.Server(config).run(sockets=[bound])
+
+
+def create_app(watch: Watch, token: str) -> FastAPI:
+    """Return the ASGI application of a page for one rig.
+
+    Who opens ``/?token=...`` with the token gets a cookie, and all else needs that.
+    """
+    app = FastAPI(title="rfpipe aim", openapi_url=None, docs_url=None, redoc_url=None)
+    # a page elsewhere that names this machine by a name of its own is no page of ours
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=["127.0.0.1", "localhost"])
+    page = files("rfpipe.server").joinpath("aim.html").read_text(encoding="utf-8")
+
+    def is_right(given: str | None) -> bool:
+        return hmac.compare_digest((given or "").encode(), token.encode())
+
+    @app.middleware("http")
+    async def guard(request: Request, call_next: Any) -> Response:
+        if request.url.path == "/" and is_right(request.query_params.get("token")):
+            answer: Response = RedirectResponse("/", 303)
+            answer.set_cookie(_COOKIE, token, httponly=True, samesite="strict")
+        elif is_right(request.cookies.get(_COOKIE)):
+            answer = await call_next(request)
+        else:
+            detail = "open the address that rfpipe aim printed: it has the token in it"
+            answer = JSONResponse({"detail": detail}, 401)
+        answer.headers.update(_HEADERS)
+        return answer
+
+    @app.get("/")
+    def index() -> HTMLResponse:
+        return HTMLResponse(page)
+
+    @app.get("/state.json")
+    def state() -> dict[str, Any]:
+        return watch.state
+
+    @app.get("/picture.png")
+    def picture() -> Response:
+        if not watch.look.picture:
+            raise HTTPException(404, "nothing was seen yet")
+        return Response(watch.look.picture, media_type="image/png")
+
+    @app.post("/mode", status_code=204)
+    def mode(shown: Annotated[Mode, Body(embed=True)]) -> None:
+        watch.turn(shown)
+
+    return app
+
+
+class Look(NamedTuple):
+    """The last look: its number from 1, a PNG file, and verdict, numbers and proposed bracket."""
+
+    number: int
+    picture: bytes
+    facts: dict[str, Any]
+
+
+class Watch:
+    """Shows and looks until it is closed; a device that fails is reported, and tried again.
+
+    Parameters
+    ----------
+    devices : callable
+        Returns projector and camera; is called in the thread that uses them.
+    period : int
+        Of the stripes in projector pixels.
+    """
+
+    def __init__(self, devices: Devices, period: int) -> None:
+        self._devices = devices
+        self._period = period
+        self._mode: Mode = "measure"
+        self.look = Look(0, b"", {})
+        self._error: str | None = None
+        self._stopping, self._turned, self._opened = (threading.Event() for _ in range(3))
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="aim", daemon=True)
+
+    def start(self) -> None:
+        """Open the devices and begin; raises RfpipeError when a device can't be opened."""
+        self._thread.start()
+        self._opened.wait()
+        if self._failure is not None:
+            raise self._failure
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """Plain data: the mode, the last look, and what is wrong with the devices."""
+        look = self.look
+        return {"number": look.number, "mode": self._mode, "error": self._error, **look.facts}
+
+    def turn(self, mode: Mode) -> None:
+        """Have another picture shown."""
+        self._mode = mode
+        self._turned.set()
+
+    def close(self) -> None:
+        """Give the devices back, after the exposure in hand."""
+        self._stopping.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            projector, camera = self._devices()
+        except BaseException as error:
+            self._failure = error
+            return
+        finally:
+            self._opened.set()
+        with closing(projector), closing(camera):
+            while not self._stopping.is_set():
+                self._turned.clear()
+                try:
+                    self._look_once(projector, camera)
+                    self._error = None
+                except RfpipeError as error:
+                    self._error = str(error)
+                    self._stopping.wait(AGAIN_SECONDS)
+
+    def _look_once(self, projector: Projector, camera: Camera) -> None:
+        """Take the pictures of the mode; leave it where the mode changes meanwhile."""
+        mode = self._mode
+        taken = []
+        for index, shown in enumerate(_pictures(mode, projector.shape, self._period)):
+            taken.append(bracket_of(projector, camera, shown, f"picture {index}"))
+            if self._stopping.is_set() or self._turned.is_set():
+                return
+        model = camera_model(camera)
+        times, white_level = model.exposures, model.white_level
+        if mode == "measure":
+            sight = measure_sight(taken, times, white_level, self._period)
+            found = sight_findings(sight, times, white_level)
+            picture = sight_picture(sight.white, sight.saturated, sight.dark, sight.lit)
+            proposal = ", ".join(f"{one:g}" for one in found.facts["proposed_exposures_s"])
+            facts = {
+                "standing": found.verdict.standing,
+                "verdict": found.verdict.text,
+                "saturated": found.facts["saturated_share"],
+                "dark": float(sight.dark.sum() / max(sight.lit.sum(), 1)),
+                "lit": found.facts["lit_share"],
+                "focus": found.facts["focus_contrast"],
+                "exposures": list(times),
+                "proposal": f"sensor:\n  exposures: [{proposal}]",
+            }
+        else:
+            picture, saturated = _held(taken[0], times, white_level)
+            facts = {**self.look.facts, "saturated_now": saturated}
+        self.look = Look(self.look.number + 1, _png(picture), facts)
+
+
+def _pictures(mode: Mode, shape: tuple[int, int], period: int) -> Iterator[NDArray[np.float32]]:
+    """Yield the pictures of a mode."""
+    if mode == "measure":
+        yield from sight_pictures(shape, period)
+    elif mode == "stripes":
+        y, x = np.mgrid[: shape[0], : shape[1]]
+        yield ((x % period < period / 2) ^ (y % period < period / 2)).astype(np.float32)
+    else:
+        yield np.full(shape, float(mode == "white"), np.float32)
+
+
+def _held(
+    bracket: NDArray[np.uint16], exposures: Sequence[float], white_level: int
+) -> tuple[NDArray[np.float64], float]:
+    """Return each pixel's longest exposure that isn't saturated, and the saturated share."""
+    frames = bracket if bracket.ndim == 3 else bracket.max(axis=-1)
+    full = frames >= SATURATED * white_level
+    best = np.maximum((~full).sum(axis=0) - 1, 0)[None]
+    # the darkest of a frame are about as dark as without light
+    light = frames - np.percentile(frames, 1, axis=(1, 2), keepdims=True)
+    rates = light / np.reshape(exposures, (-1, 1, 1))
+    shortest: NDArray[np.bool_] = full[0]
+    picture = sight_picture(
+        np.take_along_axis(rates, best, 0)[0], shortest, np.zeros_like(shortest)
+    )
+    return picture, float(shortest.mean())
+
+
+def _png(picture: NDArray[np.float64]) -> bytes:
+    from matplotlib.image import imsave
+
+    buffer = io.BytesIO()
+    imsave(buffer, picture, format="png", metadata={"Software": ""})
+    return buffer.getvalue()
