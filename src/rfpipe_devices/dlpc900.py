@@ -9,18 +9,17 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from itertools import islice
 from struct import pack
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from rfpipe.config.base import Settings
-from rfpipe.errors import CaptureError, InputError, installing
+from rfpipe.errors import CaptureError, InputError
+from rfpipe.rigs.cameras.bracket import load_library
 from rfpipe.rigs.devices import Closing, check_picture
 from rfpipe_devices import dlpc900_messages as say
-
-__all__ = ["Dlpc900Options", "Dlpc900Projector", "Transport", "open_usb"]
 
 Float = NDArray[np.float32]
 Device = Literal["DLP6500", "DLP670S"]
@@ -51,19 +50,6 @@ _ERRORS = {1: "controller and mirrors don't fit", 2: "reset", 3: "forced swap", 
 _log = logging.getLogger(__name__)
 
 
-class Transport(Protocol):
-    """A HID device; hidapi's `device` is one."""
-
-    def write(self, report: bytes) -> int:
-        """Send a report: its number, 0, and 64 bytes."""
-
-    def read(self, length: int, timeout_ms: int) -> list[int] | bytes:
-        """Return a report, or nothing in that time."""
-
-    def close(self) -> None:
-        """Give the device back."""
-
-
 class Dlpc900Options(Settings):
     """A projector with TI's DLPC900 controller."""
 
@@ -91,8 +77,8 @@ class Dlpc900Projector(Closing):
     serial : str, optional
     settle_seconds : float
         As `Dlpc900Options` has them.
-    transport : Transport, optional
-        In the place of the USB device.
+    transport : optional
+        In the place of the USB device: with ``write``, ``read`` and ``close`` of hidapi's `device`.
 
     Raises
     ------
@@ -111,7 +97,7 @@ class Dlpc900Projector(Closing):
         device: Device = "DLP6500",
         serial: str | None = None,
         settle_seconds: float = 0.05,
-        transport: Transport | None = None,
+        transport: Any = None,
     ) -> None:
         self.shape = SHAPES[device]
         self.settle_seconds = settle_seconds
@@ -119,7 +105,7 @@ class Dlpc900Projector(Closing):
         self._number = 0
         self._loaded = 0
         self._lock = threading.Lock()
-        self._transport: Transport | None = transport or open_usb(serial)
+        self._transport: Any = transport or open_usb(serial)
         try:
             self._tell(say.DISPLAY_START, _STOP)
             self._tell(say.DISPLAY_MODE, _ON_THE_FLY)
@@ -239,15 +225,9 @@ class Dlpc900Projector(Closing):
         return say.answer_of(answer, command, self._number)
 
 
-def open_usb(serial: str | None) -> Transport:
+def open_usb(serial: str | None) -> Any:
     """Open a DLPC900's USB device, or raise CaptureError."""
-    try:
-        import hid
-    except ImportError as error:
-        raise CaptureError(
-            f"hidapi can't be loaded: {error}. To install it, {installing('dlp')}"
-        ) from error
-    device: Any = hid.device()
+    device: Any = load_library("hid", "dlp").device()
     try:
         device.open(VENDOR, PRODUCT, serial)
     except OSError as error:
@@ -255,8 +235,7 @@ def open_usb(serial: str | None) -> Transport:
             f"projector: no DLPC900 answers on USB ({error}). Check cable and power, that this "
             "user may open the device (a udev rule for 0451:c900), and that no other program has it"
         ) from error
-    found: Transport = device
-    return found
+    return device
 
 
 def _binary(picture: Float, index: int) -> NDArray[np.bool_]:

@@ -14,24 +14,6 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
 
-__all__ = [
-    "BITS_AN_IMAGE",
-    "DISPLAY_MODE",
-    "DISPLAY_START",
-    "HARDWARE_STATUS",
-    "IMAGE_BEGIN",
-    "IMAGE_DATA",
-    "LUT_CONFIGURE",
-    "LUT_DEFINE",
-    "LUT_ORDER",
-    "MOST_DATA",
-    "PACKET",
-    "answer_of",
-    "encoded_image",
-    "lut_entry",
-    "message",
-]
-
 HARDWARE_STATUS = 0x1A0A
 DISPLAY_MODE = 0x1A1B
 DISPLAY_START = 0x1A24

@@ -28,9 +28,6 @@ from rfpipe.rigs.cameras.bracket import (
     BracketCamera,
     Offset,
     PictureExtent,
-    Reconnects,
-    ReconnectSeconds,
-    Retries,
     TimeoutSeconds,
 )
 from rfpipe.rigs.optics import Scenery
@@ -59,6 +56,12 @@ MANUAL = ("expprogram", "autoexposuremode", "autoexposuremodedial")
 
 MIRROR: dict[str, int | str] = {"mirrorlock": 1, "exposuredelaymode": "On"}
 """Canon's and Nikon's ways to keep the mirror still; Sony's cameras have none."""
+
+MIRROR_SECONDS = 1.0
+"""Wait after it is raised."""
+
+LEAST_BATTERY = 20
+"""Charge in per cent below which a line warns."""
 
 _log = logging.getLogger(__name__)
 
@@ -99,14 +102,8 @@ class PhotoOptions(Settings):
         description="Whether the mirror is raised before each exposure, where the camera can: true "
         "or false.",
     )
-    mirror_seconds: float = Field(
-        1.0, ge=0, le=30, description="Wait after it is raised, in seconds, 0 to 30."
-    )
     keep_pictures: bool = Field(
         False, description="Whether the pictures stay on the camera's card, too: true or false."
-    )
-    least_battery: int = Field(
-        20, ge=0, le=100, description="Charge in per cent below which a line warns, 0 to 100."
     )
     settings: dict[str, bool | int | float | str] = Field(
         default_factory=dict,
@@ -114,9 +111,6 @@ class PhotoOptions(Settings):
         "{whitebalance: Daylight}.",
     )
     timeout_seconds: TimeoutSeconds = 30.0
-    retries: Retries = 3
-    reconnects: Reconnects = 5
-    reconnect_seconds: ReconnectSeconds = 2.0
     virtual: Text | None = Field(
         None,
         description="Folder of a raw file, named as if it were a .jpg, that libgphoto2's virtual "
@@ -164,7 +158,6 @@ class PhotoCamera(BracketCamera):
         self._model = ""
         self._times: dict[float, ShutterTime] = {}
         self._shown = ""
-        self._battery = 101
         if self._options.virtual is not None:
             use_virtual(Path(self._options.virtual))
         self.shape = self._open()
@@ -217,7 +210,7 @@ class PhotoCamera(BracketCamera):
             self._shown = shutter.name
         if self._options.mirror_lock and photo.get("mirrorlock") is not None:
             photo.release()  # the first release raises the mirror
-            time.sleep(self._options.mirror_seconds)
+            time.sleep(MIRROR_SECONDS)
         photo.release()
         patience = shutter.seconds + self._options.timeout_seconds
         return photo.picture(patience, keep=self._options.keep_pictures)
@@ -354,15 +347,14 @@ class PhotoCamera(BracketCamera):
         )
 
     def _look_at_battery(self) -> None:
-        """Warn of a battery that may not last; again when it has lost five per cent."""
+        """Warn of a battery that may not last."""
         assert self._photo is not None
         level = self._photo.get("batterylevel")
         if level is None:
             return
         found = re.match(r"(\d+)", str(level))
         charge = int(found[1]) if found else 100 * (str(level).lower() != "low")
-        if charge < self._options.least_battery and charge <= self._battery - 5:
-            self._battery = charge
+        if charge < LEAST_BATTERY:
             _log.warning(
                 "%s: its battery is at %s; a night takes mains power (a dummy battery)",
                 self._name, level,

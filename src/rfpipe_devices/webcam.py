@@ -27,9 +27,6 @@ from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.cameras.bracket import (
     BracketCamera,
     PictureExtent,
-    Reconnects,
-    ReconnectSeconds,
-    Retries,
     load_library,
 )
 from rfpipe.rigs.optics import Scenery
@@ -80,10 +77,6 @@ class WebcamOptions(Settings):
         default_factory=dict,
         description="Further settings, as OpenCV names its CAP_PROP_..., such as {GAIN: 0}.",
     )
-    retries: Retries = 3
-    reconnects: Reconnects = 5
-    reconnect_seconds: ReconnectSeconds = 2.0
-    timeout_seconds: ClassVar[float] = 0.0  # OpenCV's own
 
 
 class Webcam(BracketCamera):

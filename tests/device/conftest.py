@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 from tests.displays import DISPLAYS
 
+from rfpipe.rigs.cameras.bracket import BracketCamera
 from rfpipe.rigs.displays import VirtualDisplay, XServer, memory_display
 
+BracketCamera.reconnect_seconds = 0.0  # virtual cameras are back at once
 os.environ["PYLON_CAMEMU"] = "1"  # before pypylon is loaded
 
 

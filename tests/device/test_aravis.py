@@ -20,7 +20,7 @@ from rfpipe_devices.aravis_library import AravisNodes
 SENSOR = CameraModel(exposures=(0.001, 0.01, 0.1), bits=16)
 SHAPE = (40, 48)
 PICTURE = np.random.default_rng(0).integers(0, 2**16, SHAPE)
-QUICK = {"timeout_seconds": 1.5, "reconnect_seconds": 0.0}
+QUICK = {"timeout_seconds": 1.5}
 
 
 pytestmark = pytest.mark.needs("aravis")
@@ -267,10 +267,10 @@ def test_a_lost_camera_is_found_again(
 
 
 def test_a_camera_that_stays_away_is_an_error_with_advice(monkeypatch: pytest.MonkeyPatch) -> None:
-    with FilledCamera(PICTURE, SENSOR, **QUICK, reconnects=2) as camera:
+    with FilledCamera(PICTURE, SENSOR, **QUICK) as camera:
         lose(monkeypatch, 1)
         monkeypatch.setattr("rfpipe_devices.aravis.connected", lambda fake: [])
         with pytest.raises(
-            CaptureError, match=r"was lost \(Timeout .* not found again in 2 attempts.*power, cable"
+            CaptureError, match=r"was lost \(Timeout .* not found again in 5 attempts.*power, cable"
         ):
             camera.expose()

@@ -21,7 +21,7 @@ SHAPE = (48, 60)
 BLACK, WHITE = 600, 15_300
 COUNTS = np.random.default_rng(0).integers(BLACK, WHITE, SHAPE).astype(np.uint16)
 QUICK: dict[str, Any] = {
-    "timeout_seconds": 1.0, "reconnect_seconds": 0.0, "reconnects": 1, "keep_pictures": True,
+    "timeout_seconds": 1.0, "keep_pictures": True,
 }  # fmt: skip
 
 
@@ -185,10 +185,13 @@ def test_a_camera_of_another_name_is_missed_with_advice(tmp_path: Path) -> None:
         camera_of(tmp_path, model="EOS R5")
 
 
-def test_a_low_battery_warns(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_low_battery_warns(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with camera_of(tmp_path):  # the virtual one is at 50 %
         assert "battery" not in caplog.text
-    with camera_of(tmp_path, least_battery=60):
+    monkeypatch.setattr("rfpipe_devices.gphoto.LEAST_BATTERY", 60)
+    with camera_of(tmp_path):
         assert "its battery is at 50%" in caplog.text
 
 
@@ -236,10 +239,9 @@ def test_the_mirror_is_raised_by_a_release_of_its_own(
     canon = WithMore(monkeypatch, mirrorlock=1)
     released = []
     release = Photo.release
+    monkeypatch.setattr("rfpipe_devices.gphoto.MIRROR_SECONDS", 0.0)
     with camera_of(tmp_path) as camera:
-        camera._options = camera._options.model_copy(
-            update={"mirror_lock": True, "mirror_seconds": 0.0}
-        )
+        camera._options = camera._options.model_copy(update={"mirror_lock": True})
         camera._restart()
         assert canon.made["mirrorlock"] == 1
 

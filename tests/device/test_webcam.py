@@ -17,7 +17,7 @@ from rfpipe_devices.webcam import VirtualUvc, Webcam
 SENSOR = CameraModel(exposures=(0.03,), bits=8, black_level_counts=2)
 SHAPE = (24, 30)
 PICTURE = np.random.default_rng(0).integers(0, 256, (*SHAPE, 3)).astype(np.uint8)
-QUICK: dict[str, Any] = {"reconnect_seconds": 0.0, "skip_frames": 1}
+QUICK: dict[str, Any] = {"skip_frames": 1}
 
 
 def sequence(folder: Path, frames: int = 40, picture: np.ndarray = PICTURE) -> str:

@@ -100,7 +100,7 @@ def fuzz(operation: Any, mode: GenerationMode, session: Any, seen: Counter[int])
 
 LEAVES = st.one_of(
     st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=8),
-    st.sampled_from(["labels", "bits", "levels", "weights", "<f4", "|u1", "<u2", 2**31, 10**30]),
+    st.sampled_from(["<f4", "|u1", "<u2", 2**31, 10**30]),
 )  # fmt: skip
 VALUES = st.recursive(
     LEAVES, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner)
@@ -114,7 +114,7 @@ def test_no_message_makes_the_server_fail(server: Running) -> None:
     patterns[0, 1], patterns[1, 2] = 1, 1
     bodies = [
         encode_patterns(shown, [(1, 0), (1, 1)])
-        for shown in (patterns, 1 - patterns, patterns * np.float32(0.3), patterns * 51 / 255)
+        for shown in (patterns, 1 - patterns, patterns * np.float32(0.3))
     ]
     seen: Counter[int] = Counter()
     with server.http() as http:

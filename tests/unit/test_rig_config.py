@@ -106,7 +106,7 @@ def test_further_nodes_keep_their_types() -> None:
         ({"projector": {"options": {"settle_second": 1}}}, "did you mean settle_seconds?"),
         ({"camera": {"options": {"pixel_format": "Mono12p"}}},
          "camera.options.pixel_format is 'Mono12p'"),
-        ({"camera": {"options": {"retries": 2.5}}}, "camera.options.retries is 2.5"),
+        ({"camera": {"options": {"gain_db": -1}}}, "camera.options.gain_db is -1"),
         ({"camera": {"options": {"pixel_format": "BayerRG8"}}},
          "sensor.bits should be 8 with camera.options.pixel_format BayerRG8, not 12"),
         ({"camera": {"options": {"pixel_format": "BayerRG12"}}},

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.sequences import SequenceFaults, SimulatedSequences
 
 from rfpipe import acquire
 from rfpipe.errors import InputError
@@ -19,7 +20,6 @@ from rfpipe.stages.results import write_bundle
 from rfpipe.store import FrameStore
 from rfpipe.testing import RigContract
 from rfpipe_devices.sequences import Playlist
-from rfpipe_devices.simulated_sequences import SequenceFaults, SimulatedSequences
 
 RAYS = (12, 14)
 COUNT = 13

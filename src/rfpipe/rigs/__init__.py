@@ -13,9 +13,8 @@ from rfpipe.rigs.base import Rig
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
-from rfpipe.rigs.operator import OperatorRig
+from rfpipe.rigs.operator import OperatorRig, SimulatedRig
 from rfpipe.rigs.remote import RemoteRig
-from rfpipe.rigs.simulated import SimulatedRig
 
 __all__ = [
     "BLACK_LEVEL_KEY",

@@ -16,8 +16,6 @@ from rfpipe.rigs.simulated import SimulatedRig
 if TYPE_CHECKING:
     from rfpipe.config import RigConfig
 
-__all__ = ["devices_from_config", "rig_from_config"]
-
 
 def rig_from_config(config: RigConfig) -> Rig:
     """Return the rig of a settings file; close it, if it has devices, when done.

@@ -11,17 +11,6 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 
-__all__ = [
-    "Quadrilateral",
-    "apply_homography",
-    "centred_corners",
-    "homography",
-    "lie_within",
-    "pixel_middles",
-    "rectangle",
-    "tilted_corners",
-]
-
 Double = NDArray[np.float64]
 Quadrilateral = Sequence[tuple[float, float]]
 """(x, y) of the upper left, upper right, lower right and lower left corner of a view's rays, in

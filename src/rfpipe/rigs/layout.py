@@ -22,8 +22,6 @@ from rfpipe.rigs.geometry import (
     pixel_middles,
 )
 
-__all__ = ["DARK", "ProjectorLayout"]
-
 Float = NDArray[np.float32]
 
 DARK = -1

@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
-from typing import IO, Annotated, Any, Literal
+from typing import IO, Annotated, Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -26,7 +26,6 @@ from rfpipe.rigs.base import check_patterns
 MEDIA_TYPE = "application/octet-stream"
 
 Float = NDArray[np.float32]
-Kind = Literal["labels", "bits", "levels", "weights"]
 
 _FACTS = "facts.json"
 _MOST_MEMBERS = 4096
@@ -170,15 +169,13 @@ class SentPatterns:
 
     Attributes
     ----------
-    kind : str
-    array : ndarray
-        The patterns, as `encode_patterns` tells those of that kind.
+    array : ndarray of uint8 or float32
+        As `encode_patterns` sends it.
     projector_shape : tuple of int
     keys : list of tuple of int
         A key for each pattern.
     """
 
-    kind: Kind
     array: NDArray[Any]
     projector_shape: tuple[int, ...]
     keys: list[tuple[int, ...]]
@@ -188,34 +185,27 @@ class SentPatterns:
 
     def expanded(self, first: int, last: int) -> Float:
         """Return patterns [first, last) as weights, (last - first, *projector_shape)."""
-        if self.kind == "labels":
-            numbers = np.arange(first + 1, last + 1).reshape(-1, *(1,) * self.array.ndim)
-            return np.asarray(self.array[None] == numbers, np.float32)
         some = self.array[first:last]
-        if self.kind == "levels":
-            return _of_levels(some)
-        if self.kind == "bits":
-            bits = np.unpackbits(some, axis=1, count=prod(self.projector_shape))
-            return bits.astype(np.float32).reshape(-1, *self.projector_shape)
-        return np.asarray(some, np.float32)
+        if some.dtype == np.uint8:
+            some = np.unpackbits(some, axis=1, count=prod(self.projector_shape))
+        return np.asarray(some, np.float32).reshape(-1, *self.projector_shape)
 
 
 def encode_patterns(patterns: Float, keys: Sequence[Sequence[int]]) -> bytes:
-    """Return the message that asks for brackets of patterns, without loss and compact.
+    """Return the message that asks for brackets of patterns, without loss.
+
+    Patterns of ones and zeros go as bits, which deflate makes small; others as float32.
 
     Parameters
     ----------
     patterns : ndarray of float32, shape (B, *projector_shape)
     keys : sequence of B sequences of int
-
-    Notes
-    -----
-    Disjoint patterns of ones, as a level of blocks has them, go as one image of pattern numbers;
-    other ones and zeros as bits; multiples of 1/255 as bytes; the rest as float32.
     """
-    kind, array = _compact(patterns)
-    facts = {"patterns": kind, "keys": [[int(part) for part in key] for key in keys]}
-    return pack(facts, {"patterns": array}, deflate=kind in ("labels", "bits"))
+    lit = patterns == 1
+    is_binary = bool((lit | (patterns == 0)).all())
+    array = np.packbits(lit.reshape(len(patterns), -1), axis=1) if is_binary else patterns
+    facts = {"keys": [[int(part) for part in key] for key in keys]}
+    return pack(facts, {"patterns": array}, deflate=is_binary)
 
 
 def decode_patterns(
@@ -230,7 +220,7 @@ def decode_patterns(
     most : int
         Patterns that may come at a time.
     most_bytes : int
-        Bytes that the patterns may take as they are sent, after decompression.
+        Bytes that the patterns may take, after decompression.
 
     Raises
     ------
@@ -252,10 +242,14 @@ def decode_patterns(
     if not 1 <= len(sent.keys) <= most:
         raise TransferError(f"{len(sent.keys)} patterns; this rig shows 1 to {most} a request")
     array, keys = arrays["patterns"], [tuple(key) for key in sent.keys]
-    _check_form(sent.patterns, array, (len(keys), *projector_shape))
-    if sent.patterns == "weights":
+    bits, whole = (len(keys), -(-prod(projector_shape) // 8)), (len(keys), *projector_shape)
+    if (array.dtype.str, array.shape) not in (("|u1", bits), ("<f4", whole)):
+        raise TransferError(
+            f"the patterns are {array.dtype.str} {array.shape}; expected |u1 {bits} or <f4 {whole}"
+        )
+    if array.dtype == np.float32:
         check_patterns(array, keys, projector_shape)
-    return SentPatterns(sent.patterns, array, projector_shape, keys)
+    return SentPatterns(array, projector_shape, keys)
 
 
 _KeyPart = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
@@ -265,44 +259,4 @@ _Key = Annotated[list[_KeyPart], Field(min_length=1, max_length=8)]
 class _Facts(BaseModel):
     """What a message says of its patterns."""
 
-    patterns: Kind
     keys: Annotated[list[_Key], Field(max_length=_MOST_MEMBERS)]
-
-
-def _check_form(kind: Kind, array: NDArray[Any], shape: tuple[int, ...]) -> None:
-    """Raise TransferError where an array can't tell patterns of this kind and shape."""
-    count, rays = shape[0], prod(shape[1:])
-    expected = {
-        "labels": (("|u1", "<u2"), shape[1:]),
-        "bits": (("|u1",), (count, -(-rays // 8))),
-        "levels": (("|u1",), shape),
-        "weights": (("<f4",), shape),
-    }
-    dtypes, form = expected[kind]
-    if array.dtype.str not in dtypes or array.shape != form:
-        raise TransferError(
-            f"patterns as {kind} are {array.dtype.str} {array.shape}; expected {dtypes} {form}"
-        )
-    if kind == "labels" and int(array.max(initial=0)) > count:
-        raise TransferError(f"a ray belongs to pattern {array.max()} of {count}")
-
-
-def _compact(patterns: Float) -> tuple[Kind, NDArray[Any]]:
-    """Return the kind and array that tell all of the patterns in the fewest bytes."""
-    lit = patterns == 1
-    if not (lit | (patterns == 0)).all():
-        steps = np.clip(np.nan_to_num(np.rint(patterns * np.float32(255))), 0, 255)
-        levels = steps.astype(np.uint8)
-        is_exact = np.array_equal(_of_levels(levels), patterns)
-        return ("levels", levels) if is_exact else ("weights", np.asarray(patterns, np.float32))
-    count = len(patterns)
-    if count < 2**16 and np.count_nonzero(lit) == np.count_nonzero(lit.any(axis=0)):
-        labels = np.zeros(patterns.shape[1:], np.uint8 if count < 2**8 else np.uint16)
-        for index, pattern in enumerate(lit, start=1):
-            labels[pattern] = index
-        return "labels", labels
-    return "bits", np.packbits(lit.reshape(count, -1), axis=1)
-
-
-def _of_levels(levels: NDArray[np.uint8]) -> Float:
-    return np.asarray(np.divide(levels, 255, dtype=np.float32))

@@ -33,17 +33,6 @@ TimeoutSeconds = Annotated[
         "most 600.",
     ),
 ]
-Retries = Annotated[
-    int, Field(ge=0, le=100, description="How often a failed frame is taken again, 0 to 100.")
-]
-Reconnects = Annotated[
-    int, Field(ge=0, le=1000, description="How often a lost camera is looked for, 0 to 1000.")
-]
-ReconnectSeconds = Annotated[
-    float,
-    Field(ge=0, le=600, description="Wait before each of these attempts in seconds, 0 to 600."),
-]
-
 _log = logging.getLogger(__name__)
 
 
@@ -68,8 +57,10 @@ class BracketCamera(Closing, ABC):
     Attributes
     ----------
     Options : type
-        The driver's settings, with ``timeout_seconds``, ``retries``, ``reconnects`` and
-        ``reconnect_seconds``.
+        The driver's settings, ``timeout_seconds`` among them where its library waits for none.
+    attempts, reconnects, reconnect_seconds : int, int, float
+        Times that a frame is taken, that a lost camera is looked for, and the wait before each: a
+        server's clients ask for longer.
     channels : int
         Of a frame: 1 of a grey camera and under a mosaic, or 3.
     statistics : dict of str to int
@@ -82,6 +73,9 @@ class BracketCamera(Closing, ABC):
     """
 
     Options: ClassVar[type[Settings]]
+    attempts: ClassVar[int] = 4
+    reconnects: ClassVar[int] = 5
+    reconnect_seconds: ClassVar[float] = 2.0
     advice: ClassVar[str] = "Check its cable and the load of its port (packet size, USB hub)"
     faults: tuple[type[Exception], ...] = ()
 
@@ -156,8 +150,7 @@ class BracketCamera(Closing, ABC):
 
     def _exposure(self, exposure: float) -> Counts:
         """Take one frame, again where it fails."""
-        attempts = self._options.retries + 1
-        for attempt in range(attempts):
+        for attempt in range(self.attempts):
             try:
                 self._check_open()
                 frame, problem = self._frame(exposure)
@@ -170,21 +163,20 @@ class BracketCamera(Closing, ABC):
                 self._reconnect(problem)
             _log.warning(
                 "%s, exposure %g s, attempt %d of %d: %s",
-                self._name, exposure, attempt + 1, attempts, problem,
+                self._name, exposure, attempt + 1, self.attempts, problem,
             )  # fmt: skip
         raise CaptureError(
-            f"{self._name}: no good frame of {exposure:g} s in {attempts} attempts; "
-            f"the last: {problem}. {self.advice}, or raise camera.timeout_seconds or "
-            "camera.retries"
+            f"{self._name}: no good frame of {exposure:g} s in {self.attempts} attempts; "
+            f"the last: {problem}. {self.advice}, or raise camera.timeout_seconds"
         )
 
     def _reconnect(self, reason: str) -> None:
         """Find the camera again."""
         _log.warning("%s was lost: %s", self._name, reason)
-        problem, attempts = reason, self._options.reconnects
+        problem, attempts = reason, self.reconnects
         for attempt in range(attempts):
             self._drop()
-            time.sleep(self._options.reconnect_seconds)
+            time.sleep(self.reconnect_seconds)
             try:
                 shape = self._open()
             except CaptureError as error:

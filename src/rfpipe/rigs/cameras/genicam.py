@@ -19,9 +19,6 @@ from rfpipe.rigs.cameras.bracket import (
     BracketCamera,
     Offset,
     PictureExtent,
-    Reconnects,
-    ReconnectSeconds,
-    Retries,
     TimeoutSeconds,
 )
 
@@ -87,9 +84,6 @@ class GenicamOptions(Settings):
         0.0, ge=0, le=48, description="Gain in decibels, fixed, 0 to 48; 0 has the least noise."
     )
     timeout_seconds: TimeoutSeconds = 2.0
-    retries: Retries = 3
-    reconnects: Reconnects = 5
-    reconnect_seconds: ReconnectSeconds = 2.0
     nodes: dict[str, bool | int | float | str] = Field(
         default_factory=dict,
         description="Further settings of the camera, as its manual names them, such as "
