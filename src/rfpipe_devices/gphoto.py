@@ -26,10 +26,9 @@ from rfpipe.pictures.dng import dng_bytes
 from rfpipe.pictures.raw import Raw, read_raw
 from rfpipe.rigs.cameras.bracket import (
     BracketCamera,
-    Offset,
-    PictureExtent,
     TimeoutSeconds,
 )
+from rfpipe.rigs.devices import Offset, PictureExtent
 from rfpipe.rigs.optics import Scenery
 from rfpipe_devices.gphoto_library import (
     Photo,

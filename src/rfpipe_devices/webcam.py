@@ -26,9 +26,9 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.cameras.bracket import (
     BracketCamera,
-    PictureExtent,
     load_library,
 )
+from rfpipe.rigs.devices import PictureExtent
 from rfpipe.rigs.optics import Scenery
 
 Counts = NDArray[np.uint16]

@@ -3,7 +3,6 @@
 And the rig's contract on it, as on any rig of hardware; all on either kind of display.
 """
 
-import json
 import os
 import signal
 import subprocess
@@ -19,11 +18,11 @@ from tests.waiting import wait_until
 
 from rfpipe.config import RigConfig, parse_rig_config
 from rfpipe.errors import CaptureError, ConfigError
+from rfpipe.keys import BLACK_LEVEL_KEY
 from rfpipe.photometry import MergeOptions
-from rfpipe.rigs import BLACK_LEVEL_KEY, DeviceRig
+from rfpipe.rigs import DeviceRig
 from rfpipe.rigs.bench import optical_path
 from rfpipe.rigs.build import devices_from_config, rig_from_config
-from rfpipe.rigs.calibrated import sensor_of
 from rfpipe.rigs.displays import XServer
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
 
@@ -78,13 +77,6 @@ class TestBenchAsARig(RigContract):
 
     def make_rig(self) -> DeviceRig:
         return bench()
-
-
-class TestBenchInColour(RigContract):
-    repeatable = False
-
-    def make_rig(self) -> DeviceRig:
-        return bench(**COLOUR)
 
 
 class TestBenchCamera(CameraContract):
@@ -173,12 +165,6 @@ def test_the_camera_has_its_own_numbers() -> None:
         assert rig.sensor.describe()["black_level_counts"] == 64
 
 
-def test_frames_of_one_pattern_have_their_own_noise(rig: DeviceRig) -> None:
-    white = np.ones((2, *RAYS), np.float32)
-    first, second = rig.capture(white, [(0, 0), (0, 1)])
-    assert not np.array_equal(first, second)
-
-
 def test_a_lost_camera_does_not_lose_the_bench(rig: DeviceRig) -> None:
     white = np.ones((1, *RAYS), np.float32)
     before = rig.capture(white, [(0, 0)])
@@ -197,15 +183,6 @@ def test_a_lost_display_names_the_pattern(monkeypatch: pytest.MonkeyPatch) -> No
         projector._server.close()
         with pytest.raises(CaptureError, match=r"pattern \(3, 14\): projector on display"):
             rig.capture(np.ones((1, *RAYS), np.float32), [(3, 14)])
-
-
-def test_a_line_says_which_display_it_is(
-    either_display: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    with caplog.at_level("INFO", "rfpipe.rigs.bench"), bench():
-        [said] = [record.message for record in caplog.records if "projector" in record.message]
-    assert ("apt-get install xvfb" in said) is (either_display == "memory")
-    assert "X server" in said
 
 
 def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,24 +221,6 @@ def test_a_killed_bench_leaves_no_process_behind(tmp_path: Path, either_display:
     if either_display == "x server":
         ends.append(Path(f"/tmp/.X11-unix/X{name.removeprefix(':')}"))
     wait_until(lambda: not any(path.exists() for path in ends), "the end of window and display")
-
-
-def test_the_description_is_plain_and_tells_of_the_scene(rig: DeviceRig) -> None:
-    described = json.loads(json.dumps(rig.describe()))
-    assert described["camera"]["kind"] == "bench"
-    assert described["camera"]["scene"]["scene"]["shape"] == list(RAYS)
-    with bench(bench={"projector_gamma": 1.8}) as other:
-        assert other.describe() != rig.describe()
-
-
-def test_the_devices_count_what_happens() -> None:
-    with bench() as rig:
-        rig.capture(np.ones((3, *RAYS), np.float32), [(0, index) for index in range(3)])
-        assert rig.statistics == {
-            "projector": {"shown": 3, "reopened": 0, "disturbed": 0},
-            "camera": {"frames": 6, "failed": 0, "timed_out": 0, "reconnected": 0},
-            "brackets": {"doubted": 0, "stale": 0},
-        }
 
 
 @pytest.mark.needs("xvfb")
@@ -304,10 +263,6 @@ def test_a_simulated_rig_has_no_devices() -> None:
     assert rig.capture(np.ones((1, 4, 5), np.float32), [(0, 0)]).shape == (1, 4, 4, 5, 3)
     with pytest.raises(ConfigError, match="the rig is simulated; expected one of devices"):
         devices_from_config(config)
-
-
-def test_the_sensor_is_that_of_the_settings() -> None:
-    assert sensor_of(settings()).exposures == (1 / 64, 1 / 8)
 
 
 def test_a_knock_moves_the_picture_from_then_on() -> None:

@@ -38,33 +38,6 @@ def test_a_sequence_gives_what_one_by_one_gives(rig: DeviceRig) -> None:
     assert np.abs(frames - one_by_one).mean() < 0.05 * step
 
 
-def test_a_trigger_that_the_camera_misses_is_mended(rig: DeviceRig) -> None:
-    trigger, count = rig.projector.trigger, 0
-
-    def missing() -> None:
-        nonlocal count
-        count += 1
-        if count != 9:
-            trigger()
-
-    before = rig.statistics["sequences"]["lost"]
-    rig.projector.trigger = missing
-    try:
-        frames = rig.show_sequence(*shown()).astype(float)
-    finally:
-        rig.projector.trigger = trigger
-    one_by_one = rig.capture(*shown()).astype(float)
-    step = np.abs(one_by_one[1:] - one_by_one[:-1]).mean()
-    assert (np.abs(frames - one_by_one).mean(axis=(1, 2, 3, 4)) < 0.1 * step).all()
-    assert rig.statistics["sequences"]["lost"] > before
-    assert rig.statistics["sequences"]["one_by_one"] == 0
-
-
-def test_software_triggers_work_again_after_a_sequence(rig: DeviceRig) -> None:
-    rig.show_sequence(*shown())
-    assert rig.capture(shown()[0][:1], [(0, 0)]).shape[0] == 1
-
-
 def test_without_a_line_there_are_no_sequences() -> None:
     with bench() as plain:
         assert plain.sequence_patterns == 0
@@ -88,9 +61,3 @@ def test_an_input_that_stays_silent_is_given_up_in_time() -> None:
         assert camera.expose().shape[0] == 2
         with pytest.raises(CaptureError, match="isn't armed"):
             camera.collect()
-
-
-def test_an_input_that_the_camera_lacks_is_named() -> None:
-    line = {"camera": {"options": {"sequence_line": "Line99"}}}
-    with bench(**line) as rig, pytest.raises(CaptureError, match=r"refuses TriggerSource = Line99"):
-        rig.camera.arm(1 / 64, 5)

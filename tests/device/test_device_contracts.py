@@ -48,24 +48,11 @@ class TestSimulatedCamera(CameraContract):
         return camera
 
 
-class TestSimulatedColourCamera(CameraContract):
-    def make_camera(self) -> SimulatedCamera:
-        sensor = CameraModel(exposures=(1 / 64, 1 / 16), bayer="GBRG")
-        return SimulatedCamera(lambda: np.full((10, 12, 3), 0.5), (10, 12), 3, sensor)
-
-
 class TestRigOfDevices(RigContract):
     repeatable = False
 
     def make_rig(self) -> DeviceRig:
         return DeviceRig(*devices(), ProjectorLayout.grid(PROJECTOR, RAYS))
-
-
-class TestRigWithoutLayout(RigContract):
-    repeatable = False
-
-    def make_rig(self) -> DeviceRig:
-        return DeviceRig(*devices())
 
 
 class TestResampledRig(RigContract):
@@ -121,13 +108,6 @@ def test_a_wrong_bracket_names_the_pattern(frames: np.ndarray, what: str) -> Non
         pytest.raises(CaptureError, match=rf"pattern \(2, 7\): the camera returned {what}|{what}"),
     ):
         rig.capture(np.ones((1, *PROJECTOR), np.float32), [(2, 7)])
-
-
-def test_a_device_that_fails_names_the_pattern() -> None:
-    projector, camera = devices()
-    camera.close()
-    with pytest.raises(CaptureError, match=r"pattern \(2, 7\): the simulated camera is closed"):
-        DeviceRig(projector, camera).capture(np.ones((1, *PROJECTOR), np.float32), [(2, 7)])
 
 
 class BrokenProjector(SimulatedProjector):
@@ -214,10 +194,3 @@ def test_the_contract_finds_what_is_wrong_with_a_camera(fault: str, test: str) -
 
     with pytest.raises(AssertionError):
         getattr(Contract(), f"test_{test}")()
-
-
-def test_subclasses_must_make_their_device() -> None:
-    with pytest.raises(NotImplementedError, match=r"must define make_projector\(\)"):
-        ProjectorContract().test_shape()
-    with pytest.raises(NotImplementedError, match=r"must define make_camera\(\)"):
-        CameraContract().test_shapes()

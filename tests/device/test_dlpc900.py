@@ -160,8 +160,3 @@ def test_a_rig_takes_binary_patterns_by_sequences(missed: set[int]) -> None:
         assert rig.statistics["sequences"]["played"] == played
     step = np.abs(one_by_one[1:] - one_by_one[:-1]).mean()
     assert (np.abs(frames - one_by_one).mean(axis=(1, 2, 3, 4)) < 0.1 * step).all()
-
-
-def test_without_a_device_it_says_what_to_do() -> None:
-    with pytest.raises(CaptureError, match=r"no DLPC900 answers on USB|rfpipe\[dlp\]"):
-        dlpc900.open_usb(None)

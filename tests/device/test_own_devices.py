@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from rfpipe import acquire
 from rfpipe.cli import app
 from rfpipe.config import RigConfig, load_rig_config, parse_rig_config
-from rfpipe.errors import ConfigError, InputError
+from rfpipe.errors import ConfigError
 from rfpipe.photometry import CameraModel
 from rfpipe.plugins import CAMERAS, PROJECTORS, find
 from rfpipe.rigs import DeviceRig
@@ -116,10 +116,3 @@ def test_mistakes_are_explained(settings: dict[str, Any], expected: str) -> None
     with pytest.raises(ConfigError) as caught:
         parse_rig_config(settings, "rig.yaml")
     assert expected in str(caught.value)
-
-
-def test_an_option_that_a_driver_without_a_model_does_not_take() -> None:
-    camera = {"driver": f"{EXAMPLE}:DeskCamera", "options": {"gain": 2}}
-    config = parse_rig_config({**PAIR, "camera": camera}, "rig.yaml")
-    with pytest.raises(InputError, match=r"DeskCamera: .*'gain'; it is made with sensor, seed"):
-        devices_from_config(config)

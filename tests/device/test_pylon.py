@@ -53,12 +53,6 @@ class TestGreyCamera(CameraContract):
         return PylonCamera(SENSOR, shape=SHAPE, nodes={"TestImageSelector": "Testimage1"}, **QUICK)
 
 
-class TestCameraWithMosaic(CameraContract):
-    def make_camera(self) -> PylonCamera:
-        sensor = replace(SENSOR, bayer="GRBG", bits=10)
-        return PylonCamera(sensor, shape=SHAPE, nodes={"TestImageSelector": "Testimage1"}, **QUICK)
-
-
 @pytest.mark.parametrize("bits", [8, 10, 12, 16])
 @pytest.mark.parametrize("bayer", [None, "RGGB", "GRBG", "GBRG", "BGGR"])
 def test_counts_arrive_bit_for_bit(bits: int, bayer: str | None, tmp_path: Path) -> None:
@@ -68,12 +62,6 @@ def test_counts_arrive_bit_for_bit(bits: int, bayer: str | None, tmp_path: Path)
         assert camera.describe()["pixel_format"].endswith(str(bits))
         bracket = camera.expose().reshape(3, *SHAPE)
     assert (bracket == counts >> (16 - bits)).all()
-
-
-def test_a_part_of_the_sensor(tmp_path: Path) -> None:
-    with PylonCamera(SENSOR, shape=SHAPE, offset=(8, 16), **QUICK) as camera:
-        assert camera.shape == SHAPE
-        assert (camera._camera.OffsetY.Value, camera._camera.OffsetX.Value) == (8, 16)
 
 
 def test_nothing_adapts(camera: PylonCamera) -> None:
@@ -91,15 +79,6 @@ def test_what_another_program_left_is_undone() -> None:
         assert camera._camera.Gain.Value == pytest.approx(12, abs=0.1)
     with PylonCamera(SENSOR, shape=SHAPE, **QUICK) as camera:
         assert camera._camera.Gain.Value == 0
-
-
-def test_each_exposure_has_its_time(monkeypatch: pytest.MonkeyPatch, camera: PylonCamera) -> None:
-    times = []
-    monkeypatch.setattr(
-        camera, "_before_trigger", lambda _: times.append(camera._camera.ExposureTime.Value)
-    )
-    camera.expose()
-    assert times == [1000, 10_000, 100_000]
 
 
 def test_failed_frames_are_taken_again(
@@ -122,21 +101,6 @@ def test_a_camera_that_always_fails_is_an_error_with_advice(
         ):
             camera.expose()
         assert camera.expose().shape == (3, *SHAPE, 1)
-
-
-def test_a_frame_that_does_not_come_is_taken_again(
-    monkeypatch: pytest.MonkeyPatch, camera: PylonCamera
-) -> None:
-    forgotten = iter([True])
-    trigger = type(camera._camera).ExecuteSoftwareTrigger
-
-    def forgetful(device: Any) -> None:
-        if not next(forgotten, False):
-            trigger(device)
-
-    monkeypatch.setattr(type(camera._camera), "ExecuteSoftwareTrigger", forgetful)
-    assert camera.expose().shape == (3, *SHAPE, 1)
-    assert camera.statistics == {"frames": 3, "failed": 0, "timed_out": 1, "reconnected": 0}
 
 
 def test_a_late_frame_is_not_taken_for_the_next(tmp_path: Path) -> None:
@@ -188,15 +152,6 @@ def test_a_camera_that_stays_away_is_an_error_with_advice(
 def test_what_the_camera_refuses_is_explained(settings: dict[str, Any], expected: str) -> None:
     with pytest.raises(CaptureError, match=expected):
         PylonCamera(SENSOR, **{"shape": SHAPE, **QUICK, **settings})
-
-
-def test_an_exposure_out_of_range_is_explained() -> None:
-    sensor = replace(SENSOR, exposures=(20.0,))
-    with (
-        PylonCamera(sensor, shape=SHAPE, **QUICK) as camera,
-        pytest.raises(CaptureError, match=r"20 s is not in its range, 1e-06 to 10 s"),
-    ):
-        camera.expose()
 
 
 def test_bits_that_no_pixel_format_has() -> None:

@@ -38,12 +38,6 @@ class Contract(RigContract):
         return clients[0]
 
 
-class TestExactRemoteRig(Contract):
-    @staticmethod
-    def served_rig() -> Rig:
-        return OperatorRig(transport(20, 21), (4, 5), (3, 7))
-
-
 class TestNoisyRemoteRig(Contract):
     @staticmethod
     def served_rig() -> Rig:

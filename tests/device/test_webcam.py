@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from rfpipe.config import parse_rig_config
-from rfpipe.errors import CaptureError, ConfigError, InputError
+from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.testing import CameraContract
 from rfpipe_devices.webcam import VirtualUvc, Webcam
@@ -53,15 +52,6 @@ class UvcCamera(Webcam):
     def _before_trigger(self, exposure: float) -> None:
         ticks = self._capture.get(cv2.CAP_PROP_EXPOSURE)
         self._capture.put(np.full((*SHAPE, 3), round(ticks / 20), np.uint8))
-
-
-class TestSequenceAsDevice(CameraContract):
-    @pytest.fixture(autouse=True)
-    def _folder(self, tmp_path: Path) -> None:
-        self.folder = tmp_path
-
-    def make_camera(self) -> Webcam:
-        return webcam(self.folder)
 
 
 class TestUvcCamera(CameraContract):
@@ -128,13 +118,6 @@ def test_exposures_that_the_camera_rounds_are_said(
         CoarseCamera(tmp_path / "more", replace(SENSOR, exposures=(0.01, 0.012)))
 
 
-def test_old_frames_show_where_none_is_skipped(tmp_path: Path) -> None:
-    with UvcCamera(tmp_path, replace(SENSOR, exposures=(0.1, 0.5)), skip_frames=2) as camera:
-        camera.expose()
-        camera._options = camera._options.model_copy(update={"skip_frames": 0})
-        assert camera.expose().reshape(2, -1).mean(axis=1).tolist() != [50, 250]
-
-
 def test_a_device_that_ends_is_opened_again(tmp_path: Path) -> None:
     device = sequence(tmp_path, frames=3)
     with Webcam(SENSOR, device=device, backend="images", **QUICK) as camera:
@@ -161,13 +144,6 @@ def test_what_does_not_work_is_explained(
     settings = {"device": sequence(tmp_path), "backend": "images", **QUICK, **changes}
     with pytest.raises(kind, match=expected):
         Webcam(settings.pop("sensor", SENSOR), **settings)
-
-
-def test_settings_ask_for_eight_bits() -> None:
-    with pytest.raises(ConfigError, match=r"sensor\.bits should be 8 with camera\.driver webcam"):
-        parse_rig_config({"camera": {"driver": "webcam"}}, "rig.yaml")
-    config = parse_rig_config({"camera": {"driver": "webcam"}, "sensor": {"bits": 8}}, "rig.yaml")
-    assert config.camera.options.device == 0
 
 
 def test_a_missing_package_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

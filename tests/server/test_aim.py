@@ -133,11 +133,3 @@ def test_devices_that_can_t_be_opened_end_it() -> None:
 
     with pytest.raises(CaptureError, match="no camera answers"):
         Watch(missing, period=16).start()  # type: ignore[arg-type]
-
-
-def test_the_devices_are_given_back(bench: Bench) -> None:
-    watch = Watch(lambda: (bench.projector, bench.camera), period=16)
-    watch.start()
-    watch.close()
-    with pytest.raises(CaptureError, match="closed"):
-        bench.camera.expose()

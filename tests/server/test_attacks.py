@@ -21,8 +21,6 @@ from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, head_of_capture
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.rigs.messages import MEDIA_TYPE, encode_patterns, pack
-from rfpipe.server import ServerSettings
-from rfpipe.server.run import bound_socket
 
 ON = np.ones((1, 3, 7), np.float32)
 PATHS = ("/v1/status", "/v1/rig", "/v1/rig/arrays", "/v1/preview.png")
@@ -142,14 +140,6 @@ def test_what_is_no_http(server: Running, request_bytes: bytes) -> None:
         assert status_of(connection) == 400
 
 
-def test_methods_that_there_are_not(server: Running) -> None:
-    with server.http() as http:
-        for method in ("PATCH", "TRACE", "OPTIONS", "PUT", "NONSENSE"):
-            answer = http.request(method, "/v1/rig")
-            assert answer.status_code == 405
-            assert answer.headers["content-type"] == "application/problem+json"
-
-
 def post(server: Running, body: Any, **changes: str) -> httpx.Response:
     """Send a body as the holder of the rig."""
     with server.http() as http:
@@ -220,8 +210,6 @@ MALFORMED = {
     "no json": raw(b"{nope"),
     "no object": raw(b"[1]"),
     "deep json": raw(b"[" * 50_000),
-    "long integer": raw(b'{"a": ' + b"9" * 10_000 + b"}"),
-    "no text": raw(b"\xff\xfe\xfd"),
     "long facts": raw(b" " * 2**20 + b"{}", how=zipfile.ZIP_DEFLATED),
     "NaN in the facts": raw(b'{"keys": [[NaN]]}'),
     "no arrays": pack(KEYS, {}),
@@ -237,7 +225,6 @@ MALFORMED = {
     "code in the header": raw(array=npy("__import__('os').abort()")),
     "long header": raw(array=npy(" " * 5000)),
     "by columns": raw(array=npy(fortran_order=True)),
-    "negative extent": raw(array=npy(shape=(-1, -3))),
     "true as extent": raw(array=npy(shape=(True, 3))),
     "huge shape": raw(array=npy(shape=(2**39, 2**39))),
     "huge shape of nothing": raw(array=npy(shape=(0, 2**62), content=b"")),
@@ -426,15 +413,3 @@ def test_more_connections_than_allowed_are_refused_and_the_holder_is_not(rig: Sl
         seen = [status_of(connection) for connection in crowd]
         assert set(seen) == {408, 503}
         assert seen.count(503) >= 40
-
-
-def test_answers_are_sent_without_delay(server: Running) -> None:
-    with bound_socket(ServerSettings(port=0)) as bound:
-        assert bound.proto == socket.IPPROTO_TCP  # by which asyncio knows to set TCP_NODELAY
-    with server.http() as http:
-        seconds = []
-        for _ in range(20):
-            began = time.perf_counter()
-            http.get("/v1/rig")
-            seconds.append(time.perf_counter() - began)
-        assert np.median(seconds) < 0.04

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.ports import free_port
 from tests.server.harness import TOKEN, ResampledRig, Running, running
 
 from rfpipe import acquire
@@ -84,15 +83,6 @@ def test_a_resampled_sensor_is_made_again_from_what_its_capture_left(acquired: A
         np.testing.assert_array_equal(found[0][name], array, err_msg=name)
     sensor = ResampledRig().sensor
     assert read_sensor(acquired.folder).describe() == sensor.describe()
-
-
-def test_what_is_captured_needs_no_server(acquired: Acquisition) -> None:
-    for level in (0, 2):
-        manifest = acquired.folder.manifest(level, "capture")
-        before = manifest.read_bytes()
-        manifest.unlink()
-        acquired.capture(level, token_file=None, url=f"http://127.0.0.1:{free_port()}")
-        assert manifest.read_bytes() == before
 
 
 def test_a_captured_scene_is_relit_without_a_truth(acquired: Acquisition) -> None:

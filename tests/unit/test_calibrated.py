@@ -43,14 +43,6 @@ def test_comes_back_as_written(tmp_path: Path) -> None:
     assert read.facts == {"dark": {"verdict": "good"}}
 
 
-def test_parts_may_be_missing(tmp_path: Path) -> None:
-    write_calibration(tmp_path, Calibration(camera={"read_noise_electrons": 3.0}))
-    read = load_calibration(tmp_path)
-    assert read.layout is None
-    assert read.resampling is None
-    assert read.projector_response is None
-
-
 def test_none_and_damaged_ones_are_refused(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="no complete calibration"):
         load_calibration(tmp_path)

@@ -24,11 +24,6 @@ def test_a_pattern_becomes_a_picture() -> None:
     assert picture == pytest.approx(np.array([[0, 0, 1], [0.2, 0, 0.8]]))
 
 
-def test_views_have_their_pixels() -> None:
-    layout = ProjectorLayout((2, 1, 1), np.array([[0, 1]], np.int32))
-    assert layout.picture(np.array([[[0.25]], [[1]]])).tolist() == [[0.25, 1]]
-
-
 def test_a_layout_can_be_stored() -> None:
     layout = ProjectorLayout.grid((7, 12), (2, 3))
     again = ProjectorLayout.from_arrays(layout.arrays())

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import InputError
-from rfpipe.rigs import ProjectorLayout
 from rfpipe.rigs.geometry import centred_corners, tilted_corners
 from rfpipe.rigs.optics import OpticalPath
 from rfpipe.transport.operators import as_pattern_operator
@@ -22,11 +21,6 @@ def path(matrix=None, **settings) -> OpticalPath:  # type: ignore[no-untyped-def
 def middles(shape: tuple[int, int]) -> np.ndarray:
     y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
     return np.stack([x, y], axis=-1)
-
-
-def test_centred_corners_are_the_grid_of_a_layout() -> None:
-    expected = ProjectorLayout.grid(PROJECTOR, SHAPE)
-    assert np.array_equal(path().layout.ray_of_pixel, expected.ray_of_pixel)
 
 
 def test_the_middle_of_the_picture_sees_the_rays_as_they_are() -> None:
@@ -68,25 +62,6 @@ def test_a_projector_pixel_appears_where_the_points_say(pixel: tuple[int, int]) 
     image[image < 0.5 * image.max()] = 0  # the mean of its ray, without the pixel's own
     centroid = (image[..., None] * middles(CAMERA)).sum(axis=(0, 1)) / image.sum()
     assert optics.projector_points(centroid) == pytest.approx(np.array(pixel[::-1]) + 0.5, abs=0.75)
-
-
-def test_direct_light_changes_nothing_where_a_ray_is_lit_evenly() -> None:
-    pattern = np.random.default_rng(1).random(SHAPE).astype(np.float32)
-    matrix = np.random.default_rng(2).random((RAYS, RAYS))
-    plain, sharp = path(matrix), path(matrix, direct=np.diag(matrix)[:, None])
-    picture = plain.layout.picture(pattern)
-    assert sharp.radiance(picture) == pytest.approx(plain.radiance(picture), rel=1e-5)
-
-
-def test_light_is_linear_in_the_picture() -> None:
-    optics = path(np.random.default_rng(3).random((RAYS, RAYS)), direct=np.ones((RAYS, 1)))
-    a, b = np.random.default_rng(4).random((2, *PROJECTOR)).astype(np.float32) / 2
-    both = optics.radiance(a + b)
-    assert both == pytest.approx(optics.radiance(a) + optics.radiance(b), rel=1e-4, abs=1e-5)
-
-
-def test_ambient_light_is_everywhere() -> None:
-    assert (path(ambient=0.25).radiance(np.zeros(PROJECTOR)) == 0.25).all()
 
 
 def test_views_lie_side_by_side() -> None:

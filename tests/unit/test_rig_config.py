@@ -40,13 +40,6 @@ def test_the_default_file_holds_the_defaults() -> None:
     assert load_rig_config(FOLDER / "rig.yaml") == RigConfig() == parse_rig_config({}, "rig.yaml")
 
 
-def test_the_bench_file_is_a_bench() -> None:
-    config = load_rig_config(FOLDER / "bench.yaml")
-    assert config.bench is not None
-    assert config.bench.scene.ray_shape == (32, 32)
-    assert config.projector.arguments()["settle_seconds"] == 0
-
-
 def test_every_setting_has_a_description() -> None:
     names = ["RigConfig", *RigConfig.model_json_schema()["$defs"]]
     own = {"FreeOptions": FreeOptions, "Settings": Settings}
@@ -83,48 +76,27 @@ def test_pixel_formats_say_bits_and_mosaic(name: str, bits: int, bayer: str | No
     assert (config.camera.options.bits, config.camera.options.bayer) == (bits, bayer)
 
 
-def test_further_nodes_keep_their_types() -> None:
-    nodes = {"ReverseX": True, "DigitalShift": 1, "Gamma": 0.5, "SensorReadoutMode": "Fast"}
-    config = parse_rig_config({"camera": {"options": {"nodes": nodes}}}, "rig.yaml")
-    assert config.camera.arguments()["nodes"] == nodes
-    assert [type(value) for value in config.camera.arguments()["nodes"].values()] == [
-        bool,
-        int,
-        float,
-        str,
-    ]
-
-
 @pytest.mark.parametrize(
     ("data", "expected"),
     [
-        ({"kind": "hardware"}, "kind is 'hardware'; it should be 'devices' or 'simulated'"),
-        ({"projector": {"options": {"screen": -1}}}, "projector.options.screen is -1"),
         ({"projector": {"options": {"display": "HDMI-1"}}},
          "projector.options.display is 'HDMI-1'"),
-        ({"projector": {"options": {"shape": [1080]}}}, "projector.options.shape[1] is missing"),
         ({"projector": {"options": {"settle_second": 1}}}, "did you mean settle_seconds?"),
         ({"camera": {"options": {"pixel_format": "Mono12p"}}},
          "camera.options.pixel_format is 'Mono12p'"),
-        ({"camera": {"options": {"gain_db": -1}}}, "camera.options.gain_db is -1"),
         ({"camera": {"options": {"pixel_format": "BayerRG8"}}},
          "sensor.bits should be 8 with camera.options.pixel_format BayerRG8, not 12"),
-        ({"camera": {"options": {"pixel_format": "BayerRG12"}}},
-         "sensor.bayer should be RGGB with camera.options.pixel_format BayerRG12, not null"),
         ({"sensor": None}, "sensor should be set with kind devices"),
         ({"scene": PLANE}, "scene should be null with kind devices"),
-        ({"kind": "simulated"}, "scene should be set with kind simulated"),
         ({"kind": "simulated", "scene": PLANE, "bench": {}}, "bench should be null"),
         ({"bench": {"scene": {**PLANE, "channels": 3}}},
          "bench.scene.channels should be 1 with camera.options.pixel_format Mono12, not 3"),
-        ({"bench": {"camera": {"bits": 10}}}, "bench.camera.bits should be 12"),
         ({"bench": {}, "projector": {"options": {"display": ":0"}}},
          "projector.options.display should be null"),
         ({"bench": {}, "camera": {"options": {"shape": [8, 8]}}},
          "camera.options.shape should be null"),
         ({"bench": {"camera_corners": [[[0, 0], [9, 0], [9, 9], [0, 9]]] * 2}},
          "camera_corners should have four corners for each of the scene's 1 views, not for 2"),
-        ({"bench": {"projector_gamma": 0}}, "bench.projector_gamma is 0"),
     ],
 )  # fmt: skip
 def test_mistakes_are_explained(data: dict[str, Any], expected: str) -> None:

@@ -67,13 +67,6 @@ def test_exact_frames_are_the_matrix_product(matrix: Any) -> None:
     np.testing.assert_allclose(frames.reshape(expected.shape), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("matrix", [MATRICES[0], sparse.csr_array(MATRICES[0])])
-def test_one_matrix_is_one_channel(matrix: Any) -> None:
-    rig = rfpipe.OperatorRig(matrix, camera_shape=CAMERA_SHAPE, projector_shape=PROJECTOR_SHAPE)
-    assert rig.channels == 1
-    assert rig.capture(PATTERNS, KEYS).shape == (5, 1, 4, 5, 1)
-
-
 def test_views() -> None:
     rig = OperatorRig(np.eye(24), (2, 3, 4), (2, 3, 4))
     pattern = np.random.default_rng(0).random((1, 2, 3, 4)).astype(np.float32)
@@ -103,23 +96,6 @@ def test_threads_draw_the_same_noise() -> None:
     assert rig_of(MATRICES, threads=3).describe() == described  # it captures the same pictures
 
 
-def test_noise_settings() -> None:
-    matrix = np.full((20, 21), 0.01)
-    assert rig_of(matrix).sensor == ExactSensor()
-    assert rig_of(matrix, noise=CameraConfig()).sensor == CameraModel()
-    camera = CameraModel(bits=10)
-    rig = rig_of(matrix, noise=camera, seed=4)
-    assert rig.sensor is camera
-    frames = rig.capture(PATTERNS, KEYS)
-    assert (frames.shape, frames.dtype) == ((5, 4, 4, 5, 1), np.uint16)
-    other = rig_of(matrix, noise=camera, seed=5).capture(PATTERNS, KEYS)
-    assert (other != frames).any()
-    with pytest.raises(InputError, match="noise is a float; expected None, a Sensor"):
-        rig_of(matrix, noise=0.1)
-    with pytest.raises(InputError, match="needs 3 channels, not 1"):
-        rig_of(matrix, noise=CameraModel(bayer="RGGB"))
-
-
 @pytest.mark.parametrize("wrap", [np.asarray, sparse.csr_array, lambda matrix: [matrix] * 3])
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 def test_impossible_entries_are_named(wrap: Any, value: float) -> None:
@@ -146,17 +122,6 @@ def test_impossible_entries_are_named(wrap: Any, value: float) -> None:
 def test_what_is_no_transport(matrix: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         rig_of(matrix)
-
-
-def test_wrong_settings() -> None:
-    with pytest.raises(
-        InputError, match=r"camera_shape is \(20,\); expected height and width, \(H, W\)"
-    ):
-        OperatorRig(MATRICES, (20,), PROJECTOR_SHAPE)
-    with pytest.raises(InputError, match=r"projector_shape is \(0, 7\)"):
-        OperatorRig(MATRICES, CAMERA_SHAPE, (0, 7))
-    with pytest.raises(InputError, match="seed is -1"):
-        rig_of(MATRICES, seed=-1)
 
 
 def test_patterns_that_cannot_be_shown_are_named() -> None:

@@ -10,8 +10,9 @@ from tests.sequences import SequenceFaults, SimulatedSequences
 
 from rfpipe import acquire
 from rfpipe.errors import InputError
+from rfpipe.keys import BLACK_LEVEL_KEY
 from rfpipe.photometry import CameraModel, MergeOptions, Sensor
-from rfpipe.rigs import BLACK_LEVEL_KEY, OperatorRig
+from rfpipe.rigs import OperatorRig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.stages import capture
 from rfpipe.stages.capture import brackets_of
@@ -19,7 +20,6 @@ from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.results import write_bundle
 from rfpipe.store import FrameStore
 from rfpipe.testing import RigContract
-from rfpipe_devices.sequences import Playlist
 
 RAYS = (12, 14)
 COUNT = 13
@@ -135,14 +135,6 @@ def test_only_what_is_missing_is_played_again() -> None:
     assert again < 2 * 4 + COUNT
 
 
-def test_exact_radiance_comes_by_sequences_too() -> None:
-    from rfpipe.photometry import ExactSensor
-
-    plain, given = rig(noise=ExactSensor()), patterns("grey")
-    sequences = SimulatedSequences(plain, faults=SequenceFaults(dropped=0.02, swapped=0.5, seed=1))
-    np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))
-
-
 def test_a_camera_that_bends_counts_is_straightened() -> None:
     plain, given = rig(noise=CameraModel(response_gamma=2.2)), patterns("half")
     sequences = SimulatedSequences(plain, faults=SequenceFaults(swapped=0.5, seed=2))
@@ -164,17 +156,6 @@ def test_long_lists_are_cut_and_short_ones_are_none() -> None:
         sequences.show_sequence(given[0] + 1, given[1])
     with pytest.raises(InputError, match="dropped is 2"):
         SequenceFaults(dropped=2)
-
-
-def test_words_are_found_where_frames_were_lost() -> None:
-    playlist = Playlist(3, [0, 1, 2], with_complements=True)
-    levels = np.array([1, 0, 0.2, 0.3, 0.4, 0.8, 0.7, 0.6])[playlist.order]
-    frames = levels[:, None, None, None] * np.ones((1, 4, 5, 1))
-    assert playlist.lags(frames) == [0, 0, 0]
-    assert playlist.lags(np.delete(frames, 5, axis=0)) == [0, -1, -1]
-    assert playlist.lags(np.concatenate([frames[-1:], frames[:-1]])) == [1, 1, 1]
-    assert playlist.lags(frames[:9]) is None
-    assert playlist.lags(frames[:0]) is None
 
 
 def test_an_acquisition_by_sequences_is_that_one_by_one() -> None:

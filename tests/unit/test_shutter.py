@@ -37,11 +37,6 @@ def test_names_stand_for_halves_of_a_stop() -> None:
     assert by_name["0.7"] == pytest.approx(2**-0.5)
 
 
-def test_names_are_taken_at_their_word_where_asked_for() -> None:
-    times = shutter_times(["1/60", "0.3s", '2.5"', "1"], nominal=True)
-    assert [time.seconds for time in times] == pytest.approx([1 / 60, 0.3, 1, 2.5])
-
-
 def test_the_nearest_by_ratio() -> None:
     times = shutter_times(THIRDS)
     names = [time.name for time in nearest_times((1 / 64, 0.07, 1.1), times)]

@@ -12,7 +12,8 @@ from tests.workflow.stagewise import CAMERA, RAYS, Acquisition, matrix_rig
 
 from rfpipe.config.capture import CaptureConfig
 from rfpipe.errors import CaptureError
-from rfpipe.rigs import DRIFT_KEY, WARM_UP_KEY, OperatorRig
+from rfpipe.keys import DRIFT_KEY, WARM_UP_KEY
+from rfpipe.rigs import OperatorRig
 from rfpipe.stages.capturing import warm_up
 from rfpipe.stages.capturing.drift import Drift, item_count, item_due, positions
 from rfpipe.stages.plan import Plan

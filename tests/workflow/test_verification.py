@@ -19,8 +19,9 @@ from tests.workflow.stagewise import CODE, stages
 from tests.workflow.stagewise import acquire as acquire_matrix
 
 from rfpipe.errors import CaptureError
+from rfpipe.keys import LOOK_KEY, VERIFICATION_KEY
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs import LOOK_KEY, VERIFICATION_KEY, OperatorRig
+from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture
 from rfpipe.stages.capturing.moves import LOOK_PATTERNS
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
@@ -108,7 +109,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from tests.workflow.test_verification import Stopping, verified
-from rfpipe.rigs import VERIFICATION_KEY
+from rfpipe.keys import VERIFICATION_KEY
 from rfpipe.stages.folder import AcquisitionFolder
 
 

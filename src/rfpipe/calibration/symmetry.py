@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.calibration.asymmetry import Causes
 from rfpipe.calibration.base import Findings, Verdict
+from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY
 from rfpipe.photometry import MergeOptions
 from rfpipe.photometry.symmetry import CONFIDENCE, Pictures, Symmetry, random_signs
-from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY, Rig
+from rfpipe.rigs import Rig
 
 __all__ = ["symmetry_findings", "symmetry_pictures", "take_symmetry"]
 

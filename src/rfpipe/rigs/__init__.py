@@ -1,14 +1,5 @@
 """Rigs: a projector and a camera that show patterns and return brackets."""
 
-from rfpipe.keys import (
-    BLACK_LEVEL_KEY,
-    DRIFT_KEY,
-    FLOODLIT_KEY,
-    LOOK_KEY,
-    SYMMETRY_KEY,
-    VERIFICATION_KEY,
-    WARM_UP_KEY,
-)
 from rfpipe.rigs.base import Rig
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
@@ -17,13 +8,6 @@ from rfpipe.rigs.operator import OperatorRig, SimulatedRig
 from rfpipe.rigs.remote import RemoteRig
 
 __all__ = [
-    "BLACK_LEVEL_KEY",
-    "DRIFT_KEY",
-    "FLOODLIT_KEY",
-    "LOOK_KEY",
-    "SYMMETRY_KEY",
-    "VERIFICATION_KEY",
-    "WARM_UP_KEY",
     "Camera",
     "DeviceRig",
     "OperatorRig",

@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
-from typing import Any, Protocol, Self
+from typing import Annotated, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import check_weights
 
 Float = NDArray[np.float32]
+
+Offset = Annotated[int, Field(ge=0, le=32768)]
+PictureExtent = Annotated[int, Field(ge=1, le=32768)]
+"""Settings of where a picture lies among pixels, and of its extent."""
 
 TIMES_SHOWN = 5
 """How often a picture is shown until it stands for a whole bracket."""

@@ -13,7 +13,7 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Annotated, Any, cast
+from typing import IO, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from pydantic import Field
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.devices import Closing, check_picture
+from rfpipe.rigs.devices import Closing, Offset, PictureExtent, check_picture
 from rfpipe.rigs.window_process import ASK, DRAW
 
 Float = NDArray[np.float32]
@@ -33,9 +33,6 @@ ANSWER_SECONDS = 20.0
 
 STEPS = 65535
 """Weights are told apart in steps of 1 / STEPS before they are looked up."""
-
-Offset = Annotated[int, Field(ge=0, le=32768)]
-PictureExtent = Annotated[int, Field(ge=1, le=32768)]
 
 _log = logging.getLogger(__name__)
 
@@ -123,22 +120,12 @@ def code_table(light: NDArray[Any] | None) -> Codes:
 
 
 def read_response(path: str | Path) -> NDArray[np.float64]:
-    """Read a projector's response, one number a line for the codes 0 to 255.
-
-    Raises
-    ------
-    InputError
-        When the file can't be read or holds something else.
-    """
+    """Read a projector's response, one number a line for the codes 0 to 255, or InputError."""
     try:
         light = np.loadtxt(path, dtype=np.float64, ndmin=1)
-    except (OSError, ValueError) as error:
+        code_table(light)
+    except (OSError, ValueError) as error:  # InputError is a ValueError, too
         raise InputError(f"{path}: can't be read as a projector's response: {error}") from error
-    if light.shape != (256,):
-        raise InputError(
-            f"{path}: holds numbers of shape {light.shape}; expected 256 lines of one, the light "
-            "of the codes 0 to 255"
-        )
     return light
 
 

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError, InputError
+from rfpipe.keys import DRIFT_KEY
 from rfpipe.methods import Method, get_method, options_of
 from rfpipe.patterns import Schedule
 from rfpipe.photometry import ExactSensor
 from rfpipe.photometry.normalize import Mode
 from rfpipe.photometry.reciprocity import Reciprocity
-from rfpipe.rigs import DRIFT_KEY, Rig
+from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.stages.capturing.drift import look
 from rfpipe.stages.capturing.mutual import MutualWatch, Tally

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import ray_shape
 from rfpipe.errors import InputError
+from rfpipe.keys import BLACK_LEVEL_KEY
 from rfpipe.photometry import MergeOptions
 from rfpipe.provenance import generator
-from rfpipe.rigs import BLACK_LEVEL_KEY, Rig
+from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.testing.checks import require, require_equal_descriptions, require_raises
 

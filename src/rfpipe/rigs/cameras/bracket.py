@@ -21,9 +21,6 @@ from rfpipe.rigs.devices import Closing
 
 Counts = NDArray[np.uint16]
 
-Offset = Annotated[int, Field(ge=0, le=32768)]
-PictureExtent = Annotated[int, Field(ge=1, le=32768)]
-
 TimeoutSeconds = Annotated[
     float,
     Field(

@@ -6,7 +6,7 @@ import logging
 import math
 import threading
 from abc import abstractmethod
-from typing import Any, ClassVar, Literal, Protocol, TypeAlias
+from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,25 +15,12 @@ from pydantic import Field
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.cameras.bracket import (
-    BracketCamera,
-    Offset,
-    PictureExtent,
-    TimeoutSeconds,
-)
+from rfpipe.rigs.cameras.bracket import BracketCamera, TimeoutSeconds
+from rfpipe.rigs.devices import Offset, PictureExtent
 
 Counts = NDArray[np.uint16]
 Value: TypeAlias = bool | int | float | str
 """Of a camera's setting."""
-
-PixelFormat = Literal[
-    "Mono8", "Mono10", "Mono12", "Mono16",
-    "BayerRG8", "BayerRG10", "BayerRG12", "BayerRG16",
-    "BayerGR8", "BayerGR10", "BayerGR12", "BayerGR16",
-    "BayerGB8", "BayerGB10", "BayerGB12", "BayerGB16",
-    "BayerBG8", "BayerBG10", "BayerBG12", "BayerBG16",
-]  # fmt: skip
-"""Formats of GenICam (PFNC) that measure: not packed, not made into colours by the camera."""
 
 FIXED: dict[str, Value] = {
     "GainAuto": "Off",
@@ -66,8 +53,9 @@ class GenicamOptions(Settings):
     serial: str | None = Field(
         None, min_length=1, description="Serial number, or null for the only camera connected."
     )
-    pixel_format: PixelFormat = Field(
+    pixel_format: str = Field(
         "Mono12",
+        pattern="^(Mono|BayerRG|BayerGR|BayerGB|BayerBG)(8|10|12|16)$",
         description="Mono8, Mono10, Mono12 or Mono16, or one of a colour mosaic: BayerRG, "
         "BayerGR, BayerGB or BayerBG with 8, 10, 12 or 16 bits. sensor.bits and sensor.bayer say "
         "the same.",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY
 from rfpipe.photometry.symmetry import random_signs
-from rfpipe.rigs import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY
 
 __all__ = ["Keys", "reference_patterns", "symmetry_patterns"]
 

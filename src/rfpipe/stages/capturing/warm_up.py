@@ -8,7 +8,8 @@ from time import monotonic, sleep, time
 
 import numpy as np
 
-from rfpipe.rigs import WARM_UP_KEY, Rig
+from rfpipe.keys import WARM_UP_KEY
+from rfpipe.rigs import Rig
 
 __all__ = ["seconds_since_capture", "warm_up"]
 

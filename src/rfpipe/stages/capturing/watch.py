@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.rigs import DRIFT_KEY, LOOK_KEY
+from rfpipe.keys import DRIFT_KEY, LOOK_KEY
 from rfpipe.stages.capturing import moves
 from rfpipe.stages.capturing.brackets import Brackets, Watch
 from rfpipe.stages.capturing.drift import DRIFT, item_count, item_due, look
