@@ -11,7 +11,7 @@ from rfpipe.rigs.calibrated import calibration_of, sensor_of, verdicts_of
 from rfpipe.rigs.device_rig import DeviceRig
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
-from rfpipe.rigs.simulated import SimulatedRig
+from rfpipe.rigs.operator import SimulatedRig
 
 if TYPE_CHECKING:
     from rfpipe.config import RigConfig

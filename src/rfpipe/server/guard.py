@@ -190,7 +190,8 @@ def guarded_protocol(settings: ServerSettings) -> type[asyncio.Protocol]:
             self._watch()
             if len(self.connections) > settings.most_connections:
                 # who has asked nothing before all others, the oldest first
-                idle: list[Any] = [one for one in self.connections if one.is_idle]
+                connections: set[Any] = self.connections
+                idle = (one for one in connections if one.is_idle)
                 longest = min(idle, key=lambda one: (one.cycle is not None, one.since))
                 longest.refuse(503, "too many connections; try again later")
 

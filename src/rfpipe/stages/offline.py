@@ -112,7 +112,7 @@ class OfflineAcquisition:
             about.ray_shape,
             about.channels,
         )
-        rig.bracket = checked and checked.bracket
+        rig.bracket = None if checked is None else checked.bracket
         return rig
 
     def write(self, rig: OfflineRig, folder: Path, settings_file: Path, results: Path) -> Sheet:
