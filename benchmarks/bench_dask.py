@@ -26,7 +26,6 @@ import psutil
 
 from rfpipe.provenance import generator
 from rfpipe.stages import merge
-from rfpipe.stages.capturing.sensors import read_sensor
 from rfpipe.stages.evaluating.evaluate import errors_table
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
@@ -62,7 +61,7 @@ def merged_anew(folder: AcquisitionFolder, level: int, resources: Resources) -> 
     """Merge a level's brackets."""
     FrameStore.discard(folder.store(level, "merge"))
     merge.run(
-        read_sensor(folder), folder, level,
+        folder, level,
         saturation_fraction=0.98, mask_defects=True, code="", resources=resources,
     )  # fmt: skip
 

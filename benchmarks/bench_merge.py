@@ -67,7 +67,6 @@ def run_merge(
     plan = Plan("brute_force", "brute_force", rig.camera_shape, rig.projector_shape, rig.channels)
     began = perf_counter()
     merge.run(
-        rig.sensor,
         folder,
         level,
         saturation_fraction=0.98,

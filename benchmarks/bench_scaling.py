@@ -196,7 +196,7 @@ def acquire(config: Any, name: str, shape: tuple[int, int]) -> dict[str, Any]:
                 )  # fmt: skip
             with clock.during("merge"):
                 merge.run(
-                    rig.sensor, folder, level, **config.merge.model_dump(), code="",
+                    folder, level, **config.merge.model_dump(), code="",
                     keep_raw=False, resources=resources,
                 )  # fmt: skip
             with clock.during("normalize"):

@@ -25,8 +25,8 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene
 from rfpipe.stages import acquire
-from rfpipe.stages.merging import images
-from rfpipe.stages.merging.merger import LevelSum, Merger
+from rfpipe.stages import normalize as images
+from rfpipe.stages.merger import LevelSum, Merger
 from rfpipe.transport.hierarchical import partition
 
 OUTPUT = Path("results/bench")

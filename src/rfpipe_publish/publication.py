@@ -14,7 +14,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError, StoreError, installing
 from rfpipe.pictures.images import write_image
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.merging.references import REFERENCES
+from rfpipe.stages.merger import REFERENCES
 from rfpipe.transport.places import MANIFEST
 from rfpipe_publish.citation import Citation
 from rfpipe_publish.crate import METADATA_FILE, crate_metadata

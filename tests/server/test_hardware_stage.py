@@ -12,8 +12,8 @@ from tests.server.harness import TOKEN, ResampledRig, Running, running
 from rfpipe import acquire
 from rfpipe.config import SceneSettings
 from rfpipe.errors import CaptureError, ConfigError
-from rfpipe.stages import assemble, hardware, merge, normalize, refine, relight, schedule
-from rfpipe.stages.capturing.sensors import read_sensor
+from rfpipe.stages import assemble, captures, merge, normalize, refine, relight, schedule
+from rfpipe.stages.capture import read_sensor
 from rfpipe.stages.evaluating.evaluate import errors_table
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
@@ -36,8 +36,11 @@ class Acquisition:
         self.token.chmod(0o600)
 
     def capture(self, level: int, **changes: Any) -> None:
-        hardware.run(
-            hardware.Rays(self.plan.camera.shape, SHAPE, 3), self.folder, level,
+        rays = {
+            "camera_shape": self.plan.camera.shape, "projector_shape": SHAPE, "channels": 3
+        }  # fmt: skip
+        captures.by_server(
+            rays, self.folder, level,
             **{
                 "url": self.url, "token_file": str(self.token), "patience_seconds": 0.0,
                 "references": (8, 64), **changes,
@@ -51,7 +54,7 @@ class Acquisition:
         self.schedule(level)
         self.capture(level)
         merge.run(
-            read_sensor(self.folder), self.folder, level,
+            self.folder, level,
             saturation_fraction=0.98, mask_defects=True, code=CODE,
         )  # fmt: skip
         normalize.run(self.plan, self.folder, level, mode="per_channel", code=CODE)

@@ -16,10 +16,10 @@ from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions, Response, counts
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
-from rfpipe.stages.capturing.shown import reference_patterns
+from rfpipe.stages import merger as merging
+from rfpipe.stages.capture import reference_patterns
 from rfpipe.stages.jobs.workers import Resources, Workers
-from rfpipe.stages.merging import merger as merging
-from rfpipe.stages.merging.merger import LevelSum, Merger, runs
+from rfpipe.stages.merger import LevelSum, Merger, runs
 
 CAMERA = CameraModel()
 IMAGE = (11, 13, 3)

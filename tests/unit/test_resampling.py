@@ -19,7 +19,7 @@ from rfpipe.photometry import (
 from rfpipe.photometry.checks import check_floodlit
 from rfpipe.photometry.demosaic import BAYER_PATTERNS, demosaic, filled_in
 from rfpipe.photometry.resampling import applied, normalised
-from rfpipe.stages.merging.merger import Merger
+from rfpipe.stages.merger import Merger
 
 CAMERA = CameraModel(exposures=(1 / 64, 1 / 16), electrons_per_radiance=200_000.0)
 SHAPE, CAMERA_SHAPE = (3, 4), (8, 10)

@@ -11,8 +11,9 @@ from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.stages.evaluating.metrics import relative_rms
-from rfpipe.stages.merging.images import ImagesInMemory, NormalizedImages, normalize_level
-from rfpipe.stages.merging.merger import LevelSum
+from rfpipe.stages.memory import FramesInMemory
+from rfpipe.stages.merger import LevelSum
+from rfpipe.stages.normalize import NormalizedImages, normalize_level
 
 
 def dense(transport, channel=0):
@@ -251,7 +252,8 @@ class _NoLeaves(dict):
 def _images(matrix, schedule, shape):
     patterns = schedule.batch(0, schedule.count).reshape(schedule.count, matrix.shape[1])
     light = (patterns @ matrix.T).astype(np.float32).reshape(schedule.count, *shape, 1)
-    merged = ImagesInMemory(light, np.zeros_like(light))
+    merged = FramesInMemory((schedule.count, 2, *light.shape[1:]), np.float32)
+    merged.write(0, np.stack([light, np.zeros_like(light)], axis=1))
     floodlit = (matrix.sum(axis=1).astype(np.float32)).reshape(*shape, 1)
     total = LevelSum.zero(floodlit.shape)
     return NormalizedImages(

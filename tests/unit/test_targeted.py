@@ -251,9 +251,9 @@ def test_what_is_chosen_for_a_rig_knows_the_target(tmp_path: Path) -> None:
     assert not rfpipe.acquire(rig, Choice(), progress=False, target_error=0.01).history.empty
     plan = Plan("chosen", f"{__file__}:Choice", SHAPE, SHAPE, 1, {"target_error": 0.01})
     folder = AcquisitionFolder(tmp_path)
-    manifest = folder.manifest(0, SYMMETRY)
+    manifest = folder.manifest(0, "merge")
     manifest.parent.mkdir()
-    write_manifest(manifest, {"error": 0.0, "standard_error": 0.0})
+    write_manifest(manifest, {SYMMETRY: {"error": 0.0, "standard_error": 0.0}})
     plan.settle(folder)
     assert plan.method.estimates_error
     assert plan.n_levels == 7

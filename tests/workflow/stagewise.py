@@ -66,7 +66,7 @@ class Acquisition:
 
     def merge(self, level: int, mask_defects: bool = True, **options: Any) -> None:
         merge.run(
-            self.rig.sensor, self.folder, level,
+            self.folder, level,
             saturation_fraction=0.98, mask_defects=mask_defects, code=self.code,
             keep_raw=self.keep_raw, resources=self.resources, **options,
         )  # fmt: skip

@@ -25,12 +25,12 @@ from tests.workflow.stagewise import SHAPE as STAGED
 from rfpipe import OperatorRig, acquire
 from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, IntegrityError
 from rfpipe.provenance import generator
+from rfpipe.stages import merger as merging
 from rfpipe.stages.evaluating.evaluate import errors_table
 from rfpipe.stages.jobs import cluster as cluster_module
 from rfpipe.stages.jobs.cluster import connected
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources, Workers
-from rfpipe.stages.merging import merger as merging
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.results import write_bundle
 from rfpipe.transport import save_transport

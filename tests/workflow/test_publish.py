@@ -14,7 +14,7 @@ from tests.workflow.harness import ROOT, Workflow
 import rfpipe
 from rfpipe.pictures.images import read_image
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.merging.references import read_floodlit
+from rfpipe.stages.merger import read_floodlit
 from rfpipe_publish.citation import Citation, checked
 from rfpipe_publish.publication import publish
 from rfpipe_publish.run import find_run

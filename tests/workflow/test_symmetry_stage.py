@@ -41,15 +41,12 @@ FRAMES = 6
 pytestmark = pytest.mark.usefixtures("closed_logs")
 
 
-def judge(acquisition: Acquisition, accepted: float = 0.05, **options: Any) -> dict[str, Any]:
-    symmetry.run(
-        acquisition.rig.sensor, acquisition.folder,
-        saturation_fraction=0.98, code=CODE, **options,
-    )  # fmt: skip
+def judge(acquisition: Acquisition, accepted: float = 0.05) -> dict[str, Any]:
     found = symmetry.read_asymmetry(acquisition.folder)
     assert found is not None
     assert found.judge(Symmetric(), SymmetricOptions(), accepted).name == "symmetric"
-    return read_manifest(acquisition.folder.manifest(0, "symmetry"))
+    facts: dict[str, Any] = acquisition.folder.read_manifest(0, "merge")["symmetry"]
+    return facts
 
 
 def begun(path: Path, matrix: np.ndarray) -> Acquisition:
@@ -62,7 +59,7 @@ def begun(path: Path, matrix: np.ndarray) -> Acquisition:
 
 def acquired(plan: Plan, folder: AcquisitionFolder, rig: OperatorRig, frames: int) -> None:
     """Run all levels of an acquisition."""
-    settings = stages({"symmetry_frames": frames if plan.asks_symmetry else 0, "keep_raw": True})
+    settings = stages({"symmetry_frames": frames if plan.asks_symmetry else 0})
     acquire(folder.path, rig, plan, {**settings, "normalize": {"mode": "none", "code": CODE}})
 
 
@@ -91,12 +88,15 @@ def test_the_same_is_found_in_process(tmp_path: Path) -> None:
 
 def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
     acquisition = begun(tmp_path, symmetric_matrix())
-    told = judge(acquisition, keep_raw=False)
-    store = acquisition.folder.store(0, "symmetry")
-    assert FrameStore.open(store).dropped
-    assert judge(acquisition, keep_raw=False) == told
+    told = judge(acquisition)
+    acquisition.keep_raw = False
+    acquisition.merge(0)
+    assert FrameStore.open(acquisition.folder.store(0, "symmetry")).dropped
+    acquisition.folder.manifest(0, "merge").unlink()
+    acquisition.merge(0)
+    assert judge(acquisition) == told
     acquisition.capture(0, symmetry_frames=FRAMES)  # none is missing
-    assert FrameStore.open(store).dropped
+    assert FrameStore.open(acquisition.folder.store(0, "symmetry")).dropped
 
 
 class Choice(Symmetric):
@@ -166,12 +166,12 @@ def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
     with pytest.raises(CaptureError, match=r"doesn't go from camera to projector.*dual"):
         run("symmetric", FRAMES)
     stopped = AcquisitionFolder(tmp_path / f"symmetric_{FRAMES}")
-    assert stopped.manifest(0, "symmetry").exists()
+    assert "symmetry" in stopped.read_manifest(0, "merge")
     assert not stopped.manifest(0, "normalize").exists()
     for method, frames in (("symmetric", 0), ("brute_force", FRAMES)):
         folder = run(method, frames)
         assert (folder.path / "transport.json").exists()
-        assert not folder.manifest(0, "symmetry").exists()
+        assert "symmetry" not in folder.read_manifest(0, "merge")
         assert not folder.store(0, "symmetry").exists()
     # whoever was refused and doesn't want to be looked at isn't
     folder = run("symmetric", 0, f"symmetric_{FRAMES}")

@@ -23,13 +23,13 @@ from rfpipe.keys import LOOK_KEY, VERIFICATION_KEY
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture
-from rfpipe.stages.capturing.moves import LOOK_PATTERNS
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.symmetry import NOTICED
 from rfpipe.stages.unseen import verify
 from rfpipe.stages.verifying.verify import verify as verify_bytes
+from rfpipe.stages.watch import LOOK_PATTERNS
 from rfpipe.store import read_manifest
 
 PICTURES = 4

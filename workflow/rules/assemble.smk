@@ -16,4 +16,4 @@ rule assemble:
         plan=plan,
         settings=settings_of("assemble"),
     script:
-        "../scripts/assemble.py"
+        "../scripts/stage.py"

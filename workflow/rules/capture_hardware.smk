@@ -15,7 +15,8 @@ rule capture_hardware:
         **WITHIN,
         **AT_THE_RIG,
     params:
+        by="server",
         rig=lambda wildcards: rig(wildcards.scene)["rig"],
         settings=settings_of("capture"),
     script:
-        "../scripts/capture_hardware.py"
+        "../scripts/stage.py"

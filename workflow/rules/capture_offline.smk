@@ -17,7 +17,8 @@ rule capture_offline:
     resources:
         **WITHIN,
     params:
+        by="pictures",
         rig=lambda wildcards: rig(wildcards.scene)["rig"],
         settings=settings_of("capture"),
     script:
-        "../scripts/capture_offline.py"
+        "../scripts/stage.py"

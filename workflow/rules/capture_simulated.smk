@@ -14,7 +14,8 @@ rule capture_simulated:
     resources:
         **WITHIN,
     params:
+        by="simulation",
         rig=lambda wildcards: rig(wildcards.scene)["rig"],
         settings=settings_of("capture"),
     script:
-        "../scripts/capture_simulated.py"
+        "../scripts/stage.py"

@@ -1,6 +1,6 @@
 # The levels of an acquisition: how many have patterns to show turns out on the way.
 
-from rfpipe.stages.acquisition import STAGES_LOG
+from rfpipe.stages.folder import STAGES_LOG
 
 
 def refined(wildcards, before=None):

@@ -16,4 +16,4 @@ rule merge:
     params:
         settings=settings_of("merge"),
     script:
-        "../scripts/merge.py"
+        "../scripts/stage.py"

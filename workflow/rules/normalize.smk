@@ -16,4 +16,4 @@ rule normalize:
         plan=plan,
         settings=settings_of("normalize"),
     script:
-        "../scripts/normalize.py"
+        "../scripts/stage.py"

@@ -17,4 +17,4 @@ checkpoint refine:
         plan=plan,
         settings=settings_of("refine"),
     script:
-        "../scripts/refine.py"
+        "../scripts/stage.py"

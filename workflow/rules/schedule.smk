@@ -16,4 +16,4 @@ checkpoint schedule:
         plan=plan,
         settings=settings_of("schedule"),
     script:
-        "../scripts/schedule.py"
+        "../scripts/stage.py"

@@ -1,6 +1,5 @@
-from rfpipe.stages import acquisition, captures
+from rfpipe.stages import acquisition
 from rfpipe.stages.stage_job import stage_job
 
 with stage_job(snakemake) as job:
-    capture = captures.of_job(job)
-    acquisition.run(job.plan, job.folder, capture, job.settings, job.resources)
+    acquisition.run(job.plan, job.folder, job.capture, job.params.settings, job.resources)

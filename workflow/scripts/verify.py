@@ -1,12 +1,11 @@
-from rfpipe.stages import captures
 from rfpipe.stages.stage_job import stage_job
 from rfpipe.stages.unseen import verify
 
 with stage_job(snakemake) as job:
     verify.run(
         job.folder,
-        captures.of_job(job),
+        job.capture,
         pictures=job.params.pictures,
-        settings=job.settings,
+        settings=job.params.settings,
         resources=job.resources,
     )

@@ -2,51 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain
-from rfpipe.errors import CaptureError, InputError
-from rfpipe.keys import DRIFT_KEY
-from rfpipe.methods import Method, get_method, options_of
-from rfpipe.patterns import Schedule
-from rfpipe.photometry import ExactSensor
+from rfpipe.errors import InputError
+from rfpipe.methods import Method, get_method
 from rfpipe.photometry.normalize import Mode
-from rfpipe.photometry.reciprocity import Reciprocity
 from rfpipe.rigs import Rig
-from rfpipe.rigs.base import capture_batch, sequence_patterns
-from rfpipe.stages.capturing.drift import look
-from rfpipe.stages.capturing.mutual import MutualWatch, Tally
-from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
-from rfpipe.stages.folder import name_of
-from rfpipe.stages.jobs.progress import log_estimate
-from rfpipe.stages.merging.images import (
-    ImagesInMemory,
-    NormalizedImages,
-    known_light,
-    masked_rays,
-    normalize_level,
-)
-from rfpipe.stages.merging.merger import LevelSum, Merger, runs
-from rfpipe.stages.symmetry import NOTICED, Asymmetry, measure
+from rfpipe.stages import capture, merge
+from rfpipe.stages.acquisition import run_levels
+from rfpipe.stages.assemble import assembled
+from rfpipe.stages.folder import VERIFICATION
+from rfpipe.stages.jobs.workers import Resources
+from rfpipe.stages.memory import AcquisitionInMemory
+from rfpipe.stages.plan import Plan
+from rfpipe.stages.schedule import write_schedule
+from rfpipe.stages.symmetry import NOTICED
 from rfpipe.stages.unseen.comparing import Verification, compare
 from rfpipe.stages.unseen.patterns import NAMES
 from rfpipe.stages.unseen.verify import schedule_of
+from rfpipe.stages.watch import DRIFT, MUTUAL
 from rfpipe.transport import Transport
-from rfpipe.transport.filling import fill_from_transpose
 from rfpipe.units import SATURATION_FRACTION
 
 if TYPE_CHECKING:
     import pandas as pd
-
-_BATCH = 16
-
-_Patterns = Callable[[int, int], tuple[NDArray[np.float32], Keys]]
 
 
 @dataclass(frozen=True)
@@ -176,9 +162,6 @@ def acquire(
             f"{type(rig).__name__} is no rig; make one of a matrix or linear operator: "
             "rfpipe.OperatorRig(matrix, camera_shape=(h, w), projector_shape=(h, w))"
         )
-    chosen = get_method(method)
-    asked = options_of(chosen, **options)
-    chosen = chosen.with_options(asked)
     if min(black_frames, floodlit_frames) < 1:
         raise InputError(
             f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
@@ -189,160 +172,80 @@ def acquire(
     if not 0 <= verification <= len(NAMES):
         raise InputError(f"verification is {verification}; 0 to {len(NAMES)} pictures can be taken")
     began = perf_counter()
-    camera, projector = RayDomain(rig.camera_shape), RayDomain(rig.projector_shape)
-    asks_symmetry = chosen.asks_symmetry(camera, projector) and symmetry_frames > 0
-    chosen.start(camera, projector, rig.channels, asked)  # refuses what it can't take
-    session = _Session(
-        rig,
-        progress,
-        (1, 1) if isinstance(rig.sensor, ExactSensor) else (black_frames, floodlit_frames),
-        saturation_fraction=saturation_fraction,
-        mask_defects=mask_defects,
+    named = get_method(method)
+    plan = Plan(
+        named.name, named, rig.camera_shape, rig.projector_shape, rig.channels, options, asymmetry
     )
-    if asks_symmetry:
-        chosen = session.symmetry(symmetry_frames).judge(chosen, asked, asymmetry)
-    elif camera.shape != projector.shape:
-        chosen = chosen.on_rig(coaxial=False)
-    chosen = chosen.with_options(asked)
-    state = chosen.start(camera, projector, rig.channels, asked)
-    if chosen.needs_coaxial_rig and watch != "off":
-        session.watch(NOTICED * asymmetry, refuse=watch == "refuse")
-    shown = saturated = 0
-    for _ in range(chosen.n_levels(camera, projector)):
-        schedule = chosen.schedule(state)
-        shown += schedule.count
-        merged, level_sum = session.capture(schedule)
-        saturated += level_sum.saturated
-        gain = normalize_level(
-            schedule,
-            level_sum,
-            (session.merger.floodlit, session.merger.floodlit_variance),
-            None if normalization == "none" else known_light(chosen, state, schedule),
-            normalization,
-            asked.noise_significance,
-        )
-        state = chosen.refine(state, NormalizedImages(schedule, merged, gain))
-        if progress:
-            log_estimate(state.rows, asked)
-    masked = masked_rays(session.merger.floodlit_variance)
-    transport = fill_from_transpose(chosen.transport(state), masked)
-    verified = session.verify(transport, verification) if verification else None
-    processing = perf_counter() - began - session.capture_seconds
-    return AcquisitionResult(
-        transport, shown, session.capture_seconds, processing, saturated, masked, verified,
-        tuple(tally.facts() for tally in session.tallies),
-    )  # fmt: skip
-
-
-class _Session:
-    """One acquisition's dealings with the rig; begins with the all-off and all-on brackets."""
-
-    def __init__(
-        self, rig: Rig, progress: bool, references: tuple[int, int], **merging: Any
-    ) -> None:
-        self.rig = rig
-        self.progress = progress
-        self.capture_seconds = 0.0
-        self._batch = sequence_patterns(rig) or _BATCH
-        self.tallies: list[Tally] = []
-        self._mutual: Callable[[Schedule], MutualWatch] | None = None
-        off, on = references
-        self.merger = Merger.from_references(
-            rig.sensor, self._reference(off, 0, off), self._reference(off, off, off + on), **merging
-        )
-
-    def symmetry(self, count: int) -> Asymmetry:
-        """Measure by random patterns whether the rig is coaxial."""
-
-        def patterns(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-            return symmetry_patterns(self.rig.projector_shape, count, first, last)
-
-        return measure(self.merger, self._shown(patterns, 0, count), count)
-
-    def watch(self, worth_a_word: float, *, refuse: bool) -> None:
-        """From now on hold each picture against those before it, as a coaxial rig's."""
-        if not self.merger.floodlit.any():
-            return
-        reciprocity = Reciprocity(self.merger.floodlit, self.merger.floodlit_variance)
-
-        def of_level(schedule: Schedule) -> MutualWatch:
-            tally = Tally(name_of(schedule.level), worth_a_word, refuse)
-            self.tallies.append(tally)
-            return MutualWatch(reciprocity, schedule.batch, tally)
-
-        self._mutual = of_level
-
-    def verify(self, transport: Transport, count: int) -> Verification:
-        """Take pictures that no method saw, between two looks at the lamp, and compare them."""
-        names, schedule = schedule_of(transport, count)
-        self._mutual = None
-
-        def lamp(index: int) -> NDArray[np.float64]:
-            white = np.ones((1, *self.rig.projector_shape), np.float32)
-            bracket = self._show(white, [(DRIFT_KEY, schedule.level, index)])
-            return look(self.merger, bracket, index)[0]
-
-        before = lamp(0)
-        images, _ = self.capture(schedule)
-        gain = np.mean([before, lamp(1)], axis=0)
-        scale = np.where(gain > 0, gain, 1).astype(np.float32)
-        captured = images.radiance / scale, images.variance / scale**2
+    timed, folder = _TimedRig(rig), AcquisitionInMemory()
+    watching = {"mode": watch, "looks": 0, "mutual_error": NOTICED * asymmetry}
+    capturing: dict[str, Any] = {
+        "references": (black_frames, floodlit_frames), "progress": progress, "watching": watching,
+        "symmetry_frames": symmetry_frames if plan.asks_symmetry else 0,
+    }  # fmt: skip
+    code = {"code": ""}  # nothing is kept that it made
+    merging: dict[str, Any] = {
+        "saturation_fraction": saturation_fraction, "mask_defects": mask_defects,
+        "sensor": rig.sensor, "progress": False, **code,
+    }  # fmt: skip
+    settings = {
+        "schedule": code, "capture": capturing, "merge": merging,
+        "normalize": {"mode": normalization, **code}, "refine": code,
+    }  # fmt: skip
+    resources = Resources()
+    run_levels(plan, folder, partial(capture.run, timed), settings, resources)
+    transport, masked = assembled(plan, folder)
+    verified = None
+    if verification:
+        names, schedule = schedule_of(transport, verification)
+        write_schedule(folder, "", schedule)
+        # a look at the lamp before the first and after the last
+        capturing |= {"symmetry_frames": 0, "drift_patterns": verification, "watching": None}
+        capture.run(timed, folder, VERIFICATION, **capturing)
+        merge.run(folder, VERIFICATION, **merging, divide_out_drift=True)
+        with folder.frames(VERIFICATION, "merge") as frames:
+            images = frames.read(0, schedule.count)
         assert schedule.weights is not None
         relit = transport.relight_batch(schedule.weights)
-        return compare(names, schedule.weights, captured, relit, gain)
+        gain = np.mean(folder.read_manifest(VERIFICATION, "merge")[DRIFT]["gain"], axis=0)
+        verified = compare(names, schedule.weights, (images[:, 0], images[:, 1]), relit, gain)
+    captured, merged = (
+        [folder.read_manifest(level, stage) for level in folder.levels()]
+        for stage in ("capture", "merge")
+    )
+    return AcquisitionResult(
+        transport,
+        sum(facts["patterns"] for facts in captured),
+        timed.seconds,
+        perf_counter() - began - timed.seconds,
+        sum(facts["saturated"] for facts in merged),
+        masked,
+        verified,
+        tuple(facts[MUTUAL] for facts in captured if MUTUAL in facts),
+    )
 
-    def capture(self, schedule: Schedule) -> tuple[ImagesInMemory, LevelSum]:
-        """Capture and merge the patterns of a level; also return their sum."""
-        from tqdm import tqdm
 
-        image_shape = (*self.rig.camera_shape, self.rig.channels)
-        shape = (schedule.count, *image_shape)
-        radiance, variance = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        total = LevelSum.zero(image_shape)
-        is_judged = self._mutual and schedule.count and schedule.level
-        mutual = self._mutual(schedule) if self._mutual and is_judged else None
-        with tqdm(
-            total=schedule.count,
-            desc=name_of(schedule.level),
-            unit="pattern",
-            disable=not self.progress,
-        ) as bar:
-            for start, stop in runs(schedule.count, image_shape):
-                run = LevelSum.zero(image_shape)
-                for first in range(start, stop, self._batch):
-                    last = min(first + self._batch, stop)
-                    keys = [(schedule.level, index) for index in range(first, last)]
-                    frames = self._show(schedule.batch(first, last), keys)
-                    merged = self.merger.merge(frames, first)
-                    run.add(merged)
-                    if mutual:
-                        mutual.judge(first, merged)
-                    radiance[first:last], variance[first:last] = merged.radiance, merged.variance
-                    bar.update(last - first)
-                total.join(run)
-        return ImagesInMemory(radiance, variance), total
+class _TimedRig:
+    """A rig whose captures are timed; everything else is the rig's own."""
 
-    def _reference(self, black_frames: int, first: int, last: int) -> Iterator[NDArray[Any]]:
-        """Take the brackets that an acquisition begins with, a few at a time."""
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self.seconds = 0.0
 
-        def patterns(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-            return reference_patterns(self.rig.projector_shape, black_frames, first, last)
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._rig, name)
 
-        return self._shown(patterns, first, last)
+    def capture(
+        self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
+    ) -> NDArray[Any]:
+        return self._timed(self._rig.capture, patterns, keys)
 
-    def _shown(self, patterns: _Patterns, first: int, last: int) -> Iterator[NDArray[Any]]:
-        """Show patterns, a few at a time."""
-        for start in range(first, last, self._batch):
-            yield self._show(*patterns(start, min(start + self._batch, last)))
+    def show_sequence(
+        self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
+    ) -> NDArray[Any]:
+        return self._timed(self._rig.show_sequence, patterns, keys)  # type: ignore[attr-defined]
 
-    def _show(self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]) -> NDArray[Any]:
+    def _timed(self, take: Any, *shown: Any) -> NDArray[Any]:
         began = perf_counter()
-        frames = capture_batch(self.rig, patterns, keys)
-        self.capture_seconds += perf_counter() - began
-        expected = self.rig.sensor.frame_shape(self.rig.camera_shape, self.rig.channels)
-        if frames.shape != (len(patterns), *expected):
-            raise CaptureError(
-                f"pattern {tuple(keys[0])}: the rig returned frames of shape {frames.shape[1:]}; "
-                f"expected {tuple(expected)}. Check the camera's size, pixel format and exposures"
-            )
+        frames: NDArray[Any] = take(*shown)
+        self.seconds += perf_counter() - began
         return frames

@@ -5,19 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.merging.images import masked_rays
-from rfpipe.stages.merging.references import REFERENCES, read_floodlit
+from rfpipe.stages.merger import REFERENCES, read_floodlit
+from rfpipe.stages.normalize import masked_rays
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.results import standing
 from rfpipe.store import write_manifest
-from rfpipe.transport import save_transport
+from rfpipe.transport import Transport, save_transport
 from rfpipe.transport.filling import fill_from_transpose
 from rfpipe.units import RADIANCE_UNIT, NumberFormat
-
-__all__ = ["run"]
 
 
 def run(
@@ -58,9 +57,7 @@ def run(
     )
     if standing(manifest, made_from):
         return
-    masked = masked_rays(read_floodlit(folder)[1])
-    state = plan.state_before(folder, None)
-    transport = fill_from_transpose(plan.method.transport(state), masked)
+    transport, masked = assembled(plan, folder)
     about: dict[str, Any] = {"scene": scene, "method": plan.name, "fingerprint": made_from}
     store = manifest.with_suffix(".zarr")
     digest = save_transport(transport, store, number_format, **about)
@@ -84,3 +81,10 @@ def run(
             "versions": versions(),
         },
     )
+
+
+def assembled(plan: Plan, folder: AcquisitionFolder) -> tuple[Transport, NDArray[np.bool_]]:
+    """Return the transport of a refined acquisition, and its masked camera rays."""
+    masked = masked_rays(read_floodlit(folder)[1])
+    state = plan.state_before(folder, None)
+    return fill_from_transpose(plan.method.transport(state), masked), masked

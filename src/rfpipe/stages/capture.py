@@ -3,66 +3,36 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+import time
+from collections.abc import Mapping
 from math import prod
+from time import monotonic, sleep
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.photometry import ExactSensor
+from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY, WARM_UP_KEY
+from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
+from rfpipe.photometry.symmetry import random_signs
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import sequence_patterns
-from rfpipe.stages.capturing.brackets import Brackets
-from rfpipe.stages.capturing.moves import every_of
-from rfpipe.stages.capturing.mutual import MutualCapture, mutual_watch
-from rfpipe.stages.capturing.sensors import write_sensor
-from rfpipe.stages.capturing.shared import Shared, take_shared
-from rfpipe.stages.capturing.shown import Keys, reference_patterns, symmetry_patterns
-from rfpipe.stages.capturing.warm_up import seconds_since_capture, warm_up
-from rfpipe.stages.capturing.watch import LookWatch, Watches, drift_watch, move_watch
+from rfpipe.stages.brackets import Brackets, Keys, Shared, take_shared
 from rfpipe.stages.disk import check_disk, disk_bytes
-from rfpipe.stages.folder import (
-    REFERENCE,
-    SYMMETRY,
-    VERIFICATION,
-    AcquisitionFolder,
-    name_of,
-)
+from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.results import standing
 from rfpipe.stages.schedule import read_schedule
-from rfpipe.store import bytes_on_disk, write_manifest
+from rfpipe.stages.watch import watching_level
+from rfpipe.store import bytes_on_disk
 from rfpipe.units import COUNT_UNIT, COUNTS, RADIANCE_UNIT
 
-__all__ = ["Watching", "brackets_of", "frame_settings", "run"]
+SENSOR = "sensor"
+"""A resampled sensor's arrays, beside the frames of level 0: their store and manifest's key."""
 
-_TIME = "seconds_per_pattern"
+# The floodlit pattern stays up between two looks at its brightness.
+_SECONDS_BETWEEN_LOOKS = 30.0
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Watching:
-    """What is looked after while patterns are shown.
-
-    Parameters
-    ----------
-    mode : {"off", "warn", "refuse"}
-        What to do when the rig moved, or a coaxial one isn't aligned: refuse ends the capture.
-    looks : int or None
-        Patterns from one look at the rig to the next, 0 for none. None: eight, where the patterns
-        of a method that rests on ``T = T'`` don't tell by themselves.
-    mutual_error : float
-        Error in a picture of a rig taken for a coaxial one from which on it is said; 0: not
-        watched.
-    """
-
-    mode: Literal["off", "warn", "refuse"] = "off"
-    looks: int | None = None
-    mutual_error: float = 0.0
 
 
 def run(
@@ -78,6 +48,7 @@ def run(
     drift_patterns: int = 0,
     watching: Mapping[str, Any] | None = None,
     share: Shared = "none",
+    progress: bool = True,
     resources: Resources | None = None,
 ) -> None:
     """Capture what isn't captured yet of a level, and write its manifest.
@@ -91,7 +62,7 @@ def run(
     references : (int, int)
         All-off and all-on brackets; exact radiance takes one of each whatever stands here.
     symmetry_frames : int
-        Brackets of random patterns that follow them, for `rfpipe.stages.symmetry.run`.
+        Brackets of random patterns that follow them, for `rfpipe.stages.symmetry`.
     batch_patterns : int
         Patterns shown, then stored, at a time; fewer where memory is short. A rig with sequences
         shows as many as one of them takes.
@@ -102,9 +73,10 @@ def run(
     drift_patterns : int
         Patterns from one look at the floodlit image to the next, from level 1 on; 0 for none.
     watching : mapping, optional
-        Parameters of `Watching`; none watches nothing else.
+        "mode", "looks" and "mutual_error" of `rfpipe.stages.watch.watching_level`.
     share : {"none", "black", "all"}
-        Reference brackets to share, see `rfpipe.stages.capturing.shared.take_shared`.
+        Reference brackets to share, see `rfpipe.stages.brackets.take_shared`.
+    progress : bool
     resources : Resources, optional
         Memory for the patterns in hand. What the rig itself takes comes on top.
 
@@ -120,82 +92,55 @@ def run(
     LockedError
         When another process captures into this folder.
     """
-    counts = _counts(rig, references)
-    counted = {"black_frames": counts[0], "floodlit_frames": counts[1]}
-    facts: dict[str, dict[str, Any]] = {REFERENCE: counted, SYMMETRY: {"frames": symmetry_frames}}
     of_level, before = brackets_of(rig, folder, level, references, symmetry_frames)
-    parts = [*before.values(), of_level]
     if _stands(folder, level, of_level, before):
         _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
         return
-    for part in parts:
+    for part in (*before.values(), of_level):
         part.settle(when_patterns_change)
+    off, on = _counts(rig, references)
     if level == 0:
-        take_shared(share, folder, before[REFERENCE], counts[0], batch_patterns)
-    to_capture = sum(part.count_missing() for part in parts)
-    if to_capture:
-        camera = rig.sensor, tuple(rig.camera_shape), rig.channels
+        take_shared(share, folder, before[REFERENCE], off, batch_patterns)
+    to_capture = sum(part.count_missing() for part in (*before.values(), of_level))
+    if to_capture and folder.is_kept:
         merged = folder.store(level, "merge")  # of a capture before: replaced
-        present = bytes_on_disk(merged) if merged.exists() else 0
+        camera = rig.sensor, tuple(rig.camera_shape), rig.channels
         need = disk_bytes(*camera, to_capture, of_level.count)
-        check_disk(of_level.name, need, folder.path, present)
-        if 0 < 60 * warm_up_minutes < seconds_since_capture(folder.path):
-            warm_up(rig, warm_up_minutes)
-    # a sequence is stored when it is complete: long ones, as loading takes most of their time
+        check_disk(
+            of_level.name, need, folder.path, bytes_on_disk(merged) if merged.exists() else 0
+        )
+        _warm_up(rig, folder, 60 * warm_up_minutes)
     counted_before = _counted_by(rig)
-    at_a_time = sequence_patterns(rig) or batch_patterns
-    in_hand = _bytes_in_hand(rig) * (2 if sequence_patterns(rig) else 1)  # with complements
-    batch = (resources or Resources()).fitting(in_hand, at_a_time)
-    beside: dict[str, Any] = {} if level else write_sensor(folder, rig.sensor)
+    # A sequence is stored when it is complete: long ones, as loading takes most of their time;
+    # in hand they have complements.
+    in_sequences = sequence_patterns(rig)
+    in_hand = _bytes_in_hand(rig) * (2 if in_sequences else 1)
+    batch = (resources or Resources()).fitting(in_hand, in_sequences or batch_patterns)
+    facts: dict[str, dict[str, Any]] = {
+        REFERENCE: {"black_frames": off, "floodlit_frames": on},
+        SYMMETRY: {"frames": symmetry_frames},
+    }
+    beside: dict[str, Any] = {} if level else _write_sensor(folder, rig.sensor)
     for name, part in before.items():
-        beside[name] = {**part.capture(batch), **facts[name]}
-    watched = Watching(**(watching or {}))
-    with _watches(of_level, folder, level, drift_patterns, watched) as watches:
-        captured = of_level.capture(batch, Watches(watches))
-        beside |= {watch.name: watch.entry() for watch in watches}
+        beside[name] = {**part.capture(batch, progress=progress), **facts[name]}
+    with watching_level(
+        of_level, level, drift_patterns if level else 0, **(watching or {})
+    ) as watch:
+        captured = of_level.capture(batch, watch, progress=progress)
+        beside |= watch.entries()
     is_counts = rig.sensor.frame_dtype == COUNTS
-    write_manifest(
-        folder.manifest(level, "capture"),
-        {
-            "stage": "capture",
-            "level": level,
-            "patterns": of_level.count,
-            "units": COUNT_UNIT if is_counts else RADIANCE_UNIT,
-            "exposures_s": list(rig.sensor.exposures),
-            "rig": of_level.shown["rig"],
-            **captured,
-            **beside,
-            "devices": _difference(_counted_by(rig), counted_before),
-        },
-    )
-
-
-@contextmanager
-def _watches(
-    of_level: Brackets,
-    folder: AcquisitionFolder,
-    level: int,
-    drift_patterns: int,
-    watching: Watching,
-) -> Iterator[list[LookWatch | MutualCapture]]:
-    """Provide all that watches a level."""
-    refuse = watching.mode == "refuse"
-    is_coaxial = bool(folder.read_manifest(level, "schedule").get("coaxial"))
-    with ExitStack() as stack:
-        watches: list[LookWatch | MutualCapture | None] = [
-            stack.enter_context(
-                drift_watch(of_level, folder, level, drift_patterns if level else 0)
-            )
-        ]
-        if watching.mode != "off":
-            every = every_of(watching.looks, tells=is_coaxial)
-            watches.append(
-                stack.enter_context(move_watch(of_level, folder, level, every, refuse=refuse))
-            )
-        if watching.mode != "off" and is_coaxial and 0 < level < VERIFICATION:
-            least = watching.mutual_error
-            watches.append(mutual_watch(of_level, folder, level, least, refuse=refuse))
-        yield [watch for watch in watches if watch]
+    manifest = {
+        "stage": "capture",
+        "level": level,
+        "patterns": of_level.count,
+        "units": COUNT_UNIT if is_counts else RADIANCE_UNIT,
+        "exposures_s": list(rig.sensor.exposures),
+        "rig": of_level.shown["rig"],
+        **captured,
+        **beside,
+        "devices": _difference(_counted_by(rig), counted_before),
+    }
+    folder.write_manifest(level, "capture", manifest)
 
 
 def brackets_of(
@@ -216,35 +161,93 @@ def brackets_of(
         As of `run`.
     """
     schedule = read_schedule(folder, level)
-    described = frame_settings(rig)
-    counts = _counts(rig, references)
-
-    def of_references(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        return reference_patterns(rig.projector_shape, counts[0], first, last)
-
-    def of_symmetry(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        return symmetry_patterns(rig.projector_shape, symmetry_frames, first, last)
+    described = frame_settings(rig) if folder.is_kept else {}
+    off, on = _counts(rig, references)
+    shape = tuple(rig.projector_shape)
 
     def of_schedule(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
         return schedule.batch(first, last), [(level, index) for index in range(first, last)]
 
-    shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
-    path = folder.store(level, "capture")
-    of_level = Brackets(rig, path, name_of(level), schedule.count, shown, of_schedule)
+    def of_references(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+        return reference_patterns(shape, off, first, last)
+
+    def of_symmetry(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+        return symmetry_patterns(shape, symmetry_frames, first, last)
+
+    def brackets(store: str, name: str, count: int, patterns: Any, shown: Any) -> Brackets:
+        path = folder.store(level, store)
+        return Brackets(rig, folder, path, name, count, {**shown, "rig": described}, patterns)
+
     before: dict[str, Brackets] = {}
     if level == 0:
-        of_rig = {"black_frames": counts[0], "floodlit_frames": counts[1], "rig": described}
-        path = folder.store(level, REFERENCE)
-        before[REFERENCE] = Brackets(
-            rig, path, "reference brackets", sum(counts), of_rig, of_references
-        )
+        before[REFERENCE] = brackets(
+            REFERENCE, "reference brackets", off + on, of_references,
+            {"black_frames": off, "floodlit_frames": on},
+        )  # fmt: skip
     if level == 0 and symmetry_frames:
-        of_rig = {"symmetry_frames": symmetry_frames, "rig": described}
-        path = folder.store(level, SYMMETRY)
-        before[SYMMETRY] = Brackets(
-            rig, path, "brackets of random patterns", symmetry_frames, of_rig, of_symmetry
-        )
+        before[SYMMETRY] = brackets(
+            SYMMETRY, "brackets of random patterns", symmetry_frames, of_symmetry,
+            {"symmetry_frames": symmetry_frames},
+        )  # fmt: skip
+    count = schedule.count
+    of_level = brackets(
+        "capture",
+        name_of(level),
+        count,
+        of_schedule,
+        {"patterns": count, "shown": schedule.digest()},
+    )  # fmt: skip
     return of_level, before
+
+
+def reference_patterns(
+    projector_shape: tuple[int, ...], black_frames: int, first: int, last: int
+) -> tuple[NDArray[np.float32], Keys]:
+    """Return some of the reference patterns, first those all off, and their keys."""
+    indices = range(first, last)
+    patterns = np.zeros((len(indices), *projector_shape), np.float32)
+    patterns[max(0, black_frames - first) :] = 1
+    keys: Keys = [
+        (BLACK_LEVEL_KEY, index) if index < black_frames else (FLOODLIT_KEY, index - black_frames)
+        for index in indices
+    ]
+    return patterns, keys
+
+
+def symmetry_patterns(
+    projector_shape: tuple[int, ...], count: int, first: int, last: int
+) -> tuple[NDArray[np.float32], Keys]:
+    """Return some of the `count` random patterns that tell whether a rig is coaxial, and keys."""
+    lit = random_signs(projector_shape, 1, count, seed=0)[first:last] > 0
+    return lit.astype(np.float32), [(SYMMETRY_KEY, index) for index in range(first, last)]
+
+
+def frame_settings(rig: Rig) -> dict[str, Any]:
+    """Return a rig's description without how long it takes, which shapes no frame."""
+    return {name: it for name, it in rig.describe().items() if name != "seconds_per_pattern"}
+
+
+def read_sensor(folder: AcquisitionFolder) -> Sensor:
+    """Return the sensor that took the frames of an acquisition.
+
+    Raises
+    ------
+    StoreError
+        When level 0 isn't captured.
+    IntegrityError
+        When what it left is damaged.
+    """
+    captured = folder.read_manifest(0, "capture")
+    arrays = dict(folder.read(0, "capture", SENSOR)[0]) if SENSOR in captured else None
+    return sensor_from_description(captured["rig"]["sensor"], arrays)
+
+
+def _write_sensor(folder: AcquisitionFolder, sensor: Sensor) -> dict[str, Any]:
+    """Write the arrays of a resampled sensor; return their entry for the manifest."""
+    arrays = getattr(sensor, "arrays", None)
+    if arrays is None:
+        return {}
+    return {SENSOR: folder.write_part(0, SENSOR, arrays(), sensor=sensor.describe())}
 
 
 def _counts(rig: Rig, references: tuple[int, int]) -> tuple[int, int]:
@@ -256,7 +259,7 @@ def _stands(
     folder: AcquisitionFolder, level: int, of_level: Brackets, before: dict[str, Brackets]
 ) -> bool:
     """Whether the level's manifest stands there and is about these brackets."""
-    stated = standing(folder.manifest(level, "capture"), of_level.made_for)
+    stated = folder.standing(level, "capture", of_level.made_for)
     if stated is None or (SYMMETRY in stated) != (SYMMETRY in before):
         return False
     return all(
@@ -264,9 +267,27 @@ def _stands(
     )
 
 
-def frame_settings(rig: Rig) -> dict[str, Any]:
-    """Return a rig's description without how long it takes, which shapes no frame."""
-    return {name: value for name, value in rig.describe().items() if name != _TIME}
+def _warm_up(rig: Rig, folder: AcquisitionFolder, seconds: float) -> None:
+    """Show the all-on pattern for some seconds, unless brackets were taken that recently.
+
+    Logs how its brightness settles: projectors change by per cents in their first minutes.
+    """
+    journals = [journal.stat().st_mtime for journal in folder.path.glob("L*/*.zarr/journal.jsonl")]
+    if not seconds or (journals and time.time() - max(journals) < seconds):
+        return
+    _log.info("the lamp warms up for %.3g minutes (capture.warm_up_minutes)", seconds / 60)
+    white = np.ones((1, *rig.projector_shape), np.float32)
+    began, index, before = monotonic(), 0, 0.0
+    while (rest := seconds - (monotonic() - began)) > 0:
+        frames = rig.capture(white, [(WARM_UP_KEY, index)])
+        brightness = float(frames.mean(dtype=np.float64))
+        if before:
+            _log.info(
+                "warming up: %.0f s to go, the picture's mean changed by %+.2f %%",
+                rest, 100 * (brightness / before - 1),
+            )  # fmt: skip
+        before, index = brightness, index + 1
+        sleep(min(_SECONDS_BETWEEN_LOOKS, max(0.0, seconds - (monotonic() - began))))
 
 
 def _counted_by(rig: Rig) -> dict[str, int]:

@@ -1,31 +1,51 @@
-"""The stage that captures, with its rig, as a job of the workflow has it."""
+"""The stage that captures, with its rig: simulated, behind a server, or taken elsewhere."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import logging
+import os
+import shlex
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rfpipe.errors import PicturesNeeded
-from rfpipe.stages import capture
-from rfpipe.stages.folder import AcquisitionFolder
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["Capture", "by_pictures", "by_server", "by_simulation", "of_job"]
+from rfpipe.errors import CaptureError, InputError, PicturesNeeded, StoreError
+from rfpipe.photometry import sensor_from_description
+from rfpipe.rigs import RemoteRig
+from rfpipe.rigs.calibrated import warn_of
+from rfpipe.rigs.protocol import read_token
+from rfpipe.stages import capture
+from rfpipe.stages.brackets import differing
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
+from rfpipe.store import FrameStore, open_arrays
 
 Capture = Callable[..., None]
 """``capture(folder, level, **options)``: `rfpipe.stages.capture.run` with its rig."""
 
+_log = logging.getLogger(__name__)
+
 
 def of_job(job: Any) -> Capture:
     """Return the capture stage of a job of any kind, by its parameter ``by``."""
-    rig, threads = job.params.rig, job.resources.threads
-    by: dict[str, Callable[[], Capture]] = {
-        "simulation": lambda: by_simulation(**rig, threads=threads),
-        "server": lambda: by_server(rig, job.asked),
-        "pictures": lambda: by_pictures(**rig),
-    }
-    return by[job.params.by]()
+    rig, asked = job.params.rig, job.asked
+    if job.params.by == "simulation":
+        return by_simulation(**rig, threads=job.resources.threads)
+    if job.params.by == "pictures":
+        return by_pictures(**rig)
+    return partial(
+        by_server,
+        rig,
+        url=asked.rig_url,
+        token_file=asked.rig_token_file or None,
+        patience_seconds=float(asked.rig_patience),
+        placing=Placing(asked.rig_placing or None),
+    )
 
 
 def by_simulation(
@@ -51,29 +71,6 @@ def by_simulation(
     return partial(capture.run, SimulatedRig(before, sensor, **rig, threads=threads))
 
 
-def by_server(rays: Mapping[str, Any], asked: Any) -> Capture:
-    """Return the capture stage of a rig behind a server.
-
-    Parameters
-    ----------
-    rays : mapping
-        Arguments of `rfpipe.stages.hardware.Rays`, which must be the rig's.
-    asked : snakemake.io.Resources
-        With ``rig_url``, ``rig_token_file``, ``rig_patience`` and ``rig_placing``.
-    """
-    from rfpipe.stages import hardware
-    from rfpipe.stages.capturing.placing import Placing
-
-    return partial(
-        hardware.run,
-        hardware.Rays(**rays),
-        url=asked.rig_url,
-        token_file=asked.rig_token_file or None,
-        patience_seconds=float(asked.rig_patience),
-        placing=Placing(asked.rig_placing or None),
-    )
-
-
 def by_pictures(
     offline: Mapping[str, Any], camera: Mapping[str, Any] | None, **rays: Any
 ) -> Capture:
@@ -84,18 +81,14 @@ def by_pictures(
     offline, camera : mapping
         Settings of the offline rig and of its camera.
     **rays
-        Arguments of `rfpipe.stages.hardware.Rays`.
+        ``camera_shape``, ``projector_shape`` and ``channels``.
     """
     from rfpipe.config import CameraConfig, OfflineConfig
     from rfpipe.rigs.offline import offline_rig
 
-    rig = offline_rig(
-        OfflineConfig(**offline),
-        CameraConfig(**camera) if camera else None,
-        tuple(rays["camera_shape"]),
-        tuple(rays["projector_shape"]),
-        rays["channels"],
-    )
+    shapes = tuple(rays["camera_shape"]), tuple(rays["projector_shape"])
+    of_camera = CameraConfig(**camera) if camera else None
+    rig = offline_rig(OfflineConfig(**offline), of_camera, *shapes, rays["channels"])
 
     def run(folder: AcquisitionFolder, level: int, **options: Any) -> None:
         try:
@@ -108,3 +101,179 @@ def by_pictures(
             ) from needed
 
     return run
+
+
+def by_server(
+    rays: Mapping[str, Any],
+    folder: AcquisitionFolder,
+    level: int,
+    *,
+    url: str,
+    token_file: str | None,
+    patience_seconds: float,
+    placing: Placing | None = None,
+    **options: Any,
+) -> None:
+    """Capture what isn't captured yet of a level, by a rig behind an acquisition server.
+
+    The server is asked for patterns only where some are missing, so that what was captured can be
+    processed anew without it.
+
+    Parameters
+    ----------
+    rays : mapping
+        ``camera_shape``, ``projector_shape`` and ``channels``, which must be the rig's.
+    folder : AcquisitionFolder
+    level : int
+    url : str
+    token_file : str or None
+        None takes the token from the environment.
+    patience_seconds : float
+    placing : Placing, optional
+    **options
+        Of `rfpipe.stages.capture.run`.
+
+    Raises
+    ------
+    ConfigError
+        When there is no token.
+    CaptureError
+        When the rig isn't there, has other rays, or is another than that of what was captured
+        before.
+    """
+
+    def connected() -> RemoteRig:
+        if placing is not None:
+            placing.place(folder.path.parent.name)
+        rig = RemoteRig(
+            url, read_token(None if token_file is None else Path(token_file)), patience_seconds
+        )
+        try:
+            _check_rays(rig, rays, url)
+            if level == 0:
+                warn_of(rig.describe(), url)
+        except BaseException:
+            rig.close()
+            raise
+        return rig
+
+    rig = _begun(rays, folder, connected) or connected()
+    try:
+        capture.run(rig, folder, level, **options)
+    finally:
+        rig.close()
+
+
+@dataclass
+class Placing:
+    """Has the user's command put a scene before the rig, where another one stood there.
+
+    Parameters
+    ----------
+    command : str or None
+        A program and its arguments, quoted as for a shell, which isn't used. It finds
+        ``RFPIPE_SCENE`` in its environment and takes as long as it takes. None does nothing.
+    """
+
+    command: str | None
+    _placed: str | None = None
+
+    def place(self, scene: str) -> None:
+        """Run the command; CaptureError where it fails: nothing is captured then."""
+        if not self.command or scene == self._placed:
+            return
+        _log.info("placing %s: %s", scene, self.command)
+        try:
+            environment = {**os.environ, "RFPIPE_SCENE": scene}
+            subprocess.run(shlex.split(self.command), env=environment, check=True)
+        except (OSError, ValueError, subprocess.SubprocessError) as error:
+            raise CaptureError(
+                f"{scene} was not put before the rig: capture.placing {self.command!r} failed "
+                f"({error}). Nothing was captured; mend that and run again"
+            ) from error
+        self._placed = scene
+
+
+def _check_rays(rig: RemoteRig, rays: Mapping[str, Any], name: str) -> None:
+    for what, key in (
+        ("projector rays (shape, views)", "projector_shape"),
+        ("camera rays (camera_shape; null for a coaxial rig)", "camera_shape"),
+        ("channels", "channels"),
+    ):
+        held, expected = np.array(getattr(rig, key)), np.array(rays[key])
+        if not np.array_equal(held, expected):
+            raise CaptureError(
+                f"{name}: the rig has {_shown(held)} {what}; the settings of the scene say "
+                f"{_shown(expected)}. Set them to the rig's"
+            )
+
+
+def _shown(value: NDArray[Any]) -> Any:
+    return tuple(value.tolist()) if value.ndim else int(value)
+
+
+def _begun(
+    rays: Mapping[str, Any], folder: AcquisitionFolder, connect: Callable[[], RemoteRig]
+) -> _BegunRig | None:
+    """Return the rig that an acquisition was begun with, None where nothing is captured yet."""
+    try:
+        with FrameStore.open(folder.store(0, REFERENCE)) as frames:
+            described = frames.attributes["rig"] if frames.done.any() else None
+        store = folder.store(0, capture.SENSOR)
+        arrays = open_arrays(store).read_all() if store.exists() else None
+        return described and _BegunRig(rays, described, arrays, connect)
+    except (StoreError, InputError, KeyError):
+        return None  # the rig itself will say, and whoever reads the frames
+
+
+class _BegunRig:
+    """The rig of frames that are on disk, which is connected to only for more of them."""
+
+    seconds_per_pattern = 0.0
+
+    def __init__(
+        self, rays: Mapping[str, Any], described: dict[str, Any], arrays: Any,
+        connect: Callable[[], RemoteRig],
+    ) -> None:  # fmt: skip
+        self.camera_shape = tuple(rays["camera_shape"])
+        self.projector_shape = tuple(rays["projector_shape"])
+        self.channels = rays["channels"]
+        self.sensor = sensor_from_description(described["sensor"], arrays)
+        self._described, self._connect = described, connect
+        self._rig: RemoteRig | None = None
+
+    def capture(
+        self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
+    ) -> NDArray[Any]:
+        """Show patterns; CaptureError also where the rig is another than at the beginning."""
+        if self._rig is None:
+            self._rig = self._connect()
+            self._before = self._rig.statistics
+            described = capture.frame_settings(self._rig)
+            if described != self._described:
+                raise CaptureError(
+                    f"{self._rig.url}: the rig is not that of the patterns captured before ("
+                    f"{differing(self._described, described)}). Serve it with those settings, or "
+                    "remove the acquisition's folder to begin anew"
+                )
+        return self._rig.capture(patterns, keys)
+
+    @property
+    def statistics(self) -> dict[str, dict[str, int]]:
+        """What the rig's devices counted since it was connected to."""
+        if self._rig is None:
+            return {}
+        return {
+            device: {
+                what: count - self._before.get(device, {}).get(what, 0)
+                for what, count in counts.items()
+            }
+            for device, counts in self._rig.statistics.items()
+        }
+
+    def describe(self) -> dict[str, Any]:
+        return self._described
+
+    def close(self) -> None:
+        if self._rig is not None:
+            self._rig.close()

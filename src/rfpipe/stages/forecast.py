@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rfpipe.photometry import ExactSensor, sensor_from_config
-from rfpipe.stages.capturing.drift import item_count as look_count
-from rfpipe.stages.capturing.moves import every_of
 from rfpipe.stages.disk import disk_bytes
 from rfpipe.stages.plan import Plan, plan_of
+from rfpipe.stages.watch import look_count, looks_every
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,7 +48,7 @@ def forecast(settings: Config) -> pd.DataFrame:
         references += pictures + 2 if pictures else 0
         every = [capture.drift_patterns]
         if capture.watch != "off":
-            every.append(every_of(capture.looks, tells=plan.method.needs_coaxial_rig))
+            every.append(looks_every(capture.looks, plan.method.needs_coaxial_rig))
         rays = plan.camera, plan.projector
         expected = plan.method.expected_patterns(*rays, plan.options)
         most = plan.method.most_patterns(*rays, plan.options)

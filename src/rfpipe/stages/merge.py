@@ -3,60 +3,41 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import LockedError, StoreError
+from rfpipe.errors import LockedError, StaleStoreError, StoreError
 from rfpipe.photometry.sensor import Merged, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages import symmetry
-from rfpipe.stages.capturing import moves
-from rfpipe.stages.capturing.drift import DRIFT, measure
-from rfpipe.stages.capturing.moves import MOVES
-from rfpipe.stages.folder import REFERENCE, AcquisitionFolder, name_of
+from rfpipe.stages.brackets import differing
+from rfpipe.stages.capture import read_sensor
+from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.progress import Progress
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.merging.merger import LevelSum, Merger, chunk_patterns, runs
-from rfpipe.stages.merging.raw import RawFrames
-from rfpipe.stages.merging.references import (
+from rfpipe.stages.merger import (
     REFERENCES,
-    intact_bundle,
+    LevelSum,
+    Merger,
+    chunk_patterns,
     learn_references,
     read_merger,
+    runs,
 )
-from rfpipe.stages.results import standing
-from rfpipe.store import (
-    FrameStore,
-    ItemWriter,
-    drop,
-    open_arrays,
-    read_manifest,
-    to_disk,
-    write_arrays,
-    write_manifest,
-)
-from rfpipe.units import RADIANCE, RADIANCE_UNIT
-
-__all__ = ["SUMS", "MergedFrames", "read_level_sum", "run"]
-
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
+from rfpipe.stages.watch import DRIFT, MOVES, measure_drift, measure_moves
+from rfpipe.store import FrameStore, drop, open_arrays, to_disk
+from rfpipe.units import RADIANCE_UNIT
 
 SUMS = "sums"
 """Sum of the level's images and of their variance: their store and manifest's key."""
-
-_COPY = "manifest.json"
 
 _log = logging.getLogger(__name__)
 
 
 def run(
-    sensor: Sensor,
     folder: AcquisitionFolder,
     level: int,
     *,
@@ -65,14 +46,14 @@ def run(
     code: str,
     divide_out_drift: bool = False,
     keep_raw: bool = True,
+    sensor: Sensor | None = None,
+    progress: bool = True,
     resources: Resources | None = None,
 ) -> None:
     """Merge the brackets of a level and write the manifest.
 
     Parameters
     ----------
-    sensor : Sensor
-        The one that took the frames.
     folder : AcquisitionFolder
     level : int
         Level 0 also learns the black level, the defects and the floodlit image, and whether the
@@ -89,6 +70,9 @@ def run(
     keep_raw : bool
         Whether the brackets stay when they are merged. Where they don't, merged images that other
         code made are kept.
+    sensor : Sensor, optional
+        The one that took the frames; by default as its capture left it.
+    progress : bool
     resources : Resources, optional
         Memory and threads; nothing that is written depends on them.
 
@@ -102,58 +86,40 @@ def run(
     IntegrityError
         When captured frames are damaged.
     """
-    resources = resources or Resources()
-    settings: dict[str, Any] = {
-        "sensor": sensor.describe(),
-        "saturation_fraction": saturation_fraction,
-        "mask_defects": mask_defects,
-    }
-    if level == 0:
-        merger, references = learn_references(sensor, folder, settings, code, resources)
-    else:
-        references = folder.read_manifest(0, "merge")[REFERENCES]
-        merger = read_merger(sensor, folder, saturation_fraction)
+    sensor = sensor or read_sensor(folder)
     captured = folder.read_manifest(level, "capture")
-    made_of = {
-        "settings": settings,
+    references = captured if level == 0 else folder.read_manifest(0, "merge")
+    made_of: dict[str, Any] = {
+        "settings": {
+            "sensor": sensor.describe() if folder.is_kept else None,
+            "saturation_fraction": saturation_fraction,
+            "mask_defects": mask_defects,
+        },
         "captured": captured["digest"],
-        "references": references["digest"],
+        "references": references[REFERENCE if level == 0 else REFERENCES]["digest"],
+        **{name: captured[name]["digest"] for name in (MOVES, SYMMETRY) if name in captured},
     }
     if DRIFT in captured:
         made_of[DRIFT] = [captured[DRIFT]["digest"], divide_out_drift]
-    if MOVES in captured:
-        made_of[MOVES] = captured[MOVES]["digest"]
     made_from = fingerprint([made_of, code])
-    store = folder.store(level, "merge")
-    manifest = folder.manifest(level, "merge")
-    facts = standing(manifest, made_from)
-    is_new = facts is None
-    if is_new:
+    if folder.standing(level, "merge", made_from) is None:
         facts = _kept(folder, level, made_of, made_from)
-    if facts is None:
-        # A merge is quick beside its capture, so that one that was interrupted starts anew.
-        FrameStore.discard(store)
-        gains, drift = _drift(merger, folder, level, captured, divide_out_drift)
-        facts = {
-            "stage": "merge",
-            "level": level,
-            "units": RADIANCE_UNIT,
-            **({REFERENCES: references} if level == 0 else {}),
-            **_merge(merger, gains, folder, level, made_from, resources),
-            **drift,
-            **_moves(merger, folder, level, captured),
-            "made_of": made_of,
-            "fingerprint": made_from,
-            "versions": versions(),
-        }
-        write_manifest(store / _COPY, facts)
-    if is_new:
-        write_manifest(manifest, facts)
-    if level == 0:
-        symmetry.run(
-            sensor, folder,
-            saturation_fraction=saturation_fraction, code=code, keep_raw=keep_raw,
-        )  # fmt: skip
+        if facts is None:
+            facts = {
+                "stage": "merge", "level": level, "units": RADIANCE_UNIT, "made_of": made_of,
+                "fingerprint": made_from, "versions": versions(),
+            }  # fmt: skip
+            if level == 0:
+                merger, facts[REFERENCES] = learn_references(
+                    sensor, folder, saturation_fraction, mask_defects
+                )
+                facts |= symmetry.measured(folder, merger)
+            else:
+                merger = read_merger(sensor, folder, saturation_fraction)
+            gains, drift = measure_drift(folder, merger, level, divide_out=divide_out_drift)
+            facts |= drift | measure_moves(folder, merger, level)
+            facts |= _merge(merger, gains, folder, level, facts, resources or Resources(), progress)
+        folder.write_manifest(level, "merge", facts)
     if not keep_raw:
         _drop_raw(folder, level)
 
@@ -163,20 +129,19 @@ class _MergeRun:
     """Merges runs of a level's brackets and writes their images; any thread or process may."""
 
     merger: Merger
-    gains: Double | None
-    captured: Path
-    merged: Path
-    made_from: str
+    gains: NDArray[np.float64] | None
+    frames: Any
+    images: Any
     chunk: int
 
     def __call__(self, first: int, last: int) -> tuple[int, list[str], LevelSum]:
         """Merge a run; return its first pattern, and the digests and the sum of its images."""
         digests: list[str] = []
         total = LevelSum.zero(self.merger.floodlit.shape)
-        with self._images.adding(first) as add:
+        with self.images.adding(first) as add:
             for start in range(first, last, self.chunk):
                 stop = min(start + self.chunk, last)
-                merged = self.merger.merge(self._frames.read(start, stop), start)
+                merged = self.merger.merge(self.frames.read(start, stop), start)
                 if self.gains is not None:
                     merged = _divided(merged, self.gains[start:stop])
                 total.add(merged)
@@ -192,49 +157,8 @@ class _MergeRun:
         brackets = self.merger.black.nbytes * 5
         return brackets + self.chunk * (self.merger.black.nbytes + 3 * image) + 2 * image
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out the open stores: a cluster's workers pass the work on among themselves."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
-    @cached_property
-    def _frames(self) -> FrameStore:
-        return FrameStore.open(self.captured)
-
-    @cached_property
-    def _images(self) -> ItemWriter:
-        return ItemWriter(self.merged, self.made_from)
-
-
-def _drift(
-    merger: Merger,
-    folder: AcquisitionFolder,
-    level: int,
-    captured: dict[str, Any],
-    divide_out: bool,
-) -> tuple[Double | None, dict[str, Any]]:
-    """Report what a drift watch saw: return gains (patterns, C) to divide by, and facts."""
-    if DRIFT not in captured:
-        return None, {}
-    every = captured[DRIFT]["every"]
-    with folder.frames(level, "capture", DRIFT) as frames:
-        drift = measure(merger, frames)
-    drift.report(name_of(level), divided_out=divide_out)
-    gains = drift.gains_at(captured["patterns"], every) if divide_out else None
-    return gains, {DRIFT: {**drift.facts(every), "divided_out": divide_out}}
-
-
-def _moves(
-    merger: Merger, folder: AcquisitionFolder, level: int, captured: dict[str, Any]
-) -> dict[str, Any]:
-    """Return what looks at the rig saw, if there were any."""
-    if MOVES not in captured:
-        return {}
-    with folder.frames(level, "capture", MOVES) as frames:
-        found = moves.measure(folder, merger, frames)
-    return {MOVES: {"every": captured[MOVES]["every"], **found}}
-
-
-def _divided(merged: Merged, gains: Double) -> Merged:
+def _divided(merged: Merged, gains: NDArray[np.float64]) -> Merged:
     """Return images (B, *camera_shape, C) over gains (B, C); their noise is small beside theirs."""
     over = gains.reshape(len(gains), *[1] * (merged.radiance.ndim - 2), -1)
     radiance = (merged.radiance / over).astype(np.float32)
@@ -244,14 +168,15 @@ def _divided(merged: Merged, gains: Double) -> Merged:
 
 def _merge(
     merger: Merger,
-    gains: Double | None,
+    gains: NDArray[np.float64] | None,
     folder: AcquisitionFolder,
     level: int,
-    made_from: str,
+    facts: dict[str, Any],
     resources: Resources,
+    progress: bool,
 ) -> dict[str, Any]:
+    """Merge a level; return what its manifest says of the images and their sum."""
     image_shape = merger.floodlit.shape
-    store = folder.store(level, "merge")
     chunk = chunk_patterns(image_shape)
     total = LevelSum.zero(image_shape)
     with folder.frames(level, "capture") as frames:
@@ -259,29 +184,20 @@ def _merge(
         pieces = runs(count, image_shape)
         # a run is a shard, so that no two workers ever write the same one
         run_chunks = max(-(-(last - first) // chunk) for first, last in pieces or [(0, 1)])
-        shape = (count, 2, *image_shape)
-        about = {"axis 1": ["radiance", "variance"], "units": RADIANCE_UNIT}
         merger = replace(merger, options=replace(merger.options, brackets=count))
-        # a cluster's workers have working folders of their own
-        captured, merged = frames.path.absolute(), store.absolute()
-        work = _MergeRun(merger, gains, captured, merged, made_from, chunk)
+        shape = (count, 2, *image_shape)
         with (
-            FrameStore.create(
-                store,
-                shape,
-                RADIANCE,
-                made_from,
-                about,
-                items_per_chunk=chunk,
-                chunks_per_file=run_chunks,
-            ) as images,
-            resources.workers(work.bytes_in_hand, store.parent) as workers,
-        ):
-            with Progress(f"{name_of(level)} merge", count, quick=True) as progress:
-                for first, digests, of_run in workers.results(work, pieces):
+            folder.merging(level, shape, facts["fingerprint"], (chunk, run_chunks)) as (
+                images, writer,
+            ),
+            Progress(f"{name_of(level)} merge", count, quick=True, shown=progress) as bar,
+        ):  # fmt: skip
+            work = _MergeRun(merger, gains, frames, writer, chunk)
+            with resources.workers(work.bytes_in_hand, folder.store(level, "merge").parent) as some:
+                for first, digests, of_run in some.results(work, pieces):
                     images.enter(first, digests)
                     total.join(of_run)
-                    progress.advance(of_run.count)
+                    bar.advance(of_run.count)
             entry = images.entry()
     samples = count * int(np.prod(image_shape))
     if total.saturated:
@@ -290,16 +206,11 @@ def _merge(
             "lower bound. Add a shorter exposure",
             name_of(level), total.saturated, samples,
         )  # fmt: skip
-    sums = folder.store(level, SUMS)
+    counted = {"patterns": count, **entry, "saturated": total.saturated, "samples": samples}
     arrays = {"radiance": total.radiance, "variance": total.variance}
-    write_arrays(sums, arrays, {"fingerprint": made_from, "units": RADIANCE_UNIT})
-    return {
-        "patterns": count,
-        **entry,
-        "saturated": total.saturated,
-        "samples": samples,
-        SUMS: open_arrays(sums).entry(),
-    }
+    # the manifest stands with the sums, too: raw frames may be dropped, and Snakemake removes it
+    about = {"facts": facts | counted, "fingerprint": facts["fingerprint"], "units": RADIANCE_UNIT}
+    return {**counted, SUMS: folder.write_part(level, SUMS, arrays, **about)}
 
 
 def _kept(
@@ -309,46 +220,49 @@ def _kept(
 
     Raises StaleStoreError where the images are damaged or of other settings.
     """
-    raw = RawFrames(folder, level, "capture")
-    if not raw.dropped:
+    raw = folder.store(level, "capture")
+    if not folder.is_kept or not FrameStore.open(raw).dropped:
         return None
-    copy = folder.store(level, "merge") / _COPY
+    advice = (
+        f"To capture all levels again, remove the capture.json, capture.zarr and reference.zarr of "
+        f"{folder.path}/L*, then run again"
+    )
     try:
-        facts = read_manifest(copy)
-    except StoreError:
-        raw.must_be_there("there are no whole merged images of them")
-        raise
-    if facts["fingerprint"] != made_from:
-        raw.must_be_unchanged(facts["made_of"], made_of)
-    if not _is_intact(folder, level, facts):
-        raw.must_be_there("the merged images are damaged")
-    return facts
-
-
-def _is_intact(folder: AcquisitionFolder, level: int, facts: dict[str, Any]) -> bool:
-    made_from = facts["fingerprint"]
-    if intact_bundle(folder.store(level, SUMS), made_from) is None:
-        return False
-    store = folder.store(level, "merge")
-    try:
-        FrameStore.open(store)  # or one would be made where the header is missing
-        shape = tuple(facts["shape"])
-        with FrameStore.create(store, shape, facts["dtype"], made_from, {}) as images:
-            return images.complete
+        sums = open_arrays(folder.store(level, SUMS))
+        sums.read_all()
+        facts: dict[str, Any] = {**sums.attributes["facts"], SUMS: sums.entry()}
+        if level == 0:
+            open_arrays(folder.store(0, REFERENCES)).read_all()
+        images = FrameStore.open(folder.store(level, "merge"))
+        why = "" if images.complete and not images.damaged() else "the merged images are damaged"
     except LockedError:
         raise
-    except StoreError as error:
-        _log.warning("made anew, since it is damaged: %s", error)
-        return False
+    except (StoreError, KeyError) as error:
+        why = f"there are no whole merged images of them ({error})"
+    if not why and facts["made_of"] != made_of:
+        changed = differing(facts["made_of"], made_of)
+        why = f"what they were merged with changed ({changed}): restore it"
+    if why:
+        raise StaleStoreError(
+            f"{raw}: the raw exposures were dropped after their merge (capture.keep_raw is false), "
+            f"and {why}. {advice}"
+        )
+    if facts["fingerprint"] != made_from:
+        _log.warning(
+            "%s: merged by other code than today's and kept, since the raw exposures were "
+            "dropped. %s", raw, advice,
+        )  # fmt: skip
+    return facts
 
 
 def _drop_raw(folder: AcquisitionFolder, level: int) -> None:
     """Remove the frames that were merged: last of all, so that it may be cut off anywhere."""
     kept = ["merge", SUMS, *([REFERENCES] if level == 0 else [])]
-    raw = ["capture", *([REFERENCE] if level == 0 else [])]
+    raw = ["capture", *([REFERENCE, SYMMETRY] if level == 0 else [])]
     for part in kept:
         to_disk(folder.store(level, part))
-    freed = sum(drop(folder.store(level, part)) for part in raw)
+    stores = [folder.store(level, part) for part in raw]
+    freed = sum(drop(store) for store in stores if store.exists())
     if freed:
         _log.info("%s: raw exposures dropped, %.3g MB", name_of(level), freed / 1e6)
 
@@ -357,15 +271,3 @@ def read_level_sum(folder: AcquisitionFolder, level: int) -> LevelSum:
     """Read the sum of a level's images and of their variance."""
     arrays, _ = folder.read(level, "merge", SUMS)
     return LevelSum(arrays["radiance"], arrays["variance"])
-
-
-@dataclass(frozen=True)
-class MergedFrames:
-    """The merged images of a level as they lie on disk; see `rfpipe.stages.merging.images`."""
-
-    frames: FrameStore
-
-    def read(self, first: int, last: int) -> tuple[Float, Float]:
-        """Return radiance and variance of patterns ``first:last``."""
-        images = self.frames.read(first, min(last, self.frames.shape[0]))
-        return images[:, 0], images[:, 1]

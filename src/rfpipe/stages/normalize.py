@@ -1,20 +1,113 @@
-"""Stage: the factors that make a level's images add up to the floodlit image [B.2]."""
+"""Stage: the factors that make a level's images add up to the floodlit image [B.2].
+
+A method reads the images merged, then normalized on the way.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
+from typing import Any
 
-from rfpipe.photometry.normalize import Mode, Normalization
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.methods.base import Method
+from rfpipe.patterns import Schedule
+from rfpipe.photometry.normalize import Mode, Normalization, apply, level_gain
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merge import SUMS, read_level_sum
-from rfpipe.stages.merging.images import known_light, normalize_level
-from rfpipe.stages.merging.references import REFERENCES, read_floodlit
+from rfpipe.stages.merger import REFERENCES, LevelSum, read_floodlit
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.results import standing, write_bundle
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.transport import Transport
 
-__all__ = ["read_normalization", "run"]
+Float = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class NormalizedImages:
+    """The images of a level, scaled to add up to the floodlit image as they are read (B.2).
+
+    Parameters
+    ----------
+    schedule : Schedule
+    frames : object
+        ``read(first, last)`` returns radiance and variance, (B, 2, *camera_shape, C); None for a
+        level without patterns.
+    normalization : Normalization
+    """
+
+    schedule: Schedule
+    frames: Any
+    normalization: Normalization
+
+    def read(self, first: int, last: int) -> tuple[Float, Float]:
+        """Return normalized radiance and its variance of patterns ``first:last``."""
+        if self.frames is None:
+            nothing = np.empty((0, *self.normalization.gain.shape), np.float32)
+            return nothing, nothing
+        images = self.frames.read(first, min(last, self.schedule.count))
+        return apply(images[:, 0], images[:, 1], self.normalization)
+
+
+def masked_rays(floodlit_variance: Float) -> NDArray[np.bool_]:
+    """Return the camera rays that no image knows, (*camera_shape), of a variance with channels."""
+    return np.asarray(np.isinf(floodlit_variance).any(axis=-1))
+
+
+def known_light(method: Method[Any], state: Any, schedule: Schedule) -> Float | None:
+    """Predict the light of the rays that a level no longer lights.
+
+    Returns
+    -------
+    ndarray of float32, shape (*camera_shape, C), or None
+        None where the level lights every ray that can send light.
+    """
+    if schedule.complete or not schedule.count or schedule.pattern_of_ray is None:
+        return None
+    transport: Transport = method.known(state)
+    return transport.relight(schedule.pattern_of_ray < 0)
+
+
+def normalize_level(
+    schedule: Schedule,
+    level_sum: LevelSum,
+    floodlit: tuple[Float, Float],
+    known: Float | None,
+    mode: Mode,
+    significance: float,
+) -> Normalization:
+    """Compare the sum of a level's images with the floodlit image (thesis B.2).
+
+    Where the level leaves rays dark whose light is known already, that light is taken off the
+    floodlit image first. A pixel that has most of its light from such rays is left as it is: the
+    difference would be all noise.
+
+    Parameters
+    ----------
+    schedule : Schedule
+    level_sum : LevelSum
+        Sum of the level's images and of their variance.
+    floodlit : tuple of two ndarrays of float32, shape (*camera_shape, C)
+        The floodlit image and its variance.
+    known : ndarray of float32, shape (*camera_shape, C), or None
+        Light of the rays that the level does not light, see `known_light`.
+    mode : {"none", "per_channel", "total_energy"}
+    significance : float
+        Standard deviations that make a sum significant.
+    """
+    radiance, spread = floodlit
+    wanted = mode != "none" and (schedule.complete or known is not None)
+    expected = radiance if known is None else radiance - known
+    found = level_gain(
+        expected, level_sum.radiance, level_sum.variance, mode, wanted, significance, spread
+    )
+    if known is None:
+        return found
+    covered = found.covered & (known < expected)
+    gain = np.where(covered, found.gain, np.float32(1))
+    return Normalization(gain, covered, mode)
 
 
 def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: str) -> None:
@@ -33,7 +126,6 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
         Digest of the code behind the stage.
     """
     plan.settle(folder, aloud=level == 0)
-    manifest = folder.manifest(level, "normalize")
     planned = folder.read_manifest(level, "schedule")
     made_of = {
         "merge": folder.read_manifest(level, "merge")[SUMS]["digest"],
@@ -47,29 +139,25 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
     if not planned["complete"] and mode != "none":
         made_of |= {"plan": plan.describe(), "refine": folder.refined_above(level)}
     made_from = fingerprint(made_of)
-    if standing(manifest, made_from):
+    if folder.standing(level, "normalize", made_from):
         return
     schedule = read_schedule(folder, level)
     known = None
     if "refine" in made_of:
         known = known_light(plan.method, plan.state_before(folder, level), schedule)
-    found = normalize_level(
-        schedule,
-        read_level_sum(folder, level),
-        read_floodlit(folder),
-        known,
-        mode,
+    factors = normalize_level(
+        schedule, read_level_sum(folder, level), read_floodlit(folder), known, mode,
         plan.options.noise_significance,
-    )
+    )  # fmt: skip
     facts = {
         "stage": "normalize",
         "level": level,
         "mode": mode,
         "units": {"gain": "1", "covered": "whether scaled"},
-        "covered_fraction": float(np.mean(found.covered)),
+        "covered_fraction": float(np.mean(factors.covered)),
     }
-    arrays = {"gain": found.gain, "covered": found.covered}
-    write_bundle(manifest, made_from, arrays, facts)
+    arrays = {"gain": factors.gain, "covered": factors.covered}
+    folder.write(level, "normalize", made_from, arrays, facts)
 
 
 def read_normalization(folder: AcquisitionFolder, level: int) -> Normalization:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,12 +24,8 @@ if TYPE_CHECKING:
     from rfpipe.config import Config
     from rfpipe.rigs.offline import Checked
 
-__all__ = ["PICTURES", "OfflineAcquisition"]
-
 PICTURES = "pictures"
 """Folder beside a sheet's patterns for what is taken of them."""
-
-_log = logging.getLogger("rfpipe")
 
 Asked = Iterator[tuple[tuple[int, ...], NDArray[np.float32]]]
 
@@ -86,8 +81,6 @@ class OfflineAcquisition:
             self._level, self._options = level, options
             capture.run(rig, folder, level, **options)
 
-        log = logging.getLogger("rfpipe")
-        handlers = list(log.handlers)
         plan = Plan(**plan_of(self.settings, self.scene, self.name))
         stages = stages_of(self.settings, self.scene, self.name)
         resources = resources or Resources(self.settings.resources.memory_gib)
@@ -96,10 +89,6 @@ class OfflineAcquisition:
                 acquisition.run(plan, self._files, captured, stages, resources)
         except PicturesNeeded:
             return self._level
-        finally:
-            for handler in set(log.handlers) - set(handlers):  # of the stage that was left
-                log.removeHandler(handler)
-                handler.close()
         return None
 
     def rig(self, checked: Checked | None = None) -> OfflineRig:

@@ -26,8 +26,8 @@ class Plan:
     ----------
     name : str
         What the settings' section and the results' folder are called.
-    method : str
-        A method's name or path, see `rfpipe.methods.get_method`.
+    method : str or Method
+        See `rfpipe.methods.get_method`.
     camera_shape, projector_shape : sequence of int
         See `rfpipe.blocks.RayDomain`.
     channels : int
@@ -47,7 +47,7 @@ class Plan:
     def __init__(
         self,
         name: str,
-        method: str,
+        method: str | Method[Any],
         camera_shape: Sequence[int],
         projector_shape: Sequence[int],
         channels: int,

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
+from rfpipe.methods import Pack
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.merge import MergedFrames
-from rfpipe.stages.merging.images import NormalizedImages, no_images
-from rfpipe.stages.normalize import read_normalization
+from rfpipe.stages.normalize import NormalizedImages, read_normalization
 from rfpipe.stages.plan import Plan, packed
-from rfpipe.stages.results import standing, write_bundle
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.units import RADIANCE_UNIT
-
-__all__ = ["run"]
 
 
 def run(
@@ -41,7 +37,6 @@ def run(
 
     """
     plan.settle(folder)
-    manifest = folder.manifest(level, "refine")
     planned = folder.read_manifest(level, "schedule")
     made_from = fingerprint(
         {
@@ -53,19 +48,22 @@ def run(
             "code": code,
         }
     )
-    if standing(manifest, made_from):
+    if folder.standing(level, "refine", made_from):
         return
     method = plan.method
     state = plan.state_before(folder, level)
     schedule, factors = read_schedule(folder, level), read_normalization(folder, level)
     with folder.frames(level, "merge") as merged:
-        images = NormalizedImages(schedule, MergedFrames(merged), factors)
+        images = NormalizedImages(schedule, merged, factors)
         state = method.refine(state, images, (resources or Resources()).data_bytes)
     log_estimate(state.rows, plan.options)
-    packs, following = [method.pack(state)], level + 1
+    # in memory the state itself is carried on
+    pack = method.pack if folder.is_kept else lambda _: Pack({}, {})
+    packs, following = [pack(state)], level + 1
     while following < plan.n_levels and not method.asks(state):
-        state = method.refine(state, no_images(method.schedule(state), factors))
-        packs.append(method.pack(state))
+        nothing = NormalizedImages(method.schedule(state), None, factors)
+        state = method.refine(state, nothing)
+        packs.append(pack(state))
         following += 1
     arrays, states = packed(packs)
     facts = {
@@ -76,5 +74,5 @@ def run(
         "patterns": planned["patterns"],
         "units": RADIANCE_UNIT,
     }
-    write_bundle(manifest, made_from, arrays, facts, states=states)
+    folder.write(level, "refine", made_from, arrays, facts, states=states)
     plan.carry(facts["next"], state)

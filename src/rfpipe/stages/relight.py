@@ -15,7 +15,7 @@ from rfpipe.errors import InputError, IntegrityError
 from rfpipe.provenance import fingerprint
 from rfpipe.stages.evaluating.slices import leaf_levels, line_patterns
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.merging.references import read_floodlit
+from rfpipe.stages.merger import read_floodlit
 from rfpipe.stages.results import write_bundle
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.transport import Transport, open_transport

@@ -16,15 +16,11 @@ from rfpipe.errors import InputError, StoreError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, SceneKind
 from rfpipe.scenes.kinds.views import AnyRig
-from rfpipe.stages.capturing.sensors import read_sensor
-from rfpipe.stages.capturing.shown import symmetry_patterns
+from rfpipe.stages.capture import read_sensor, symmetry_patterns
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
-from rfpipe.stages.merge import MergedFrames
-from rfpipe.stages.merging.references import read_floodlit, read_merger
+from rfpipe.stages.merger import read_floodlit, read_merger
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.units import SATURATION_FRACTION
-
-__all__ = ["Recorded", "RecordedOptions", "RecordedScene"]
 
 # A pattern is spanned where the recorded ones make it up to within so much of full light.
 _SPANNED = 1e-3
@@ -109,7 +105,7 @@ class RecordedScene(Scene):
         patterns, images = [], [floodlit[None]]
         shape: tuple[int, ...] = ()
         for level in recorded.levels():
-            if not recorded.manifest(level, "merge").exists():
+            if not recorded.exists(level, "merge"):
                 break
             schedule = read_schedule(recorded, level)
             shape = schedule.shape
@@ -117,7 +113,7 @@ class RecordedScene(Scene):
                 continue
             with recorded.frames(level, "merge") as frames:
                 digests.append(frames.digest())
-                images.append(MergedFrames(frames).read(0, schedule.count)[0])
+                images.append(frames.read(0, schedule.count)[:, 0])
             patterns.append(schedule.batch(0, schedule.count).reshape(schedule.count, -1))
         random = _symmetry(recorded)
         if random is not None and len(shape):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import InputError
@@ -10,11 +9,6 @@ from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.results import standing
-from rfpipe.store import write_arrays, write_manifest
-
-__all__ = ["read_schedule", "run", "write_schedule"]
-
 
 _UNITS = "number of the pattern that lights a ray, -1 for none"
 _WEIGHT_UNITS = "fraction of full light"
@@ -36,22 +30,23 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
     InputError
         When the level has no patterns to show.
     """
-    manifest = folder.manifest(level, "schedule")
     if level:
         plan.settle(folder)
     method = plan.method if level else plan.named
     made_from = fingerprint(
         {"plan": plan.describe(method), "refine": folder.refined_above(level), "code": code}
     )
-    if standing(manifest, made_from):
+    if folder.standing(level, "schedule", made_from):
         return
     schedule = method.schedule(plan.state_before(folder, level))
     if level and not schedule.count:
         raise InputError(f"{folder.path}: level {level} has no patterns to show")
-    write_schedule(manifest, made_from, schedule, coaxial=method.needs_coaxial_rig)
+    write_schedule(folder, made_from, schedule, coaxial=method.needs_coaxial_rig)
 
 
-def write_schedule(manifest: Path, made_from: str, schedule: Schedule, **facts: Any) -> None:
+def write_schedule(
+    folder: AcquisitionFolder, made_from: str, schedule: Schedule, **facts: Any
+) -> None:
     """Write a schedule, and a manifest that says nothing but what is to be shown.
 
     The manifest of the same patterns stays the same, whatever they follow from: by that Snakemake
@@ -70,8 +65,8 @@ def write_schedule(manifest: Path, made_from: str, schedule: Schedule, **facts: 
         **facts,
     }
     made = {"fingerprint": made_from, "versions": versions()}
-    write_arrays(manifest.with_suffix(".zarr"), arrays, {"facts": stated, **made})
-    write_manifest(manifest, stated)
+    folder.write_part(schedule.level, "schedule", arrays, facts=stated, **made)
+    folder.write_manifest(schedule.level, "schedule", stated)
 
 
 def read_schedule(folder: AcquisitionFolder, level: int) -> Schedule:
@@ -82,7 +77,6 @@ def read_schedule(folder: AcquisitionFolder, level: int) -> Schedule:
     StoreError, IntegrityError
         When it is missing or damaged.
     """
-    arrays: dict[str, Any]
     arrays, attributes = folder.read(level, "schedule")
     facts = attributes["facts"]
     return Schedule(

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import DamagedStageError
+from rfpipe.stages import captures
 from rfpipe.stages.folder import AcquisitionFolder, clear
 from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.store import StoreLock
-
-__all__ = ["StageJob", "stage_job"]
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,28 @@ class StageJob:
     resources: Resources
     asked: Any
 
-    @property
-    def settings(self) -> Any:
-        """The settings of the job's stage, or stages."""
-        return self.params.settings
-
     @cached_property
     def plan(self) -> Plan:
         """The plan of the rule's parameters."""
         return Plan(**self.params.plan)
+
+    @cached_property
+    def capture(self) -> Callable[..., None]:
+        """The capture stage with its rig."""
+        return captures.of_job(self)
+
+    def do(self, rule: str) -> None:
+        """Do the stage of a rule; each loads what it needs alone."""
+        if rule.startswith("capture"):
+            stage: Callable[..., None] = partial(self.capture, resources=self.resources.here)
+        else:
+            stage = import_module(f"rfpipe.stages.{rule}").run
+            if rule != "merge":
+                stage = partial(stage, self.plan)
+            if rule in ("merge", "refine"):
+                stage = partial(stage, resources=self.resources)
+        of_level = () if rule == "assemble" else (self.level,)
+        stage(self.folder, *of_level, **self.params.settings)
 
 
 @contextmanager
@@ -70,9 +83,6 @@ def stage_job(snakemake: Any) -> Iterator[StageJob]:
         When a stage before is damaged. Its manifest is removed, but a capture's, so that the next
         run makes it anew.
     """
-    from rfpipe.stages.folder import AcquisitionFolder
-    from rfpipe.stages.jobs.workers import Resources
-
     start(snakemake.log[0])
     wildcards = snakemake.wildcards
     folder = AcquisitionFolder(Path("results", wildcards.scene, wildcards.method))

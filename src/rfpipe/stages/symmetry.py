@@ -1,4 +1,4 @@
-"""Stage: whether a rig is the coaxial one that a method takes it for, by a few random patterns.
+"""Whether a rig is the coaxial one that a method takes it for, by a few random patterns.
 
 Symmetric photography on a rig that is half a pixel off is wrong by 45 %, and nothing in its own
 pictures tells. Random patterns of single rays do: for any two of them, and for the floodlit one,
@@ -10,26 +10,18 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError, IntegrityError, StoreError
-from rfpipe.photometry.sensor import Sensor
+from rfpipe.errors import CaptureError
 from rfpipe.photometry.symmetry import CONFIDENCE, Pictures, measure_symmetry, random_signs
-from rfpipe.provenance import fingerprint
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
-from rfpipe.stages.merging.merger import Merger
-from rfpipe.stages.merging.raw import RawFrames
-from rfpipe.stages.merging.references import REFERENCES, read_merger
-from rfpipe.store import drop, read_manifest, write_manifest
+from rfpipe.stages.merger import Merger
 
 if TYPE_CHECKING:
     from rfpipe.methods import Method, Options
-
-__all__ = ["NOTICED", "Asymmetry", "measure", "read_asymmetry", "run"]
 
 # Symmetric photography is off by one and a half times the error that is predicted; what is worth a
 # word is a fifth of what is refused.
@@ -106,7 +98,7 @@ class Asymmetry:
 
 
 def measure(merger: Merger, frames: Iterable[NDArray[Any]], count: int) -> Asymmetry:
-    """Measure asymmetry from brackets of `rfpipe.stages.capturing.shown.symmetry_patterns`.
+    """Measure asymmetry from brackets of `rfpipe.stages.capture.symmetry_patterns`.
 
     Parameters
     ----------
@@ -143,63 +135,17 @@ def _flat(images: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.where(np.isfinite(flat), flat, 0.0)
 
 
-def run(
-    sensor: Sensor,
-    folder: AcquisitionFolder,
-    *,
-    saturation_fraction: float,
-    code: str,
-    keep_raw: bool = True,
-) -> None:
-    """Measure a rig by the random patterns that level 0 began with, and write ``symmetry.json``.
-
-    Where there are none, there is no such file.
-
-    Parameters
-    ----------
-    sensor : Sensor
-        The one that took the frames.
-    folder : AcquisitionFolder
-        With level 0 merged.
-    saturation_fraction : float
-        As `rfpipe.stages.merge.run`.
-    code : str
-        Digest of the code behind the stage.
-    keep_raw : bool
-        Whether the brackets stay when they are measured.
-    """
-    captured = folder.read_manifest(0, "capture").get(SYMMETRY)
-    manifest = folder.manifest(0, SYMMETRY)
-    if captured is None:
-        manifest.unlink(missing_ok=True)
-        return
-    references = folder.read_manifest(0, "merge")[REFERENCES]
-    made_from = fingerprint([captured["digest"], references["digest"], code])
-    raw = RawFrames(folder, 0, SYMMETRY)
-    facts = _stated(manifest)
-    if facts is None or (facts["fingerprint"] != made_from and not raw.dropped):
-        raw.must_be_there("what they told is missing")
-        merger = read_merger(sensor, folder, saturation_fraction)
-        with folder.frames(0, "capture", SYMMETRY) as frames:
-            count = frames.shape[0]
-            measured = measure(merger, (frames.read(i, i + 1) for i in range(count)), count)
-        about = {"stage": SYMMETRY, "frames": count, "fingerprint": made_from}
-        write_manifest(manifest, {**asdict(measured), **about})
-    if not keep_raw:
-        drop(folder.store(0, SYMMETRY))
+def measured(folder: AcquisitionFolder, merger: Merger) -> dict[str, Any]:
+    """Measure a rig by the random patterns that level 0 began with, if any, for the manifest."""
+    if SYMMETRY not in folder.read_manifest(0, "capture"):
+        return {}
+    with folder.frames(0, "capture", SYMMETRY) as frames:
+        count = frames.shape[0]
+        asymmetry = measure(merger, (frames.read(i, i + 1) for i in range(count)), count)
+    return {SYMMETRY: {**asdict(asymmetry), "frames": count}}
 
 
 def read_asymmetry(folder: AcquisitionFolder) -> Asymmetry | None:
-    """Read what `run` measured; None where nothing was measured."""
-    manifest = folder.manifest(0, SYMMETRY)
-    if not manifest.exists():
-        return None
-    facts = read_manifest(manifest)
-    return Asymmetry(facts["error"], facts["standard_error"])
-
-
-def _stated(manifest: Path) -> dict[str, Any] | None:
-    try:
-        return read_manifest(manifest)
-    except (StoreError, IntegrityError):
-        return None
+    """Read what level 0's merge measured; None where nothing was measured."""
+    facts = folder.read_manifest(0, "merge").get(SYMMETRY) if folder.exists(0, "merge") else None
+    return facts and Asymmetry(facts["error"], facts["standard_error"])

@@ -343,6 +343,10 @@ class FrameStore:
         finally:
             self._lock.release()
 
+    def __reduce__(self) -> tuple[type[FrameStore], tuple[Path]]:
+        """Let another process read it."""
+        return type(self), (self.path,)
+
     def __enter__(self) -> FrameStore:
         return self
 

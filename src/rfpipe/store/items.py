@@ -152,6 +152,7 @@ class ItemWriter(ItemArray):
     """
 
     def __init__(self, path: Path, fingerprint: str) -> None:
+        self._made_with = fingerprint
         found = read_attributes(path, KIND).get("fingerprint")
         if found != fingerprint:
             raise StaleStoreError(
@@ -159,6 +160,10 @@ class ItemWriter(ItemArray):
                 f"{fingerprint}); run the stage that writes it again"
             )
         super().__init__(path)
+
+    def __reduce__(self) -> tuple[type[ItemWriter], tuple[Any, ...]]:
+        """Let another process have it."""
+        return type(self), (self.path, self._made_with)
 
 
 def make_item_array(

@@ -204,7 +204,7 @@ def _seconds(benchmark: Path) -> float | None:
 
 def floodlit_of(folder: Path) -> Any:
     """Return the floodlit image of an acquisition, None where it isn't merged, or damaged."""
-    from rfpipe.stages.merging.references import read_floodlit
+    from rfpipe.stages.merger import read_floodlit
 
     try:
         return read_floodlit(AcquisitionFolder(folder))[0]

@@ -6,6 +6,7 @@ import logging
 import sys
 from collections.abc import Mapping, Sequence
 from io import StringIO
+from time import monotonic
 from typing import Any
 
 _SECONDS_BETWEEN_LINES = 15.0
@@ -35,11 +36,13 @@ class Progress:
         What is counted, if no patterns; its plural has an s.
     quick : bool
         Whether it goes unsaid that it ended where it took seconds.
+    shown : bool
     """
 
     def __init__(
-        self, name: str, total: int, done: int = 0, *, unit: str = "pattern", quick: bool = False
-    ) -> None:
+        self, name: str, total: int, done: int = 0, *, unit: str = "pattern", quick: bool = False,
+        shown: bool = True,
+    ) -> None:  # fmt: skip
         from tqdm import tqdm
 
         to_log: dict[str, Any] = {
@@ -47,9 +50,11 @@ class Progress:
             "delay": _SECONDS_BETWEEN_LINES,
             "bar_format": "{desc}: {n_fmt} of {total_fmt} {unit}s, {remaining} to go",
         }  # fmt: skip
-        self._name, self._unit, self._quick, self._done = name, unit, quick, done
+        self._name, self._unit, self._done = name, unit, done
+        self._began = monotonic()
+        self._least = _SECONDS_BETWEEN_LINES if quick else 0.0
         self._bar: Any = tqdm(
-            total=total, initial=done, desc=name, unit=unit, leave=False,
+            total=total, initial=done, desc=name, unit=unit, leave=False, disable=not shown,
             **({} if sys.stderr.isatty() else to_log),
         )  # fmt: skip
 
@@ -62,8 +67,8 @@ class Progress:
 
     def __exit__(self, *_: object) -> None:
         self._bar.close()
-        count, seconds = self._bar.n - self._done, self._bar.format_dict["elapsed"]
-        if count and not (self._quick and seconds < _SECONDS_BETWEEN_LINES):
+        count, seconds = self._bar.n - self._done, monotonic() - self._began
+        if count > 0 and seconds >= self._least:
             _log.info("%s: %d %ss in %s", self._name, count, self._unit, _duration(seconds))
 
 

@@ -18,19 +18,15 @@ from rfpipe.errors import StoreError, VerificationError
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint
 from rfpipe.stages import merge
-from rfpipe.stages.capturing.drift import DRIFT
-from rfpipe.stages.capturing.moves import MOVES
-from rfpipe.stages.capturing.mutual import MUTUAL
-from rfpipe.stages.capturing.sensors import read_sensor
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.merge import MergedFrames
-from rfpipe.stages.merging.references import REFERENCES
+from rfpipe.stages.merger import REFERENCES
 from rfpipe.stages.results import standing, write_bundle
 from rfpipe.stages.schedule import read_schedule, write_schedule
 from rfpipe.stages.unseen.comparing import Verification, compare
 from rfpipe.stages.unseen.patterns import NAMES, unseen_patterns
+from rfpipe.stages.watch import DRIFT, MOVES, MUTUAL
 from rfpipe.store import read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.units import RADIANCE_UNIT
@@ -89,7 +85,7 @@ def run(
         )
     merging = {**settings["merge"], "divide_out_drift": True}
     with stage_log(folder.manifest(VERIFICATION, "merge").with_suffix(".log")):
-        merge.run(read_sensor(folder), folder, VERIFICATION, **merging, resources=resources)
+        merge.run(folder, VERIFICATION, **merging, resources=resources)
     _compare(folder, merging["code"])
 
 
@@ -154,7 +150,7 @@ def _schedule(folder: AcquisitionFolder, pictures: int) -> None:
         return
     transport = open_transport(folder.path / "transport.zarr")
     names, schedule = schedule_of(transport, pictures)
-    write_schedule(manifest, made_from, schedule, names=names)
+    write_schedule(folder, made_from, schedule, names=names)
 
 
 def _compare(folder: AcquisitionFolder, code: str) -> None:
@@ -167,10 +163,10 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
     assert schedule.weights is not None
     names = folder.read_manifest(VERIFICATION, "schedule")["names"]
     with folder.frames(VERIFICATION, "merge") as frames:
-        captured = MergedFrames(frames).read(0, schedule.count)
+        images = frames.read(0, schedule.count)
     gain = np.mean(merged[DRIFT]["gain"], axis=0)
     relit = transport.relight_batch(schedule.weights)
-    found = compare(names, schedule.weights, captured, relit, gain)
+    found = compare(names, schedule.weights, (images[:, 0], images[:, 1]), relit, gain)
     told(found, str(folder.path))
     write_bundle(
         manifest,

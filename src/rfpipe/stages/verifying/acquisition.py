@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import StoreError
-from rfpipe.stages.capturing.drift import DRIFT
-from rfpipe.stages.capturing.moves import MOVES
-from rfpipe.stages.capturing.sensors import SENSOR
+from rfpipe.stages.capture import SENSOR
 from rfpipe.stages.folder import (
     REFERENCE,
     SYMMETRY,
@@ -19,10 +17,11 @@ from rfpipe.stages.folder import (
     with_followers,
 )
 from rfpipe.stages.merge import SUMS
-from rfpipe.stages.merging.references import REFERENCES
+from rfpipe.stages.merger import REFERENCES
 from rfpipe.stages.unseen.verify import MANIFEST as VERIFIED
 from rfpipe.stages.verifying.findings import Checked, Mend
 from rfpipe.stages.verifying.stores import check_bundle, check_frames, first_sentence, made_for
+from rfpipe.stages.watch import DRIFT, MOVES
 from rfpipe.store import StoreLock, open_arrays, read_manifest
 
 __all__ = ["check_acquisition", "is_acquisition"]
@@ -137,8 +136,6 @@ class _Acquisition:
             elif facts is not None:
                 found[stage] = facts
             self._stores(level, stage, facts)
-        if self.folder.manifest(0, SYMMETRY).exists() and level == 0:
-            self._manifest(self.folder.manifest(0, SYMMETRY))
         captured, merged = found.get("capture"), found.get("merge")
         if captured and merged and merged["made_of"]["captured"] != captured["digest"]:
             self._wrong(self.folder.manifest(level, "merge"), "is of another capture")
@@ -162,9 +159,6 @@ class _Acquisition:
                 self._is_of(path, digest, stated["digest"], manifest)
             elif stated and not wrong and open_arrays(path).attributes["facts"] != stated:
                 self._wrong(path, f"holds other patterns than {manifest.name} says", manifest)
-        copy = self.folder.store(level, "merge") / "manifest.json"
-        if stage == "merge" and manifest.exists() and copy.parent.is_dir():
-            self._manifest(copy, manifest)
 
     def _manifest(self, path: Path, of: Path | None = None) -> dict[str, Any] | None:
         """Read a manifest; None where it is missing or damaged, which is found."""

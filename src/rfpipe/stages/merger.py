@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -18,7 +18,11 @@ from rfpipe.photometry.checks import check_floodlit, warn_if_dim
 from rfpipe.photometry.defects import DarkFrames, DefectMap, find_defects
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
+from rfpipe.stages.folder import REFERENCE, AcquisitionFolder
 from rfpipe.units import RADIANCE, SATURATION_FRACTION
+
+REFERENCES = "merged_reference"
+"""Black level, defects and floodlit image: their store, and their key in level 0's merge."""
 
 Frames = NDArray[Any]
 Double = NDArray[np.float64]
@@ -30,6 +34,8 @@ _CHUNK_BYTES = 2 * 2**20
 _CHUNKS_PER_RUN = 8
 # Share of the floodlit image that may be saturated at every exposure: glints, but no surfaces.
 _MOST_SATURATED = 0.01
+
+_HELD = ("black", "floodlit", "floodlit_variance")
 
 _log = logging.getLogger(__name__)
 
@@ -233,3 +239,50 @@ def _check_saturation(share: float, sensor: Sensor) -> None:
             "pixels are clipped",
             100 * share,
         )
+
+
+def learn_references(
+    sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float, mask_defects: bool
+) -> tuple[Merger, dict[str, Any]]:
+    """Learn from the reference brackets, and write what was learnt; errors as `Merger`'s.
+
+    Returns
+    -------
+    merger : Merger
+    entry : dict
+        For the manifest.
+    """
+    captured = folder.read_manifest(0, "capture")[REFERENCE]
+    counted = {name: captured[name] for name in ("black_frames", "floodlit_frames")}
+    off, on = counted.values()
+    with folder.frames(0, "capture", REFERENCE) as frames:
+
+        def read(first: int, last: int) -> Iterator[Frames]:
+            return (frames.read(index, index + 1) for index in range(first, last))
+
+        merger = Merger.from_references(
+            sensor, read(0, off), read(off, off + on), saturation_fraction, mask_defects
+        )
+    arrays = {name: getattr(merger, name) for name in _HELD}
+    if merger.defects is not None:
+        arrays["defects"] = merger.defects.mask
+        counted |= {"hot": merger.defects.hot, "dead": merger.defects.dead}
+    return merger, {**folder.write_part(0, REFERENCES, arrays, counted=counted), **counted}
+
+
+def read_merger(sensor: Sensor, folder: AcquisitionFolder, saturation_fraction: float) -> Merger:
+    """Read what level 0 learnt."""
+    arrays, attributes = folder.read(0, "merge", REFERENCES)
+    counted = attributes["counted"]
+    defects = None
+    if "defects" in arrays:
+        defects = DefectMap(arrays["defects"], counted["hot"], counted["dead"])
+    options = MergeOptions(counted["black_frames"], saturation_fraction)
+    held = {name: arrays[name] for name in _HELD}
+    return Merger(sensor, options=options, defects=defects, **held)
+
+
+def read_floodlit(folder: AcquisitionFolder) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Read the floodlit image that level 0 measured, and its variance: (*camera_shape, C)."""
+    arrays, _ = folder.read(0, "merge", REFERENCES)
+    return arrays["floodlit"], arrays["floodlit_variance"]

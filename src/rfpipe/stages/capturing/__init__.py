@@ -1,1 +1,0 @@
-"""What a capture needs besides its patterns: brackets, the lamp, the disk."""

@@ -1,1 +1,0 @@
-"""Brackets into radiance: what the references tell, the merge itself, and its images."""
