@@ -9,7 +9,7 @@ from pydantic import BaseModel
 
 import rfpipe.config
 from rfpipe.config import RigConfig, load_rig_config, parse_rig_config
-from rfpipe.config.base import Settings
+from rfpipe.config.base import MethodSettings, Settings
 from rfpipe.config.drivers import FreeOptions
 from rfpipe.config.files import bench_yaml, rig_json_schema, rig_yaml
 from rfpipe.errors import ConfigError
@@ -42,7 +42,7 @@ def test_the_default_file_holds_the_defaults() -> None:
 
 def test_every_setting_has_a_description() -> None:
     names = ["RigConfig", *RigConfig.model_json_schema()["$defs"]]
-    own = {"FreeOptions": FreeOptions, "Settings": Settings}
+    own = {"FreeOptions": FreeOptions, "Settings": Settings, "MethodSettings": MethodSettings}
     models: list[type[BaseModel]] = [
         own.get(name) or getattr(rfpipe.config, name) for name in names
     ]

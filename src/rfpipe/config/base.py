@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Self, get_args
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    SerializeAsAny,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
 
 from rfpipe import plugins
 from rfpipe.errors import InputError
 
-__all__ = [
-    "Described",
-    "Extent",
-    "Fraction",
-    "Gamma",
-    "MethodSettings",
-    "SectionName",
-    "SectionsOf",
-    "Settings",
-    "Share",
-    "Text",
-    "ViewCount",
-    "check_command",
-    "group_of",
-]
+_T = TypeVar("_T")
 
 Extent = Annotated[int, Field(ge=1, le=4096)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
@@ -79,15 +75,17 @@ def group_of(model: type[Settings]) -> Any:
 
 
 class Described(Settings):
-    """Settings by name whose model belongs to what they set up, and lies beside it.
+    """Settings by name whose model belongs to the subject that they set up, and lies beside it.
+
+    A class derived directly from this one checks a section by the model of the section's name.
 
     Attributes
     ----------
     group : str
-        The group of entry points among which a name is looked up; what it stands for has an
-        attribute ``Options``, its model, derived from this one.
+        The group of entry points among which a name is looked up; the subject has an attribute
+        ``Options``, its model, derived from this one.
     key : str
-        The setting that says the name.
+        The setting that holds the name.
     """
 
     group: ClassVar[str]
@@ -95,9 +93,9 @@ class Described(Settings):
 
     @classmethod
     def name_in(cls, section: object) -> str | None:
-        """Return the name that a section says, if it does."""
-        asked = section.get(cls.key) if isinstance(section, Mapping) else None
-        return asked if isinstance(asked, str) else None
+        """Return the name in a section, or None."""
+        name = section.get(cls.key) if isinstance(section, Mapping) else None
+        return name if isinstance(name, str) else None
 
     @classmethod
     def model_of(cls, name: str) -> type[Self]:
@@ -113,28 +111,32 @@ class Described(Settings):
             raise InputError(f"{name!r} has no Options derived from {cls.__name__}")
         return model
 
-    def subject(self, name: str) -> Any:
-        """Return what the settings are about, in a section of this name."""
-        return plugins.find(self.group, getattr(self, self.key) or name)
+    @model_validator(mode="wrap")
+    @classmethod
+    def _of_its_model(cls, section: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        if Described not in cls.__bases__ or not isinstance(section, Mapping):
+            return handler(section)
+        name = cls.name_in(section)
+        if name is None:  # a mistake in the name alone
+            return handler({key: section[key] for key in section if key == cls.key})
+        return known(lambda: cls.model_of(name)).model_validate(section)
+
+    @property
+    def subject(self) -> Any:
+        """The method or kind of scene that the settings are about."""
+        return plugins.find(self.group, getattr(self, self.key))
 
     def options(self) -> dict[str, Any]:
         """Return all settings but the name, as plain data."""
         return self.model_dump(mode="json", exclude={self.key})
 
 
-@dataclass(frozen=True)
-class SectionsOf:
-    """Marks a field of sections by name that describe themselves.
-
-    Parameters
-    ----------
-    model : type of Described
-    partial : bool
-        Whether sections hold only what differs from others of the same name, or nothing.
-    """
-
-    model: type[Described]
-    partial: bool = False
+def known(find: Callable[[], _T]) -> _T:
+    """Return the result of `find`; its InputError becomes a mistake in the settings."""
+    try:
+        return find()
+    except InputError as error:
+        raise PydanticCustomError("unknown_name", "{message}", {"message": str(error)}) from None
 
 
 class MethodSettings(Described):
@@ -146,5 +148,28 @@ class MethodSettings(Described):
     method: Text | None = Field(
         None,
         description="The method's name, or a class of your own as module:Class or file.py:Class; "
-        "null where the section is called by the method's name.",
+        "by default the section's name.",
     )
+
+
+def _named(sections: object) -> object:
+    """Put the name of each method's section into it, where it says none."""
+    if isinstance(sections, list | tuple):
+        expected = ", ".join(f"{name}: {{}}" for name in sections)
+        raise ValueError(f"should be a section for each method, as in {{{expected}}}")
+    if not isinstance(sections, Mapping):
+        return sections
+    return {
+        name: {"method": name, **(section or {})}
+        if section is None or isinstance(section, Mapping)
+        else section
+        for name, section in sections.items()
+    }
+
+
+MethodSections = Annotated[
+    dict[SectionName, SerializeAsAny[MethodSettings]],
+    BeforeValidator(_named),
+    Field(min_length=1),
+]
+"""Methods by the names of their sections."""

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from pydantic import ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic import ConfigDict, Field, SerializeAsAny, ValidationInfo, field_validator
 
 from rfpipe import plugins
-from rfpipe.config.base import Settings, Text
-from rfpipe.config.sections import parse_sections
+from rfpipe.config.base import Settings, Text, known
 from rfpipe.errors import InputError
-
-__all__ = ["CameraDriver", "DeviceDriver", "FreeOptions", "ProjectorDriver", "RigDriver"]
 
 
 class FreeOptions(Settings):
@@ -36,7 +31,7 @@ class DeviceDriver(Settings):
 
     driver: Text = Field(description="The driver.")
     options: SerializeAsAny[Settings] = Field(
-        default_factory=FreeOptions, description="The driver's options."
+        default_factory=FreeOptions, validate_default=True, description="The driver's options."
     )
 
     @classmethod
@@ -47,31 +42,20 @@ class DeviceDriver(Settings):
             raise InputError(f"{driver!r} has Options that are no rfpipe.config.base.Settings")
         return model
 
-    @model_validator(mode="before")
+    @field_validator("driver")
     @classmethod
-    def _options_have_their_own_model(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping):
-            return data
-        driver = data.get("driver", cls.model_fields["driver"].default)
-        if not isinstance(driver, str):
-            return data
-        try:
-            model = cls.options_model(driver)
-        except InputError as error:
-            problem = PydanticCustomError("unknown_name", "{message}", {"message": str(error)})
-            details = InitErrorDetails(type=problem, loc=("driver",), input=driver)
-            raise ValidationError.from_exception_data("driver", [details]) from None
-        astray = [name for name in data if name in model.model_fields]
-        if astray:
-            raise ValueError(
-                f"{', '.join(astray)} should stand among the driver's options, as in "
-                f"{{driver: {driver}, options: {{{astray[0]}: ...}}}}"
-            )
-        given = data.get("options")
-        if isinstance(given, Settings):
-            return data
-        parsed = parse_sections({"options": given or {}}, lambda _, it: model.model_validate(it))
-        return {**data, **parsed}
+    def _is_known(cls, driver: str) -> str:
+        known(lambda: cls.options_model(driver))
+        return driver
+
+    @field_validator("options", mode="before")
+    @classmethod
+    def _are_of_the_driver(cls, options: Any, info: ValidationInfo) -> Any:
+        driver = info.data.get("driver")  # missing where it is wrong itself
+        if driver is None or (isinstance(options, Settings) and type(options) is not FreeOptions):
+            return options
+        given = options.model_dump() if isinstance(options, FreeOptions) else options or {}
+        return cls.options_model(driver).model_validate(given)
 
     def arguments(self) -> dict[str, Any]:
         """Return the options by which a driver is made, those apart that say what is known."""

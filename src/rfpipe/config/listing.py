@@ -15,8 +15,6 @@ from rfpipe.config.model import Config
 from rfpipe.config.problems import model_within
 from rfpipe.config.scenes import SceneSettings
 
-__all__ = ["listed", "with_listing"]
-
 _BEGIN, _END = "<!-- Made by `make config`. -->\n", "<!-- So far. -->\n"
 
 Row = tuple[str, str, str]

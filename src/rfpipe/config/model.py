@@ -5,16 +5,24 @@ Plain data only: the layers above build cameras, scenes and methods from it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import cached_property
-from typing import Annotated, Any, Literal, Self
+from collections.abc import Callable, Mapping
+from functools import cached_property, partial
+from typing import Any, Literal, Self
 
-from pydantic import ConfigDict, Field, SerializeAsAny, field_validator, model_validator
+from pydantic import (
+    ConfigDict,
+    Field,
+    SerializeAsAny,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from rfpipe.config.base import (
+    MethodSections,
     MethodSettings,
     SectionName,
-    SectionsOf,
     Settings,
     Text,
     check_command,
@@ -23,25 +31,11 @@ from rfpipe.config.base import (
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.capture import CaptureConfig
 from rfpipe.config.offline import OfflineConfig
-from rfpipe.config.own import OWN_TO_SCENES, check_own, merged
+from rfpipe.config.own import check_own, merged
 from rfpipe.config.processing import MergeConfig, Normalization, ResourcesConfig, StorageConfig
 from rfpipe.config.scenes import SceneSettings
-from rfpipe.config.sections import (
-    check_methods_of_scenes,
-    check_pages,
-    method_sections,
-    methods_of_scene,
-    parse_sections,
-)
 from rfpipe.config.verification import VerificationConfig
 from rfpipe.provenance import fingerprint
-
-__all__ = [
-    "DEFAULT_METHODS",
-    "OWN_TO_SCENES",
-    "Config",
-    "ReportConfig",
-]
 
 # Folders of a run's results that are no scene's.
 _OTHER_FOLDERS = {"catalogue", "references", "report", "verified"}
@@ -94,11 +88,9 @@ class Config(Settings):
         description="Settings that the scenes before one rig share, by a name that scenes call "
         "their rig, such as {studio: {camera: {bits: 14}, capture: {black_frames: 16}}}.",
     )
-    methods: Annotated[
-        dict[SectionName, SerializeAsAny[MethodSettings]], SectionsOf(MethodSettings)
-    ] = Field(
-        default_factory=lambda: method_sections(dict.fromkeys(DEFAULT_METHODS)),
-        min_length=1,
+    methods: MethodSections = Field(
+        default_factory=lambda: dict.fromkeys(DEFAULT_METHODS),  # type: ignore[arg-type]
+        validate_default=True,
         description="Methods to acquire each scene with, each with options of its own; what is "
         "left out has its default, as in {symmetric: {}}. 'rfpipe settings methods' lists all.",
     )
@@ -134,14 +126,7 @@ class Config(Settings):
 
     def methods_of(self, scene: str) -> dict[str, MethodSettings]:
         """Methods to acquire a scene with, and their options: its own, or those of the run."""
-        return self._methods_by_scene[scene]
-
-    @cached_property
-    def _methods_by_scene(self) -> dict[str, dict[str, MethodSettings]]:
-        return {
-            name: methods_of_scene(self.methods, scene.methods)
-            for name, scene in self.scenes.items()
-        }
+        return self.scenes[scene].methods or self.methods
 
     @cached_property
     def _base(self) -> dict[str, Any]:
@@ -231,34 +216,26 @@ class Config(Settings):
         """Scene and method of every acquisition."""
         return [(scene, method) for scene in self.scenes for method in self.methods_of(scene)]
 
-    @field_validator("methods", mode="before")
-    @classmethod
-    def _have_sections(cls, methods: object) -> object:
-        return method_sections(methods)
-
     @model_validator(mode="before")
     @classmethod
-    def _has_no_acquisition(cls, settings: object) -> object:
-        if isinstance(settings, Mapping) and "acquisition" in settings:
-            raise ValueError(
-                "acquisition is no group of settings any more: each method has a section of its "
-                "own, such as methods: {symmetric: {tolerance: 1.0e-3}, near_far: {target_error: "
-                "0.01}}, and each scene may change it, as in methods: {symmetric: {tolerance: "
-                "2.0e-3}} of the scene"
-            )
-        return settings
+    def _scenes_have_methods(cls, settings: Any) -> Any:
+        """Put the options of a scene's methods over those of the run's."""
+        if not isinstance(settings, Mapping) or not isinstance(settings.get("scenes"), Mapping):
+            return settings
+        run = settings.get("methods")
+        sections = run if isinstance(run, Mapping) else {}
+        scenes = {
+            name: {**scene, "methods": _over(sections, scene["methods"])}
+            if isinstance(scene, Mapping) and isinstance(scene.get("methods"), Mapping)
+            else scene
+            for name, scene in settings["scenes"].items()
+        }
+        return {**settings, "scenes": scenes}
 
     @field_validator("notify")
     @classmethod
     def _notify_is_a_command(cls, command: str | None) -> str | None:
         return check_command(command)
-
-    @model_validator(mode="after")
-    def _scenes_have_methods(self) -> Self:
-        check_methods_of_scenes(
-            self.methods, {name: scene.methods for name, scene in self.scenes.items()}
-        )
-        return self
 
     @model_validator(mode="before")
     @classmethod
@@ -276,7 +253,15 @@ class Config(Settings):
                     f"scenes.{name} should be called otherwise: results/{name} is the folder of "
                     "something else"
                 )
-        check_pages(self.acquisitions)
+        first: dict[str, tuple[str, str]] = {}
+        for scene, method in self.acquisitions:
+            page = f"{scene}_{method}"
+            other, by = first.setdefault(page, (scene, method))
+            if other != scene:
+                raise ValueError(
+                    f"scenes.{scene} should be called otherwise, or its method: by {method} its "
+                    f"page would be {page}, as that of {other} by {by} is"
+                )
         return self
 
     @model_validator(mode="after")
@@ -295,15 +280,11 @@ class Config(Settings):
         if not self.rigs and not any(scene.settings for scene in self.scenes.values()):
             return self
         first = next(iter(self.scenes))
-        parse_sections(
-            {"rigs": self.rigs},
-            lambda _, rigs: parse_sections(rigs, lambda _, rig: self._with(first, rig)),
+        _check_each(
+            {("rigs", name): partial(self._with, first, rig) for name, rig in self.rigs.items()}
         )
-        parse_sections(
-            {"scenes": {name: {"settings": name} for name in self.scenes}},
-            lambda _, scenes: parse_sections(
-                scenes, lambda _, parts: parse_sections(parts, lambda _, name: self.of_scene(name))
-            ),
+        _check_each(
+            {("scenes", name, "settings"): partial(self.of_scene, name) for name in self.scenes}
         )
         return self
 
@@ -327,7 +308,7 @@ class Config(Settings):
                 )
         for name, method in self.acquisitions:
             scene = self.scenes[name]
-            about = self.methods_of(name)[method].subject(method)
+            about = self.methods_of(name)[method].subject
             if about.needs_coaxial_rig and not scene.is_coaxial:
                 raise ValueError(
                     f"scenes.{name}.methods should be methods for any rig, such as {{dual: {{}}}}: "
@@ -381,3 +362,37 @@ class Config(Settings):
                     f"scenes.{name}.channels is {scene.channels}; set it to 3, or bayer to null"
                 )
         return self
+
+
+def _over(sections: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a scene's methods with the options that it leaves out as the run has them."""
+    found = {}
+    for name, options in own.items():
+        run = sections.get(name) or {}
+        if isinstance(run, MethodSettings):
+            run = run.model_dump(exclude_unset=True)
+        is_group = isinstance(run, Mapping) and (options is None or isinstance(options, Mapping))
+        found[name] = {**run, **(options or {})} if is_group else options
+    return found
+
+
+def _check_each(checks: Mapping[tuple[str, ...], Callable[[], object]]) -> None:
+    """Check settings at several places; raise ValidationError with all mistakes."""
+    problems: list[InitErrorDetails] = []
+    for place, check in checks.items():
+        try:
+            check()
+        except ValidationError as error:
+            problems += [_placed(problem, place) for problem in error.errors(include_url=False)]
+    if problems:
+        raise ValidationError.from_exception_data("settings", problems)
+
+
+def _placed(problem: Any, place: tuple[str, ...]) -> InitErrorDetails:
+    """Return one of pydantic's problems as one of the settings at a place."""
+    kind, location = problem["type"], (*place, *problem["loc"])
+    if kind in ("unknown_name", "value_error"):
+        text = problem["msg"].removeprefix("Value error, ")
+        kind = PydanticCustomError(kind, "{message}", {"message": text})
+    context = problem.get("ctx", {})
+    return InitErrorDetails(type=kind, loc=location, input=problem["input"], ctx=context)

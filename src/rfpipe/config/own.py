@@ -8,8 +8,6 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-__all__ = ["OWN_TO_SCENES", "check_own", "merged"]
-
 OWN_TO_SCENES = frozenset(
     {
         "camera",

@@ -10,12 +10,9 @@ from typing import Any, get_args
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
-from rfpipe.config.base import Described, SectionsOf, Settings
+from rfpipe.config.base import Described, Settings
 from rfpipe.config.drivers import DeviceDriver
 from rfpipe.errors import InputError
-
-__all__ = ["explained", "field_at", "located", "model_within", "shown"]
-
 
 Location = tuple[str | int, ...]
 
@@ -149,9 +146,6 @@ def _driven(model: type[BaseModel], name: str, section: object) -> type[BaseMode
 
 def model_within(field: FieldInfo) -> type[BaseModel] | None:
     """Find the settings model inside a field's type, such as ``dict[str, SceneSettings]``."""
-    for mark in field.metadata:
-        if isinstance(mark, SectionsOf):
-            return mark.model
     return _within(field.annotation)
 
 

@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
-from pydantic import Field, ModelWrapValidatorHandler, field_validator, model_validator
+from pydantic import Field
 
 from rfpipe import plugins
-from rfpipe.config.base import (
-    Described,
-    Extent,
-    MethodSettings,
-    SectionName,
-    SectionsOf,
-    Text,
-)
-from rfpipe.config.sections import no_list, parse_described
-
-__all__ = ["SceneSettings"]
+from rfpipe.config.base import Described, Extent, MethodSections, SectionName, Text
 
 
 class SceneSettings(Described):
@@ -47,11 +36,8 @@ class SceneSettings(Described):
         "4096 each.",
     )
     channels: Literal[1, 3] = Field(3, description="Colour channels: 1 (grey) or 3 (RGB).")
-    methods: Annotated[
-        dict[str, dict[str, Any] | None] | None, SectionsOf(MethodSettings, partial=True)
-    ] = Field(
+    methods: MethodSections | None = Field(
         None,
-        min_length=1,
         description="Methods to acquire this scene with, each with the options that differ from "
         "its section among the run's methods, such as {symmetric: {tolerance: 2.0e-3}}; null for "
         "all methods of the run as they are.",
@@ -125,23 +111,3 @@ class SceneSettings(Described):
     def own_options(self) -> dict[str, Any]:
         """Return the options that the kind has beside those of any scene, as plain data."""
         return self.model_dump(mode="json", exclude=set(SceneSettings.model_fields))
-
-    @model_validator(mode="wrap")
-    @classmethod
-    def _of_its_kind(cls, settings: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Let the kind's own model check the settings."""
-        if cls is not SceneSettings or not isinstance(settings, Mapping):
-            return handler(settings)
-        if "geometry" in settings:
-            raise ValueError(
-                f"geometry is called kind now, as in {{kind: {settings['geometry']}}}, and a scene "
-                "has the options of its kind alone"
-            )
-        if cls.name_in(settings) is None:  # says that of the kind alone
-            return handler({name: settings[name] for name in settings if name == cls.key})
-        return parse_described(cls, None, settings)
-
-    @field_validator("methods", mode="before")
-    @classmethod
-    def _have_sections(cls, methods: object) -> object:
-        return no_list(methods)

@@ -2,44 +2,32 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from typing import Any
 
 from rfpipe import plugins
-from rfpipe.config.base import Described, SectionsOf, Settings
+from rfpipe.config.base import Described, MethodSettings, Settings
 from rfpipe.config.drivers import DeviceDriver
-
-__all__ = ["schema_of"]
 
 _REFERENCE = "#/$defs/{model}"
 
 
 def schema_of(kind: type[Settings]) -> dict[str, Any]:
-    """Return the JSON schema of a model, with those of all that is installed and describes itself.
-
-    Parameters
-    ----------
-    kind : type of Settings
-    """
+    """Return the JSON schema of a model, with the options of all methods, scenes and drivers."""
     schema = kind.model_json_schema(ref_template=_REFERENCE)
-    for node, model in _inner(schema):
-        if issubclass(model, Described) and model.model_fields[model.key].is_required():
-            _choose(schema, node, model)
-    models = [(schema, kind), *_inner(schema)]
-    for node, model in models:
-        if issubclass(model, DeviceDriver):
-            _describe_drivers(schema, node, model)
-        for name, field in model.model_fields.items():
-            for mark in field.metadata:
-                if isinstance(mark, SectionsOf) and name in node.get("properties", {}):
-                    _describe(schema, node["properties"][name], mark)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
-
-
-def _inner(schema: dict[str, Any]) -> list[tuple[dict[str, Any], Any]]:
-    """Return the definitions in a model's schema with the models that they are of."""
     definitions = schema.get("$defs", {})
-    known = {model.__name__: model for model in _descendants(Settings)}
-    return [(node, known[name]) for name, node in definitions.items() if name in known]
+    models = {model.__name__: model for model in _descendants(Settings)}
+    for name in list(definitions):
+        model = models.get(name)
+        if model is not None and Described in model.__bases__:
+            definitions[name] = _by_name(model, definitions)
+        elif model is not None and issubclass(model, DeviceDriver):
+            _describe_drivers(definitions[name], model, definitions)
+    _limit_methods(schema)
+    for node in definitions.values():  # the group itself says what it is for
+        node.pop("description", None)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
 def _descendants(model: type[Settings]) -> list[type[Settings]]:
@@ -47,57 +35,77 @@ def _descendants(model: type[Settings]) -> list[type[Settings]]:
     return children + [found for child in children for found in _descendants(child)]
 
 
+def _defined(model: type[Settings], definitions: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a model, whose own definitions join the others."""
+    described = model.model_json_schema(ref_template=_REFERENCE)
+    for name, node in described.pop("$defs", {}).items():
+        definitions.setdefault(name, node)
+    return described
+
+
+def _by_name(model: type[Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a section whose options depend on the name in it.
+
+    An option that is the same for all names that have it stands once, another one in a rule for the
+    names that share it; a rule for each name lists all of its options.
+    """
+    names = plugins.names(model.group)
+    schemas = {name: _defined(model.model_of(name), definitions) for name in names}
+    variants: dict[tuple[str, str], list[str]] = {}
+    for name, schema in schemas.items():
+        for option, node in schema["properties"].items():
+            variants.setdefault((option, json.dumps(node, sort_keys=True)), []).append(name)
+    options = Counter(option for option, _ in variants)
+    shared, rules = {}, []
+    for (option, node), having in variants.items():
+        if options[option] == 1:
+            shared[option] = json.loads(node)
+        elif option != model.key:
+            rules.append(_rule(model.key, having, {"properties": {option: json.loads(node)}}))
+    shared[model.key] = model.model_json_schema()["properties"][model.key] | {
+        "anyOf": [{"enum": list(names)}, {"pattern": ":"}]
+    }
+    for name, schema in schemas.items():
+        then = {"propertyNames": {"enum": sorted(schema["properties"])}}
+        if schema.get("required"):
+            then["required"] = schema["required"]
+        rules.append(_rule(model.key, [name], then))
+    required = {"required": [model.key]} if model is not MethodSettings else {}
+    return {"type": ["object", "null"], "properties": shared, "allOf": rules, **required}
+
+
+def _limit_methods(node: Any) -> None:
+    """Say which options each method has, where sections are called by the methods' names."""
+    if isinstance(node, list):
+        for each in node:
+            _limit_methods(each)
+    elif isinstance(node, dict):
+        for section in node.get("patternProperties", {}).values():
+            if section == {"$ref": _REFERENCE.format(model="MethodSettings")}:
+                node["properties"] = {
+                    name: {"propertyNames": {"enum": [*MethodSettings.model_of(name).model_fields]}}
+                    for name in plugins.names(plugins.METHODS)
+                }
+        for each in node.values():
+            _limit_methods(each)
+
+
+def _rule(key: str, names: list[str], then: dict[str, Any]) -> dict[str, Any]:
+    """Return what holds where a key has one of some values."""
+    return {"if": {"properties": {key: {"enum": names}}, "required": [key]}, "then": then}
+
+
 def _describe_drivers(
-    schema: dict[str, Any], node: dict[str, Any], model: type[DeviceDriver]
+    node: dict[str, Any], model: type[DeviceDriver], definitions: dict[str, Any]
 ) -> None:
     """Say what options a driver has, by the names that are installed."""
     rules = []
     for name in plugins.names(model.group):
-        options = _defined(schema, model.options_model(name))
-        rules.append(_rule("driver", name, {"properties": {"options": options}}))
+        options = model.options_model(name)
+        definitions[options.__name__] = _defined(options, definitions)
+        reference = {"$ref": _REFERENCE.format(model=options.__name__)}
+        asked = {"properties": {"driver": {"const": name}}}  # which may be left out
+        rules.append({"if": asked, "then": {"properties": {"options": reference}}})
     node["properties"]["options"] = {"type": "object", "description": "The driver's options."}
     if rules:
         node["allOf"] = rules
-
-
-def _defined(schema: dict[str, Any], model: type[Settings]) -> dict[str, Any]:
-    """Add a model to the schema's definitions; return the reference to it."""
-    definitions = schema.setdefault("$defs", {})
-    described = model.model_json_schema(ref_template=_REFERENCE)
-    definitions |= described.pop("$defs", {})
-    definitions[model.__name__] = described
-    return {"$ref": _REFERENCE.format(model=model.__name__)}
-
-
-def _rule(key: str, name: str, then: dict[str, Any]) -> dict[str, Any]:
-    """Say what holds where a key has a value."""
-    return {"if": {"properties": {key: {"const": name}}}, "then": then}
-
-
-def _choose(schema: dict[str, Any], node: dict[str, Any], model: type[Described]) -> None:
-    """Say what a section holds by the name that it says: any installed one, or a path."""
-    installed = plugins.names(model.group)
-    key = node["properties"][model.key]
-    rules = [_rule(model.key, name, _defined(schema, model.model_of(name))) for name in installed]
-    said = {"anyOf": [{"enum": list(installed)}, {"pattern": ":"}]}
-    node.clear()
-    node |= {
-        "type": "object",
-        "description": model.__doc__.splitlines()[0] if model.__doc__ else "",
-        "properties": {model.key: key | said},
-        "required": [model.key],
-        "allOf": rules,
-    }
-
-
-def _describe(schema: dict[str, Any], node: dict[str, Any], mark: SectionsOf) -> None:
-    """Say what sections there may be, by the names that are installed."""
-    installed = plugins.names(mark.model.group)
-    sections = {name: _defined(schema, mark.model.model_of(name)) for name in installed}
-    if mark.partial:
-        sections = {name: {"anyOf": [it, {"type": "null"}]} for name, it in sections.items()}
-    own = {"type": "object", "required": [mark.model.key]}
-    for group in (node, *node.get("anyOf", [])):
-        if group.get("type") == "object":
-            group.pop("patternProperties", None)
-            group |= {"properties": sections, "additionalProperties": own}

@@ -44,7 +44,7 @@ def wishes(config: Config) -> str:
     asked: dict[str, None] = {}
     for scene in config.scenes:
         for name, section in config.methods_of(scene).items():
-            method = section.subject(name)
+            method = section.subject
             if method.trades:
                 value = section.options()[method.trades]
                 own = config.scenes[scene].methods is not None

@@ -27,5 +27,5 @@ def scene_from_config(settings: SceneSettings, *, many_patterns: bool = False) -
     InputError
         When it is a captured scene, of which no light transport is known.
     """
-    made: Scene = settings.subject(settings.kind).make(settings, many_patterns=many_patterns)
+    made: Scene = settings.subject.make(settings, many_patterns=many_patterns)
     return made
