@@ -70,7 +70,7 @@ class MitsubaOptions(SceneSettings):
         description="Whether to follow light that the projector sends by mirrors or lenses: true "
         "or false; null for what the scene needs.",
     )
-    seed: int = Field(0, ge=0, description="Seed of the paths, 0 or more.")
+    seed: int = Field(0, ge=0, description="Seed of textures or paths of light, 0 or more.")
     cache: str = Field(
         "results/recorded",
         min_length=1,

@@ -79,18 +79,18 @@ def test_rigs_are_shared_and_a_scene_s_own_settings_win(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content",
     [
-        b"\xef\xbb\xbfname,kind,surfaces,merge.saturation_fraction\r\na,plane,white,0.5\r\n",
-        b"name;kind;surfaces;merge.saturation_fraction\r\na;plane;white;0,5\r\n",
-        b"sep=;\r\nname;kind;surfaces;merge.saturation_fraction\r\na;plane;white;0,5\r\n",
-        "name\tkind\tsurfaces\tmerge.saturation_fraction\na\tplane\twhite\t0.5\n".encode("utf-16"),
-        b"name,kind,surfaces,merge.saturation_fraction\ra,plane,white,5e-1",
+        b"\xef\xbb\xbfname,kind,surfaces,capture.asymmetry\r\na,plane,white,0.5\r\n",
+        b"name;kind;surfaces;capture.asymmetry\r\na;plane;white;0,5\r\n",
+        b"sep=;\r\nname;kind;surfaces;capture.asymmetry\r\na;plane;white;0,5\r\n",
+        "name\tkind\tsurfaces\tcapture.asymmetry\na\tplane\twhite\t0.5\n".encode("utf-16"),
+        b"name,kind,surfaces,capture.asymmetry\ra,plane,white,5e-1",
     ],
     ids=["byte order mark, CRLF", "semicolons", "sep=", "UTF-16, tabs", "CR, exponent"],
 )
 def test_tables_are_read_as_spreadsheets_write_them(tmp_path: Path, content: bytes) -> None:
     run = load_config(settings(tmp_path, content))
     assert list(run.scenes) == ["a"]
-    assert run.of_scene("a").merge.saturation_fraction == 0.5
+    assert run.of_scene("a").capture.asymmetry == 0.5
 
 
 def test_lists_have_decimal_commas_where_semicolons_part_cells(tmp_path: Path) -> None:

@@ -36,7 +36,7 @@ SETTINGS: dict[str, Any] = {
     "scenes": {"desk": {"kind": "captured", "shape": list(SHAPE), "channels": 1}},
     "methods": {"symmetric": {}},
     "camera": {"exposures": [0.015625, 0.25]},
-    "capture": {"rig": "offline", "black_frames": 2, "floodlit_frames": 2, "symmetry_frames": 3},
+    "capture": {"rig": "offline", "black_frames": 2, "floodlit_frames": 2},
     "offline": {"projector_shape": [26, 33]},
 }
 CAMERA = CameraModel(**CameraConfig(**SETTINGS["camera"]).model_dump())

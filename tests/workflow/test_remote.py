@@ -83,7 +83,7 @@ class Server:
         """Return a run of the served scene alone, by brute force where nothing else is asked."""
         capture = {
             "rig": "remote", "url": self.url, "token_file": str(self.token_file),
-            "look_patterns": 0,  # the same patterns as of a simulated rig
+            "watch": "off",  # the same patterns as of a simulated rig
         }  # fmt: skip
         defaults = {"scenes": {"long": CONFIG["scenes"]["long"]}, "methods": {"brute_force": {}}}
         return Workflow(folder, {**defaults, **settings, "capture": capture})

@@ -9,7 +9,8 @@ from pydantic import Field, field_validator
 from rfpipe.config.addresses import check_server
 from rfpipe.config.base import Fraction, Settings, Text, check_command
 
-__all__ = ["Batch", "CaptureConfig"]
+SYMMETRY_FRAMES = 6  # four say the same within 20 %, eight within 10 %
+"""Random patterns that tell whether a rig is coaxial."""
 
 Batch = Annotated[int, Field(ge=1, le=1024)]
 
@@ -66,13 +67,6 @@ class CaptureConfig(Settings):
         "acquisitions by a rig), all (the all-on ones of a scene as well, once for all its "
         "methods) or none; null: black with a collection, else none.",
     )
-    symmetry_frames: int = Field(
-        6,
-        ge=0,
-        le=1024,
-        description="Brackets of random patterns that follow them where a method needs a coaxial "
-        "rig, to see whether it is one: 0 (not looked at), or 3 to 1024.",
-    )
     asymmetry: Fraction = Field(
         0.05,
         description="Error in relit pictures, as a fraction of their norm between 0 and 1, that "
@@ -82,14 +76,6 @@ class CaptureConfig(Settings):
         "warn",
         description="What to do when pictures tell that the rig moved, or that a coaxial one isn't "
         "aligned: warn, refuse (end the capture), or off (not looked at).",
-    )
-    look_patterns: int | None = Field(
-        None,
-        ge=0,
-        le=1000,
-        description="Patterns from one look at the rig to the next, to see whether it moved, 0 "
-        "(none) to 1000; null: 8 by a real rig, and none by a simulated one or where the patterns "
-        "of a method for coaxial rigs tell without.",
     )
     batch_patterns: Batch = Field(
         16, description="Patterns captured and stored at a time, 1 to 1024."
@@ -130,13 +116,6 @@ class CaptureConfig(Settings):
     def _places_by_a_command(cls, command: str | None) -> str | None:
         return check_command(command)
 
-    @field_validator("symmetry_frames")
-    @classmethod
-    def _make_pairs(cls, frames: int) -> int:
-        if frames in (1, 2):
-            raise ValueError("a spread needs two pairs of random patterns; take 3 or more, or 0")
-        return frames
-
     @property
     def rule(self) -> Literal["simulated", "hardware", "offline"]:
         """Which of the workflow's rules of capture."""
@@ -144,9 +123,8 @@ class CaptureConfig(Settings):
 
     @property
     def looks(self) -> int | None:
-        """Patterns from one look at the rig to the next; None where that follows the method."""
-        is_real = self.rig == "remote"
-        return 0 if self.look_patterns is None and not is_real else self.look_patterns
+        """Patterns from one look at the rig to the next, 0 for none; None: by the method."""
+        return None if self.rig == "remote" else 0
 
     @property
     def drift_patterns(self) -> int:

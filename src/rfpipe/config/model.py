@@ -206,7 +206,6 @@ class Config(Settings):
                 "collection": True,
                 "scenes": {"__all__": {"about"}},
                 "capture": {"keep_raw", "url", "token_file", "patience_seconds", "placing"},
-                "offline": {"markers"},
                 "storage": {"keep_at"},
             },
         )
@@ -333,16 +332,6 @@ class Config(Settings):
             raise ValueError(
                 "capture.drift_minutes should be null with capture.rig offline, whose pictures say "
                 "nothing of their time"
-            )
-        if self.capture.look_patterns:
-            raise ValueError(
-                "capture.look_patterns should be 0 or null with capture.rig offline, whose "
-                "pictures are taken level by level by hand"
-            )
-        if self.verification.pictures:
-            raise ValueError(
-                "verification.pictures should be 0 or null with capture.rig offline, whose "
-                "pictures are taken level by level by hand"
             )
         if self.offline.camera_corners is not None and self.camera is None:
             raise ValueError(

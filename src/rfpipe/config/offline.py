@@ -42,11 +42,6 @@ class OfflineConfig(Settings):
         description="Folder of a calibration that knows where rays lie on projector and camera, "
         "relative to where rfpipe runs, or null.",
     )
-    markers: bool = Field(
-        True,
-        description="Whether marker frames before and after each level's patterns show where its "
-        "pictures begin and end, and in what order they stand: true or false.",
-    )
 
     @model_validator(mode="after")
     def _knows_the_picture(self) -> Self:

@@ -8,9 +8,6 @@ from pydantic import Field, field_validator
 
 from rfpipe.config.addresses import THREADS, check_bucket, check_workers
 from rfpipe.config.base import Settings
-from rfpipe.units import SATURATION_FRACTION
-
-__all__ = ["MergeConfig", "Normalization", "NumberFormat", "ResourcesConfig", "StorageConfig"]
 
 Normalization = Literal["none", "per_channel", "total_energy"]
 NumberFormat = Literal["float32", "uint16", "uint8"]
@@ -19,13 +16,6 @@ NumberFormat = Literal["float32", "uint16", "uint8"]
 class MergeConfig(Settings):
     """How a bracket becomes a radiance image."""
 
-    saturation_fraction: float = Field(
-        SATURATION_FRACTION,
-        gt=0,
-        le=1,
-        description="Counts at or above this fraction of full scale are saturated and not used, "
-        "above 0 and at most 1.",
-    )
     mask_defects: bool = Field(
         True,
         description="Leave dead and hot pixels out, with an infinite variance: true or false. On a "

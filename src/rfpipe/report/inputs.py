@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from rfpipe.config import Config, SceneSettings
+from rfpipe.config.capture import SYMMETRY_FRAMES
 from rfpipe.report import methods
 from rfpipe.report.blocks import Column
 from rfpipe.report.light import Light
@@ -230,7 +231,7 @@ class Inputs:
             return ""
         brackets = capture.black_frames + capture.floodlit_frames
         minutes = brackets * capture.seconds_per_pattern / 60
-        looks = capture.symmetry_frames
+        looks = SYMMETRY_FRAMES
         more = f"; {looks} random patterns more, to see whether a rig is coaxial" if looks else ""
         return (
             f", without the reference brackets ({capture.black_frames} all-off and "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rfpipe.config.capture import SYMMETRY_FRAMES
 from rfpipe.photometry import ExactSensor, sensor_from_config
 from rfpipe.stages.disk import disk_bytes
 from rfpipe.stages.plan import Plan, plan_of
@@ -43,7 +44,7 @@ def forecast(settings: Config) -> pd.DataFrame:
         capture, sensor = of_scene.capture, sensor_from_config(of_scene.camera)
         is_exact = isinstance(sensor, ExactSensor)
         references = 2 if is_exact else capture.black_frames + capture.floodlit_frames
-        references += plan.asks_symmetry * capture.symmetry_frames
+        references += plan.asks_symmetry * SYMMETRY_FRAMES
         pictures = of_scene.verification_pictures
         references += pictures + 2 if pictures else 0
         every = [capture.drift_patterns]

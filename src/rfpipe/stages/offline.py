@@ -143,7 +143,7 @@ class OfflineAcquisition:
                 )
         sheet = write_sheet(
             rig, own, asked, about,
-            gamma=self.settings.offline.projector_gamma, markers=self.settings.offline.markers,
+            gamma=self.settings.offline.projector_gamma, markers=True,
         )  # fmt: skip
         pictures.mkdir(exist_ok=True)
         return sheet

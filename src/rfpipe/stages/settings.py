@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from rfpipe.config.capture import SYMMETRY_FRAMES
 from rfpipe.plugins import METHODS, SCENES, sources_of
 from rfpipe.provenance import code_digest
+from rfpipe.units import SATURATION_FRACTION
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
@@ -13,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["acquire_options", "code_of", "rig_of", "stages_of"]
 
-_CAPTURE = ("black_frames", "floodlit_frames", "symmetry_frames", "asymmetry")
+_CAPTURE = ("black_frames", "floodlit_frames", "asymmetry")
 
 
 def acquire_options(config: Config, name: str, section: MethodSettings) -> dict[str, Any]:
@@ -53,7 +55,7 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
     default = "none" if config.collection is None else "black"
     captured = {
         "references": [capture.black_frames, capture.floodlit_frames],
-        "symmetry_frames": capture.symmetry_frames if plan.asks_symmetry else 0,
+        "symmetry_frames": SYMMETRY_FRAMES if plan.asks_symmetry else 0,
         "batch_patterns": capture.batch_patterns,
         "drift_patterns": capture.drift_patterns,
         "warm_up_minutes": capture.warm_up_minutes,
@@ -65,7 +67,11 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
         },
         "share": capture.share_references or default,
     }
-    merged = {**of_scene.merge.model_dump(mode="json"), "keep_raw": capture.keep_raw}
+    merged = {
+        **of_scene.merge.model_dump(mode="json"),
+        "saturation_fraction": SATURATION_FRACTION,
+        "keep_raw": capture.keep_raw,
+    }
     return {
         "schedule": code,
         "capture": captured,
@@ -99,7 +105,7 @@ def rig_of(config: Config, scene: str) -> dict[str, Any]:
     if config.capture.rig == "remote":
         return {"by": "server", "rig": rays}
     if config.capture.rig == "offline":
-        offline = of_scene.offline.model_dump(mode="json", exclude={"markers"})
+        offline = of_scene.offline.model_dump(mode="json")
         return {"by": "pictures", "rig": {"offline": offline, "camera": camera, **rays}}
     return {
         "by": "simulation",

@@ -28,7 +28,7 @@ class Diffuse(SceneSettings):
     bounces: Literal[1, 2, 3] = Field(
         3, description="Light simulated: 1 is direct light alone, 2 and 3 add inter-reflection."
     )
-    seed: int = Field(0, ge=0, description="Seed of the texture's strokes, at least 0.")
+    seed: int = Field(0, ge=0, description="Seed of textures or paths of light, 0 or more.")
 
     @model_validator(mode="after")
     def _has_all_surfaces(self) -> Self:
