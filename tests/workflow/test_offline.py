@@ -150,7 +150,7 @@ def test_patterns_are_as_the_projector_shows_them(level_0: Path) -> None:
     stated = json.loads((level_0 / "patterns.json").read_text())
     names = [each["file"] for each in stated["shown"]]
     assert [name[5:-4] for name in names] == [
-        *("marker",) * 2, *("black",) * 2, *("white",) * 2, *("random",) * 3, "pattern", "marker",
+        *("marker",) * 2, *("black",) * 2, *("white",) * 2, *("random",) * 6, "pattern", "marker",
     ]  # fmt: skip
     white = oiio.ImageBuf(str(level_0 / names[4])).get_pixels(oiio.UINT8)[..., 0]
     assert white.shape == (26, 33)
@@ -204,7 +204,7 @@ def rewritten(name: str, change: Any, seconds: float | None = None) -> Any:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda folder: (folder / "IMG_3.tif").unlink(), "holds 21 pictures; 11 patterns of 2"),
+        (lambda folder: (folder / "IMG_3.tif").unlink(), "holds 27 pictures; 14 patterns of 2"),
         (turned, "in reverse order"),
         (rewritten("IMG_5.tif", lambda pixels: pixels, 1.0), r"IMG_5.*exposed for 1 s.*0\.5, 2 s"),
         (rewritten("IMG_6.tif", lambda pixels: pixels[:3]), r"3 x 5 pixels.*expected 4 x 5"),
