@@ -89,7 +89,7 @@ class Config(Settings):
         "their rig, such as {studio: {camera: {bits: 14}, capture: {black_frames: 16}}}.",
     )
     methods: MethodSections = Field(
-        default_factory=lambda: dict.fromkeys(DEFAULT_METHODS),  # type: ignore[arg-type]
+        default_factory=lambda: dict.fromkeys(DEFAULT_METHODS),
         validate_default=True,
         description="Methods to acquire each scene with, each with options of its own; what is "
         "left out has its default, as in {symmetric: {}}. 'rfpipe settings methods' lists all.",
