@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from rfpipe.stages.acquire import acquire
     from rfpipe.transport import coarser, open_transport
     from rfpipe.transport.collection import Collection, open_collection
-    from rfpipe.transport.cropped import crop
-    from rfpipe.transport.matrix_files import read_matrix
+    from rfpipe.transport.matrix_in import read_matrix
+    from rfpipe.transport.rays import crop
     from rfpipe.version import __version__
     from rfpipe.weights import picture_weights
 
@@ -46,11 +46,11 @@ _HOMES = {
     "__version__": "rfpipe.version",
     "acquire": "rfpipe.stages.acquire",
     "coarser": "rfpipe.transport",
-    "crop": "rfpipe.transport.cropped",
+    "crop": "rfpipe.transport.rays",
     "open_collection": "rfpipe.transport.collection",
     "open_transport": "rfpipe.transport",
     "picture_weights": "rfpipe.weights",
-    "read_matrix": "rfpipe.transport.matrix_files",
+    "read_matrix": "rfpipe.transport.matrix_in",
 }
 
 

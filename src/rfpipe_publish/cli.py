@@ -201,7 +201,7 @@ def pack(
     rfpipe.open_collection reads it as it lies. 'rfpipe verify' checks it; 'unpack' gives back the
     same files.
     """
-    from rfpipe.transport.places import STORE_NAME
+    from rfpipe.transport.storage import STORE_NAME
     from rfpipe_publish.packed import pack as store
 
     if not results.is_dir():

@@ -18,7 +18,7 @@ from rfpipe.errors import StoreError
 from rfpipe.store import StoreLock
 from rfpipe.store.files import remove_tree
 from rfpipe.store.places import content_of
-from rfpipe.transport.places import MANIFEST, ZIP_NAME
+from rfpipe.transport.storage import MANIFEST, ZIP_NAME
 from rfpipe_publish.addresses import Bucket
 from rfpipe_publish.run import Acquisition, Run, Source, files_of_store
 from rfpipe_publish.writing import measured, write_zip

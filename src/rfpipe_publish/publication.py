@@ -15,7 +15,7 @@ from rfpipe.errors import InputError, StoreError, installing
 from rfpipe.pictures.images import write_image
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merger import REFERENCES
-from rfpipe.transport.places import MANIFEST
+from rfpipe.transport.storage import MANIFEST
 from rfpipe_publish.citation import Citation
 from rfpipe_publish.crate import METADATA_FILE, crate_metadata
 from rfpipe_publish.metadata import croissant, datacite

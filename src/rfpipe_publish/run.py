@@ -17,7 +17,7 @@ from rfpipe.config.model import ReportConfig
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.store.places import METADATA
-from rfpipe.transport.places import STORE_NAME, transports_in
+from rfpipe.transport.storage import STORE_NAME, transports_in
 from rfpipe_publish.packed import packed_in
 
 SETTINGS = "settings.yaml"

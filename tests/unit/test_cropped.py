@@ -15,7 +15,7 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.cli import app
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.transport import save_transport
-from rfpipe.transport.footprints.transport import FootprintTransport
+from rfpipe.transport.footprints import FootprintTransport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.sum import SumTransport

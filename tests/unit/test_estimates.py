@@ -22,7 +22,7 @@ from rfpipe.stages.evaluating import evaluate
 from rfpipe.stages.jobs.progress import log_estimate
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
-from rfpipe.transport.history import HISTORY_COLUMNS, estimates, history
+from rfpipe.transport.base import HISTORY_COLUMNS, estimates, history
 
 LOW_RANK = "benchmarks.rivals.low_rank:LowRank"
 ROWS = [

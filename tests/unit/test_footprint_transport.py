@@ -11,7 +11,7 @@ from tests.helpers import dense
 
 from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.footprints.transport import FootprintTransport
+from rfpipe.transport.footprints import FootprintTransport
 
 ROWS = [{"level": level, "patterns": 3} for level in range(3)]
 SHAPES = [((1, 1), (1, 1)), ((3, 5), (7, 2)), ((2, 3, 4), (5, 5))]

@@ -181,7 +181,7 @@ def test_coarser_rays_average_what_is_seen_and_share_what_is_lit(make, factor: i
 def test_coarser_rays_take_few_fine_ones_at_a_time(monkeypatch) -> None:
     transport, _ = dense()
     whole = rfpipe.coarser(transport, 2).toarray()
-    monkeypatch.setattr("rfpipe.transport.coarse._FINE_BYTES", 1)
+    monkeypatch.setattr("rfpipe.transport.rays._AT_ONCE_BYTES", 1)
     at_once: list[int] = []
     forward = transport.forward
     monkeypatch.setattr(

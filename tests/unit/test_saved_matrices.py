@@ -15,7 +15,7 @@ import rfpipe
 from rfpipe.errors import InputError, StoreError
 from rfpipe.transport import open_transport
 from rfpipe.transport.dense import DenseTransport
-from rfpipe.transport.files import MATRIX_FILES
+from rfpipe.transport.matrix_out import MATRIX_FILES
 
 CAMERA, PROJECTOR = (3, 5), (2, 4, 3)
 
@@ -72,7 +72,6 @@ def test_chosen_rays(tmp_path: Path, suffix: str, rows, columns) -> None:
 @pytest.mark.parametrize("dual", [False, True])
 def test_parts_make_the_same_matrix(tmp_path: Path, monkeypatch, suffix: str, dual: bool) -> None:
     monkeypatch.setattr("rfpipe.transport.algebra._BLOCK_BYTES", 2000)
-    monkeypatch.setattr("rfpipe.transport.files.npz.MEMORY_BUDGET", 0)
     path = tmp_path / f"matrix{suffix}"
     (transport_of(3).T if dual else transport_of(3)).save(path)
     expected = matrix_of(3).swapaxes(1, 2) if dual else matrix_of(3)
@@ -174,7 +173,7 @@ def test_a_folder_that_can_t_be_written(tmp_path: Path) -> None:
 
 
 def test_a_disk_without_room_is_found_before(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("rfpipe.transport.files.free_bytes", lambda folder: 1000)
+    monkeypatch.setattr("rfpipe.transport.matrix_out.free_bytes", lambda folder: 1000)
     with pytest.raises(StoreError, match=r"up to 4,320 bytes needed, 1,000 bytes free"):
         transport_of(3).save(tmp_path / "matrix.h5")
     assert not list(tmp_path.iterdir())

@@ -108,20 +108,6 @@ def test_an_unknown_format_is_refused(transport: Transport, tmp_path: Path) -> N
         open_transport(tmp_path / "later")
 
 
-def test_stores_of_the_first_version_open(transport: Transport, tmp_path: Path) -> None:
-    """They held one set a level, without a number, and didn't name their format."""
-    arrays, attributes = transport.pack()
-    levels = [name[:8] for name in arrays]
-    assert levels == sorted(levels)
-    old = {f"{name[:8]}{name[13:]}": array for name, array in arrays.items()}
-    assert "level_02_block_a" in old
-    assert len(old) == len(arrays)
-    del attributes["number_format"]
-    write_arrays(tmp_path / "old", old, attributes)
-    opened = open_transport(tmp_path / "old")
-    np.testing.assert_array_equal(opened.relight(PATTERNS[0]), transport.relight(PATTERNS[0]))
-
-
 def cut_anew(acquired: Transport) -> Transport:
     """Return a symmetric transport in sets of the present size."""
     assert isinstance(acquired, HierarchicalTransport)

@@ -121,7 +121,7 @@ def _is_store(path: Path) -> bool:
 
 def _transports_below(folder: Path) -> list[Path]:
     from rfpipe.store.places import locate
-    from rfpipe.transport.places import transports_in
+    from rfpipe.transport.storage import transports_in
 
     place = locate(folder)
     if isinstance(place, Path):
@@ -191,7 +191,7 @@ def export(
     """
     from rfpipe.export import Scale
     from rfpipe.transport import coarser
-    from rfpipe.transport.files import write_matrix
+    from rfpipe.transport.matrix_out import write_matrix
 
     size = Scale.parse(scale)
     if output.suffix not in _MATRICES:
@@ -307,7 +307,7 @@ def opened(path: Path, dual: bool, level: int | None, view: int | None = None) -
     import numpy as np
 
     from rfpipe.blocks import RayDomain
-    from rfpipe.transport.cropped import crop
+    from rfpipe.transport.rays import crop
 
     transport = open_checked(path)
     if level is not None:

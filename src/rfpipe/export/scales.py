@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.transport.coarse import square_means
+from rfpipe.transport.rays import square_means
 
 __all__ = ["Scale"]
 

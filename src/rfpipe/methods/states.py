@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import Method, Pack, State
-from rfpipe.transport.stored import SetsOnDemand
+from rfpipe.transport.arrays import SetsOnDemand
 
 Arrays = Mapping[str, NDArray[Any]]
 S = TypeVar("S", bound=Any)

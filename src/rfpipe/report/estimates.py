@@ -11,7 +11,7 @@ from rfpipe.report.blocks import Illustration, Section, Table, Tabulation, table
 from rfpipe.report.drawing import draw_method, scene_curves
 from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.text import fixed, number, percent
-from rfpipe.transport.history import HISTORY_COLUMNS, estimates
+from rfpipe.transport.base import HISTORY_COLUMNS, estimates
 
 if TYPE_CHECKING:
     import pandas as pd

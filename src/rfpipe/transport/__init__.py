@@ -1,7 +1,7 @@
 """Transport operators: dense, multilevel sparse (dual) and the hierarchical tensor."""
 
 from rfpipe.transport.base import Transport, TransposedTransport
-from rfpipe.transport.coarse import coarser
+from rfpipe.transport.rays import coarser
 from rfpipe.transport.storage import open_transport, save_transport
 
 __all__ = ["Transport", "TransposedTransport", "coarser", "open_transport", "save_transport"]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, cached_property
-from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,13 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.store.chunks import take_runs
 from rfpipe.transport.base import Float, Transport
-from rfpipe.transport.stored import SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
 
 Arrays = Mapping[str, NDArray[Any]]
+
+# Bits that are kept of single values, the leading one included.
+_SIGNIFICANT = {"uint8": 12, "uint16": 16}
+_FLOAT32_BITS = 24
 
 
 class LevelSet(Protocol):
@@ -35,7 +38,9 @@ class LevelSet(Protocol):
 
 
 Held = TypeVar("Held")
-S = TypeVar("S", bound=LevelSet)
+K = TypeVar("K")
+S = TypeVar("S")
+L = TypeVar("L", bound=LevelSet)
 
 
 class HoldingTransport(Transport, Generic[Held]):
@@ -79,8 +84,8 @@ class HoldingTransport(Transport, Generic[Held]):
 
     @classmethod
     @abstractmethod
-    def _opened(cls, bundle: ArrayBundle, memory_budget: int) -> Held:
-        """Return what a store keeps, to be read when used."""
+    def _opened(cls, bundle: ArrayBundle, keep: bool) -> Held:
+        """Return what a store keeps, to be read when used, and to be kept in memory or not."""
 
     def pack(
         self, number_format: NumberFormat = "float32"
@@ -102,22 +107,14 @@ class HoldingTransport(Transport, Generic[Held]):
         return cls(
             channels=about["channels"],
             level_rows=about["levels"],
-            held=cls._opened(bundle, memory_budget),
+            held=cls._opened(bundle, bundle.nbytes <= memory_budget),
             nbytes=bundle.nbytes_stored,
             **shapes,
         )
 
 
 class CoaxialTransport(HoldingTransport[Held]):
-    """A symmetric transport over the ray domain that camera and projector share.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        The ray domain.
-    channels, level_rows, held, nbytes
-        See `HoldingTransport`.
-    """
+    """A symmetric transport over the ray domain, `shape`, that camera and projector share."""
 
     shape_names = ("shape",)
 
@@ -137,7 +134,7 @@ class CoaxialTransport(HoldingTransport[Held]):
         return self.camera_shape
 
     def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
-        """Return ``T^T c``; the transport is symmetric."""
+        """Return ``T^T c = T c`` for planar images ``(P, K, N)``."""
         return self.forward(images, channels)
 
 
@@ -154,19 +151,16 @@ class ArrayTransport(HoldingTransport[Arrays]):
         return dict(self._held)
 
     @classmethod
-    def _opened(cls, bundle: ArrayBundle, memory_budget: int) -> Arrays:  # noqa: ARG003
+    def _opened(cls, bundle: ArrayBundle, keep: bool) -> Arrays:  # noqa: ARG003
         return LazyArrays(bundle.names, bundle.read, bundle.read_runs)
 
 
-class LevelTransport(HoldingTransport[Sequence[S]]):
+class LevelTransport(HoldingTransport[Sequence[L]]):
     """A transport made of sets of arrays, each about the blocks of one level.
 
     The sets stay in memory where all of them fit; else they are read each time. The acquisition's
     levels are those of the blocks, unless its rows say otherwise by a ``block_level``.
     """
-
-    parts: ClassVar[tuple[str, ...]]
-    """The arrays of a set, by which stores name them."""
 
     @cached_property
     def tree(self) -> BlockTree:
@@ -207,28 +201,6 @@ class LevelTransport(HoldingTransport[Sequence[S]]):
     def _bytes_in_memory(self) -> int:
         return sum(found.nbytes for found in self._held)
 
-    @classmethod
-    @abstractmethod
-    def _unpacked(cls, level: int, arrays: Arrays) -> S:
-        """Return a set by its arrays."""
-
-    @classmethod
-    def _opened(cls, bundle: ArrayBundle, memory_budget: int) -> Sequence[S]:
-        prefixes = by_prefix(bundle, cls.parts)
-
-        def read(prefix: str) -> S:
-            arrays = {part: bundle.read(name) for part, name in prefixes[prefix].items()}
-            return cls._unpacked(int(prefix.split("_")[1]), arrays)
-
-        return SetsOnDemand(list(prefixes), read, keep=fits(bundle, memory_budget))
-
-
-def runs_of(held: Arrays, name: str, runs: NDArray[np.int64]) -> NDArray[Any]:
-    """Return runs ``(n, 2)`` of an array along its last axis, and read little else of it."""
-    if isinstance(held, LazyArrays) and held.read_runs is not None:
-        return held.read_runs(name, runs)
-    return take_runs(held[name], runs)
-
 
 class LazyArrays(Mapping[str, NDArray[Any]]):
     """Named arrays that are read when first used; a plain mapping serves as well.
@@ -262,3 +234,78 @@ class LazyArrays(Mapping[str, NDArray[Any]]):
 
     def __len__(self) -> int:
         return len(self._names)
+
+
+def runs_of(held: Arrays, name: str, runs: NDArray[np.int64]) -> NDArray[Any]:
+    """Return runs ``(n, 2)`` of an array along its last axis, and read little else of it."""
+    if isinstance(held, LazyArrays) and held.read_runs is not None:
+        return held.read_runs(name, runs)
+    return take_runs(held[name], runs)
+
+
+class SetsOnDemand(Sequence[S], Generic[K, S]):
+    """Sets that are made when used, and kept in memory or made anew each time.
+
+    Parameters
+    ----------
+    keys : sequence
+    make : callable
+        Returns the set of a key.
+    keep : bool
+        Whether to keep in memory what was made, in `kept`.
+    """
+
+    def __init__(self, keys: Sequence[K], make: Callable[[K], S], *, keep: bool) -> None:
+        self.keys, self.keep = keys, keep
+        self._make = make
+        self.kept: dict[int, S] = {}
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    @overload
+    def __getitem__(self, index: int) -> S: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> list[S]: ...
+
+    def __getitem__(self, index: int | slice) -> S | list[S]:
+        if isinstance(index, slice):
+            return [self[n] for n in range(*index.indices(len(self)))]
+        number = range(len(self))[index]
+        if number in self.kept:
+            return self.kept[number]
+        found = self._make(self.keys[number])
+        if self.keep:
+            self.kept[number] = found
+        return found
+
+
+def by_prefix(bundle: ArrayBundle, parts: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Return the names of a store's arrays, by the set and by the part of it that they are.
+
+    An array is named by its set, an underscore and its part.
+    """
+    found: dict[str, dict[str, str]] = {}
+    for name in bundle.names:
+        for part in parts:
+            if name.endswith(f"_{part}"):
+                found.setdefault(name.removesuffix(f"_{part}"), {})[part] = name
+    return dict(sorted(found.items()))
+
+
+def rounded(values: Float, number_format: NumberFormat) -> Float:
+    """Round single values to 12 significant bits under "uint8", to 16 under "uint16".
+
+    They span too many decades for a common scale. The trailing bits, all 0, take no room in a
+    compressed store.
+    """
+    if number_format == "float32":
+        return values
+    dropped = _FLOAT32_BITS - _SIGNIFICANT[number_format]
+    bits = np.ascontiguousarray(values).view(np.uint32)
+    half = np.uint32(1 << (dropped - 1))
+    mask = np.uint32(2**32 - (1 << dropped))
+    found = ((bits + half) & mask).view(np.float32)
+    result: Float = np.where(np.isfinite(values) & np.isfinite(found), found, values)
+    return result

@@ -1,9 +1,11 @@
-"""What every transport offers: relighting, its transpose, and scipy linear operators."""
+"""What every transport offers: relighting, its transpose, scipy linear operators, its levels."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from base64 import b64encode
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
@@ -11,9 +13,10 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
+from rfpipe.store.arrays import ArrayBundle, write_arrays
 from rfpipe.transport.algebra import MatrixAlgebra, Rays
-from rfpipe.transport.history import history
 from rfpipe.units import NumberFormat
 from rfpipe.weights import as_weights
 
@@ -22,17 +25,20 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import LinearOperator
 
-    from rfpipe.store.arrays import ArrayBundle
-
 Float = NDArray[np.float32]
 
 LIMIT = 8 * 2**30
 """Bytes that a matrix in a file may take by default, before compression."""
+
+HISTORY_COLUMNS = ("level", "patterns", "estimated_error")
+"""Level; patterns shown up to there, the floodlit one included; the error that the method then
+estimated, relative to the norm of a relit image."""
+
 _BATCH = 64
-
-
+# Rays of both sides up to which a notebook shows a picture, which takes a second or so.
 _SHOWN_RAYS = 2**20
-"""Rays of both sides up to which a notebook shows a picture, which takes a second or so."""
+_SHOWN_WIDTH = 280  # pixels of a notebook's page
+_WHITE = 99.5  # per cent of a picture's samples that are not cut off
 
 
 class Light(MatrixAlgebra):
@@ -66,7 +72,9 @@ class Light(MatrixAlgebra):
     def relight_batch(self, patterns: NDArray[Any]) -> Float:
         """Relight with several patterns ``(P, *projector_shape[, channels])`` at once."""
         planar = planar_patterns(patterns, self.projector_shape, self.channels)
-        return _images(self.forward(planar, range(self.channels)), self.camera_shape)
+        images = self.forward(planar, range(self.channels))
+        shape = (len(images), *self.camera_shape, self.channels)
+        return np.moveaxis(images, 1, -1).reshape(shape)
 
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Light:  # noqa: ARG002
         """Return a transport that is the same between some rays; of others' light it may lack any.
@@ -80,9 +88,30 @@ class Light(MatrixAlgebra):
 
     def channel(self, index: int) -> LinearOperator:
         """Return one channel's matrix, rows x columns, as a scipy ``LinearOperator``."""
+        from scipy.sparse.linalg import LinearOperator
+
         if not 0 <= index < self.channels:
             raise InputError(f"channel {index} of a transport with channels 0..{self.channels - 1}")
-        return _channel_operator(self, index)
+
+        def applied(apply: Any) -> Any:
+            def of(x: NDArray[Any]) -> Float:
+                """Apply to a vector or to the columns of a matrix; scipy restores x's shape."""
+                columns = as_weights(x, "the vector").reshape(len(x), -1)
+                planar = np.ascontiguousarray(columns.T[:, None], np.float32)
+                image: Float = apply(planar, [index])[:, 0].T
+                return image
+
+            return of
+
+        forward, adjoint = applied(self.forward), applied(self.adjoint)
+        return LinearOperator(
+            shape=self.matrix_shape[1:],
+            matvec=forward,
+            rmatvec=adjoint,
+            matmat=forward,
+            rmatmat=adjoint,
+            dtype=np.dtype(np.float32),
+        )
 
     def save(
         self, path: str | Path, *, rows: Rays = None, columns: Rays = None, limit_bytes: int = LIMIT
@@ -106,21 +135,26 @@ class Light(MatrixAlgebra):
         StoreError
             If the file can't be written, or the package that writes it isn't installed.
         """
-        from rfpipe.transport.files import write_matrix
+        from rfpipe.transport.matrix_out import write_matrix
 
         write_matrix(self, Path(path), rows, columns, limit_bytes)
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows: a table, and the picture under full light."""
-        from rfpipe.transport.shown import as_html
-
-        image = None
+        rows = "".join(
+            f"<tr><th style='text-align:left'>{escape(name)}</th>"
+            f"<td style='text-align:left'>{escape(text)}</td></tr>"
+            for name, text in self._facts().items()
+        )
+        table = f"<table><caption><b>{type(self).__name__}</b></caption>{rows}</table>"
+        picture = ""
         if prod(self.projector_shape) + prod(self.camera_shape) <= _SHOWN_RAYS:
-            image = self.relight(np.ones(self.projector_shape, np.float32))
-        return as_html(type(self).__name__, self._facts(), image)
+            picture = _picture(self.relight(np.ones(self.projector_shape, np.float32)))
+        style = "display:flex;flex-wrap:wrap;gap:1em;align-items:center"
+        return f"<div style='{style}'>{picture}{table}</div>"
 
     def _facts(self) -> dict[str, str]:
-        """What a notebook shows in its table."""
+        """Return what a notebook shows in its table."""
         return {
             "camera": _rays(self.camera_shape),
             "projector": _rays(self.projector_shape),
@@ -165,6 +199,21 @@ class Transport(Light):
             f"{type(self).__name__}(camera {self.camera_shape}, projector "
             f"{self.projector_shape}, {channels}, {self.nbytes / 1e6:.3g} MB)"
         )
+
+    @abstractmethod
+    def pack(
+        self, number_format: NumberFormat = "float32"
+    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Return the named arrays and the attributes that a store keeps."""
+
+    @classmethod
+    @abstractmethod
+    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
+        """Build a transport from a store; what fits into `memory_budget` bytes stays there."""
+
+    @abstractmethod
+    def _bytes_in_memory(self) -> int:
+        """Return the bytes of the arrays."""
 
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
@@ -214,33 +263,6 @@ class Transport(Light):
         return range(self.last_level, self.last_level + 1)
 
     @property
-    def nbytes(self) -> int:
-        """Bytes stored: on disk if opened from a store, of the arrays if in memory."""
-        return self._bytes_in_memory() if self._nbytes is None else self._nbytes
-
-    def _facts(self) -> dict[str, str]:
-        facts = {**super()._facts(), "bytes": f"{self.nbytes:,}"}
-        if self.level_rows:
-            shown = [int(row["patterns"]) for row in self.level_rows if row.get("patterns")]
-            facts["acquired by"] = f"{sum(shown):,} patterns in {len(shown)} levels"
-        return facts
-
-    @abstractmethod
-    def _bytes_in_memory(self) -> int:
-        """Bytes of the arrays."""
-
-    @abstractmethod
-    def pack(
-        self, number_format: NumberFormat = "float32"
-    ) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-        """Return the named arrays and the attributes that a store keeps."""
-
-    @classmethod
-    @abstractmethod
-    def unpack(cls, bundle: ArrayBundle, memory_budget: int) -> Self:
-        """Build a transport from a store; what fits into `memory_budget` bytes stays there."""
-
-    @property
     def last_level(self) -> int:
         """The last of `known_levels`."""
         return max((int(row["level"]) for row in self.level_rows), default=0)
@@ -254,12 +276,20 @@ class Transport(Light):
 
     @property
     def history(self) -> pd.DataFrame:
-        """The method's own estimates of its error while it ran: `HISTORY_COLUMNS`.
-
-        A row for each level after which there was one; none for methods without. See
-        `rfpipe.transport.history`.
-        """
+        """The method's estimates of its error: `HISTORY_COLUMNS`, a row for each level with one."""
         return history(self.level_rows)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes stored: on disk if opened from a store, of the arrays if in memory."""
+        return self._bytes_in_memory() if self._nbytes is None else self._nbytes
+
+    def _facts(self) -> dict[str, str]:
+        facts = {**super()._facts(), "bytes": f"{self.nbytes:,}"}
+        if self.level_rows:
+            shown = [int(row["patterns"]) for row in self.level_rows if row.get("patterns")]
+            facts["acquired by"] = f"{sum(shown):,} patterns in {len(shown)} levels"
+        return facts
 
     def save(
         self,
@@ -301,8 +331,6 @@ class Transport(Light):
         self, path: str | Path, number_format: NumberFormat = "float32", **attributes: Any
     ) -> str:
         """Write a store; see `rfpipe.transport.save_transport`."""
-        from rfpipe.store.arrays import write_arrays
-
         if number_format not in get_args(NumberFormat):
             expected = ", ".join(get_args(NumberFormat))
             raise InputError(f"number format {number_format!r}; expected one of {expected}")
@@ -311,39 +339,6 @@ class Transport(Light):
         return write_arrays(
             Path(path), arrays, {**attributes, **own}, small=True, by_parts=by_parts
         )
-
-
-def _rays(shape: tuple[int, ...]) -> str:
-    return f"{' x '.join(map(str, shape))} = {prod(shape):,} rays"
-
-
-def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: int) -> Float:
-    """Bring patterns ``(P, *shape[, channels])`` into planar form ``(P, channels, rays)``.
-
-    White light is the same memory for all channels.
-    """
-    patterns = as_weights(patterns)
-    count = patterns.shape[0]
-    if patterns.shape == (count, *shape):
-        rays = np.ascontiguousarray(patterns, np.float32).reshape(count, 1, -1)
-        planar = np.broadcast_to(rays, (count, channels, rays.shape[-1]))
-    elif patterns.shape == (count, *shape, channels):
-        planes = np.moveaxis(patterns.reshape(count, -1, channels), -1, 1)
-        planar = np.ascontiguousarray(planes, np.float32)
-    else:
-        raise InputError(
-            f"a pattern has the shape {shape} or {(*shape, channels)}, got {patterns.shape[1:]}"
-        )
-    if not np.isfinite(patterns).all():
-        raise InputError("a pattern holds NaN or infinite weights; all weights must be finite")
-    return planar
-
-
-def _images(planar: Float, shape: tuple[int, ...]) -> Float:
-    """Turn planar light ``(P, C, rays)`` into images ``(P, *shape, C)``."""
-    count, channels, _ = planar.shape
-    images: Float = np.moveaxis(planar, 1, -1).reshape(count, *shape, channels)
-    return images
 
 
 class TransposedTransport(Light):
@@ -375,30 +370,70 @@ class TransposedTransport(Light):
         """Return a dual that is the same between some rays, see `Light.between_some`."""
         return self._primal.between_some(lit, seen).T
 
-    def channel(self, index: int) -> LinearOperator:
-        """Return one channel's transposed matrix as a scipy ``LinearOperator``."""
-        operator: LinearOperator = self._primal.channel(index).T
-        return operator
+
+def planar_patterns(patterns: NDArray[Any], shape: tuple[int, ...], channels: int) -> Float:
+    """Bring patterns ``(P, *shape[, channels])`` into planar form ``(P, channels, rays)``.
+
+    White light is the same memory for all channels.
+    """
+    patterns = as_weights(patterns)
+    count = patterns.shape[0]
+    if patterns.shape == (count, *shape):
+        rays = np.ascontiguousarray(patterns, np.float32).reshape(count, 1, -1)
+        planar = np.broadcast_to(rays, (count, channels, rays.shape[-1]))
+    elif patterns.shape == (count, *shape, channels):
+        planes = np.moveaxis(patterns.reshape(count, -1, channels), -1, 1)
+        planar = np.ascontiguousarray(planes, np.float32)
+    else:
+        raise InputError(
+            f"a pattern has the shape {shape} or {(*shape, channels)}, got {patterns.shape[1:]}"
+        )
+    if not np.isfinite(patterns).all():
+        raise InputError("a pattern holds NaN or infinite weights; all weights must be finite")
+    return planar
 
 
-def _channel_operator(transport: Light, index: int) -> LinearOperator:
-    from scipy.sparse.linalg import LinearOperator
+def estimates(level_rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return `HISTORY_COLUMNS` of the levels after which the method estimated its error.
 
-    def product(apply: Callable[[Float, Sequence[int]], Float]) -> Callable[[Float], Float]:
-        def of(x: NDArray[Any]) -> Float:
-            """Apply to a vector or to the columns of a matrix; scipy gives the result x's shape."""
-            columns = as_weights(x, "the vector").reshape(len(x), -1)
-            planar = np.ascontiguousarray(columns.T[:, None], np.float32)
-            return apply(planar, [index])[:, 0].T
+    Parameters
+    ----------
+    level_rows : iterable of dict
+        As `Transport.level_rows`; a level without an estimate has no ``estimated_error``.
+    """
+    found, shown = [], 0
+    for row in level_rows:
+        shown += int(row["patterns"])
+        if "estimated_error" in row:
+            error = float(row["estimated_error"])
+            found.append({"level": int(row["level"]), "patterns": shown, "estimated_error": error})
+    return found
 
-        return of
 
-    forward, adjoint = product(transport.forward), product(transport.adjoint)
-    return LinearOperator(
-        shape=(int(np.prod(transport.camera_shape)), int(np.prod(transport.projector_shape))),
-        matvec=forward,
-        rmatvec=adjoint,
-        matmat=forward,
-        rmatmat=adjoint,
-        dtype=np.dtype(np.float32),
+def history(level_rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
+    """Return `estimates` as a table: int64, int64 and float64, empty where there is none."""
+    import pandas as pd
+
+    table = pd.DataFrame(estimates(level_rows), columns=list(HISTORY_COLUMNS))
+    return table.astype({"level": "int64", "patterns": "int64", "estimated_error": "float64"})
+
+
+def _rays(shape: tuple[int, ...]) -> str:
+    return f"{' x '.join(map(str, shape))} = {prod(shape):,} rays"
+
+
+def _picture(image: Float) -> str:
+    """Return a picture as HTML; of several views that in the middle."""
+    from rfpipe.pictures.images import png_bytes
+
+    domain = RayDomain(image.shape[:-1])
+    views = image.reshape(*domain.stack_shape, -1)
+    said = "under full light"
+    if domain.is_stack:
+        said += f", view {domain.views // 2} of {domain.views}"
+    white = float(np.percentile(image, _WHITE)) or float(image.max()) or 1.0
+    data = b64encode(png_bytes(views[domain.views // 2], white)).decode()
+    return (
+        f"<img src='data:image/png;base64,{data}' alt='{said}' title='{said}' "
+        f"style='width:{_SHOWN_WIDTH}px;image-rendering:pixelated'>"
     )

@@ -13,8 +13,7 @@ from rfpipe.errors import InputError, StoreError
 from rfpipe.store.places import Place, locate
 from rfpipe.transport.algebra import MEMORY_BUDGET
 from rfpipe.transport.base import Transport
-from rfpipe.transport.places import STORE_NAME, transports_in
-from rfpipe.transport.storage import open_transport
+from rfpipe.transport.storage import STORE_NAME, open_transport, transports_in
 
 __all__ = ["Collection", "open_collection"]
 

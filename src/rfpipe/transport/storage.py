@@ -1,31 +1,37 @@
-"""Transports in stores: written whole, opened lazily."""
+"""Transports in stores: written whole, found in what a user names, opened lazily."""
 
 from __future__ import annotations
 
-import importlib
+from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args
 
 from rfpipe.errors import StoreError
 from rfpipe.store.arrays import ArrayBundle, open_arrays
-from rfpipe.store.places import Place
+from rfpipe.store.places import METADATA, Place, content_of, locate
 from rfpipe.transport.algebra import MEMORY_BUDGET
 from rfpipe.transport.base import Transport
-from rfpipe.transport.places import find_transport
 from rfpipe.units import NumberFormat
 
-_CLASSES = {
-    "dense": ("rfpipe.transport.dense", "DenseTransport"),
-    "footprints": ("rfpipe.transport.footprints.transport", "FootprintTransport"),
-    "hierarchical": ("rfpipe.transport.hierarchical.transport", "HierarchicalTransport"),
-    "low_rank": ("rfpipe.transport.low_rank", "LowRankTransport"),
-    "multiscale": ("rfpipe.transport.multiscale.transport", "MultiscaleTransport"),
-    "multilevel": ("rfpipe.transport.multilevel.transport", "MultilevelTransport"),
-    "sum": ("rfpipe.transport.sum", "SumTransport"),
-    "wavelet": ("rfpipe.transport.wavelet.transport", "WaveletTransport"),
-}
+STORE_NAME = "transport.zarr"
+"""Under which an acquisition's transport is stored."""
 
-_FORMATS = get_args(NumberFormat)
+ZIP_NAME = "transport.zip"
+"""Under which `rfpipe keep` brings it into a bucket, as one object."""
+
+MANIFEST = "manifest-sha256.txt"
+"""Of a publication: the SHA-256 and the name of every file, a line each."""
+
+_CLASSES = {
+    "dense": "dense:DenseTransport",
+    "footprints": "footprints:FootprintTransport",
+    "hierarchical": "hierarchical.transport:HierarchicalTransport",
+    "low_rank": "low_rank:LowRankTransport",
+    "multiscale": "multiscale.transport:MultiscaleTransport",
+    "multilevel": "multilevel.transport:MultilevelTransport",
+    "sum": "sum:SumTransport",
+    "wavelet": "wavelet.transport:WaveletTransport",
+}
 
 
 def save_transport(
@@ -89,7 +95,7 @@ def open_transport(path: str | Path | Place, memory_budget: int = MEMORY_BUDGET)
     IntegrityError
         When an array that is read does not match its digest.
     """
-    return unpack_transport(open_arrays(find_transport(path)), memory_budget)
+    return unpack_transport(open_arrays(_found(path)), memory_budget)
 
 
 def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
@@ -106,14 +112,57 @@ def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
             f"{bundle.path}: not a transport (kind {kind!r}, expected one of {sorted(_CLASSES)}); "
             "give the transport.zarr that an acquisition wrote"
         )
-    # the first stores didn't name their format
-    number_format = bundle.attributes.get("number_format", "float32")
-    if number_format not in _FORMATS:
+    number_format = bundle.attributes["number_format"]
+    if number_format not in get_args(NumberFormat):
         raise StoreError(
             f"{bundle.path}: number format {number_format!r}, which this version of rfpipe doesn't "
             "know; open it with the version that wrote it, or run the stage that writes it again"
         )
-    module, name = _CLASSES[kind]
-    cls = getattr(importlib.import_module(module), name)
-    transport: Transport = cls.unpack(bundle, memory_budget)
-    return transport
+    module, _, name = _CLASSES[kind].partition(":")
+    cls: type[Transport] = getattr(import_module(f"rfpipe.transport.{module}"), name)
+    return cls.unpack(bundle, memory_budget)
+
+
+def transports_in(place: Path | Place) -> list[str]:
+    """Return the names, relative to a folder, of the transports below it.
+
+    Raises
+    ------
+    StoreError
+        When its files can't be listed.
+    """
+    if isinstance(place, Path):
+        found = place.rglob(f"{STORE_NAME}/{METADATA}")
+        return sorted(file.parent.relative_to(place).as_posix() for file in found)
+    listed = content_of(place / MANIFEST)
+    if listed is None:
+        files = place.files()
+    else:
+        files = [line[66:] for line in listed.decode(errors="replace").splitlines()]
+    ends = (f"/{STORE_NAME}/{METADATA}", f"/{ZIP_NAME}")
+    return sorted(name.removesuffix(f"/{METADATA}") for name in files if f"/{name}".endswith(ends))
+
+
+def _found(path: str | Path | Place) -> Path | Place:
+    """Return where the one transport lies that `path` names or holds."""
+    place = locate(path)
+    if isinstance(place, Path) and not place.is_dir():
+        what = "a file, no store" if place.exists() else "no such file or folder"
+        raise StoreError(
+            f"{place}: {what}; give the {STORE_NAME} that an acquisition wrote, or a folder, zip "
+            "file or address that has one. A matrix in a file is read by rfpipe.read_matrix"
+        )
+    is_named = isinstance(place, Place) and place.key.endswith(".zarr")
+    if is_named or content_of(place / METADATA) is not None:
+        return place
+    names = transports_in(place)
+    if len(names) == 1:
+        found = place / names[0]
+        return _found(found) if names[0].endswith(ZIP_NAME) else found
+    if not names:
+        raise StoreError(
+            f"{place}: no {STORE_NAME} in here; give the {STORE_NAME} that an acquisition wrote, "
+            "or a folder, zip file or address that has one"
+        )
+    listed = "\n".join(f"  {place}/{name}" for name in names)
+    raise StoreError(f"{place}: has {len(names)} transports; name one of\n{listed}")

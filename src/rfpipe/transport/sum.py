@@ -13,7 +13,6 @@ from rfpipe.errors import InputError
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.storage import unpack_transport
-from rfpipe.transport.stored import fits
 from rfpipe.units import NumberFormat
 
 if TYPE_CHECKING:
@@ -101,7 +100,7 @@ class SumTransport(Transport):
         for index, attributes in enumerate(about["parts"]):
             part = bundle.part(_prefix(index), attributes)
             parts.append(unpack_transport(part, memory_budget))
-            if fits(part, memory_budget):
+            if part.nbytes <= memory_budget:
                 memory_budget -= part.nbytes
         return cls(parts, about["levels"], bundle.nbytes_stored)
 

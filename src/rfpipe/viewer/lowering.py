@@ -16,7 +16,7 @@ from rfpipe.errors import InputError
 from rfpipe.store.files import digest_of
 from rfpipe.transport.base import Transport
 from rfpipe.transport.dense import DenseTransport
-from rfpipe.transport.footprints.transport import FootprintTransport
+from rfpipe.transport.footprints import FootprintTransport
 from rfpipe.transport.hierarchical.codes import pack_leaves, signed_apart
 from rfpipe.transport.hierarchical.leaves import LeafSet, leaf_offsets, runs
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport

@@ -183,7 +183,7 @@ def _mean_error(manifest: Path) -> float | None:
 
 def _read_transport(item: Item, store: Path) -> None:
     from rfpipe.transport import open_transport
-    from rfpipe.transport.history import estimates
+    from rfpipe.transport.base import estimates
 
     try:
         transport = open_transport(store)

@@ -12,7 +12,7 @@ from rfpipe.config.scenes import SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.scenes.base import Scene, SceneKind
 from rfpipe.scenes.kinds.views import AnyRig
-from rfpipe.transport.matrix_files import RayOrder
+from rfpipe.transport.matrix_in import RayOrder
 
 __all__ = ["Matrix", "MatrixOptions"]
 
@@ -65,7 +65,7 @@ class Matrix(SceneKind):
             When it can't be read, or holds another shape or number of channels.
         """
         from rfpipe.scenes.matrix import MatrixScene
-        from rfpipe.transport.matrix_files import read_matrix
+        from rfpipe.transport.matrix_in import read_matrix
 
         camera, projector = options.camera_ray_shape, options.ray_shape
         matrix = read_matrix(options.file, camera, projector, options.dataset, options.order)

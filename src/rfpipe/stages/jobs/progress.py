@@ -91,7 +91,7 @@ def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> No
         The method's; its ``target_error``, where it has one, is the error asked for.
     """
     # the merge has progress, too, and nothing to do with transports
-    from rfpipe.transport.history import estimates
+    from rfpipe.transport.base import estimates
 
     estimated = estimates(level_rows)
     if estimated and estimated[-1]["level"] == level_rows[-1]["level"]:

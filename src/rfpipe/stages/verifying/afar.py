@@ -10,7 +10,7 @@ from rfpipe.stages.verifying.published import LIST, check_list, listed_names
 from rfpipe.stages.verifying.stores import first_sentence
 from rfpipe.store import open_arrays
 from rfpipe.store.places import METADATA, Place, content_of, locate
-from rfpipe.transport.places import ZIP_NAME, transports_in
+from rfpipe.transport.storage import ZIP_NAME, transports_in
 
 __all__ = ["check_afar"]
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
+from rfpipe.transport.arrays import rounded
 from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, leaf_offsets
-from rfpipe.transport.rounding import rounded
 from rfpipe.units import NumberFormat
 
 CODED_PARTS = ("block_a", "block_b", "codes", "scales")

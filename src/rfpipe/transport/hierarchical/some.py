@@ -13,21 +13,21 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.store.places import Place
-from rfpipe.transport.hierarchical.codes import unpack_leaves
+from rfpipe.transport.arrays import SetsOnDemand, by_prefix
+from rfpipe.transport.hierarchical.codes import CODED_PARTS, unpack_leaves
 from rfpipe.transport.hierarchical.leaves import (
+    LEAF_PARTS,
     LeafSet,
     leaf_offsets,
     leaf_sizes,
     pair_of_views,
 )
-from rfpipe.transport.stored import SetsOnDemand
-
-__all__ = ["VIEWS_PART", "Rays", "StoredLeaves", "leaves_between", "offsets_of_views"]
 
 VIEWS_PART = "views"
 """Array of a set of leaves of a light field: `offsets_of_views`."""
 
-_AT_ONCE = 16
+_BLOCKS = ("block_a", "block_b")
+_AT_ONCE = 16  # requests to a server: each waits for the way there and back
 
 Mask = NDArray[np.bool_]
 Index = NDArray[np.int64]
@@ -35,113 +35,81 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Rays:
-    """The rays that see, and those that are lit.
-
-    Attributes
-    ----------
-    tree : BlockTree
-    seen, lit : ndarray of bool, shape (N,)
-        In tree order.
-    """
+    """The rays that see, and those that are lit, bool (N,) in tree order."""
 
     tree: BlockTree
     seen: Mask
     lit: Mask
 
     def pass_light(self, level: int, block_a: NDArray[Any], block_b: NDArray[Any]) -> Mask:
-        """Tell which pairs of blocks have light to pass between them, one way or the other."""
+        """Return which pairs of blocks have light to pass between them, one way or the other."""
         starts = self.tree.starts[level][:-1]
         seen, lit = (np.logical_or.reduceat(rays, starts) for rays in (self.seen, self.lit))
         found: Mask = (seen[block_a] & lit[block_b]) | (seen[block_b] & lit[block_a])
         return found
 
+    def chosen(self, leaves: LeafSet) -> LeafSet:
+        """Return the leaves that pass light between the rays."""
+        passing = self.pass_light(leaves.level, leaves.block_a, leaves.block_b)
+        return leaves.subset(self.tree, passing)
+
 
 class StoredLeaves(SetsOnDemand[str, LeafSet]):
-    """The sets of leaves of a store, read when used, as a whole or in part.
+    """The sets of leaves of a store, read when used, as a whole or in part."""
 
-    Parameters
-    ----------
-    bundle : ArrayBundle
-    prefixes : dict
-        The names of each set's arrays, by set and by part.
-    keep : bool
-        Whether they stay in memory.
-    """
+    def __init__(self, bundle: ArrayBundle, *, keep: bool) -> None:
+        self._bundle = bundle
+        self._sets = by_prefix(bundle, (*LEAF_PARTS, "signs", *CODED_PARTS, VIEWS_PART))
+        super().__init__(list(self._sets), self._whole, keep=keep)
 
-    def __init__(
-        self, bundle: ArrayBundle, prefixes: dict[str, dict[str, str]], *, keep: bool
-    ) -> None:
-        self._bundle, self._prefixes = bundle, prefixes
-        super().__init__(list(prefixes), self._whole, keep=keep)
-
-    def between(self, rays: Rays) -> SetsOnDemand[int, LeafSet]:
+    def between(self, rays: Rays) -> Sequence[LeafSet]:
         """Return those of the leaves that pass light between some rays, read when used."""
-        fetched: dict[int, LeafSet] = {}
-        is_afar = self.keep and isinstance(self._bundle.path, Place)
 
         def read(index: int) -> LeafSet:
-            whole = self.kept(index)
-            return self._some(self.keys[index], rays) if whole is None else _chosen(whole, rays)
+            if index in self.kept:
+                return rays.chosen(self.kept[index])
+            return self._some(self.keys[index], rays)
 
-        def some(index: int) -> LeafSet:
-            if not is_afar:
-                return read(index)
-            if not fetched:  # all at once: each waits for several requests, one after the other
-                with ThreadPoolExecutor(_AT_ONCE) as pool:
-                    fetched.update(enumerate(pool.map(read, range(len(self)))))
-            return fetched[index]
+        some = SetsOnDemand(range(len(self)), read, keep=self.keep)
+        if self.keep and isinstance(self._bundle.path, Place):
+            with ThreadPoolExecutor(_AT_ONCE) as pool:
+                some.kept |= enumerate(pool.map(read, some.keys))
+        return some
 
-        return SetsOnDemand(range(len(self)), some, keep=self.keep)
+    def _whole(self, key: str) -> LeafSet:
+        names = self._sets[key]
+        arrays = {part: self._bundle.read(names[part]) for part in names if part != VIEWS_PART}
+        return unpack_leaves(_level(key), arrays)
 
-    def _whole(self, prefix: str) -> LeafSet:
-        names = self._prefixes[prefix]
-        arrays = {
-            part: self._bundle.read(name) for part, name in names.items() if part != VIEWS_PART
-        }
-        return unpack_leaves(_level(prefix), arrays)
-
-    def _some(self, prefix: str, rays: Rays) -> LeafSet:
-        """Read some leaves of a set: first their blocks, of views that are asked for."""
-        names, level, tree = self._prefixes[prefix], _level(prefix), rays.tree
+    def _some(self, key: str, rays: Rays) -> LeafSet:
+        """Read some leaves of a set: first the blocks of the views that are asked for."""
+        names, level, tree = self._sets[key], _level(key), rays.tree
+        leaves = np.array([[0, self._bundle.shape(names["block_a"])[0]]])
+        first_values = np.zeros(1, np.int64)
         if VIEWS_PART in names:
-            offsets = self._bundle.read_runs(names[VIEWS_PART], _all(self._pairs(rays) + 1))
+            offsets = self._bundle.read(names[VIEWS_PART])
             asked = rays.pass_light(1, *np.triu_indices(tree.n_blocks(1)))
-            begin, end = offsets[:, :-1][:, asked], offsets[:, 1:][:, asked]
-            leaves = np.stack([begin[0], end[0]], axis=1)
-            first_values = begin[1]
-        else:
-            count = self._bundle.shape(names["block_a"])[0]
-            leaves, first_values = _all(count), np.zeros(1, np.int64)
-        blocks = [self._bundle.read_runs(names[part], leaves) for part in ("block_a", "block_b")]
+            leaves = np.stack([offsets[0, :-1], offsets[0, 1:]], axis=1)[asked]
+            first_values = offsets[1, :-1][asked]
+        blocks = [self._bundle.read_runs(names[part], leaves) for part in _BLOCKS]
         sizes = leaf_sizes(tree, level, *blocks)
-        lengths = leaves[:, 1] - leaves[:, 0]
-        number = _within(leaves[:, 0], lengths, np.ones(len(sizes), np.int64))
-        value = _within(first_values, lengths, sizes)
+        ones = np.ones_like(sizes)
         chosen = rays.pass_light(level, *blocks)
-        arrays = {
-            part: self._bundle.read_runs(
-                name,
-                _joined(value[chosen], sizes[chosen])
-                if part in ("values", "codes")
-                else _joined(number[chosen], np.ones(chosen.sum(), np.int64)),
-            )
-            for part, name in names.items()
-            if part not in ("block_a", "block_b", VIEWS_PART)
-        }
-        of_chosen = dict(zip(("block_a", "block_b"), (b[chosen] for b in blocks), strict=True))
-        return unpack_leaves(level, arrays | of_chosen)
-
-    @staticmethod
-    def _pairs(rays: Rays) -> int:
-        views = rays.tree.n_blocks(1)
-        return views * (views + 1) // 2
+        lengths = leaves[:, 1] - leaves[:, 0]
+        of_leaf = _joined(_within(leaves[:, 0], lengths, ones)[chosen], ones[chosen])
+        of_values = _joined(_within(first_values, lengths, sizes)[chosen], sizes[chosen])
+        arrays = dict(zip(_BLOCKS, (found[chosen] for found in blocks), strict=True))
+        for part in names.keys() - {*_BLOCKS, VIEWS_PART}:
+            runs = of_values if part in ("values", "codes") else of_leaf
+            arrays[part] = self._bundle.read_runs(names[part], runs)
+        return unpack_leaves(level, arrays)
 
 
 def leaves_between(leaf_sets: Sequence[LeafSet], rays: Rays) -> Sequence[LeafSet]:
     """Return those of the leaves that pass light between some rays."""
     if isinstance(leaf_sets, StoredLeaves):
         return leaf_sets.between(rays)
-    return [_chosen(leaves, rays) for leaves in leaf_sets]
+    return [rays.chosen(leaves) for leaves in leaf_sets]
 
 
 def offsets_of_views(tree: BlockTree, leaves: LeafSet) -> Index:
@@ -160,36 +128,18 @@ def offsets_of_views(tree: BlockTree, leaves: LeafSet) -> Index:
     return np.stack([first, leaf_offsets(tree, leaves)[first]])
 
 
-def _chosen(leaves: LeafSet, rays: Rays) -> LeafSet:
-    chosen = rays.pass_light(leaves.level, leaves.block_a, leaves.block_b)
-    return leaves.subset(rays.tree, chosen)
-
-
-def _level(prefix: str) -> int:
-    return int(prefix.split("_")[1])
-
-
-def _all(count: int) -> Index:
-    return np.array([[0, count]])
+def _level(key: str) -> int:
+    return int(key.split("_")[1])
 
 
 def _within(first: Index, lengths: Index, sizes: Index) -> Index:
-    """Return where items of runs begin, each behind those of its run before it.
+    """Return where items begin of runs that begin at `first`, one behind the other in each.
 
-    Parameters
-    ----------
-    first
-        Where each run begins.
-    lengths
-        Items of each run.
-    sizes
-        Of the items.
+    A run has as many items as `lengths` says, of `sizes`.
     """
-    ends = np.cumsum(sizes)
-    before = ends - sizes
-    of_run = np.repeat(np.arange(len(first)), lengths)
-    begin = np.append(before, ends[-1:] if len(ends) else 0)[np.cumsum(lengths) - lengths]
-    found: Index = before - begin[of_run] + first[of_run]
+    before = np.append(0, np.cumsum(sizes))
+    begin = before[np.cumsum(lengths) - lengths]
+    found: Index = before[:-1] + np.repeat(first - begin, lengths)
     return found
 
 

@@ -10,17 +10,15 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
 from rfpipe.store.arrays import ArrayBundle
-from rfpipe.transport.arrays import Arrays, CoaxialTransport, LevelTransport
+from rfpipe.transport.arrays import CoaxialTransport, LevelTransport, SetsOnDemand
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.hierarchical.apply import apply_leaf_sets
 from rfpipe.transport.hierarchical.codes import (
-    CODED_PARTS,
     decoded,
     pack_leaves,
     signed_apart,
-    unpack_leaves,
 )
-from rfpipe.transport.hierarchical.leaves import LEAF_PARTS, LeafSet, merge_leaf_sets
+from rfpipe.transport.hierarchical.leaves import LeafSet, merge_leaf_sets
 from rfpipe.transport.hierarchical.some import (
     VIEWS_PART,
     Rays,
@@ -29,7 +27,6 @@ from rfpipe.transport.hierarchical.some import (
     offsets_of_views,
 )
 from rfpipe.transport.hierarchical.truncation import collapse, found_later
-from rfpipe.transport.stored import SetsOnDemand, by_prefix, fits
 from rfpipe.units import NumberFormat
 
 
@@ -47,7 +44,6 @@ class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[
     """
 
     kind = "hierarchical"
-    parts = (*LEAF_PARTS, "signs", *CODED_PARTS, VIEWS_PART)
 
     @classmethod
     def from_leaf_sets(
@@ -89,13 +85,8 @@ class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[
         return arrays
 
     @classmethod
-    def _unpacked(cls, level: int, arrays: Arrays) -> LeafSet:
-        return unpack_leaves(level, arrays)
-
-    @classmethod
-    def _opened(cls, bundle: ArrayBundle, memory_budget: int) -> Sequence[LeafSet]:
-        prefixes = by_prefix(bundle, cls.parts)
-        return StoredLeaves(bundle, prefixes, keep=fits(bundle, memory_budget))
+    def _opened(cls, bundle: ArrayBundle, keep: bool) -> Sequence[LeafSet]:
+        return StoredLeaves(bundle, keep=keep)
 
     def between_some(self, seen: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Transport:
         """Return the leaves that pass light between some rays, see `Light.between_some`."""

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.store.arrays import ArrayBundle
-from rfpipe.transport.arrays import Arrays, LevelTransport
+from rfpipe.transport.arrays import LevelTransport, SetsOnDemand, by_prefix, rounded
 from rfpipe.transport.base import Float, Transport, planar_patterns
 from rfpipe.transport.multilevel.pairs import PAIR_PARTS, PairSet, fold
 from rfpipe.transport.multilevel.spread import Spread, spread_by_transpose, spread_evenly
-from rfpipe.transport.rounding import rounded
 from rfpipe.units import NumberFormat
 
 Double = NDArray[np.float64]
@@ -42,7 +41,6 @@ class MultilevelTransport(LevelTransport[PairSet]):
     """
 
     kind = "multilevel"
-    parts = PAIR_PARTS
     symmetric: bool = False
 
     @classmethod
@@ -209,8 +207,14 @@ class MultilevelTransport(LevelTransport[PairSet]):
         return arrays
 
     @classmethod
-    def _unpacked(cls, level: int, arrays: Arrays) -> PairSet:
-        return PairSet(level, *(arrays[part] for part in cls.parts))
+    def _opened(cls, bundle: ArrayBundle, keep: bool) -> Sequence[PairSet]:
+        prefixes = by_prefix(bundle, PAIR_PARTS)
+
+        def read(prefix: str) -> PairSet:
+            arrays = (bundle.read(f"{prefix}_{part}") for part in PAIR_PARTS)
+            return PairSet(int(prefix.split("_")[1]), *arrays)
+
+        return SetsOnDemand(list(prefixes), read, keep=keep)
 
 
 def _interpolate(density: Double, labels: NDArray[np.int32]) -> Double:

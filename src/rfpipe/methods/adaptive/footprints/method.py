@@ -29,7 +29,7 @@ from rfpipe.methods.base import ErrorOptions, Float, LevelImages, Method
 from rfpipe.methods.registry import get_method, options_of
 from rfpipe.methods.states import kept
 from rfpipe.transport.base import Transport
-from rfpipe.transport.footprints.transport import FootprintTransport
+from rfpipe.transport.footprints import FootprintTransport
 from rfpipe.transport.sum import SumTransport
 
 if TYPE_CHECKING:

@@ -2,41 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, StoreError, installing
-
-if TYPE_CHECKING:
-    from scipy.sparse import csc_array, csr_array
-
-__all__ = ["RayOrder", "read_matrix"]
+from rfpipe.transport.base import Transport
 
 RayOrder = Literal["rows", "columns"]
 """How pixels are numbered: row by row (C, NumPy), or column by column (MATLAB's ``image(:)``)."""
 
-_HDF5, _CHANNELS = (".h5", ".hdf5", ".hdf"), (1, 3)
-_SPARSE = ({"data", "indices", "indptr"}, {"data", "ir", "jc"})
-# What MATLAB says of the rows of a sparse matrix, whose group holds no shape.
-_MATLAB_ROWS = "MATLAB_sparse"
+Shape = tuple[int, ...]
+
+# Sparse matrices are groups of these; as MATLAB writes them, with an attribute for the rows.
+_COMPRESSED, _BY_MATLAB = {"data", "indices", "indptr"}, {"data", "ir", "jc"}
 # How HDF5 begins, where MATLAB may have put a block of its own before it.
 _SIGNATURE, _BLOCK = b"\x89HDF\r\n\x1a\n", 512
-
-Matrices = list[Any]
 
 
 def read_matrix(
     path: str | Path,
-    camera_shape: tuple[int, ...],
-    projector_shape: tuple[int, ...],
+    camera_shape: Shape,
+    projector_shape: Shape,
     dataset: str | None = None,
     order: RayOrder = "rows",
-) -> Matrices:
+) -> list[Any]:
     """Read a light transport matrix from a file.
 
     Parameters
@@ -68,21 +62,19 @@ def read_matrix(
     """
     path = Path(path)
     names = [None] if dataset is None else [name.strip() for name in dataset.split(",")]
-    found: Matrices = []
-    for name in names:
-        found += _channels(_read(path, name), camera_shape, projector_shape, f"{path}", order)
-    return found
+    shapes = tuple(camera_shape), tuple(projector_shape)
+    return [m for name in names for m in _channels(_read(path, name), *shapes, f"{path}", order)]
 
 
 def _read(path: Path, name: str | None) -> Any:
-    """Return one array or sparse matrix of a file."""
+    """Return one array, sparse matrix or transport of a file."""
     suffix = path.suffix.lower()
-    readers: dict[str, Callable[[Path, str | None], Any]] = {
+    readers = {
         ".npy": lambda path, _: np.load(path, allow_pickle=False),
         ".npz": _npz,
         ".mat": _mat,
         ".zarr": _zarr,
-        **dict.fromkeys(_HDF5, _hdf5),
+        **dict.fromkeys((".h5", ".hdf5", ".hdf"), _hdf5),
     }
     if suffix not in readers:
         raise InputError(
@@ -117,8 +109,7 @@ def _mat(path: Path, name: str | None) -> Any:
         head = file.read(_BLOCK + len(_SIGNATURE))
     if _SIGNATURE in (head[: len(_SIGNATURE)], head[_BLOCK:]):  # version 7.3
         return _hdf5(path, name)
-    names = [entry[0] for entry in whosmat(str(path))]
-    chosen = _chosen(path, names, name)
+    chosen = _chosen(path, [entry[0] for entry in whosmat(str(path))], name)
     return loadmat(str(path), variable_names=[chosen], spmatrix=False)[chosen]
 
 
@@ -128,12 +119,11 @@ def _hdf5(path: Path, name: str | None) -> Any:
     with h5py.File(path, "r") as file:
         held = [key for key in file if not key.startswith("#")]
         item = file[name] if name and name in file else file[_chosen(path, held, name)]
-        by_matlab = "MATLAB_class" in item.attrs
         if isinstance(item, h5py.Group):
-            return _sparse(path, item, dict(item.attrs))
+            return _sparse(path, item)
         array = item[()]
         # MATLAB counts its axes the other way round
-        return array.transpose() if by_matlab else array
+        return array.transpose() if "MATLAB_class" in item.attrs else array
 
 
 def _zarr(path: Path, name: str | None) -> Any:
@@ -144,41 +134,34 @@ def _zarr(path: Path, name: str | None) -> Any:
     try:
         return open_transport(path)
     except StoreError:  # not one of rfpipe's
-        opened: Any = zarr.open(path, mode="r")
-    if isinstance(opened, zarr.Array):
-        return opened[...]
-    held = list(opened.keys())
-    is_sparse = any(parts <= set(held) for parts in _SPARSE)
-    item = opened if is_sparse and name is None else opened[_chosen(path, held, name)]
-    if isinstance(item, zarr.Array):
-        return item[...]
-    return _sparse(path, item, dict(item.attrs))
+        item: Any = zarr.open(path, mode="r")
+    if isinstance(item, zarr.Group):
+        held = set(item.keys())
+        if name is not None or not (held >= _COMPRESSED or held >= _BY_MATLAB):
+            item = item[_chosen(path, held, name)]
+    return item[...] if isinstance(item, zarr.Array) else _sparse(path, item)
 
 
-def _sparse(path: Path, group: Any, attributes: dict[str, Any]) -> csr_array[Any] | csc_array[Any]:
+def _sparse(path: Path, group: Any) -> Any:
     """Return the sparse matrix that a group holds."""
     from scipy.sparse import csc_array, csr_array
 
-    parts = {key: np.asarray(group[key][()]) for key in group if key in set().union(*_SPARSE)}
-    if set(parts) == _SPARSE[1]:
-        rows = int(attributes[_MATLAB_ROWS])
+    keys, about = set(group), dict(group.attrs)
+    parts = {key: np.asarray(group[key][()]) for key in keys & (_COMPRESSED | _BY_MATLAB)}
+    if set(parts) == _BY_MATLAB:
+        index, ends = (parts[key].astype(np.int64) for key in ("ir", "jc"))
         return csc_array(
-            (parts["data"], parts["ir"].astype(np.int64), parts["jc"].astype(np.int64)),
-            shape=(rows, len(parts["jc"]) - 1),
+            (parts["data"], index, ends), shape=(int(about["MATLAB_sparse"]), len(ends) - 1)
         )
-    if set(parts) != _SPARSE[0]:
+    if set(parts) != _COMPRESSED:
         raise InputError(
             f"{path}: the group {group.name} holds {', '.join(group)}; a sparse matrix is data, "
             "indices and indptr. Name the dataset"
         )
-    shape = attributes.get("shape", group["shape"][()] if "shape" in group else None)
-    stated = attributes.get("format", "csr")
-    kind = (
-        csc_array
-        if (stated.decode() if isinstance(stated, bytes) else stated) == "csc"
-        else (csr_array)
-    )
-    whole: Any = None if shape is None else tuple(int(extent) for extent in shape)
+    shape = about.get("shape", group["shape"][()] if "shape" in keys else None)
+    stated = about.get("format", "csr")
+    kind: Any = csc_array if stated in ("csc", b"csc") else csr_array
+    whole = None if shape is None else tuple(int(extent) for extent in shape)
     return kind((parts["data"], parts["indices"], parts["indptr"]), shape=whole)
 
 
@@ -193,76 +176,57 @@ def _chosen(path: Path, names: Iterable[str], name: str | None) -> str:
     return name
 
 
-def _channels(
-    held: Any,
-    camera_shape: tuple[int, ...],
-    projector_shape: tuple[int, ...],
-    name: str,
-    order: RayOrder,
-) -> Matrices:
+def _channels(held: Any, camera: Shape, projector: Shape, name: str, order: RayOrder) -> list[Any]:
     """Return what a file holds as matrices (M, N), rays in row-major order."""
     from scipy import sparse
 
-    from rfpipe.transport.base import Transport
-
+    rows, columns = prod(camera), prod(projector)
     if isinstance(held, Transport):
-        return _of_transport(held, camera_shape, projector_shape, name)
-    rows, columns = prod(camera_shape), prod(projector_shape)
+        found = held.camera_shape, held.projector_shape
+        if found != (camera, projector):
+            raise _misfit(name, tuple(map(prod, found)), camera, projector)
+        return [held.channel(index) for index in range(held.channels)]
     if sparse.issparse(held):
         matrix: Any = sparse.csr_array(held)  # type: ignore[call-overload]
         if matrix.shape != (rows, columns):
-            raise _misfit(name, matrix.shape, camera_shape, projector_shape)
-        if order == "columns":
-            matrix = matrix[_by_columns(camera_shape)][:, _by_columns(projector_shape)]
-        return [sparse.csr_array(matrix)]
+            raise _misfit(name, matrix.shape, camera, projector)
+        return [_by_rows(matrix, camera, projector) if order == "columns" else matrix]
     array = np.asarray(held)
     if array.dtype.kind not in "fiub":
         raise InputError(f"{name}: holds {array.dtype}; light transport is real numbers")
-    for camera_axes in ((rows,), tuple(camera_shape)):
-        for projector_axes in ((columns,), tuple(projector_shape)):
-            planar = _planar(array, camera_axes, projector_axes)
-            if planar is not None:
-                return [
-                    _numbered(matrix, camera_shape, projector_shape, camera_axes, projector_axes)
-                    if order == "columns"
-                    else np.ascontiguousarray(matrix.reshape(rows, columns))
-                    for matrix in planar
-                ]
-    raise _misfit(name, array.shape, camera_shape, projector_shape)
+    for seen in ((rows,), camera):
+        for lit in ((columns,), projector):
+            planes = _planes(array, seen, lit)
+            if planes is None:
+                continue
+            flat = np.ascontiguousarray(planes.reshape(len(planes), rows, columns))
+            if order == "columns":
+                sides = camera if len(seen) == 1 else None, projector if len(lit) == 1 else None
+                return [np.ascontiguousarray(_by_rows(plane, *sides)) for plane in flat]
+            return list(flat)
+    raise _misfit(name, array.shape, camera, projector)
 
 
-def _planar(
-    array: NDArray[Any], camera: tuple[int, ...], projector: tuple[int, ...]
-) -> NDArray[Any] | None:
+def _planes(array: NDArray[Any], camera: Shape, projector: Shape) -> NDArray[Any] | None:
     """Return an array of axes (C, *camera, *projector) of one that has its channels anywhere."""
     if array.shape == camera + projector:
         return array[None]
     for axis in (0, len(camera), len(camera) + len(projector)):
-        if array.ndim == len(camera) + len(projector) + 1 and array.shape[axis] in _CHANNELS:
+        if array.ndim == len(camera) + len(projector) + 1 and array.shape[axis] in (1, 3):
             moved = np.moveaxis(array, axis, 0)
             if moved.shape[1:] == camera + projector:
                 return moved
     return None
 
 
-def _numbered(
-    matrix: NDArray[Any],
-    camera_shape: tuple[int, ...],
-    projector_shape: tuple[int, ...],
-    camera_axes: tuple[int, ...],
-    projector_axes: tuple[int, ...],
-) -> NDArray[Any]:
-    """Return a matrix (M, N) in row-major order of one whose joined axes go column by column."""
-    rows, columns = prod(camera_shape), prod(projector_shape)
-    flat = matrix.reshape(rows, columns)
-    if len(camera_axes) == 1:
-        flat = flat[_by_columns(camera_shape)]
-    if len(projector_axes) == 1:
-        flat = flat[:, _by_columns(projector_shape)]
-    return np.ascontiguousarray(flat)
+def _by_rows(matrix: Any, camera: Shape | None, projector: Shape | None) -> Any:
+    """Return a matrix whose joined axes count rays row by row, of one that counts by columns."""
+    if camera is not None:
+        matrix = matrix[_by_columns(camera)]
+    return matrix if projector is None else matrix[:, _by_columns(projector)]
 
 
-def _by_columns(shape: tuple[int, ...]) -> NDArray[np.int64]:
+def _by_columns(shape: Shape) -> NDArray[np.int64]:
     """Return, for each ray in row-major order, its number when counted column by column."""
     *views, height, width = shape
     image = np.arange(height * width).reshape(width, height).T
@@ -270,19 +234,7 @@ def _by_columns(shape: tuple[int, ...]) -> NDArray[np.int64]:
     return np.asarray(stack.reshape(-1))
 
 
-def _of_transport(
-    transport: Any, camera_shape: tuple[int, ...], projector_shape: tuple[int, ...], name: str
-) -> Matrices:
-    """Return the operators of a transport that rfpipe stored."""
-    own = transport.camera_shape, transport.projector_shape
-    if own != (tuple(camera_shape), tuple(projector_shape)):
-        raise _misfit(name, tuple(map(prod, own)), camera_shape, projector_shape)
-    return [transport.channel(index) for index in range(transport.channels)]
-
-
-def _misfit(
-    name: str, found: tuple[int, ...], camera: tuple[int, ...], projector: tuple[int, ...]
-) -> InputError:
+def _misfit(name: str, found: Shape, camera: Shape, projector: Shape) -> InputError:
     rows, columns = prod(camera), prod(projector)
     turned = " Its axes seem to be exchanged: transpose it." if found == (columns, rows) else ""
     return InputError(

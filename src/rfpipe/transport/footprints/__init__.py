@@ -1,1 +1,0 @@
-"""Transport as footprints and smooth exchange, as footprint acquisition finds it."""

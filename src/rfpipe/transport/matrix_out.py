@@ -1,0 +1,225 @@
+"""The matrix of a transport in files that other programs read: NumPy, HDF5 and MATLAB."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import prod
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.errors import InputError, StoreError, installing
+from rfpipe.store.files import free_bytes, storage_errors, whole_file
+from rfpipe.transport.algebra import (
+    AT_A_TIME,
+    Float,
+    Index,
+    MatrixAlgebra,
+    Rays,
+    chosen_rays,
+    gibibytes,
+)
+from rfpipe.version import __version__
+
+if TYPE_CHECKING:
+    import h5py
+
+ABOUT = (
+    "Light transport T by rfpipe: T[channel, row, column] is the radiance that a camera ray (row) "
+    "receives when the projector ray (column) has the weight 1. c = T p. Rays are numbered row by "
+    "row of their images, from 0: camera_shape and projector_shape are (height, width), views "
+    "before them. 'rows' and 'columns' are the rays that are kept."
+)
+"""What a file says of itself."""
+
+_OF_MATLAB = (
+    "In MATLAB T is (row, column, channel), rays count from 0 in 'rows' and 'columns', and the "
+    "image of c = T(:, :, 1) * p is reshape(c, camera_shape(end:-1:1))'."
+)
+_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # a zip file's first date: equal matrices give equal bytes
+_CHUNK_ENTRIES = 2**18
+_MATLAB_HEADER, _MATLAB_TEXT = 512, 116
+# As every HDF5 library can read it.
+_PACKED: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+
+
+@dataclass(frozen=True)
+class Contents:
+    """The part of a matrix that is written: some rows and columns, by their rays."""
+
+    matrix: MatrixAlgebra
+    rows: Index
+    columns: Index
+    progress: bool = False
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Channels, rows, columns."""
+        return self.matrix.channels, len(self.rows), len(self.columns)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the small arrays that stand beside T."""
+        return {
+            "camera_shape": np.array(self.matrix.camera_shape, np.int64),
+            "projector_shape": np.array(self.matrix.projector_shape, np.int64),
+            "rows": self.rows,
+            "columns": self.columns,
+        }
+
+    def blocks(
+        self, *, by_rows: bool, channels: Sequence[int] | None = None
+    ) -> Iterator[tuple[slice, slice, Float]]:
+        """Yield T in parts; see `rfpipe.transport.algebra.MatrixAlgebra.blocks`."""
+        from tqdm import tqdm
+
+        with tqdm(
+            total=len(self.rows) * len(self.columns),
+            desc="matrix" if channels is None else f"channels {list(channels)}",
+            unit="entry",
+            unit_scale=True,
+            disable=None if self.progress else True,
+        ) as bar:
+            parts = self.matrix.blocks(self.rows, self.columns, by_rows=by_rows, channels=channels)
+            for rows, columns, block in parts:
+                yield rows, columns, block
+                bar.update(block.shape[1] * block.shape[2])
+
+
+def write_matrix(
+    matrix: MatrixAlgebra,
+    path: Path,
+    rows: Rays,
+    columns: Rays,
+    limit_bytes: int,
+    *,
+    progress: bool = False,
+) -> None:
+    """Write a matrix, see `rfpipe.transport.base.Light.save`; show how far it is if asked to."""
+    write = MATRIX_FILES.get(path.suffix.lower())
+    if write is None:
+        raise InputError(
+            f"{path}: ends in {path.suffix!r}; a matrix is written to {', '.join(MATRIX_FILES)}, a "
+            "transport as it is to .zarr"
+        )
+    chosen = chosen_rays(rows, matrix.camera_shape, "rows")
+    contents = Contents(
+        matrix, chosen, chosen_rays(columns, matrix.projector_shape, "columns"), progress
+    )
+    nbytes = 4 * prod(contents.shape)
+    if nbytes > limit_bytes:
+        entries = " x ".join(f"{length:,}" for length in contents.shape)
+        raise InputError(
+            f"{path}: a matrix of {entries} = {prod(contents.shape):,} entries takes "
+            f"{gibibytes(nbytes)}, the limit is {gibibytes(limit_bytes)}; choose rows or columns, "
+            "lower the scale (at half of it the matrix is 16 times smaller), or raise the limit"
+        )
+    free = free_bytes(path.absolute().parent)
+    if nbytes > free:
+        raise StoreError(
+            f"{path}: up to {nbytes:,} bytes needed, {free:,} bytes free on its file system; make "
+            "room, or choose rows or columns"
+        )
+    with storage_errors(path, "writing", nbytes, resumes=False), whole_file(path) as partial:
+        write(partial, contents)
+
+
+def _npz(path: Path, contents: Contents) -> None:
+    """Write ``T`` (C, rows, columns), what stands beside it, and ``about``, a text."""
+    small = {**contents.arrays(), "about": np.array(ABOUT)}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, array in small.items():
+            with _member(archive, name) as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+        with _member(archive, "T") as member:
+            header = {"descr": "<f4", "fortran_order": False, "shape": contents.shape}
+            np.lib.format.write_array_header_2_0(member, header)
+            for channel in range(contents.shape[0]):
+                for *_, block in contents.blocks(by_rows=True, channels=[channel]):
+                    member.write(np.ascontiguousarray(block[0], "<f4").data)
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> IO[bytes]:
+    about = zipfile.ZipInfo(f"{name}.npy", _LONG_AGO)
+    about.compress_type = zipfile.ZIP_DEFLATED
+    return archive.open(about, "w", force_zip64=True)
+
+
+def _hdf5(path: Path, contents: Contents) -> None:
+    """Write the dataset ``T`` (C, rows, columns), what stands beside it, and attributes."""
+    with _hdf5_file(path) as file:
+        file.attrs["about"] = ABOUT
+        file.attrs["rfpipe"] = __version__
+        for name, array in contents.arrays().items():
+            file[name] = array
+        _, rows, columns = contents.shape
+        chunks = (1, *_chunk(rows, columns))
+        matrix = file.create_dataset("T", contents.shape, "<f4", chunks=chunks, **_PACKED)
+        matrix.attrs["unit"] = "radiance per weight"
+        matrix.attrs["axes"] = "channel, camera ray, projector ray"
+        for of_rows, of_columns, block in contents.blocks(by_rows=rows <= columns):
+            matrix[:, of_rows, of_columns] = block
+
+
+def _matlab(path: Path, contents: Contents) -> None:
+    """Write a MAT file of version 7.3: HDF5 behind a header of its own.
+
+    Its variables are ``T`` (rows, columns, channels), what stands beside it, and ``about``. MATLAB
+    counts axes from the other end than HDF5, so the dataset is (C, columns, rows).
+    """
+    with _hdf5_file(path, userblock_size=_MATLAB_HEADER) as file:
+        channels, rows, columns = contents.shape
+        high, wide = _chunk(rows, columns)
+        first = int(channels == 1)  # MATLAB has no axis of one channel
+        shape, chunks = (channels, columns, rows)[first:], (1, wide, high)[first:]
+        matrix = file.create_dataset("T", shape, "<f4", chunks=chunks, **_PACKED)
+        matrix.attrs["MATLAB_class"] = np.bytes_("single")
+        for of_rows, of_columns, block in contents.blocks(by_rows=rows <= columns):
+            part = block.swapaxes(1, 2)
+            matrix[..., of_columns, of_rows] = part if channels > 1 else part[0]
+        for name, array in contents.arrays().items():
+            file[name] = array[:, None].astype("<f8")
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+        text = np.frombuffer(f"{ABOUT} {_OF_MATLAB}".encode("utf-16-le"), "<u2")
+        file["about"] = text[:, None]
+        file["about"].attrs["MATLAB_class"] = np.bytes_("char")
+        file["about"].attrs["MATLAB_int_decode"] = np.int32(2)
+    # the block before the HDF5 part, by which MATLAB knows the version
+    said = f"MATLAB 7.3 MAT-file, Platform: rfpipe {__version__}, HDF5 schema 1.00 ."
+    header = said.encode()[:_MATLAB_TEXT].ljust(_MATLAB_TEXT)
+    header += bytes(8) + b"\x00\x02" + b"IM"  # no subsystem; version 2.0; little-endian
+    with path.open("r+b") as opened:
+        opened.write(header.ljust(_MATLAB_HEADER, b"\0"))
+
+
+@contextmanager
+def _hdf5_file(path: Path, **options: Any) -> Iterator[h5py.File]:
+    try:
+        import h5py
+    except ImportError as error:
+        raise StoreError(
+            f"HDF5 and MAT files are written by h5py, which can't be loaded: {error}. Write an "
+            f".npz, or {installing('export')}"
+        ) from error
+    with h5py.File(path, "w", **options) as file:
+        yield file
+
+
+def _chunk(rows: int, columns: int) -> tuple[int, int]:
+    """Return the shape of the chunks of a matrix, each of which is written once, by one part."""
+    if rows <= columns:  # the parts are whole rows
+        return min(rows, AT_A_TIME), min(columns, _CHUNK_ENTRIES // AT_A_TIME)
+    return min(rows, _CHUNK_ENTRIES // AT_A_TIME), min(columns, AT_A_TIME)
+
+
+MATRIX_FILES: dict[str, Callable[[Path, Contents], None]] = {
+    ".npz": _npz,
+    ".h5": _hdf5,
+    ".hdf5": _hdf5,
+    ".mat": _matlab,
+}
+"""What writes a matrix, by the end of a file's name."""
