@@ -38,7 +38,6 @@ from rfpipe.methods.symmetric.rank_test import (
     reconcile,
 )
 from rfpipe.patterns import Schedule
-from rfpipe.transport.arrays import SetsOnDemand
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 
