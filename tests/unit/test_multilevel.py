@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.errors import InputError
 from rfpipe.store.files import bytes_on_disk
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.multilevel.pairs import PairSet, fold
@@ -83,7 +82,6 @@ def test_an_empty_transport_is_dark() -> None:
     assert dark.pair_sets == []
     for image in (dark.relight(np.ones((4, 4))), dark.T.relight(np.ones((1, 2)))):
         assert not image.any()
-    assert not dark.dual_image(np.ones((1, 2))).any()
     assert dark.truncate(1).pair_sets == []
 
 
@@ -98,58 +96,6 @@ def test_it_is_stored(transport: MultilevelTransport, tmp_path: Path) -> None:
     stored = open_transport(tmp_path / "transport.zarr")
     assert stored.nbytes == bytes_on_disk(tmp_path / "transport.zarr")
     np.testing.assert_array_equal(stored.relight(np.eye(4)), transport.relight(np.eye(4)))
-
-
-def test_dual_image_of_one_block_is_even() -> None:
-    """Level 0 is one value for the whole image, or for the whole stack."""
-    for projector in ((3, 5), (2, 3, 5)):
-        transport = transport_of(pair_set(0, (0, 1, 30.0)), projector=projector)
-        image = transport.dual_image(np.array([[7.0, 1.0]]))
-        np.testing.assert_allclose(image, np.full((*projector, 1), 30.0 / np.prod(projector)))
-
-
-def test_dual_image_of_rays_is_their_values() -> None:
-    tree = BlockTree(RayDomain((3, 5)))
-    values = np.arange(1.0, 16.0)
-    rays = pair_set(tree.n_levels - 1, *((ray, 0, values[ray]) for ray in range(15)))
-    transport = transport_of(rays, projector=(3, 5))
-    light = np.array([[1.0, 0.0]])
-    np.testing.assert_allclose(transport.dual_image(light), transport.T.relight(light), rtol=1e-6)
-
-
-def test_dual_image_of_even_blocks_is_even_whatever_their_sizes() -> None:
-    projector = (7, 13)
-    tree = BlockTree(RayDomain(projector))
-    for level in range(tree.n_levels):
-        sizes = np.diff(tree.starts[level])
-        blocks = pair_set(level, *((block, 0, 2.0 * size) for block, size in enumerate(sizes)))
-        image = transport_of(blocks, projector=projector).dual_image(np.array([[1.0, 0.0]]))
-        np.testing.assert_allclose(image, 2.0, rtol=1e-6)
-
-
-def test_dual_image_interpolates_a_ramp_between_the_blocks_centres() -> None:
-    projector = (1, 32)
-    tree = BlockTree(RayDomain(projector))
-    level = tree.n_levels - 3  # blocks of four rays
-    centres = np.arange(8) * 4 + 1.5
-    blocks = pair_set(level, *((block, 0, 4 * centres[block]) for block in range(8)))
-    image = transport_of(blocks, projector=projector).dual_image(np.array([[1.0, 0.0]]))[0, :, 0]
-    np.testing.assert_allclose(image[6:26], np.arange(6, 26), rtol=1e-6)
-
-
-def test_views_of_a_dual_image_do_not_mix() -> None:
-    transport = transport_of(
-        pair_set(2, *((block, 0, 1.0) for block in range(4))), projector=(2, 4, 4)
-    )
-    image = transport.dual_image(np.array([[1.0, 0.0]]))
-    np.testing.assert_allclose(image[0], 0.25)
-    assert not image[1].any()
-
-
-@pytest.mark.parametrize("pattern", [np.ones((2, 1)), np.ones((1, 2, 2)), np.array([[np.nan, 1]])])
-def test_dual_image_of_a_bad_pattern(transport: MultilevelTransport, pattern: np.ndarray) -> None:
-    with pytest.raises(InputError, match="a pattern"):
-        transport.dual_image(pattern)
 
 
 def test_channels_are_independent() -> None:

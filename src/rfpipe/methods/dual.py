@@ -19,8 +19,7 @@ from rfpipe.methods.images import batches
 from rfpipe.methods.states import MethodState, grown, kept, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
-from rfpipe.transport.multilevel.pairs import PairSet, fold, no_pairs
-from rfpipe.transport.multilevel.spread import looks_symmetric
+from rfpipe.transport.multilevel.pairs import PairSet, fold, looks_symmetric, no_pairs
 from rfpipe.transport.multilevel.transport import MultilevelTransport
 
 Index = NDArray[np.int64]

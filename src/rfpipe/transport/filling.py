@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from rfpipe.provenance import generator
 from rfpipe.transport.base import Float, Transport
 from rfpipe.transport.low_rank import LowRankTransport
-from rfpipe.transport.multilevel.pairs import PairSet, fold
-from rfpipe.transport.multilevel.spread import agree
+from rfpipe.transport.multilevel.pairs import PairSet, agree, fold
 from rfpipe.transport.multilevel.transport import MultilevelTransport
 from rfpipe.transport.sum import SumTransport
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import prod
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,42 +14,64 @@ from rfpipe.transport.base import Float, Light
 
 _AT_ONCE_BYTES = 64 * 2**20
 
+Map = Callable[[Float], Float]
 
-class _Regrouped(Light):
-    """Light between other rays, computed from the whole at each use.
 
-    Parameters
+class Side(NamedTuple):
+    """Other rays of a domain.
+
+    Attributes
     ----------
-    whole : Light
-    camera_shape, projector_shape : tuple of int
+    shape : tuple of int
+    spread, gather : callable
+        From planar light of these rays to all rays of the domain, and back.
     """
 
-    def __init__(
-        self, whole: Light, camera_shape: tuple[int, ...], projector_shape: tuple[int, ...]
-    ) -> None:
-        self.whole, self.channels = whole, whole.channels
-        self.camera_shape, self.projector_shape = camera_shape, projector_shape
+    shape: tuple[int, ...]
+    spread: Map
+    gather: Map
 
-    def _applied(
-        self,
-        planar: Float,
-        spread: Callable[[Float], Float],
-        apply: Callable[[Float], Float],
-        gather: Callable[[Float], Float],
-    ) -> Float:
-        """Spread planar light over the whole's rays, apply it, and gather, a few at a time."""
-        rays = sum(self.whole.matrix_shape[1:])
+
+class RegroupedTransport(Light):
+    """Light between other rays, computed from the whole at each use; see `coarser` and `crop`."""
+
+    def __init__(self, whole: Light, camera: Side, projector: Side, name: str) -> None:
+        self.channels = whole.channels
+        self.camera_shape, self.projector_shape = camera.shape, projector.shape
+        self._whole, self._camera, self._projector, self._name = whole, camera, projector, name
+
+    def __repr__(self) -> str:
+        return f"{self._name} of {self._whole!r}"
+
+    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
+        """Return ``T p`` for planar patterns ``(P, K, N)``."""
+        return self._applied(
+            patterns,
+            self._projector.spread,
+            lambda light: self._camera.gather(self._whole.forward(light, channels)),
+        )
+
+    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
+        """Return ``T^T c`` for planar images ``(P, K, M)``."""
+        return self._applied(
+            images,
+            self._camera.spread,
+            lambda light: self._projector.gather(self._whole.adjoint(light, channels)),
+        )
+
+    def _applied(self, planar: Float, spread: Map, apply: Map) -> Float:
+        """Apply the whole to some light at a time, white light in the memory of one plane."""
+        rays = sum(self._whole.matrix_shape[1:])
         at_a_time = max(1, _AT_ONCE_BYTES // (4 * planar.shape[1] * rays))
         found = []
         for first in range(0, max(len(planar), 1), at_a_time):
             some = planar[first : first + at_a_time]
-            # white light stays the memory of one plane
             light = spread(some[:, :1] if some.strides[1] == 0 else some)
-            found.append(gather(apply(np.broadcast_to(light, (*some.shape[:2], light.shape[-1])))))
+            found.append(apply(np.broadcast_to(light, (*some.shape[:2], light.shape[-1]))))
         return np.concatenate(found)
 
 
-def coarser(transport: Light, factor: int) -> CoarserTransport:
+def coarser(transport: Light, factor: int) -> RegroupedTransport:
     """Return a transport between coarser rays, squares of `factor` by `factor` of its own.
 
     A coarse projector ray lights all of its rays alike, a coarse camera ray sees the mean of its
@@ -65,58 +87,20 @@ def coarser(transport: Light, factor: int) -> CoarserTransport:
     """
     if factor != int(factor) or factor < 1:
         raise InputError(f"factor is {factor}; expected a whole number of at least 1")
-    return CoarserTransport(transport, int(factor))
+    camera, projector = (
+        _coarse_side(shape, int(factor))
+        for shape in (transport.camera_shape, transport.projector_shape)
+    )
+    sizes = _sums(np.ones(transport.camera_shape, np.float32), int(factor)).reshape(-1)
+    means = Side(
+        camera.shape,
+        lambda light: camera.spread(light / sizes),
+        lambda light: camera.gather(light) / sizes,
+    )
+    return RegroupedTransport(transport, means, projector, f"coarser by {factor}")
 
 
-class CoarserTransport(_Regrouped):
-    """What `coarser` returns."""
-
-    def __init__(self, fine: Light, factor: int) -> None:
-        self.factor = factor
-        self._fine = fine.camera_shape, fine.projector_shape
-        super().__init__(fine, *(self._coarse(shape) for shape in self._fine))
-        self._sizes = _sums(np.ones(fine.camera_shape, np.float32), factor).reshape(-1)
-
-    def __repr__(self) -> str:
-        return f"coarser({self.whole!r}, {self.factor})"
-
-    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
-        """Return ``T p`` for planar patterns ``(P, K, N)``."""
-        camera, projector = self._fine
-        return self._applied(
-            patterns,
-            lambda light: self._spread(light, projector),
-            lambda light: self.whole.forward(light, channels),
-            lambda images: self._gathered(images, camera) / self._sizes,
-        )
-
-    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
-        """Return ``T^T c`` for planar images ``(P, K, M)``."""
-        camera, projector = self._fine
-        return self._applied(
-            images,
-            lambda light: self._spread(light / self._sizes, camera),
-            lambda light: self.whole.adjoint(light, channels),
-            lambda images: self._gathered(images, projector),
-        )
-
-    def _coarse(self, shape: tuple[int, ...]) -> tuple[int, ...]:
-        return *shape[:-2], *(-(-side // self.factor) for side in shape[-2:])
-
-    def _spread(self, planar: Float, fine: tuple[int, ...]) -> Float:
-        """Give each fine ray the value of its coarse one."""
-        images = planar.reshape(*planar.shape[:2], *self._coarse(fine))
-        spread = images.repeat(self.factor, axis=-2).repeat(self.factor, axis=-1)
-        within = np.ascontiguousarray(spread[..., : fine[-2], : fine[-1]])
-        return within.reshape(*planar.shape[:2], -1)
-
-    def _gathered(self, planar: Float, fine: tuple[int, ...]) -> Float:
-        """Sum each coarse ray's fine ones."""
-        images = planar.reshape(*planar.shape[:2], *fine)
-        return _sums(images, self.factor).reshape(*planar.shape[:2], -1)
-
-
-def crop(whole: Light, camera: Any = None, projector: Any = None) -> CroppedTransport:
+def crop(whole: Light, camera: Any = None, projector: Any = None) -> RegroupedTransport:
     """Return a transport between some of its rays: of a view, of a part of a picture.
 
     What passes between the others isn't read where the method keeps it apart: by ``symmetric``,
@@ -133,47 +117,10 @@ def crop(whole: Light, camera: Any = None, projector: Any = None) -> CroppedTran
     """
     seen = _rays(camera, whole.camera_shape, "camera")
     lit = _rays(projector, whole.projector_shape, "projector")
-    masks = [np.zeros(prod(shape), bool) for shape in (whole.camera_shape, whole.projector_shape)]
-    for mask, rays in zip(masks, (seen, lit), strict=True):
-        mask[rays.reshape(-1)] = True
-    return CroppedTransport(whole.between_some(*masks), seen, lit)
-
-
-class CroppedTransport(_Regrouped):
-    """What `crop` returns.
-
-    Parameters
-    ----------
-    whole : Light
-        Of which what passes between the other rays may be missing.
-    seen, lit : ndarray of int64
-        The camera's and the projector's rays, in the shape that they have here.
-    """
-
-    def __init__(self, whole: Light, seen: NDArray[np.int64], lit: NDArray[np.int64]) -> None:
-        super().__init__(whole, seen.shape, lit.shape)
-        self._seen, self._lit = seen.reshape(-1), lit.reshape(-1)
-
-    def __repr__(self) -> str:
-        return f"{self.whole!r} between {self.camera_shape} and {self.projector_shape} of its rays"
-
-    def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
-        """Return ``T p`` for planar patterns ``(P, K, N)``."""
-        return self._applied(
-            patterns,
-            lambda light: _scattered(light, self._lit, prod(self.whole.projector_shape)),
-            lambda light: self.whole.forward(light, channels),
-            lambda images: images[..., self._seen],
-        )
-
-    def adjoint(self, images: Float, channels: Sequence[int]) -> Float:
-        """Return ``T^T c`` for planar images ``(P, K, M)``."""
-        return self._applied(
-            images,
-            lambda light: _scattered(light, self._seen, prod(self.whole.camera_shape)),
-            lambda light: self.whole.adjoint(light, channels),
-            lambda images: images[..., self._lit],
-        )
+    seen_side, seen_mask = _some_of(seen, prod(whole.camera_shape))
+    lit_side, lit_mask = _some_of(lit, prod(whole.projector_shape))
+    needed = whole.between_some(seen_mask, lit_mask)
+    return RegroupedTransport(needed, seen_side, lit_side, f"{seen.shape} by {lit.shape} rays")
 
 
 def square_means(images: Float, factor: int) -> Float:
@@ -188,11 +135,34 @@ def _sums(images: Float, factor: int) -> Float:
     return images
 
 
-def _scattered(planar: Float, rays: NDArray[np.int64], count: int) -> Float:
-    """Return planar light of some rays as that of all."""
-    light = np.zeros((*planar.shape[:2], count), np.float32)
-    light[..., rays] = planar
-    return light
+def _coarse_side(fine: tuple[int, ...], factor: int) -> Side:
+    """Return coarse rays that give each fine ray their value, and sum their fine ones."""
+    height, width = fine[-2:]
+    shape = (*fine[:-2], -(-height // factor), -(-width // factor))
+
+    def spread(planar: Float) -> Float:
+        images = planar.reshape(*planar.shape[:2], *shape)
+        repeated = images.repeat(factor, axis=-2).repeat(factor, axis=-1)
+        return np.ascontiguousarray(repeated[..., :height, :width]).reshape(*planar.shape[:2], -1)
+
+    def gather(planar: Float) -> Float:
+        images = planar.reshape(*planar.shape[:2], *fine)
+        return _sums(images, factor).reshape(*planar.shape[:2], -1)
+
+    return Side(shape, spread, gather)
+
+
+def _some_of(rays: NDArray[np.int64], count: int) -> tuple[Side, NDArray[np.bool_]]:
+    """Return some of so many rays, and their mask."""
+    mask = np.zeros(count, bool)
+    mask[rays] = True
+
+    def spread(planar: Float) -> Float:
+        light = np.zeros((*planar.shape[:2], count), np.float32)
+        light[..., rays.reshape(-1)] = planar
+        return light
+
+    return Side(rays.shape, spread, lambda planar: planar[..., rays.reshape(-1)]), mask
 
 
 def _rays(chosen: Any, shape: tuple[int, ...], name: str) -> NDArray[np.int64]:

@@ -160,7 +160,7 @@ class Observations:
 
     def adjoint(self, back: Float) -> Float:
         """Bring weighted light of the patches (patches, P + 1) back to the pairs."""
-        from rfpipe.transport.multiscale.kernels import correlate
+        from rfpipe.transport.pair_kernels import correlate
 
         basis = self.patches.basis
         out = np.empty(len(basis.first), np.float32)
@@ -246,7 +246,7 @@ def solve(
     ndarray of float32, shape (pairs,)
     """
     from rfpipe.methods.adaptive.kernels import weigh
-    from rfpipe.transport.multiscale.kernels import couple
+    from rfpipe.transport.pair_kernels import couple
 
     patches = observed.patches
     basis = patches.basis

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 
 from rfpipe.methods.symmetric.unknown_kernels import unknown_difference
-from rfpipe.transport.hierarchical.sums_kernels import dot, summed
+from rfpipe.transport.hierarchical.kernels import dot, summed
 
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
 

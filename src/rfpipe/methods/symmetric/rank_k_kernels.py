@@ -12,7 +12,7 @@ import math
 import numba
 import numpy as np
 
-from rfpipe.transport.hierarchical.sums_kernels import dot
+from rfpipe.transport.hierarchical.kernels import dot
 
 # Jacobi rotations converge quadratically: a matrix of four columns takes some five sweeps.
 _SWEEPS = 30

@@ -63,7 +63,7 @@ def pack_leaves(
     scales = np.empty((len(leaves.values), len(leaves)), np.float32)
     if leaves.values.size * dtype.itemsize + scales.nbytes >= leaves.values.nbytes:
         return exact
-    from rfpipe.transport.hierarchical.codes_kernels import encode
+    from rfpipe.transport.hierarchical.kernels import encode
 
     starts = tree.starts[leaves.level]
     codes = np.empty(leaves.values.shape, dtype)
@@ -87,7 +87,7 @@ def decoded(tree: BlockTree, leaves: LeafSet) -> LeafSet:
     """Return rounded leaves with float32 factors, others as they are."""
     if leaves.scales is None:
         return leaves
-    from rfpipe.transport.hierarchical.codes_kernels import decode
+    from rfpipe.transport.hierarchical.kernels import decode
 
     values = np.empty(leaves.values.shape, np.float32)
     decode(leaf_offsets(tree, leaves), leaves.values, leaves.scales, values)

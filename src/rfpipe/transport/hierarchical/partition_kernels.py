@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from rfpipe.transport.hierarchical.sums_kernels import summed
+from rfpipe.transport.hierarchical.kernels import summed
 
 # The work is dealt out to this many tasks, so that threads have about equal shares.
 _TASKS = 64

@@ -7,17 +7,21 @@ from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.store.arrays import ArrayBundle
 from rfpipe.transport.arrays import LevelTransport, SetsOnDemand, by_prefix, rounded
-from rfpipe.transport.base import Float, Transport, planar_patterns
-from rfpipe.transport.multilevel.pairs import PAIR_PARTS, PairSet, fold
-from rfpipe.transport.multilevel.spread import Spread, spread_by_transpose, spread_evenly
+from rfpipe.transport.base import Float, Transport
+from rfpipe.transport.multilevel.pairs import (
+    PAIR_PARTS,
+    PairSet,
+    Spread,
+    fold,
+    spread_by_transpose,
+    spread_evenly,
+)
 from rfpipe.units import NumberFormat
-
-Double = NDArray[np.float64]
 
 # Patterns relit together: bounds the memory of the planes that are summed in float64.
 _BATCH = 16
@@ -79,7 +83,7 @@ class MultilevelTransport(LevelTransport[PairSet]):
         Each level's matrix acts on the pattern's means over the level's blocks, weighted ones
         where the transport is symmetric.
         """
-        from rfpipe.transport.multilevel.kernels import scatter_to_pixels
+        from rfpipe.transport.pair_kernels import scatter_to_pixels
 
         pixels = int(np.prod(self.camera_shape))
         result = np.empty((*patterns.shape[:2], pixels), np.float32)
@@ -100,7 +104,7 @@ class MultilevelTransport(LevelTransport[PairSet]):
 
         Each level's values are spread over their blocks.
         """
-        from rfpipe.transport.multilevel.kernels import gather_to_blocks
+        from rfpipe.transport.pair_kernels import gather_to_blocks
 
         rays = self.tree.domain.size
         result = np.empty((*images.shape[:2], rays), np.float32)
@@ -135,38 +139,6 @@ class MultilevelTransport(LevelTransport[PairSet]):
                 else spread_evenly(self.tree, pairs)
             )
         return self._spreads[pairs.level]
-
-    def dual_image(self, camera_pattern: ArrayLike) -> Float:
-        """Return the image from the projector's view under light from the camera, by eq. (3.3).
-
-        Each level's block values are interpolated bicubically between the blocks' centres, as
-        the thesis renders its dual images, where `T.relight` shows blocks of even brightness.
-
-        Parameters
-        ----------
-        camera_pattern : array, shape (*camera_shape) or (*camera_shape, channels)
-            Any finite real weights; without a channel axis the light is white.
-
-        Returns
-        -------
-        ndarray of float32, shape (*projector_shape, channels)
-
-        Raises
-        ------
-        InputError
-            If the pattern has another shape or is not finite.
-        """
-        from rfpipe.transport.multilevel.kernels import gather_to_blocks
-
-        given = np.asarray(camera_pattern)[None]
-        light = np.ascontiguousarray(planar_patterns(given, self.camera_shape, self.channels))
-        image = np.zeros((self.channels, *self.projector_shape))
-        for pairs in self.pair_sets:
-            sizes = np.diff(self.tree.starts[pairs.level])
-            totals = np.zeros((1, self.channels, len(sizes)))
-            gather_to_blocks(pairs.block, pairs.pixel, pairs.values, light, totals)
-            image += _interpolate(totals[0] / sizes, self.tree.labels(pairs.level))
-        return np.moveaxis(image, 0, -1).astype(np.float32)
 
     def _chosen(self, channels: Sequence[int]) -> Iterator[tuple[PairSet, Spread, Float]]:
         """Yield each level's pairs, how they are spread, and the values of some channels."""
@@ -215,49 +187,3 @@ class MultilevelTransport(LevelTransport[PairSet]):
             return PairSet(int(prefix.split("_")[1]), *arrays)
 
         return SetsOnDemand(list(prefixes), read, keep=keep)
-
-
-def _interpolate(density: Double, labels: NDArray[np.int32]) -> Double:
-    """Interpolate block values ``(C, n_blocks)`` bicubically into images of the labels' shape.
-
-    The blocks of a view form a grid, rows and columns of uneven widths. A level that hasn't split
-    a stack into its views yet has one value for all.
-    """
-    views = labels.reshape(RayDomain(labels.shape).stack_shape)
-    if labels.max() == labels.min():
-        return np.broadcast_to(density[:, :1], (len(density), labels.size)).reshape(
-            -1, *labels.shape
-        )
-    images = np.empty((len(density), *views.shape))
-    for view, label in enumerate(views):
-        rows = np.flatnonzero(np.diff(label[:, 0], prepend=-1))
-        columns = np.flatnonzero(np.diff(label[0], prepend=-1))
-        grid = density[:, label[np.ix_(rows, columns)]]
-        images[:, view] = (
-            _cubic_weights(rows, label.shape[0]) @ grid @ _cubic_weights(columns, label.shape[1]).T
-        )
-    return images.reshape(len(density), *labels.shape)
-
-
-def _cubic_weights(first: NDArray[np.int64], length: int) -> Double:
-    """Return the weights ``(length, intervals)`` of cubic convolution [Keys 1981, a = -1/2].
-
-    Parameters
-    ----------
-    first : ndarray of int
-        First ray of each interval of an axis of `length` rays.
-    """
-    count = len(first)
-    centres = (first + np.append(first[1:], length) - 1) / 2
-    # The place of each ray, in units of intervals from centre to centre.
-    place = np.interp(np.arange(length), centres, np.arange(count))
-    base = np.floor(place).astype(np.int64)
-    weights = np.zeros((length, count))
-    for step in (-1, 0, 1, 2):
-        distance = np.abs(place - (base + step))
-        near = 1.5 * distance**3 - 2.5 * distance**2 + 1
-        far = -0.5 * distance**3 + 2.5 * distance**2 - 4 * distance + 2
-        weight = np.where(distance <= 1, near, np.where(distance < 2, far, 0.0))
-        # Beyond the border the outermost interval repeats.
-        np.add.at(weights, (np.arange(length), np.clip(base + step, 0, count - 1)), weight)
-    return weights

@@ -56,7 +56,7 @@ class MultiscaleTransport(CoaxialTransport[Arrays], ArrayTransport):
         """Return the light between few patterns, see `Transport.between`."""
         from scipy.sparse import diags_array
 
-        from rfpipe.transport.multiscale.kernels import couple
+        from rfpipe.transport.pair_kernels import couple
 
         # no image is made: functions are many fewer than rays
         scaled = self.basis.sums @ diags_array(self._held["factor"][channel])
@@ -97,7 +97,7 @@ def bounced(
         F.
     patterns : ndarray of float32 or bool, shape (P, N)
     """
-    from rfpipe.transport.multiscale.kernels import couple
+    from rfpipe.transport.pair_kernels import couple
 
     light = np.ascontiguousarray(basis.sums @ (patterns * factor).T)
     received = np.zeros_like(light)

@@ -35,7 +35,7 @@ class WaveletTransport(CoaxialTransport[Arrays], ArrayTransport):
 
     def forward(self, patterns: Float, channels: Sequence[int]) -> Float:
         """Return ``T p`` for planar patterns ``(P, K, N)``."""
-        from rfpipe.transport.multiscale.kernels import couple
+        from rfpipe.transport.pair_kernels import couple
 
         images = np.empty(patterns.shape, np.float32)
         cells, (first, second) = self.cells, self._held["pairs"]
