@@ -99,8 +99,8 @@ format: $(INSTALLED) ## format the sources and the workflow
 	snakefmt Snakefile figures/Snakefile workflow/rules
 
 bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
-	@mkdir -p results/bench
-	@for script in benchmarks/bench_*.py; do echo "$$script"; python "$$script"; done
+	@for script in benchmarks/bench_*.py; do echo "$$script"; \
+	  python -m "benchmarks.$$(basename "$$script" .py)"; done
 
 benchmark: $(INSTALLED) ## every method on every scene, hours; goes on with docs/benchmark/*.csv
 	@python -m benchmarks.methods $(ARGS)

@@ -1,6 +1,6 @@
 """Measure where work inside a job is best done: threads, or workers of dask.
 
-Usage: ``python benchmarks/bench_dask.py [ROUNDS] FOLDER...``, each folder an acquisition by
+Usage: ``python -m benchmarks.bench_dask [ROUNDS] FOLDER...``, each folder an acquisition by
 ``symmetric`` that a run left with its raw exposures, ``results/{scene}/symmetric``. Each use by two
 threads and two local dask workers, one after the other in each round; what a job pays, the
 connection to the scheduler, is in. Writes results/bench/dask.csv: seconds of wall and processor of

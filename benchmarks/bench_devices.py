@@ -1,6 +1,6 @@
 """Milliseconds of the devices that need no hardware: results/bench/devices.csv.
 
-Usage: ``python benchmarks/bench_devices.py``. Needs Xvfb. Medians over repeats: a picture on the
+Usage: ``python -m benchmarks.bench_devices``. Needs Xvfb. Medians over repeats: a picture on the
 projector's window, an exposure of pylon's emulated camera, a bracket of the bench; and an exposure
 of each other driver on its library's virtual camera, before the bench's scene, of those installed.
 """
@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from benchmarks.harness import write
 from rfpipe.config import load_rig_config, parse_rig_config
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
@@ -24,7 +24,6 @@ from rfpipe.rigs.cameras.pylon import PylonCamera
 from rfpipe.rigs.displays import XServer
 from rfpipe.rigs.window import WindowProjector
 
-OUTPUT = Path("results/bench/devices.csv")
 REPEATS = 50
 DISPLAYS = (288, 320), (768, 1024), (1080, 1920)
 CAMERAS = (310, 350), (1024, 1280)
@@ -86,29 +85,22 @@ def virtual_camera(driver: str, shape: tuple[int, int]) -> float:
         rig.close()  # type: ignore[attr-defined]
 
 
-def main() -> None:
-    """Measure each, and write the table."""
+def rows() -> Iterator[dict[str, Any]]:
+    """Yield a row a step and size."""
     os.environ["PYLON_CAMEMU"] = "1"
-    rows = [("window", f"{h} x {w}", window((h, w))) for h, w in DISPLAYS]
-    rows += [("emulated camera", f"{h} x {w}", emulated_camera((h, w))) for h, w in CAMERAS]
+    steps = [("window", window, DISPLAYS), ("emulated camera", emulated_camera, CAMERAS)]
     for driver in DRIVERS:
+        name = f"{driver}, before the bench's scene"
+        steps.append((name, partial(virtual_camera, driver), CAMERAS))
+    for name, measure, shapes in steps:
         try:
-            rows += [
-                (
-                    f"{driver}, before the bench's scene",
-                    f"{h} x {w}",
-                    virtual_camera(driver, (h, w)),
-                )
-                for h, w in CAMERAS
-            ]
+            for shape in shapes:
+                size = f"{shape[0]} x {shape[1]}"
+                yield {"step": name, "pixels": size, "ms": measure(shape)}
         except CaptureError as error:
-            print(f"{driver} left out: {error}")
-    rows.append(("bench, 32 x 32 rays, four exposures", "72 x 80", bench()))
-    table = pd.DataFrame(rows, columns=["step", "pixels", "ms"])
-    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
-    table.to_csv(OUTPUT, index=False, float_format="%.3g")
-    print(table.to_string(index=False, float_format="%.3g"))
+            print(f"{name} left out: {error}")
+    yield {"step": "bench, 32 x 32 rays, four exposures", "pixels": "72 x 80", "ms": bench()}
 
 
 if __name__ == "__main__":
-    main()
+    write("devices", rows())

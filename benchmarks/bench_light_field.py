@@ -1,6 +1,6 @@
 """Light fields by footprints, symmetric and dual photography: patterns against errors.
 
-Usage: ``python benchmarks/bench_light_field.py [HEIGHTxWIDTH ...] [--methods M ...]
+Usage: ``python -m benchmarks.bench_light_field [HEIGHTxWIDTH ...] [--methods M ...]
 [--targets T ...] [--seed S]``. A room seen by three by three views of each size, default camera,
 grey; 12 x 16 and 24 x 32 take ten minutes. Writes results/bench/light_field.csv: patterns, the
 estimated error, the mean and the largest error of the scene's relighting patterns, of a spot of 12
@@ -11,23 +11,22 @@ from __future__ import annotations
 
 import argparse
 import time
-from pathlib import Path
+from collections.abc import Iterator
+from itertools import product
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 import rfpipe
+from benchmarks.harness import errors, write
 from rfpipe.methods.adaptive.patterns import octave_noise
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import relighting_patterns, room_scene
-from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.relight import images_of
 
-OUTPUT = Path("results/bench/light_field.csv")
 _VIEWS = (3, 3)
 
 
@@ -39,17 +38,16 @@ def main() -> None:
     parser.add_argument("--targets", nargs="+", type=float, default=[0.02, 0.01])
     parser.add_argument("--seed", type=int, default=1, help="of the camera's noise")
     asked = parser.parse_args()
-    rows: list[dict[str, Any]] = []
+    print(write("light_field", rows(asked)).round(2).to_string(index=False))
+
+
+def rows(asked: argparse.Namespace) -> Iterator[dict[str, Any]]:
+    """Yield a row a size, method and target."""
     for size in asked.sizes:
         height, width = (int(part) for part in size.split("x"))
         scene = room_scene(("texture", "white", "white"), (height, width), views=_VIEWS, channels=1)
-        for method in asked.methods:
-            for target in asked.targets:
-                rows.append({"size": size, **acquired(scene, method, target, asked.seed)})
-                print(", ".join(f"{name} {value}" for name, value in rows[-1].items()), flush=True)
-    print(pd.DataFrame(rows).round(2).to_string(index=False))
-    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
-    pd.DataFrame(rows).to_csv(OUTPUT, index=False)
+        for method, target in product(asked.methods, asked.targets):
+            yield {"size": size, **acquired(scene, method, target, asked.seed)}
 
 
 def acquired(scene: Any, method: str, target: float, seed: int) -> dict[str, Any]:
@@ -60,11 +58,9 @@ def acquired(scene: Any, method: str, target: float, seed: int) -> dict[str, Any
     seconds = time.perf_counter() - begun
     shown = {**relighting_patterns(scene.shape), **spots_of(scene.shape)}
     light = np.stack(list(shown.values()))
-    pairs = zip(result.transport.relight_batch(light), images_of(scene, light), strict=True)
-    errors = {
-        name: 100 * float(relative_rms(*pair)) for name, pair in zip(shown, pairs, strict=True)
-    }
-    usual = [errors[name] for name in relighting_patterns(scene.shape)]
+    relative = errors(result.transport.relight_batch(light), images_of(scene, light))
+    found = dict(zip(shown, 100 * relative, strict=True))
+    usual = [found[name] for name in relighting_patterns(scene.shape)]
     return {
         "method": method,
         "target": target,
@@ -72,9 +68,9 @@ def acquired(scene: Any, method: str, target: float, seed: int) -> dict[str, Any
         "estimate": 100 * float(result.history["estimated_error"].iloc[-1]),
         "mean": float(np.mean(usual)),
         "largest": max(usual),
-        "spot": errors["spot of 12"],
-        "spots": errors["spots"],
-        "noise in one view": errors["noise in one view"],
+        "spot": found["spot of 12"],
+        "spots": found["spots"],
+        "noise in one view": found["noise in one view"],
         "seconds": seconds,
     }
 

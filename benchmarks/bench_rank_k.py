@@ -1,6 +1,6 @@
 """Symmetric photography with and without rank-k leaves: patterns, errors and bytes.
 
-Usage: ``python benchmarks/bench_rank_k.py [SIZE ...]``, by default 64 (pixels a side; 128
+Usage: ``python -m benchmarks.bench_rank_k [SIZE ...]``, by default 64 (pixels a side; 128
 takes three minutes). Scenes II, III and IV, exact radiance and the default camera. Writes
 results/bench/rank_k.csv.
 
@@ -13,25 +13,23 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, nullcontext
-from pathlib import Path
+from itertools import product
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-import pandas as pd
-from rooms import Ball, Box, Room, transport
 
 import rfpipe
+from benchmarks.harness import errors, write
+from benchmarks.rooms import Ball, Box, Room, transport
 from rfpipe.methods.symmetric import method as symmetric
 from rfpipe.methods.symmetric import rank_k as nystroem
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene, relighting_patterns
 from rfpipe.scenes.base import Scene
-from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
-
-OUTPUT = Path("results/bench")
 
 SCENES = ("II", "III", "IV")
 TOLERANCES = (1e-3, 3e-4)
@@ -94,75 +92,56 @@ def measure(scene: Scene, noise: CameraModel | None, tolerance: float) -> dict[s
     began = time.perf_counter()
     result = rfpipe.acquire(SimulatedRig(scene, noise, seed=1), tolerance=tolerance, progress=False)
     seconds = time.perf_counter() - began
-    total, unlit = [], []
-    for pattern in relighting_patterns(scene.shape).values():
-        truth = scene.apply(pattern.reshape(1, -1)).reshape(*scene.shape, -1)
-        image = result.transport.relight(pattern)
-        total.append(relative_rms(image, truth))
-        if (pattern == 0).any():
-            unlit.append(unlit_rms(image, truth, pattern))
+    patterns = np.stack(list(relighting_patterns(scene.shape).values()))
+    images = result.transport.relight_batch(patterns)
+    truth = scene.apply(patterns.reshape(len(patterns), -1)).reshape(images.shape)
+    dark = (patterns == 0)[..., None]
+    total, unlit = errors(images, truth), errors(images * dark, truth * dark)
     return {
         "patterns": result.patterns,
         "rank_k_leaves": int(result.levels["rank_k"].sum()),
-        "total_mean": float(np.mean(total)),
-        "total_worst": float(np.max(total)),
-        "unlit_mean": float(np.mean(unlit)),
-        "unlit_worst": float(np.max(unlit)),
+        "total_mean": total.mean(),
+        "total_worst": total.max(),
+        "unlit_mean": np.nanmean(unlit),
+        "unlit_worst": np.nanmax(unlit),
         "megabytes": result.transport.nbytes / 1e6,
         "seconds": seconds,
     }
 
 
-def sweep() -> None:
+def sweep() -> Iterator[dict[str, Any]]:
     """Acquire each room with each limit on a term's amplification."""
-    rows = []
     for part, rooms in (("bred on", BRED_ON), ("judged on", JUDGED_ON)):
         for name, (room, shape) in rooms.items():
             matrix = transport(room, shape)
             patterns = np.stack(list(relighting_patterns(shape).values()))
             truth = patterns.reshape(len(patterns), -1) @ matrix
             rig = rfpipe.OperatorRig(matrix, shape, shape)
-            for amplified in AMPLIFIED:
-                for tolerance in SWEPT_TOLERANCES:
-                    with patch.object(nystroem, "AMPLIFIED", amplified):
-                        result = rfpipe.acquire(rig, tolerance=tolerance, progress=False)
-                    images = result.transport.relight_batch(patterns).reshape(truth.shape)
-                    errors = [relative_rms(*pair) for pair in zip(images, truth, strict=True)]
-                    found = {
-                        "patterns": result.patterns,
-                        "total_mean": float(np.mean(errors)),
-                        "total_worst": float(np.max(errors)),
-                        "megabytes": result.transport.nbytes / 1e6,
-                    }
-                    run = {"rooms": part, "room": name, "amplified": amplified}
-                    rows.append({**run, "tolerance": tolerance, **found})
-                    print(rows[-1], flush=True)
-    OUTPUT.mkdir(parents=True, exist_ok=True)
-    pd.DataFrame(rows).to_csv(OUTPUT / "rank_k_sweep.csv", index=False)
+            for amplified, tolerance in product(AMPLIFIED, SWEPT_TOLERANCES):
+                with patch.object(nystroem, "AMPLIFIED", amplified):
+                    result = rfpipe.acquire(rig, tolerance=tolerance, progress=False)
+                off = errors(result.transport.relight_batch(patterns), truth)
+                yield {
+                    "rooms": part, "room": name, "amplified": amplified, "tolerance": tolerance,
+                    "patterns": result.patterns, "total_mean": off.mean(), "total_worst": off.max(),
+                    "megabytes": result.transport.nbytes / 1e6,
+                }  # fmt: skip
 
 
-def main() -> None:
-    if "--sweep" in sys.argv[1:]:
-        sweep()
-        return
-    sizes = [int(argument) for argument in sys.argv[1:]] or [64]
-    rows = []
-    for size in sizes:
-        for which in SCENES:
-            scene = reference_scene(which, (size, size), channels=1, seed=0)
-            for name, noise in (("none", None), ("default", CameraModel())):
-                for tolerance in TOLERANCES:
-                    for wanted in (False, True):
-                        run = {"size": size, "scene": which, "noise": name}
-                        with rank_k(wanted):
-                            found = measure(scene, noise, tolerance)
-                        rows.append({**run, "tolerance": tolerance, "rank_k": wanted, **found})
-                        print(rows[-1], flush=True)
-    table = pd.DataFrame(rows)
-    OUTPUT.mkdir(parents=True, exist_ok=True)
-    table.to_csv(OUTPUT / "rank_k.csv", index=False)
-    print(table.to_string(index=False))
+def compared(sizes: list[int]) -> Iterator[dict[str, Any]]:
+    """Acquire each scene with and without rank-k leaves."""
+    for size, which in product(sizes, SCENES):
+        scene = reference_scene(which, (size, size), channels=1, seed=0)
+        cameras = (("none", None), ("default", CameraModel()))
+        for (name, noise), tolerance, wanted in product(cameras, TOLERANCES, (False, True)):
+            with rank_k(wanted):
+                found = measure(scene, noise, tolerance)
+            run = {"size": size, "scene": which, "noise": name}
+            yield {**run, "tolerance": tolerance, "rank_k": wanted, **found}
 
 
 if __name__ == "__main__":
-    main()
+    if "--sweep" in sys.argv[1:]:
+        write("rank_k_sweep", sweep())
+    else:
+        write("rank_k", compared([int(argument) for argument in sys.argv[1:]] or [64]))

@@ -1,6 +1,6 @@
 """What an acquisition costs at any size, by what was measured: docs/images/scale.png and a table.
 
-Usage: ``python benchmarks/bench_scale.py [--rays N ...] [--scenes N]``. Reads
+Usage: ``python -m benchmarks.bench_scale [--rays N ...] [--scenes N]``. Reads
 docs/scale/measured.csv, whose rows say where each was measured, and fits each method's
 
 - patterns and stored megabytes by ``a rays^b``: one power b a method, one factor a for each group

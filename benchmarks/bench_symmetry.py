@@ -1,6 +1,6 @@
 """What a few random patterns tell of rigs that aren't coaxial, and what symmetric photography does.
 
-Usage: ``python benchmarks/bench_symmetry.py [SCENE ...]``, ``wedge`` or scenes of Mitsuba by name
+Usage: ``python -m benchmarks.bench_symmetry [SCENE ...]``, ``wedge`` or scenes of Mitsuba by name
 (ten minutes). A scene's matrix at 32 x 32 is spoilt as usual rigs spoil it: a camera that stands
 beside the projector by a part of a pixel, vignetting, a camera out of focus, less light. For each:
 the error that the check predicts, and that of relit pictures by symmetric photography without it.
@@ -10,26 +10,23 @@ Writes results/bench/symmetry.csv.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
-from localise_errors import recorded
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import rfpipe
+from benchmarks.harness import errors, write
+from benchmarks.localise_errors import recorded
 from rfpipe.calibration.symmetry import take_symmetry
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.symmetry import measure_symmetry
 from rfpipe.scenes import planes_scene
 from rfpipe.scenes.relighting import relighting_patterns
-from rfpipe.stages.evaluating.metrics import relative_rms
 
-OUTPUT = Path("results/bench/symmetry.csv")
 SCENES = ("wedge", "two_blocks", "translucent")
 SIDE = 32
 SEEDS = (0, 1, 2)
@@ -99,9 +96,9 @@ def predicted(rig: rfpipe.OperatorRig, count: int, seed: int) -> float:
     return measure_symmetry(floodlit, variance, pictures[:1]).worst.predicted
 
 
-def main() -> None:
+def rows() -> Iterator[dict[str, Any]]:
+    """Yield a row a scene and rig."""
     lit = np.stack(list(relighting_patterns((SIDE, SIDE)).values())).astype(np.float32)
-    rows = []
     for scene in sys.argv[1:] or SCENES:
         right = matrix_of(scene)
         for name, (spoil, light) in RIGS.items():
@@ -117,12 +114,9 @@ def main() -> None:
             )
             truth = lit.reshape(len(lit), -1) @ matrix.T
             images = found.transport.relight_batch(lit).reshape(truth.shape)
-            error = np.mean([relative_rms(*pair) for pair in zip(images, truth, strict=True)])
-            rows.append({"scene": scene, "rig": name, **told, "symmetric": error})
-            print(rows[-1], flush=True)
-    OUTPUT.parent.mkdir(parents=True, exist_ok=True)
-    pd.DataFrame(rows).to_csv(OUTPUT, index=False)
+            error = errors(images, truth).mean()
+            yield {"scene": scene, "rig": name, **told, "symmetric": error}
 
 
 if __name__ == "__main__":
-    main()
+    write("symmetry", rows())

@@ -1,6 +1,6 @@
 """Errors of symmetric and dual photography against their tolerance, in exact radiance.
 
-Usage: ``python benchmarks/localise_errors.py [--side N] [SCENE ...]``, scenes of Mitsuba by name,
+Usage: ``python -m benchmarks.localise_errors [--side N] [SCENE ...]``, scenes of Mitsuba by name,
 by default a box with two blocks and one with a red wall (needs the extra mitsuba; at 48 x 48 some
 ten minutes a scene). Their light is recorded with 16,384 samples, the red channel is acquired; by
 dual photography alone where camera and projector aren't coaxial. For symmetric photography the

@@ -1,6 +1,6 @@
 """The viewer in headless Chromium: pictures a second while a light moves, and what each takes.
 
-python benchmarks/viewer_speed.py PAGE.html ...   pages that `rfpipe view` wrote
+python -m benchmarks.viewer_speed PAGE.html ...   pages that `rfpipe view` wrote
 
 Beside pictures a second, which depend on what else the machine does, the CPU time of the busiest
 threads for a picture: the page's own and its workers'. The slowest of them bounds the pictures a

@@ -12,10 +12,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from benchmarks.methods.cases import CAMERAS, NAMES, SEEDS, Case, cases_of
+from benchmarks.methods.cases import (
+    CAMERAS,
+    NAMES,
+    SEEDS,
+    Case,
+    appending,
+    cases_of,
+    known_keys,
+)
 from benchmarks.methods.measure import measure
 from benchmarks.methods.page import write_page
-from benchmarks.methods.rows import appending, known_keys
 from benchmarks.methods.scenes import KINDS
 
 _log = logging.getLogger("benchmark")
@@ -42,7 +49,8 @@ def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--lights", nargs="+", choices=CAMERAS, default=list(CAMERAS))
     parser.add_argument("--seeds", nargs="+", type=int, default=SEEDS)
     parser.add_argument("--settings", type=int, help="of each method, from the coarsest; all")
-    parser.add_argument("--side", type=int, default=48, help="pixels, 48 to 128; 48")
+    parser.add_argument("--side", default="48", help="pixels, 48 to 128, or HEIGHTxWIDTH; 48")
+    parser.add_argument("--values", nargs="+", type=float, help="of the option")
     parser.add_argument("--channels", type=int, choices=(1, 3), default=1)
     parser.add_argument("--samples", type=int, default=16384, help="paths of light a pixel; 16384")
     parser.add_argument("--minutes", type=float, default=float("inf"),
@@ -56,14 +64,15 @@ def parsed(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def asked_cases(asked: argparse.Namespace) -> list[Case]:
     """List what the command line asks for."""
-    names = ("scenes", "methods", "lights", "seeds", "settings", "side", "channels", "samples")
+    names = ("scenes", "methods", "lights", "seeds", "settings", "values", "side", "channels",
+             "samples")  # fmt: skip
     return list(cases_of(**{name: getattr(asked, name) for name in names}))
 
 
 def run(cases: Sequence[Case], table: Path, cache: Path, seconds: float) -> None:
     """Run cases one after the other; append a row each."""
     for case in {case.method: case for case in cases}.values():
-        measure(replace(case, scene="wedge_iv", side=8, seed=0), cache)  # load what is compiled
+        measure(replace(case, scene="wedge_iv", side="8", seed=0), cache)  # load what is compiled
     began = time.monotonic()
     with appending(table) as append:
         for number, case in enumerate(cases, start=1):

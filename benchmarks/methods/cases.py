@@ -1,23 +1,26 @@
-"""What is run: scenes, light levels, seeds, and the settings of each method."""
+"""What is run: scenes, light levels, seeds, the settings of each method; and the table of it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import csv
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from benchmarks.methods.scenes import settings_of
 from benchmarks.rivals import RIVALS
-
+from rfpipe.errors import InputError
 from rfpipe.methods import Method, get_method, method_names
 from rfpipe.methods.registry import options_of
 from rfpipe.photometry import CameraModel
-from rfpipe.plugins import METHODS, source_of
+from rfpipe.plugins import METHODS, sources_of
 from rfpipe.provenance import code_digest, fingerprint
 
-__all__ = ["CAMERAS", "NAMES", "SEEDS", "Case", "cases_of", "is_held_out", "method_of", "path_of"]
+if TYPE_CHECKING:
+    import pandas as pd
 
 NAMES = (*method_names(), *RIVALS)
 """The methods that are compared: those installed, and the rivals."""
@@ -65,8 +68,10 @@ class Case:
     ----------
     scene : str
         A name in `KINDS`.
-    side, channels, samples : int
-        Pixels along either side of a picture, colour channels, paths of light a pixel.
+    side : str
+        Pixels along either side of a picture, "48", or height and width, "310x350".
+    channels, samples : int
+        Colour channels, paths of light a pixel.
     light : str
         A name in `CAMERAS`.
     seed : int
@@ -78,7 +83,7 @@ class Case:
     """
 
     scene: str
-    side: int
+    side: str
     channels: int
     samples: int
     light: str
@@ -106,8 +111,7 @@ class Case:
     @property
     def code(self) -> str:
         """Digest of the code that acquires, and that makes the scene and its pictures."""
-        method = source_of(METHODS, path_of(self.method))
-        return code_digest(*_OWN, *([method] if method else []))[:16]
+        return code_digest(*_OWN, *sources_of(METHODS, path_of(self.method)))[:16]
 
     @property
     def key(self) -> str:
@@ -136,7 +140,8 @@ def cases_of(
     lights: Sequence[str] = tuple(CAMERAS),
     seeds: Sequence[int] = SEEDS,
     settings: int | None = None,
-    side: int = 48,
+    values: Sequence[float] | None = None,
+    side: str = "48",
     channels: int = 1,
     samples: int = 16384,
 ) -> Iterator[Case]:
@@ -151,18 +156,79 @@ def cases_of(
     lights, seeds
     settings
         How many of each method's `Method.trials`, from the coarsest; None for all.
+    values
+        Settings in place of those.
     side, channels, samples
         See `Case`.
     """
     chosen = [method_of(name) for name in methods or NAMES]
-    values = {
-        method.name: method.trials[:settings] if method.trades else (0.0,) for method in chosen
+    tried = {
+        method.name: (values or method.trials)[:settings] if method.trades else (0.0,)
+        for method in chosen
     }
-    ranks = range(max((len(each) for each in values.values()), default=0))
+    ranks = range(max((len(each) for each in tried.values()), default=0))
     ordered = sorted(seeds, key=lambda seed: (is_held_out(f"seed {seed}"), seed))
     for seed, light, rank, scene, method in product(ordered, lights, ranks, scenes, chosen):
-        if rank < len(values[method.name]):
-            value = float(values[method.name][rank])
+        if rank < len(tried[method.name]):
+            value = float(tried[method.name][rank])
             yield Case(
                 scene, side, channels, samples, light, seed, method.name, method.trades or "", value
             )
+
+
+CASE = tuple(field.name for field in fields(Case))
+COLUMNS = (
+    "key", *CASE, "what", "held_out_scene", "held_out_seed", "status", "why", "camera_rays",
+    "projector_rays", "patterns", "brackets", "exposure_s", "light_s", "error_mean", "error_worst",
+    "worst_picture", "unlit_mean", "unlit_worst", "photo_mean", "photo_unlit", "grain",
+    "estimated_error", "patterns_by_estimate", "processing_s", "stored_mb", "date", "machine",
+    "code",
+)  # fmt: skip
+"""Columns of the table, see `benchmarks.methods.measure`."""
+
+
+def known_keys(path: Path) -> set[str]:
+    """Return the keys of the rows that are there.
+
+    Raises
+    ------
+    InputError
+        When the table has other columns.
+    """
+    if not path.exists() or not path.stat().st_size:
+        return set()
+    with path.open(newline="") as file:
+        found = csv.DictReader(file)
+        if found.fieldnames != list(COLUMNS):
+            raise InputError(f"{path}: expected the columns {', '.join(COLUMNS)}; move it away")
+        return {row["key"] for row in found}
+
+
+@contextmanager
+def appending(path: Path) -> Iterator[Any]:
+    """Open the table; yields what appends a row, which is on disk when it returns."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", newline="") as file:
+        writer = csv.DictWriter(file, COLUMNS, restval="", lineterminator="\n")
+        if file.tell() == 0:
+            writer.writeheader()
+
+        def append(row: Mapping[str, object]) -> None:
+            writer.writerow(
+                {name: f"{x:.5g}" if isinstance(x, float) else x for name, x in row.items()}
+            )
+            file.flush()
+
+        yield append
+
+
+def newest(path: Path) -> pd.DataFrame:
+    """Return the newest row of each case, in the order in which they were run."""
+    import pandas as pd
+
+    texts = ["side", "option", "status", "why", "worst_picture"]
+    table = pd.read_csv(
+        path, keep_default_na=False, na_values=["", "nan"], dtype=dict.fromkeys(texts, str)
+    )
+    table[texts] = table[texts].fillna("")
+    return table.drop_duplicates(list(CASE), keep="last").reset_index(drop=True)

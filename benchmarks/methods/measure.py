@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 import psutil
-from benchmarks.methods.cases import CAMERAS, Case, path_of
-from benchmarks.methods.scenes import KINDS, Stage, stage_of
 from numpy.typing import NDArray
 
 import rfpipe
+from benchmarks.methods.cases import CAMERAS, Case, path_of
+from benchmarks.methods.scenes import KINDS, Stage, stage_of
 from rfpipe.errors import RfpipeError
 from rfpipe.photometry import MergeOptions, Sensor
 from rfpipe.rigs import SimulatedRig

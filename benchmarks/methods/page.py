@@ -1,62 +1,63 @@
-"""The page that tells what was run, with its tables and plots."""
+"""The page of the open benchmark: three tables and two plots of the acquisitions."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import io
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
-from benchmarks.methods.cases import Case
-from benchmarks.methods.plots import write_plots
-from benchmarks.methods.rows import CASE, newest
-from benchmarks.methods.summary import OPEN, failures, sections, summary_of, tightest
 
+from benchmarks.methods.cases import CASE, Case, is_held_out, method_of, newest
 from rfpipe.store.files import write_atomically
 
-__all__ = ["write_page"]
-
 FINDINGS = Path(__file__).with_name("findings.md")
-
+OPEN, HELD_OUT = "open", "held out"
 _ENOUGH = 0.01  # mean error, for the table of patterns that reach it
+_ROSE = 1.1  # errors along a method's settings that rise by more than noise does
+_OFF = 2.0  # an estimate this many times the truth, or less than its inverse
+_ABREAST = 6
+
+_GROUP = ["section", "what", "scene", "side", "light", "method", "option", "value"]
+_MEANS = ["patterns", "brackets", "exposure_s", "light_s", "error_mean", "unlit_mean", "photo_mean",
+          "photo_unlit", "grain", "estimated_error", "patterns_by_estimate", "processing_s",
+          "stored_mb"]  # fmt: skip
 
 _ABOUT = """# The open benchmark
 
 Every method on every physically based scene and on matt wedges, through one camera, as
-`make benchmark` runs it. All tables and plots below are made by it from
-`benchmark/acquisitions.csv`, which has a row an acquisition; `benchmark/summary.csv` has their
-means over seeds. Nothing is extrapolated: what wasn't run isn't there.
+`make benchmark` runs it. `benchmark/acquisitions.csv` has a row an acquisition,
+`benchmark/summary.csv` their means over seeds; what wasn't run isn't there.
 
-- **Light**: the projector is dimmed, or opened, until the brightest pixel of the floodlit scene has
-  a radiance of 1.9, of 2 that the default camera takes; `sixteenth` is a sixteenth of that light.
-  On wedge IV at 32 x 32 one bracket of a relit picture is off by 0.96 and 0.82 % in total, since
-  longer exposures take the direct light, and by 1.6 and 8.6 % where the pattern is dark (29 % at a
-  sixty-fourth, which drowns what methods differ by). The columns *photograph* below say so of each
-  scene: a method that is better than that has put many pictures together.
+- **Light**: the brightest pixel of the floodlit scene has a radiance of 1.9, of 2 that the default
+  camera takes; or a sixteenth of that.
 - **Errors** are relative RMS of relit pictures: two bars, noise, a binary picture, three small
-  spots (12 and twice 4 pixels), the concave edges where surfaces meet; the mean over them, the
-  worst, and on the pixels that a pattern leaves dark (rigs whose two sides share their rays).
-- **Cost**: patterns; brackets, with the 8 all-off and 64 all-on ones, and the 6 that tell whether a
-  rig is coaxial where a method asks; seconds of exposure;
-  `light_s`, the projector's light in it: seconds times the share of it that was sent.
-- **Held out** are scenes and seeds by the parity of their names' digest
-  (`benchmarks.methods.cases.is_held_out`). Methods are worked on with the open ones alone; the held
-  out ones have sections of their own, and are looked at last.
-- **Grain** is the standard error of a recorded scene's indirect light in a half-lit picture, from
-  tracing finitely many paths: it isn't noise to the methods, which see the same matrix in all
-  pictures, but detail that no smooth light has.
+  spots (12 and twice 4 pixels), the concave edges where surfaces meet; the mean over them.
+- **Held out** are scenes and seeds by the parity of their names' digest. Methods are worked on with
+  the open ones alone; the held out ones are looked at last, and marked by a star.
 """
+_FEWEST = f"""## Patterns for an error of {_ENOUGH:.0%}
 
-_RULES = """A refusal; a mean error that rises by a tenth or more as the setting gets tighter; a
-target that was missed; an estimate off by a factor of two or more.
+Fewest patterns for such a mean error, in full light; where no setting does, the least error; a dash
+where the method refuses the scene.
 """
+_BY_METHOD = """## Errors by light
 
-_FEWEST = f"""Fewest patterns for a mean error of at most {_ENOUGH:.0%}; where no setting does,
-the least error in per cent.
+Geometric means over the scenes, at the tightest setting that was run: error, and patterns.
 """
+_ESTIMATES = """## Estimates, targets and failures
 
-_PLOTS = """Mean errors against patterns, dotted the noise of a single photograph; estimates against
-truth, filled where scene and seed are open.
+Of all settings: refused; those where the error rises by a tenth as the setting gets tighter;
+targets missed, of those given; the estimate over the true error, its median and range, and how many
+are off by a factor of two.
+"""
+_PLOTS = """## Plots
+
+Mean errors against patterns in full light, dotted the noise of a single photograph; estimates
+against truth, filled where scene and seed are open.
 """
 
 
@@ -76,160 +77,239 @@ def write_page(folder: Path, table: Path, asked: Sequence[Case]) -> None:
     summary = summary_of(rows)
     text = summary.to_csv(index=False, float_format="%.5g", lineterminator="\n")
     write_atomically(folder / "summary.csv", text.encode())
-    plots = write_plots(folder, summary)
+    side = rows["side"].value_counts().index[0]
+    shown = summary[(summary["side"] == side) & (summary["section"] == _of_scenes(summary))]
+    write_atomically(folder / "errors.png", _curves(shown[shown["light"] == "full"]))
+    write_atomically(folder / "estimates.png", _against_truth(summary.dropna(subset=["ratio"])))
     parts = [
         _ABOUT,
-        "## What was run\n",
         _run(rows, asked),
-        FINDINGS.read_text(encoding="utf-8") if FINDINGS.exists() else "",
-        *_results(summary),
-        "## Estimates against truth\n",
+        FINDINGS.read_text(encoding="utf-8"),
+        _FEWEST,
+        _fewest(shown[shown["light"] == "full"]),
+        _BY_METHOD,
+        _by_method(shown),
+        _ESTIMATES,
         _estimates(summary),
-        "## Where methods fail, by rule\n",
-        _RULES,
-        _failed(summary),
-        "## Scenes\n",
-        _scenes(rows),
-        "## Plots\n",
         _PLOTS,
-        *(f"![{name[:-4].replace('_', ' ')}]({folder.name}/{name})\n" for name in plots),
+        f"![errors against patterns]({folder.name}/errors.png)\n",
+        f"![estimates against truth]({folder.name}/estimates.png)\n",
     ]
-    page = "\n".join(part for part in parts if part)
-    write_atomically(folder.with_suffix(".md"), page.encode())
+    write_atomically(folder.with_suffix(".md"), "\n".join(parts).encode())
+
+
+def summary_of(table: pd.DataFrame) -> pd.DataFrame:
+    """Sum up the acquisitions: a row a section, scene, light, method and setting, over its seeds.
+
+    Parameters
+    ----------
+    table : DataFrame
+        See `benchmarks.methods.cases.newest`.
+
+    Returns
+    -------
+    DataFrame
+        What it is grouped by; how many runs there were, and how many ended; means of patterns,
+        costs, errors and estimates, the worst of the worst errors; estimate over truth, the
+        geometric mean; why a run didn't end.
+    """
+    held = table["held_out_scene"].astype(bool) | table["held_out_seed"].astype(bool)
+    grouped = table.assign(
+        section=held.map({False: OPEN, True: HELD_OUT}),
+        ended=table["status"] == "done",
+        ratio=np.log(table["estimated_error"] / table["error_mean"]),
+    ).groupby(_GROUP, sort=False)
+    found = grouped.agg(
+        runs=("ended", "size"),
+        ended=("ended", "sum"),
+        camera_rays=("camera_rays", "max"),
+        projector_rays=("projector_rays", "max"),
+        **{name: (name, "mean") for name in _MEANS},
+        error_worst=("error_worst", "max"),
+        unlit_worst=("unlit_worst", "max"),
+        ratio=("ratio", "mean"),
+        why=("why", "first"),
+    )
+    found["ratio"] = np.exp(found["ratio"])
+    return found.reset_index()
+
+
+def tightest(summary: pd.DataFrame) -> pd.DataFrame:
+    """Return the row of each section, scene, light and method with the tightest ended setting."""
+    ended = summary[summary["ended"] > 0]
+    ranks = [_rank(*each) for each in zip(ended["method"], ended["value"], strict=True)]
+    last = ended.assign(rank=ranks).sort_values("rank", kind="stable")
+    place = ["section", "scene", "side", "light", "method"]
+    return last.drop_duplicates(place, keep="last").drop(columns="rank").sort_index()
+
+
+def failures(summary: pd.DataFrame) -> Iterator[tuple[str, str]]:
+    """Yield method and what went wrong with it: refused, rises, missed, or off (an estimate)."""
+    for (_, method, *_), rows in summary.groupby(["section", "method", "scene", "light"]):
+        yield from ((method, "refused") for _ in range(int((rows["ended"] == 0).sum())))
+        done = rows[rows["ended"] > 0].to_dict("records")
+        done.sort(key=lambda row: _rank(row["method"], row["value"]))
+        for coarse, fine in pairwise(done):
+            if fine["error_mean"] > _ROSE * coarse["error_mean"]:
+                yield method, "rises"
+        for row in done:
+            if row["option"] == "target_error" and row["error_mean"] > row["value"]:
+                yield method, "missed"
+            if row["ratio"] > _OFF or row["ratio"] < 1 / _OFF:
+                yield method, "off"
+
+
+def _rank(method: str, value: float) -> int:
+    """Place of a setting among a method's trials, from the coarsest."""
+    trials = method_of(method).trials
+    return trials.index(value) if value in trials else 0
+
+
+def _of_scenes(summary: pd.DataFrame) -> pd.Series[str]:
+    """Return for each row the section that its scene is in, whatever its seed."""
+    return summary["scene"].map(lambda name: HELD_OUT if is_held_out(name) else OPEN)
 
 
 def _run(rows: pd.DataFrame, asked: Sequence[Case]) -> str:
     """Say what the table holds, from when and where, and what it lacks."""
     there = {tuple(map(str, row)) for row in rows[list(CASE)].itertuples(index=False)}
-    codes = {case.key for case in asked}
-    lacking = [case for case in asked if _names(case) not in there]
-    older = sum(_names(case) in there for case in asked) - len(codes & set(rows["key"]))
+    named = [tuple(str(getattr(case, name)) for name in CASE) for case in asked]
+    lacking = sum(name not in there for name in named)
+    older = len(asked) - lacking - len({case.key for case in asked} & set(rows["key"]))
     status = rows["status"].value_counts()
-    told = (
+    return (
         f"{len(rows)} acquisitions from {rows['date'].min()} to {rows['date'].max()} on "
         f"{'; '.join(sorted(set(rows['machine'])))}: {status.get('done', 0)} done, "
         f"{status.get('refused', 0)} refused by the method, {status.get('failed', 0)} failed. "
-        f"Of the {len(asked)} that the command asked for, {len(lacking)} weren't run"
-        + (f"; {older} are of earlier code." if older > 0 else ".")
+        f"Of the {len(asked)} that the command asked for, {lacking} weren't run; {older} are of "
+        "earlier code.\n"
     )
-    counted = rows.assign(section=sections(rows)).groupby(
-        ["side", "samples", "light", "seed", "section"], sort=False
-    )
-    missing: dict[tuple[Any, ...], int] = {}
-    for case in lacking:
-        key = case.side, case.samples, case.light, case.seed
-        missing[key] = missing.get(key, 0) + 1
-    found = [
-        [*map(str, key), str(len(each)), str(each["scene"].nunique())] for key, each in counted
-    ]
-    found += [[*map(str, key), "", f"not run: {count}", ""] for key, count in missing.items()]
-    head = ["side", "paths a pixel", "light", "seed", "section", "acquisitions", "scenes"]
-    return f"{told}\n\n{_markdown(head, found)}"
 
 
-def _names(case: Case) -> tuple[str, ...]:
-    return tuple(str(getattr(case, name)) for name in CASE)
-
-
-def _results(summary: pd.DataFrame) -> list[str]:
-    """Return tables of errors, the open section first."""
-    parts = []
-    keys = dict.fromkeys(zip(summary["section"], summary["side"], summary["light"], strict=True))
-    for section, side, light in sorted(keys, key=lambda key: (key[0] != OPEN, *key[1:])):
-        own = summary[
-            (summary["section"] == section)
-            & (summary["side"] == side)
-            & (summary["light"] == light)
-        ]
-        parts += [
-            f"## {section.capitalize()} scenes and seeds, {light} light, side {side}\n",
-            "Mean and worst error in per cent (patterns) at the tightest setting that was run.\n",
-            _grid(own, tightest(own), _errors),
-            _FEWEST,
-            _grid(own, own[own["ended"] > 0], _fewest),
-        ]
-    return parts
-
-
-def _grid(all_rows: pd.DataFrame, rows: pd.DataFrame, cell: Callable[[pd.DataFrame], str]) -> str:
-    """Return a table of scenes by methods; a dash where the method refused."""
-    methods = sorted(set(all_rows["method"]))
+def _fewest(summary: pd.DataFrame) -> str:
+    """Return a table of scenes by methods."""
+    methods = sorted(set(summary["method"]))
     lines = []
-    for scene in dict.fromkeys(all_rows["scene"]):
+    for scene, own in summary.groupby("scene", sort=False):
         cells = []
         for method in methods:
-            at = (rows["scene"] == scene) & (rows["method"] == method)
-            tried = ((all_rows["scene"] == scene) & (all_rows["method"] == method)).any()
-            cells.append(cell(rows[at]) if at.any() else "-" if tried else "")
-        lines.append([scene, *cells])
+            rows = own[(own["method"] == method) & (own["ended"] > 0)]
+            enough = rows[rows["error_mean"] <= _ENOUGH]
+            if len(enough):
+                cells.append(f"{enough['patterns'].min():.0f}")
+            else:
+                least = rows["error_mean"].min()
+                tried = (own["method"] == method).any()
+                cells.append(f"{100 * least:.2g}%" if len(rows) else "-" if tried else "")
+        lines.append([f"{scene}{'*' * is_held_out(str(scene))}", *cells])
     return _markdown(["scene", *(f"`{name}`" for name in methods)], lines)
 
 
-def _errors(rows: pd.DataFrame) -> str:
-    row = rows.iloc[-1]
-    mean, worst = 100 * row["error_mean"], 100 * row["error_worst"]
-    return f"{mean:.2g}, {worst:.2g} ({row['patterns']:.0f})"
-
-
-def _fewest(rows: pd.DataFrame) -> str:
-    enough = rows[rows["error_mean"] <= _ENOUGH]
-    if len(enough):
-        return f"{enough['patterns'].min():.0f}"
-    return f"{100 * rows['error_mean'].min():.2g} %"
+def _by_method(summary: pd.DataFrame) -> str:
+    """Return a table of methods by light and section."""
+    places = [(light, section) for light in ("full", "sixteenth") for section in (OPEN, HELD_OUT)]
+    lines = []
+    for method, own in tightest(summary).groupby("method"):
+        cells = []
+        for light, section in places:
+            rows = own[(own["light"] == light) & (own["section"] == section)]
+            means = np.exp(np.log(rows[["error_mean", "patterns"]]).mean())
+            said = f"{100 * means['error_mean']:.2g}%, {means['patterns']:.0f}"
+            cells.append(said if len(rows) else "")
+        lines.append([f"`{method}`", *cells])
+    return _markdown(["method", *(f"{light}, {section}" for light, section in places)], lines)
 
 
 def _estimates(summary: pd.DataFrame) -> str:
-    known = summary.dropna(subset=["ratio"]).sort_values(
-        ["section", "method"], key=lambda each: each.map({OPEN: ""}).fillna(each), kind="stable"
-    )
-    lines = [
-        [
-            row["section"], f"`{row['method']}`", row["scene"], row["light"],
-            f"{row['value']:g}", f"{row['patterns']:.0f}", f"{row['patterns_by_estimate']:.0f}",
-            f"{100 * row['estimated_error']:.2g}",
-            f"{100 * row['error_mean']:.2g}", f"{row['ratio']:.2g}",
-        ]
-        for row in known.to_dict("records")
-    ]  # fmt: skip
-    head = ["section", "method", "scene", "light", "setting", "patterns",
-            "at the estimate", "estimated, %",
-            "true, %", "estimate over truth"]  # fmt: skip
+    """Return a table of what went wrong, and of how good estimates are."""
+    wrong = pd.DataFrame(failures(summary), columns=["method", "what"]).value_counts()
+    lines = []
+    for method, own in summary.groupby("method"):
+        refused, rises, missed, off = (
+            int(wrong.get((method, what), 0)) for what in ("refused", "rises", "missed", "off")
+        )
+        targets = int(((own["option"] == "target_error") & (own["ended"] > 0)).sum())
+        ratio = own["ratio"].dropna()
+        estimated = (
+            f"{ratio.median():.2g} ({ratio.min():.2g}-{ratio.max():.2g})" if len(ratio) else ""
+        )
+        lines.append(
+            [f"`{method}`", str(len(own)), str(refused), str(rises),
+             f"{missed}/{targets}" if targets else "", estimated, str(off) if len(ratio) else ""]
+        )  # fmt: skip
+    head = ["method", "settings", "refused", "rises", "missed", "estimate/truth", "off"]
     return _markdown(head, lines)
-
-
-def _failed(summary: pd.DataFrame) -> str:
-    found = sorted(
-        failures(summary), key=lambda each: (each["section"] != OPEN, each["kind"], each["method"])
-    )
-    lines = []
-    for each in found:
-        same = [each["section"], each["kind"], f"`{each['method']}`", each["what"]]
-        if lines and lines[-1][:3] + lines[-1][-1:] == same:
-            lines[-1][3] += f", {each['scene']} ({each['light']})"
-        else:
-            lines.append([*same[:3], f"{each['scene']} ({each['light']})", each["what"]])
-    return _markdown(["section", "what", "method", "where", "how"], lines)
-
-
-def _scenes(rows: pd.DataFrame) -> str:
-    lines = []
-    for (scene, _), own in rows.groupby(["scene", "side"], sort=False):
-        done = own[own["status"] == "done"]
-        photos = [
-            f"{100 * done.loc[done['light'] == light, column].mean():.2g}"
-            for light in ("full", "sixteenth")
-            for column in ("photo_mean", "photo_unlit")
-        ]
-        rays = [f"{done[name].max():.0f}" for name in ("camera_rays", "projector_rays")]
-        grain = f"{100 * done['grain'].mean():.2g}"
-        held = "yes" if own["held_out_scene"].iloc[0] else ""
-        lines.append([str(scene), own["what"].iloc[0], held, *rays, grain, *photos])
-    head = ["scene", "light is", "held out", "camera rays", "projector rays", "grain, %",
-            "photograph, %", "unlit", "at a sixteenth, %", "unlit"]  # fmt: skip
-    return _markdown(head, lines).replace(" nan ", "  ")
 
 
 def _markdown(head: Sequence[str], lines: Iterable[Sequence[str]]) -> str:
     """Return a table of markdown."""
     rows = [list(head), ["---"] * len(head), *lines]
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _figure(rows: int, columns: int, size: tuple[float, float]) -> tuple[Any, Any]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, dpi=100, layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False)
+
+
+def _png(figure: Any) -> bytes:
+    """Put one legend above, and return the picture."""
+    handles = {}
+    for axis in figure.axes:
+        handles |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    figure.legend(handles.values(), handles, loc="outside upper center", ncols=5, frameon=False)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _style(method: str) -> dict[str, Any]:
+    own = method_of(method)
+    return {
+        "color": own.colour,
+        "marker": own.marker or "x",
+        "linestyle": own.line,
+        "markersize": 4,
+        "label": own.title,
+    }
+
+
+def _curves(summary: pd.DataFrame) -> bytes:
+    """Draw mean errors against patterns, a panel a scene."""
+    scenes = list(dict.fromkeys(summary["scene"]))
+    height = -(-len(scenes) // _ABREAST)
+    figure, axes = _figure(height, _ABREAST, (2.4 * _ABREAST, 2.2 * height + 0.5))
+    for axis in axes.flat:
+        axis.set_axis_off()
+    for axis, scene in zip(axes.flat, scenes, strict=False):
+        own = summary[(summary["scene"] == scene) & (summary["ended"] > 0)]
+        axis.set_axis_on()
+        axis.set(xscale="log", yscale="log", xlim=(5, 5000), ylim=(0.05, 100))
+        axis.set_title(f"{scene.replace('_', ' ')}{'*' * is_held_out(scene)}", fontsize=9)
+        axis.tick_params(labelsize=7)
+        for method, each in own.groupby("method"):
+            ordered = each.sort_values("patterns")
+            axis.plot(ordered["patterns"], 100 * ordered["error_mean"], **_style(str(method)))
+        axis.axhline(100 * own["photo_mean"].mean(), color="#888888", linestyle=":",
+                     label="a photograph's noise")  # fmt: skip
+    figure.supxlabel("patterns", fontsize=9)
+    figure.supylabel("mean error, %", fontsize=9)
+    return _png(figure)
+
+
+def _against_truth(summary: pd.DataFrame) -> bytes:
+    """Draw estimated errors against true ones: filled where scene and seed are open."""
+    methods = list(dict.fromkeys(summary["method"]))
+    figure, axes = _figure(1, max(len(methods), 1), (4.0 * max(len(methods), 1), 4.0))
+    for axis, method in zip(axes[0], methods, strict=False):
+        for section, each in summary[summary["method"] == method].groupby("section"):
+            look = {**_style(method), "linestyle": "none", "label": str(section)}
+            face = look["color"] if section == OPEN else "white"
+            points = 100 * each["error_mean"], 100 * each["estimated_error"]
+            axis.plot(*points, **look, markerfacecolor=face)
+        axis.plot([0.05, 100], [0.05, 100], color="#888888", linewidth=0.8, label="equal")
+        axis.set(xscale="log", yscale="log", xlabel="true mean error, %", ylabel="estimated, %")
+        axis.set_title(method_of(method).title, fontsize=9)
+    return _png(figure)

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from benchmarks.methods.pictures import crease, spots
 from numpy.typing import ArrayLike, NDArray
 
+from benchmarks.methods.pictures import crease, spots
 from rfpipe.errors import InputError
 from rfpipe.scenes import Scene, planes_scene, scene_patterns
 from rfpipe_mitsuba.worlds import WORLDS
@@ -45,11 +45,12 @@ class Kind:
     """
 
     what: str
-    settings: Callable[[int, int, int, int], dict[str, Any]]
-    make: Callable[[int, int, int, int, Path], Scene]
+    settings: Callable[[str, int, int, int], dict[str, Any]]
+    make: Callable[[str, int, int, int, Path], Scene]
 
 
 _WEDGES = {
+    "plane_i": ("plane", ("texture",)),
     "wedge_ii": ("wedge", ("white", "white")),
     "wedge_iii": ("wedge", ("white", "texture")),
     "wedge_iv": ("wedge", ("texture", "texture")),
@@ -59,41 +60,49 @@ _WEDGES = {
 }
 
 
+def shape_of(side: str) -> tuple[int, int]:
+    """Return height and width of ``48`` or ``310x350``."""
+    height, _, width = side.partition("x")
+    return int(height), int(width or height)
+
+
 def _wedge(name: str) -> Kind:
     geometry, surfaces = _WEDGES[name]
 
-    def settings(side: int, channels: int, _samples: int, seed: int) -> dict[str, Any]:
+    def settings(side: str, channels: int, _samples: int, seed: int) -> dict[str, Any]:
         return {"geometry": geometry, "surfaces": surfaces, "side": side, "channels": channels,
                 "seed": seed}  # fmt: skip
 
-    def make(side: int, channels: int, _samples: int, seed: int, _cache: Path) -> Scene:
-        return planes_scene(geometry, surfaces, (side, side), channels=channels, seed=seed)
+    def make(side: str, channels: int, _samples: int, seed: int, _cache: Path) -> Scene:
+        return planes_scene(geometry, surfaces, shape_of(side), channels=channels, seed=seed)
 
     return Kind("matt", settings, make)
 
 
 def _world(name: str) -> Kind:
-    def settings(side: int, channels: int, samples: int, _seed: int) -> dict[str, Any]:
+    def settings(side: str, channels: int, samples: int, _seed: int) -> dict[str, Any]:
         return _mitsuba(name, side, channels, samples, Path()).describe()
 
-    def make(side: int, channels: int, samples: int, _seed: int, cache: Path) -> Scene:
+    def make(side: str, channels: int, samples: int, _seed: int, cache: Path) -> Scene:
         return _mitsuba(name, side, channels, samples, cache)
 
     return Kind("physical", settings, make)
 
 
-def _mitsuba(name: str, side: int, channels: int, samples: int, cache: Path) -> MitsubaScene:
+def _mitsuba(name: str, side: str, channels: int, samples: int, cache: Path) -> MitsubaScene:
     """Return a world; the views of a stack share about the pixels of one picture."""
     from rfpipe_mitsuba.scene import MitsubaOptions, MitsubaScene
 
     world = WORLDS[name]
     views = max(len(world.cameras), len(world.projectors or ()))
-    each = max(min(side, _LEAST_SIDE), round(side / math.sqrt(views)))
+    each = [
+        max(min(length, _LEAST_SIDE), round(length / math.sqrt(views))) for length in shape_of(side)
+    ]
     options = MitsubaOptions.model_validate(
         {
             "kind": "rfpipe_mitsuba.scene:MitsubaScene",
             "scene": name,
-            "shape": (each, each),
+            "shape": each,
             "channels": channels,
             "samples": samples,
             "cache": str(cache),
@@ -109,7 +118,7 @@ KINDS: dict[str, Kind] = {name: _world(name) for name in WORLDS} | {
 
 
 @lru_cache(maxsize=512)
-def settings_of(name: str, side: int, channels: int, samples: int, seed: int) -> dict[str, Any]:
+def settings_of(name: str, side: str, channels: int, samples: int, seed: int) -> dict[str, Any]:
     """Return plain data that tells a scene, without making it."""
     return KINDS[name].settings(side, channels, samples, seed)
 
@@ -160,7 +169,7 @@ class Stage:
 
 
 @lru_cache(maxsize=2)
-def stage_of(name: str, side: int, channels: int, samples: int, seed: int, cache: Path) -> Stage:
+def stage_of(name: str, side: str, channels: int, samples: int, seed: int, cache: Path) -> Stage:
     """Make a scene, its pictures and their truth."""
     scene = KINDS[name].make(side, channels, samples, seed, cache)
     patterns = scene_patterns(scene, seed) | spots(scene.projector_shape)

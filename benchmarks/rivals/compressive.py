@@ -12,9 +12,9 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from benchmarks.rivals.signs import as_light, random_signs, trimmed_mean
 from numpy.typing import NDArray
 
+from benchmarks.rivals.signs import as_light, random_signs, trimmed_mean
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, PatternOptions

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from math import ceil, log2, sqrt
 
 import numpy as np
-from benchmarks.rivals.signs import as_light, random_signs, trimmed_mean
 from numpy.typing import NDArray
 
+from benchmarks.rivals.signs import as_light, random_signs, trimmed_mean
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, Float, LevelImages
 from rfpipe.methods.images import planar_batches, rounding

@@ -7,15 +7,23 @@ import numpy as np
 import pandas as pd
 import pytest
 from benchmarks.methods import __main__ as benchmark
-from benchmarks.methods.cases import CAMERAS, SEEDS, Case, cases_of, is_held_out
+from benchmarks.methods.cases import (
+    CAMERAS,
+    COLUMNS,
+    NAMES,
+    SEEDS,
+    Case,
+    cases_of,
+    is_held_out,
+    method_of,
+    newest,
+)
 from benchmarks.methods.measure import measure
+from benchmarks.methods.page import failures, summary_of, tightest
 from benchmarks.methods.pictures import spots
-from benchmarks.methods.rows import COLUMNS, newest
 from benchmarks.methods.scenes import KINDS, stage_of
-from benchmarks.methods.summary import failures, sections, summary_of, tightest
 
 from rfpipe.errors import InputError
-from rfpipe.methods import get_method, method_names
 
 SCENES = ["wedge_iv", "tilted_wedge"]  # an open one and one held out
 SMALL = ["--scenes", *SCENES, "--side", "8", "--seeds", "1", "--settings", "1", "--lights", "full"]
@@ -31,7 +39,7 @@ def run(tmp_path_factory):
 
 def test_it_covers_all_methods_scenes_lights_and_seeds():
     cases = list(cases_of(list(KINDS)))
-    for method in map(get_method, method_names()):
+    for method in map(method_of, NAMES):
         own = [case for case in cases if case.method == method.name]
         settings = len(method.trials) if method.trades else 1
         assert len(own) == len(KINDS) * len(CAMERAS) * len(SEEDS) * settings
@@ -56,7 +64,7 @@ def test_the_table_has_a_row_an_acquisition(run):
     table = newest(run / "acquisitions.csv")
     assert list(table.columns) == list(COLUMNS)
     assert set(zip(table["scene"], table["method"], strict=True)) == {
-        (scene, method) for scene in SCENES for method in method_names()
+        (scene, method) for scene in SCENES for method in NAMES
     }
     done = table[table["status"] == "done"].set_index(["scene", "method"])
     for scene in SCENES:
@@ -73,7 +81,7 @@ def test_the_table_has_a_row_an_acquisition(run):
         assert math.isnan(brute["estimated_error"])
         assert done.loc[(scene, "near_far"), "estimated_error"] > 0
     assert set(table["held_out_scene"][table["scene"] == "tilted_wedge"]) == {True}
-    assert set(sections(table)) == {"open", "held out"}
+    assert set(summary_of(table)["section"]) == {"open", "held out"}
 
 
 @pytest.mark.slow
@@ -84,24 +92,23 @@ def test_what_is_there_is_not_run_again(run, monkeypatch):
     assert (run / "acquisitions.csv").read_bytes() == before
     with (run / "acquisitions.csv").open() as file:
         kept = list(csv.DictReader(file))
-    assert len({row["key"] for row in kept}) == len(kept) == 2 * len(method_names())
+    assert len({row["key"] for row in kept}) == len(kept) == 2 * len(NAMES)
 
 
 @pytest.mark.slow
 def test_the_page_says_what_was_run_and_what_was_not(run):
     page = run.with_suffix(".md").read_text()
-    asked = len(SCENES) * len(method_names())
-    assert f"Of the {asked} that the command asked for, 0 weren't run." in page
-    assert page.index("## Open scenes and seeds") < page.index("## Held out scenes and seeds")
-    row = next(line for line in page.splitlines() if line.startswith("| wedge_iv | "))
-    assert "(64)" in row
-    for name in ("errors_open_full_8.png", "errors_held_out_full_8.png", "estimates.png"):
+    asked = len(SCENES) * len(NAMES)
+    assert f"Of the {asked} that the command asked for, 0 weren't run" in page
+    row = next(line for line in page.splitlines() if line.startswith("| tilted_wedge* | "))
+    assert "64" in row
+    for name in ("errors.png", "estimates.png"):
         assert f"]({run.name}/{name})" in page
         assert (run / name).stat().st_size > 10_000
+    assert len(page.split()) < 1500
     benchmark.main([*SMALL, "--seeds", "0", "1", "--table-only", "--folder", str(run)])
     page = run.with_suffix(".md").read_text()
-    assert f"Of the {2 * asked} that the command asked for, {asked} weren't run." in page
-    assert f"not run: {asked}" in page
+    assert f"Of the {2 * asked} that the command asked for, {asked} weren't run" in page
 
 
 def test_a_table_of_other_columns_is_refused(tmp_path):
@@ -112,7 +119,7 @@ def test_a_table_of_other_columns_is_refused(tmp_path):
 
 @pytest.mark.slow
 def test_a_method_that_refuses_or_fails_is_a_row_that_says_so(monkeypatch, tmp_path):
-    case = Case("wedge_iv", 96, 1, 16, "full", 1, "compressive", "patterns", 50)
+    case = Case("wedge_iv", "96", 1, 16, "full", 1, "compressive", "patterns", 50)
     refused = measure(case, tmp_path)
     assert refused["status"] == "refused"
     assert "up to 4096 rays" in refused["why"]
@@ -122,13 +129,13 @@ def test_a_method_that_refuses_or_fails_is_a_row_that_says_so(monkeypatch, tmp_p
         raise ZeroDivisionError("by the way")
 
     monkeypatch.setattr("rfpipe.acquire", broken)
-    failed = measure(Case("wedge_iv", 8, 1, 16, "full", 1, "dual", "tolerance", 0.01), tmp_path)
+    failed = measure(Case("wedge_iv", "8", 1, 16, "full", 1, "dual", "tolerance", 0.01), tmp_path)
     assert (failed["status"], failed["why"]) == ("failed", "ZeroDivisionError: by the way")
 
 
 @pytest.mark.slow
 def test_less_light_is_more_noise(tmp_path):
-    case = Case("wedge_iv", 8, 1, 16, "full", 1, "brute_force", "", 0)
+    case = Case("wedge_iv", "8", 1, 16, "full", 1, "brute_force", "", 0)
     full = measure(case, tmp_path)
     dim = measure(Case(**{**vars(case), "light": "sixteenth"}), tmp_path)
     assert dim["photo_unlit"] > 2 * full["photo_unlit"]  # the bracket takes direct light as before
@@ -138,10 +145,11 @@ def test_less_light_is_more_noise(tmp_path):
 
 
 def acquisition(method, value, error, **others):
-    option = get_method(method).trades or ""
+    option = method_of(method).trades or ""
     return dict.fromkeys(COLUMNS, math.nan) | {
-        "scene": "room", "side": 48, "light": "full", "seed": 1, "method": method, "option": option,
-        "value": value, "what": "physical", "held_out_scene": False, "held_out_seed": False,
+        "scene": "room", "side": "48", "light": "full", "seed": 1, "method": method,
+        "option": option, "value": value, "what": "physical", "held_out_scene": False,
+        "held_out_seed": False,
         "status": "done", "why": "", "error_mean": error, "error_worst": error, "patterns": 10,
         **others,
     }  # fmt: skip
@@ -159,13 +167,12 @@ def test_failures_are_found_by_rule():
         ]
     )
     summary = summary_of(table)
-    found = {(each["method"], each["kind"]): each["what"] for each in failures(summary)}
-    assert found == {
-        ("symmetric", "rises"): "1 % at 0.003, 1.3 % at 0.001",
-        ("near_far", "estimate off"): "target_error 0.05: estimated 10 %, is 4 %",
-        ("near_far", "target missed"): "target_error 0.01: 3 % in 10 patterns",
-        ("compressive", "refused"): "too many rays",
-    }
+    assert sorted(failures(summary)) == [
+        ("compressive", "refused"),
+        ("near_far", "missed"),
+        ("near_far", "off"),
+        ("symmetric", "rises"),
+    ]
     assert dict(tightest(summary)[["method", "value"]].to_numpy()) == {
         "symmetric": 1e-3,
         "near_far": 0.01,
@@ -196,7 +203,7 @@ def test_spots_lie_in_each_view():
 
 @pytest.mark.needs("llvm")
 def test_a_box_has_a_crease_around_its_back(tmp_path):
-    stage = stage_of("red_wall_box", 16, 1, 16, 1, tmp_path)
+    stage = stage_of("red_wall_box", "16", 1, 16, 1, tmp_path)
     strip = stage.patterns["crease"]
     assert strip[8].astype(bool).tolist() == strip[:, 8].astype(bool).tolist()
     assert strip[8].sum() == 4  # two pixels on either side

@@ -1,17 +1,14 @@
 """Rank-k leaves on physically based light that is smooth but for a little."""
 
-import importlib.util
-import sys
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks import rooms
 
 import rfpipe
 from rfpipe.transport.hierarchical.leaves import leaf_offsets
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "rooms.py"
 SHAPE = (32, 32)
 NAMES = ("grain", "translucent")
 LIT = (
@@ -22,10 +19,6 @@ LIT = (
 
 @cache
 def room(name):
-    spec = importlib.util.spec_from_file_location("rooms", SCRIPT)
-    rooms = importlib.util.module_from_spec(spec)
-    sys.modules["rooms"] = rooms
-    spec.loader.exec_module(rooms)
     described = {
         "grain": rooms.Room((rooms.Box((-0.45, 0.6, 3.2), (0.35, 0.5, 0.35), 25),), grain=0.01),
         "translucent": rooms.Room((rooms.Ball((0.2, 0.3, 3.0), 0.6, "translucent"),), scatter=0.3),
