@@ -34,6 +34,7 @@ if not workflow.overwrite_configfiles:
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/rig.smk"
 
 
 if SETTINGS.jobs == "stage":

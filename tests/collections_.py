@@ -8,8 +8,7 @@ from rfpipe.config import Config
 from rfpipe.stages import acquisition, captures
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import Plan, plan_of
-from rfpipe.stages.settings import rig_of, stages_of
+from rfpipe.stages.plan import Plan, plan_of, rig_of, stages_of
 from rfpipe.store import StoreLock
 
 __all__ = ["acquire_item"]

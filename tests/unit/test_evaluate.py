@@ -7,22 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rfpipe.config import Config
 from rfpipe.stages.evaluating import evaluate
 from rfpipe.stages.evaluating.evaluate import error_rows
-from rfpipe.stages.settings import acquire_options
 from rfpipe.store import write_arrays, write_manifest
-
-WEDGE = {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [8, 10]}
-CONFIG = Config.model_validate({"scenes": {"corner": WEDGE}, "methods": {"symmetric": {}}})
-
-
-def test_settings_of_the_acquisition_are_passed_on():
-    changed = CONFIG.model_copy(update={"normalization": "none"})
-    options = acquire_options(changed, "symmetric", changed.methods["symmetric"])
-    assert options["normalization"] == "none"
-    assert options["black_frames"] == CONFIG.capture.black_frames
-    assert (options["method"], options["tolerance"]) == ("symmetric", 1e-3)
 
 
 def test_errors_are_blank_where_they_are_undefined(tmp_path):

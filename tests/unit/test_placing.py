@@ -63,7 +63,7 @@ def test_a_capture_places_its_scene_before_it_connects_to_the_rig(
     resources = SimpleNamespace(
         rig_url="http://localhost:1",
         rig_token_file="",
-        rig_patience="0",
+        rig_patience_seconds="0",
         rig_placing=placed_by(tmp_path)[0].command,
     )
     monkeypatch.setenv("RFPIPE_TOKEN", "a" * 32)

@@ -39,7 +39,7 @@ _OF_SNAKEMAKE = (
     "rfpipe.methods.symmetric.method",
     "rfpipe.scenes.kinds.surfaces",
     "rfpipe.stages.jobs.ends",
-    "rfpipe.stages.settings",
+    "rfpipe.stages.plan",
     "rfpipe.stages.verifying.again",
 )
 _OF_JOBS = (

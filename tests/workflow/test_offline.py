@@ -27,8 +27,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.pictures.dng import dng_bytes
 from rfpipe.rigs.offline import check_pictures, offline_rig, read_sheet
-from rfpipe.stages.plan import Plan, plan_of
-from rfpipe.stages.settings import stages_of
+from rfpipe.stages.plan import Plan, plan_of, stages_of
 
 SCRIPT = Path(__file__).parents[1] / "examples" / "photographer.py"
 SHAPE = (4, 5)

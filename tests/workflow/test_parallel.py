@@ -12,7 +12,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import dask
-import numpy as np
 import pytest
 from distributed import Client, LocalCluster, Security
 from tests.waiting import wait_until
@@ -26,13 +25,11 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, IntegrityError
 from rfpipe.provenance import generator
 from rfpipe.stages import merger as merging
-from rfpipe.stages.evaluating.evaluate import errors_table
 from rfpipe.stages.jobs import cluster as cluster_module
 from rfpipe.stages.jobs.cluster import connected
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources, Workers
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.results import write_bundle
 from rfpipe.transport import save_transport
 
 PIECES = [(index, index + 1) for index in range(6)]
@@ -79,28 +76,6 @@ def transport(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("transport") / "transport.zarr"
     save_transport(acquire(rig, "symmetric", progress=False).transport, path, "uint8")
     return path
-
-
-def test_errors_are_the_same_numbers(
-    tmp_path: Path, address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    manifests = []
-    for n in range(3):
-        images = generator(n).random((2, *SHAPE, 3), np.float32)
-        facts = {"scene": f"s{n}", "method": "m", "names": ["a", "b"], "coaxial": True}
-        manifests.append(tmp_path / str(n) / "relight.json")
-        arrays = {"relit": images * np.float32(1.1), "truth": images, "patterns": images[..., 0]}
-        write_bundle(manifests[-1], "", {**arrays, "floodlit_truth": images[0]}, facts)
-
-    def tables(way: Resources) -> str:
-        return errors_table(manifests, way).to_csv()
-
-    here = tables(Resources())
-    assert here.count("\n") == 6 + 1
-    assert tables(Resources(threads=2)) == here
-    dying_once(monkeypatch, 1, tmp_path / "died")
-    assert tables(Resources(where=address)) == here
-    assert (tmp_path / "died").exists()
 
 
 @pytest.fixture
@@ -213,19 +188,6 @@ def test_without_workers_it_does_not_wait_for_ever(
         pytest.raises(ClusterError, match="all workers are gone"),
     ):
         left_alone(cluster)
-
-
-def test_few_pieces_are_handed_out_at_a_time(address: str, tmp_path: Path) -> None:
-    with Resources(where=address).workers(1, tmp_path) as workers:
-        assert workers.in_flight == 4
-        results = workers.results(identity, PIECES)
-        found = list(results)
-    assert [result[1:] for result in found] == PIECES
-    assert os.getpid() not in {result[0] for result in found}
-    small = Resources(memory_gib=1e-6, where=address)
-    with small.workers(small.data_bytes, tmp_path) as workers:
-        assert workers.in_flight == 1
-        assert len(list(workers.results(lambda first, last: first, PIECES))) == 6
 
 
 def test_work_that_kills_its_worker(tmp_path: Path) -> None:

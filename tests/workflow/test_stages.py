@@ -28,38 +28,12 @@ from tests.workflow.stagewise import (
 
 from rfpipe import acquire
 from rfpipe.errors import CaptureError, IntegrityError, StaleStoreError
-from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import merge
 from rfpipe.stages import merger as merging
 from rfpipe.stages.jobs import progress
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.store import read_manifest
-
-
-def test_a_matrix_is_recovered_from_files(tmp_path: Path) -> None:
-    acquisition = Acquisition(tmp_path, matrix_rig())
-    for level in acquisition.folder.levels():
-        acquisition.level(level)
-    transport = acquisition.assemble()
-    pattern = generator(5).random(SHAPE).astype(np.float32)
-    expected = (symmetric_matrix() @ pattern.ravel()).reshape(*SHAPE, 1)
-    np.testing.assert_allclose(transport.relight(pattern), expected, rtol=1e-4)
-    manifest = read_manifest(tmp_path / "transport.json")
-    assert manifest["patterns"] == sum(
-        read_manifest(tmp_path / f"L{level:02d}/capture.json")["patterns"]
-        for level in acquisition.folder.levels()
-    )
-
-
-def test_levels_with_nothing_left_to_ask_show_no_pattern(tmp_path: Path) -> None:
-    acquisition = Acquisition(tmp_path, matrix_rig(np.full((RAYS, RAYS), 0.25)))
-    for level in acquisition.folder.levels():
-        acquisition.level(level)
-    patterns = [row["patterns"] for row in acquisition.assemble().level_rows]
-    assert patterns == [1, 4, 0, 0]
-    assert sorted(path.name for path in tmp_path.glob("L*")) == ["L00", "L01"]
 
 
 @pytest.mark.parametrize(
@@ -227,17 +201,6 @@ def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> N
     again.capture(0, batch_patterns=3)
     assert batches == [1] * (2 + 2 + RAYS)
     assert contents(tmp_path / "again/L00/capture.zarr") == before
-
-
-def test_the_sum_of_a_level_is_that_of_its_images(tmp_path: Path) -> None:
-    acquisition = Acquisition(tmp_path, matrix_rig(noise=CAMERA))
-    acquisition.level(0)
-    acquisition.level(1)
-    with acquisition.folder.frames(1, "merge") as frames:
-        radiance, variance = np.moveaxis(frames.read(0, 4), 1, 0)
-    total = merge.read_level_sum(acquisition.folder, 1)
-    np.testing.assert_array_equal(total.radiance, radiance.sum(axis=0, dtype=np.float64))
-    np.testing.assert_array_equal(total.variance, variance.sum(axis=0, dtype=np.float64))
 
 
 def test_no_byte_depends_on_memory_and_threads(

@@ -1,6 +1,6 @@
 # What the rules share: the checked settings, and functions that give each rule its part of them.
 
-from functools import cache
+from functools import cache, partial
 
 import rfpipe
 from rfpipe.config import load_config, parse_config, read_yaml
@@ -8,8 +8,7 @@ from rfpipe.errors import ConfigError
 from rfpipe.provenance import code_digest
 from rfpipe.stages.folder import next_level
 from rfpipe.stages.jobs.workers import machine_memory_mb
-from rfpipe.stages.plan import plan_of
-from rfpipe.stages.settings import code_of, rig_of, stages_of
+from rfpipe.stages.plan import code_of, plan_of, rig_of, stages_of
 
 for configfile in workflow.configfiles:
     read_yaml(configfile)  # finds what Snakemake reads otherwise than it was meant
@@ -30,11 +29,8 @@ if workflow.storage_settings.default_storage_provider:
 
 # Jobs that run side by side on this machine share its memory; --resources mem_mb=... says less.
 MACHINE_MB = machine_memory_mb()
-if (
-    workflow.nodes is None
-    and not workflow.remote_exec
-    and "mem_mb" not in workflow.global_resources
-):
+on_one = workflow.nodes is None and not workflow.remote_exec
+if on_one and "mem_mb" not in workflow.global_resources:
     workflow.register_resource("mem_mb", MACHINE_MB)
 
 
@@ -44,18 +40,15 @@ wildcard_constraints:
     level=r"\d+",
 
 
-@cache
-def of_scene(scene):
-    """The settings that hold for a scene."""
-    return SETTINGS.of_scene(scene)
+of_scene = cache(SETTINGS.of_scene)  # the settings that hold for a scene
+stages = cache(partial(stages_of, SETTINGS))  # those of each stage of an acquisition
 
 
 def memory_mb(wildcards, attempt):
     """Memory that a job asks for, twice as much after each failure."""
     settings = of_scene(wildcards.scene) if "scene" in wildcards.keys() else SETTINGS
-    return min(
-        int(settings.resources.memory_gib * 2**30 / 10**6), MACHINE_MB
-    ) * 2 ** (attempt - 1)
+    asked = int(settings.resources.memory_gib * 2**30 / 10**6)
+    return min(asked, MACHINE_MB) * 2 ** (attempt - 1)
 
 
 def minutes(at_most):
@@ -63,31 +56,17 @@ def minutes(at_most):
     return lambda wildcards, attempt: at_most * 2 ** (attempt - 1)
 
 
-# What any job asks for, a job of an acquisition, and one that needs a real rig: where that is, and
-# what puts a scene before it. These are resources, since they shape no result.
-HAS_RIG = SETTINGS.capture.rig == "remote"
-CAPTURED_HERE = HAS_RIG and SETTINGS.resources.captures == "here"
+# What any job asks for, and a job of an acquisition: resources, since they shape no result.
 ASKED = {"mem_mb": memory_mb, "runtime": minutes(60)}
 WITHIN = {
     **ASKED,
     "memory_gib": lambda wildcards: str(of_scene(wildcards.scene).resources.memory_gib),
     "workers": lambda wildcards: of_scene(wildcards.scene).resources.workers,
 }
-AT_THE_RIG = {
-    "rig": 1,
-    "rig_url": lambda wildcards: of_scene(wildcards.scene).capture.url,
-    "rig_token_file": lambda wildcards: of_scene(wildcards.scene).capture.token_file
-    or "",
-    "rig_patience": lambda wildcards: str(
-        of_scene(wildcards.scene).capture.patience_seconds
-    ),
-    "rig_placing": lambda wildcards: of_scene(wildcards.scene).capture.placing or "",
-}
-AT_THE_RIG = AT_THE_RIG if HAS_RIG else {}
 
 
 def all_cores(wildcards):
-    """The cores of this machine that a job may have; on a cluster one, unless the profile sets more."""
+    """This machine's cores that a job may have; on a cluster one, unless the profile sets more."""
     on_cluster = workflow.non_local_exec or workflow.remote_exec  # told after the rules
     return 1 if on_cluster else workflow.cores or 1
 
@@ -97,14 +76,8 @@ def threads(wildcards):
     return max(1, all_cores(wildcards) // len(SETTINGS.acquisitions))
 
 
-@cache
-def stages(scene, method):
-    """The settings of each stage of an acquisition, the digest of its code among them."""
-    return stages_of(SETTINGS, scene, method)
-
-
 def settings_of(stage):
-    """The settings of a stage."""
+    """The settings of a stage, the digest of its code among them."""
     return lambda wildcards: stages(wildcards.scene, wildcards.method)[stage]
 
 
@@ -113,23 +86,10 @@ def plan(wildcards):
     return plan_of(SETTINGS, wildcards.scene, wildcards.method)
 
 
-@cache
-def rig(scene):
-    """What stands before a scene: arguments of `rfpipe.stages.captures`."""
-    return rig_of(SETTINGS, scene)
-
-
-def every_acquisition(name):
+def every_acquisition(name, wanted=lambda scene: True):
     """A file of each scene and method."""
     return [
-        f"results/{scene}/{method}/{name}" for scene, method in SETTINGS.acquisitions
-    ]
-
-
-def every_verification(wildcards):
-    """The verification of each scene and method, if there are to be any."""
-    return [
-        f"results/{scene}/{method}/verification.json"
+        f"results/{scene}/{method}/{name}"
         for scene, method in SETTINGS.acquisitions
-        if of_scene(scene).verification_pictures
+        if wanted(scene)
     ]

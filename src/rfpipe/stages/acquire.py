@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
@@ -176,7 +175,8 @@ def acquire(
     plan = Plan(
         named.name, named, rig.camera_shape, rig.projector_shape, rig.channels, options, asymmetry
     )
-    timed, folder = _TimedRig(rig), AcquisitionInMemory()
+    timed: Any = _TimedRig(rig)
+    folder = AcquisitionInMemory()
     watching = {"mode": watch, "looks": 0, "mutual_error": NOTICED * asymmetry}
     capturing: dict[str, Any] = {
         "references": (black_frames, floodlit_frames), "progress": progress, "watching": watching,
@@ -232,20 +232,14 @@ class _TimedRig:
         self.seconds = 0.0
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._rig, name)
+        attribute = getattr(self._rig, name)
+        if name not in ("capture", "show_sequence"):
+            return attribute
 
-    def capture(
-        self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
-    ) -> NDArray[Any]:
-        return self._timed(self._rig.capture, patterns, keys)
+        def timed(*shown: Any) -> NDArray[Any]:
+            began = perf_counter()
+            frames: NDArray[Any] = attribute(*shown)
+            self.seconds += perf_counter() - began
+            return frames
 
-    def show_sequence(
-        self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
-    ) -> NDArray[Any]:
-        return self._timed(self._rig.show_sequence, patterns, keys)  # type: ignore[attr-defined]
-
-    def _timed(self, take: Any, *shown: Any) -> NDArray[Any]:
-        began = perf_counter()
-        frames: NDArray[Any] = take(*shown)
-        self.seconds += perf_counter() - began
-        return frames
+        return timed

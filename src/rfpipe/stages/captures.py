@@ -43,7 +43,7 @@ def of_job(job: Any) -> Capture:
         rig,
         url=asked.rig_url,
         token_file=asked.rig_token_file or None,
-        patience_seconds=float(asked.rig_patience),
+        patience_seconds=float(asked.rig_patience_seconds or 0),
         placing=Placing(asked.rig_placing or None),
     )
 

@@ -29,7 +29,7 @@ from rfpipe.stages.merger import (
 )
 from rfpipe.stages.watch import DRIFT, MOVES, measure_drift, measure_moves
 from rfpipe.store import FrameStore, drop, open_arrays, to_disk
-from rfpipe.units import RADIANCE_UNIT
+from rfpipe.units import RADIANCE_UNIT, SATURATION_FRACTION
 
 SUMS = "sums"
 """Sum of the level's images and of their variance: their store and manifest's key."""
@@ -41,9 +41,9 @@ def run(
     folder: AcquisitionFolder,
     level: int,
     *,
-    saturation_fraction: float,
     mask_defects: bool,
     code: str,
+    saturation_fraction: float = SATURATION_FRACTION,
     divide_out_drift: bool = False,
     keep_raw: bool = True,
     sensor: Sensor | None = None,

@@ -16,8 +16,7 @@ from rfpipe.rigs.offline.sheet import MANIFEST, write_sheet
 from rfpipe.stages import acquisition, capture
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.plan import Plan, plan_of
-from rfpipe.stages.settings import stages_of
+from rfpipe.stages.plan import Plan, plan_of, stages_of
 from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:

@@ -27,9 +27,6 @@ def run(
 
     Parameters
     ----------
-    plan : Plan
-    folder : AcquisitionFolder
-    level : int
     code : str
         Digest of the code behind the stage.
     resources : Resources, optional

@@ -15,15 +15,7 @@ _WEIGHT_UNITS = "fraction of full light"
 
 
 def run(plan: Plan, folder: AcquisitionFolder, level: int, code: str) -> None:
-    """Make the schedule of a level and write it with its manifest.
-
-    Parameters
-    ----------
-    plan : Plan
-    folder : AcquisitionFolder
-    level : int
-    code : str
-        Digest of the code behind the stage.
+    """Make the schedule of a level and write it with its manifest; `code` is the code's digest.
 
     Raises
     ------

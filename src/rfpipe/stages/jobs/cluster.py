@@ -6,14 +6,13 @@ a message of some hundred bytes, and another worker can do the piece where one d
 
 from __future__ import annotations
 
-import ipaddress
 import logging
 import os
 import pickle
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
@@ -31,6 +30,7 @@ _PATIENCE_SECONDS = 10
 # A nanny starts a worker that died anew within some seconds.
 _WITHOUT_WORKERS_SECONDS = 60.0
 _LOOK_SECONDS = 5.0
+_HERE = ("localhost", "127.0.0.1")
 
 _log = logging.getLogger(__name__)
 
@@ -64,7 +64,7 @@ def connected(
         check_port(address)
     except ValueError as error:
         raise ClusterError(f"{setting}; it {error}") from None
-    if not address.startswith("tls:") and not _is_here(address):
+    if not address.startswith("tls:") and urlsplit(address).hostname not in _HERE:
         _log.warning(
             "%s: not encrypted, and dask unpickles what it gets: whoever reaches the scheduler can "
             "run programs there and here. docs/parallel.md tells how to use tls://", setting,
@@ -90,8 +90,8 @@ def connected(
             stack.callback(path.unlink, missing_ok=True)
             unfit = client.run(_unfit, path, _our_code(), on_error="return")
             for worker, reason in unfit.items():
-                if reason is not None:
-                    raise ClusterError(f"{setting}: {worker} {_said(reason)}")
+                if reason is not None:  # an exception where there is no rfpipe, or another one
+                    raise ClusterError(f"{setting}: {worker} {reason}")
 
             def ask(first: int, last: int) -> _Promise:
                 future = client.submit(_do, path, _our_code(), first, last, pure=False)
@@ -165,12 +165,6 @@ def _unfit(path: Path, code: str) -> str | None:
     return None
 
 
-def _said(reason: str | Exception) -> str:
-    if isinstance(reason, Exception):  # no rfpipe, or one without this module
-        return f"can't load this version of rfpipe ({reason}). Install it there"
-    return reason
-
-
 @lru_cache(maxsize=1)
 def _read(path: Path) -> Work:
     """Read work; the stores that it opens stay open until this process gets other work."""
@@ -181,11 +175,3 @@ def _read(path: Path) -> Work:
 @cache
 def _our_code() -> str:
     return fingerprint([code_digest(), versions()])
-
-
-def _is_here(address: str) -> bool:
-    """Whether an address is this machine's own, which others can't listen to."""
-    host = urlsplit(address).hostname or ""
-    with suppress(ValueError):
-        return ipaddress.ip_address(host).is_loopback
-    return host == "localhost"

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from rfpipe.config.addresses import THREADS, check_workers
 from rfpipe.errors import ConfigError
@@ -17,7 +17,6 @@ from rfpipe.errors import ConfigError
 _VARIABLE = "RFPIPE_WORKERS"
 
 Result = TypeVar("Result")
-Result_co = TypeVar("Result_co", covariant=True)
 Work = Callable[[int, int], Result]
 """``work(first, last)`` does a piece; any thread, or process of a cluster, may call it."""
 
@@ -27,15 +26,8 @@ _SHARE_FOR_DATA = 0.5
 _AHEAD = 2
 
 
-class Promise(Protocol[Result_co]):
-    """A result to come."""
-
-    def result(self) -> Result_co:
-        """Wait for the result, or raise the error of the work."""
-
-
-HandOut = Callable[[Work[Any]], Callable[[int, int], Promise[Any]]]
-"""Takes the work and returns a function that hands out one piece of it."""
+HandOut = Callable[[Work[Any]], Callable[[int, int], Any]]
+"""Takes the work and returns a function that hands out one piece of it, and returns a future."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +135,7 @@ class Workers:
             yield from (work(first, last) for first, last in runs)
             return
         ask = self.hand_out(work)
-        handed_out: deque[Promise[Result]] = deque()
+        handed_out: deque[Any] = deque()
         for first, last in runs:
             if len(handed_out) == self.in_flight:
                 yield handed_out.popleft().result()

@@ -58,7 +58,7 @@ def run(
     pictures : int
         How many, 1 to 10.
     settings : mapping
-        Those of the stages "capture" and "merge", see `rfpipe.stages.settings.stages_of`.
+        Those of the stages "capture" and "merge", see `rfpipe.stages.plan.stages_of`.
     resources : Resources
 
     Raises
