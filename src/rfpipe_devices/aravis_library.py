@@ -223,7 +223,7 @@ class AravisNodes:
         return is_writable and not tried("arv_gc_feature_node_is_locked", node)
 
     def write(self, name: str, value: Value) -> Value:
-        """Make one setting, or say what the camera has against it."""
+        """Make one setting, or raise RefusedError with the values that the camera takes."""
         kind = self._kind(name)
         try:
             if kind is None:
@@ -243,7 +243,7 @@ class AravisNodes:
         return bool(taken) if kind == "boolean" else taken
 
     def execute(self, name: str) -> None:
-        """Have the camera do what a command says."""
+        """Run a command of the camera."""
         tried("arv_device_execute_command", self.device, name.encode())
 
     def bounds(self, name: str) -> tuple[float, float]:
@@ -274,7 +274,7 @@ class AravisNodes:
         return found
 
     def _kind(self, name: str) -> str | None:
-        """Return of what kind a setting is, as functions are named after it; None: it has none."""
+        """Return the kind of a setting, by which functions are named, or None for no setting."""
         node = call("arv_device_get_feature", self.device, name.encode())
         if not node:
             return None
@@ -289,7 +289,7 @@ class AravisNodes:
         return "integer"
 
     def _would_take(self, name: str, kind: str | None) -> str:
-        """Return what a setting would take, for an error message."""
+        """Return the values of a setting for an error message."""
         try:
             if kind == "string":
                 return f". It takes {', '.join(self.choices(name))}"

@@ -48,7 +48,7 @@ RAW_FORMATS = ("RAW", "NEF (Raw)", "Raw", "NEF", "RAW (14bit)", "cRAW")
 FIXED = {
     "isoauto": "Off", "autoiso": "Off", "longexpnr": "Off", "autofocus": "Off",
 }  # fmt: skip
-"""What must not adapt, or take a dark picture off on its own, made where a camera has it."""
+"""Settings against adaption and dark-frame subtraction, made where a camera has them."""
 
 MANUAL = ("expprogram", "autoexposuremode", "autoexposuremodedial")
 """Settings that say the mode; of a dial, so they can only be read."""
@@ -221,7 +221,7 @@ class PhotoCamera(BracketCamera):
         return raw.counts[top : top + height, left : left + width]
 
     def _open(self) -> tuple[int, int]:
-        """Find the camera, set it up, and learn from a first picture what it delivers."""
+        """Find the camera, set it up, and take the sensor's numbers from a first picture."""
         self._connect()
         assert self._photo is not None
         try:
@@ -269,7 +269,7 @@ class PhotoCamera(BracketCamera):
         )
 
     def _set_up(self) -> None:
-        """Make what must not adapt stand still."""
+        """Make the settings, and switch off all that adapts."""
         photo, options = self._photo, self._options
         assert photo is not None
         for name in MANUAL:
@@ -318,7 +318,7 @@ class PhotoCamera(BracketCamera):
             ) from error
 
     def _learn(self, raw: Raw, times: list[ShutterTime]) -> None:
-        """Take over what the first picture says of the sensor, and the camera's own times."""
+        """Take over the sensor's numbers from the first picture, and exposure times."""
         if raw.bayer is None:
             raise CaptureError(
                 f"{self._name}: its raw files have no colour mosaic of 2 x 2 (RGGB and its like); "

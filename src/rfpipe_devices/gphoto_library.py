@@ -81,7 +81,7 @@ class Photo:
         return None if widget is None else widget.get_value()
 
     def choices(self, name: str) -> list[str]:
-        """Return what a setting may be, nothing where the camera has none or takes any value."""
+        """Return the values of a setting, none where the camera has no such one or takes any."""
         widget = self._widget(name)
         if widget is None or widget.get_type() not in (
             self._gp.GP_WIDGET_RADIO, self._gp.GP_WIDGET_MENU,

@@ -39,7 +39,7 @@ ALIKE = 0.25
 """Difference of two pictures of one thing, as a share of that of white and black."""
 
 REPLAYS, LOADS = 3, 2
-"""How often what is missing is played again, and how often the list is loaded."""
+"""How often missing patterns are played again, and a list is loaded."""
 
 _log = logging.getLogger(__name__)
 
@@ -148,7 +148,7 @@ class Sequencer:
         before: dict[int, NDArray[Any]],
         lights: list[Light],
     ) -> dict[int, NDArray[Any]]:
-        """Play some patterns at one exposure; return the frames that are told beyond doubt."""
+        """Play some patterns at one exposure; return the certain frames."""
         playlist = Playlist(count, shown, with_complements=number == 0)
         raw = self._player.play(playlist.order, number)
         self.statistics["played"] += 1
@@ -375,7 +375,7 @@ class DevicePlayer:
 def sequencer_of(
     projector: Any, camera: Any, picture: Callable[[Float], Float], one_by_one: OneByOne
 ) -> Sequencer:
-    """Return what takes brackets by sequences on two devices; an entry point of rfpipe."""
+    """Return the sequencer of two devices; an entry point of rfpipe."""
     most = (projector.sequence_pictures - 2) // 2  # each with its complement
     player = DevicePlayer(projector, camera, picture)
     return Sequencer(player, camera.sensor, one_by_one, most)

@@ -10,11 +10,9 @@ from __future__ import annotations
 
 import logging
 import math
-import shutil
-import tempfile
+from collections import deque
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -176,7 +174,7 @@ class Webcam(BracketCamera):
         return self._cv2.VideoCapture(self._options.device, backend)
 
     def _open(self) -> tuple[int, int]:
-        """Open the device, switch off what it lets one, and take a first frame."""
+        """Open the device, switch off all that adapts, and take a first frame."""
         self._capture, self._set_to = self._opened(), None
         if not self._capture.isOpened():
             self._drop()
@@ -204,7 +202,7 @@ class Webcam(BracketCamera):
         return height, width
 
     def _set_up(self) -> None:
-        """Make all settings but the exposure time, and say what could not be made."""
+        """Make all settings but the exposure time, and warn of those that failed."""
         options, adapts = self._options, []
         if options.fourcc is not None:
             self._set("FOURCC", self._cv2.VideoWriter_fourcc(*options.fourcc))
@@ -242,7 +240,7 @@ class Webcam(BracketCamera):
         return bool(self._capture.set(prop, value)) and self._capture.get(prop) == value
 
     def _set_exposure(self, exposure: float) -> float | None:
-        """Set the exposure time in seconds; return what the camera took, None if it can't."""
+        """Set the exposure time in seconds; return the camera's, or None if it has none to set."""
         prop, backend = self._cv2.CAP_PROP_EXPOSURE, self._capture.getBackendName()
         self._set_to = exposure
         if backend == "V4L2":
@@ -254,7 +252,7 @@ class Webcam(BracketCamera):
         return None
 
     def _take_over_times(self) -> None:
-        """Learn which exposure times the camera takes, and take them for those of the sensor."""
+        """Replace the sensor's exposure times by those that the camera takes."""
         wanted = self.sensor.exposures
         taken = [self._set_exposure(exposure) for exposure in wanted]
         times = [time for time in taken if time]
@@ -296,55 +294,40 @@ def _letters(fourcc: int) -> str:
 
 
 class VirtualUvc:
-    """A V4L2 camera in software: controls that hold what they are told, frames from files.
+    """A V4L2 camera in software: controls that hold what they are told, frames that come late.
 
-    OpenCV opens the files, one after the other, as an image sequence. Frames that are on their way
-    when the picture changes still show the old one, as a driver's buffers do.
+    Frames that are on their way when the picture changes still show the old one, as a driver's
+    buffers do.
 
     Parameters
     ----------
-    folder : Path
-        Where the frames lie.
+    frame : ndarray of uint8, shape (H, W) or (H, W, 3)
+        The first frame.
     late : int
         Frames that are on their way.
     """
 
-    def __init__(self, folder: Path, late: int) -> None:
-        self._cv2 = load_library("cv2", "webcam")
-        self._folder, self._late = folder, late
+    def __init__(self, frame: NDArray[np.uint8], late: int) -> None:
+        self._frames = deque([frame])
+        self._last, self._late = frame, late
         self._controls: dict[int, float] = {}
-        self._last: NDArray[np.uint8] | None = None
-        self._capture: Any = None
-        self._number = 0
 
     def put(self, frame: NDArray[np.uint8]) -> None:
-        """Lay the next frame, (H, W) or (H, W, 3), before the camera."""
-        old = frame if self._last is None else self._last
-        for shown in (*(old,) * self._late, frame):
-            path = self._folder / f"{self._number:08d}.png"
-            self._number += 1
-            if not self._cv2.imwrite(str(path), shown, [self._cv2.IMWRITE_PNG_COMPRESSION, 0]):
-                raise CaptureError(f"{path}: can't be written; is the disk full?")
+        """Lay the next frame before the camera."""
+        self._frames.extend([self._last] * self._late + [frame])
         self._last = frame
-        if self._capture is None:
-            pattern = str(self._folder / "%08d.png")
-            self._capture = self._cv2.VideoCapture(pattern, self._cv2.CAP_IMAGES)
-        # those read are not needed any more, but for the first, by which OpenCV finds the series
-        for number in range(max(1, self._number - 20), self._number - 10):
-            (self._folder / f"{number:08d}.png").unlink(missing_ok=True)
 
     def isOpened(self) -> bool:  # noqa: N802
-        """Tell whether there are frames."""
-        return bool(self._capture.isOpened())
+        """Tell whether there is a camera."""
+        return True
 
     def grab(self) -> bool:
         """Take a frame, and leave it."""
-        return bool(self._capture.grab())
+        return self.read()[0]
 
     def read(self) -> tuple[bool, NDArray[np.uint8] | None]:
         """Take a frame."""
-        arrived, frame = self._capture.read()
-        return arrived, frame
+        return (True, self._frames.popleft()) if self._frames else (False, None)
 
     def set(self, prop: int, value: float) -> bool:
         """Make a setting."""
@@ -361,18 +344,17 @@ class VirtualUvc:
 
     def release(self) -> None:
         """Let go."""
-        self._capture.release()
 
 
 class WebcamBenchCamera(Webcam):
-    """A virtual webcam, each of its frames made when it is asked for.
+    """A virtual webcam on the bench in software, each frame made when it is asked for.
 
     Parameters
     ----------
     scenery : Scenery
     sensor : CameraModel
         The camera as the rig has it; its exposures are set, its noise is not used.
-    settings
+    options
         As `Webcam` has them; device and shape are the bench's.
 
     Raises
@@ -381,33 +363,18 @@ class WebcamBenchCamera(Webcam):
         When OpenCV is missing.
     """
 
-    def __init__(self, scenery: Scenery, sensor: CameraModel, **settings: Any) -> None:
+    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
         self._scenery = scenery
-        self._folder = Path(tempfile.mkdtemp(prefix="rfpipe-bench-"))
         own = {"device": "of the bench", "shape": scenery.path.camera_shape}
-        try:
-            super().__init__(sensor, **{**settings, **own})
-        except BaseException:
-            shutil.rmtree(self._folder, ignore_errors=True)
-            raise
+        super().__init__(sensor, **{**options, **own})
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
         return super().describe() | {"kind": "bench of webcam"} | self._scenery.describe()
 
-    def close(self) -> None:
-        """Give the camera back; closing twice is no error."""
-        super().close()
-        shutil.rmtree(self._folder, ignore_errors=True)
-
     def _opened(self) -> VirtualUvc:
-        folder = Path(tempfile.mkdtemp(dir=self._folder))
-        device = VirtualUvc(folder, self._options.skip_frames)
         dark = np.zeros((*self._scenery.path.camera_shape, 3), np.uint8)
-        device.put(dark)
-        for _ in range(self._options.skip_frames):
-            device.grab()
-        return device
+        return VirtualUvc(dark, self._options.skip_frames)
 
     def _before_trigger(self, exposure: float) -> None:  # noqa: ARG002
         # as long as the camera was told, whatever the driver believes

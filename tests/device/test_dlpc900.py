@@ -12,8 +12,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.rigs import DeviceRig, ProjectorLayout
 from rfpipe.testing import ProjectorContract
 from rfpipe_devices import dlpc900
-from rfpipe_devices.dlpc900 import Dlpc900Projector
-from rfpipe_devices.dlpc900_messages import lut_entry, message
+from rfpipe_devices.dlpc900 import Dlpc900Projector, lut_entry, message
 
 SHAPE = (30, 44)
 RAYS = (6, 8)

@@ -33,21 +33,13 @@ def webcam(folder: Path, sensor: CameraModel = SENSOR, **options: Any) -> Webcam
 class UvcCamera(Webcam):
     """A webcam whose exposure times are set: the light in its frames is in proportion."""
 
-    def __init__(self, folder: Path, sensor: CameraModel, **options: Any) -> None:
-        self.folder, self.opened = folder, 0
+    device = VirtualUvc
+
+    def __init__(self, sensor: CameraModel, **options: Any) -> None:
         super().__init__(sensor, **{**QUICK, **options})
 
     def _opened(self) -> VirtualUvc:
-        self.opened += 1
-        folder = self.folder / str(self.opened)
-        folder.mkdir()
-        device = self.device(folder, self._options.skip_frames)
-        device.put(np.zeros((*SHAPE, 3), np.uint8))
-        for _ in range(self._options.skip_frames):
-            device.grab()
-        return device
-
-    device = VirtualUvc
+        return self.device(np.zeros((*SHAPE, 3), np.uint8), self._options.skip_frames)
 
     def _before_trigger(self, exposure: float) -> None:
         ticks = self._capture.get(cv2.CAP_PROP_EXPOSURE)
@@ -55,14 +47,8 @@ class UvcCamera(Webcam):
 
 
 class TestUvcCamera(CameraContract):
-    @pytest.fixture(autouse=True)
-    def _folders(self, tmp_path: Path) -> None:
-        self.folders = (tmp_path / str(number) for number in range(9))
-
     def make_camera(self) -> Webcam:
-        folder = next(self.folders)
-        folder.mkdir()
-        return UvcCamera(folder, replace(SENSOR, exposures=(0.02, 0.1, 0.5)))
+        return UvcCamera(replace(SENSOR, exposures=(0.02, 0.1, 0.5)))
 
 
 def test_counts_are_the_frames_red_first(tmp_path: Path) -> None:
@@ -83,8 +69,8 @@ def test_a_warning_says_what_stays_on(tmp_path: Path, caplog: pytest.LogCaptureF
     assert "its exposure time is its own affair" in caplog.text
 
 
-def test_what_can_be_switched_off_is(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with UvcCamera(tmp_path, SENSOR, controls={"GAIN": 3}) as camera:
+def test_what_can_be_switched_off_is(caplog: pytest.LogCaptureFixture) -> None:
+    with UvcCamera(SENSOR, controls={"GAIN": 3}) as camera:
         assert camera.adapts == ()
         assert camera._capture.get(cv2.CAP_PROP_AUTO_EXPOSURE) == 1  # manual, of V4L2
         assert camera._capture.get(cv2.CAP_PROP_GAMMA) == 100
@@ -92,16 +78,14 @@ def test_what_can_be_switched_off_is(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert "may still have" not in caplog.text
 
 
-def test_exposures_are_in_ticks_of_v4l2(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with UvcCamera(tmp_path, replace(SENSOR, exposures=(1 / 64, 0.1, 0.5))) as camera:
+def test_exposures_are_in_ticks_of_v4l2() -> None:
+    with UvcCamera(replace(SENSOR, exposures=(1 / 64, 0.1, 0.5))) as camera:
         assert camera.sensor.exposures == (0.0156, 0.1, 0.5)
         means = camera.expose().reshape(3, -1).mean(axis=1)
     assert means.tolist() == [8, 50, 250]  # frames on their way were dropped
 
 
-def test_exposures_that_the_camera_rounds_are_said(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_exposures_that_the_camera_rounds_are_said(caplog: pytest.LogCaptureFixture) -> None:
     class Coarse(VirtualUvc):
         def set(self, prop: int, value: float) -> bool:
             coarse = prop == cv2.CAP_PROP_EXPOSURE
@@ -110,12 +94,11 @@ def test_exposures_that_the_camera_rounds_are_said(
     class CoarseCamera(UvcCamera):
         device = Coarse
 
-    with CoarseCamera(tmp_path, replace(SENSOR, exposures=(0.012, 0.05))) as camera:
+    with CoarseCamera(replace(SENSOR, exposures=(0.012, 0.05))) as camera:
         assert camera.sensor.exposures == (0.01, 0.05)
     assert "takes 0.01 s for an exposure of 0.012 s" in caplog.text
-    (tmp_path / "more").mkdir()
     with pytest.raises(InputError, match=r"takes 0\.01, 0\.01 s for the times"):
-        CoarseCamera(tmp_path / "more", replace(SENSOR, exposures=(0.01, 0.012)))
+        CoarseCamera(replace(SENSOR, exposures=(0.01, 0.012)))
 
 
 def test_a_device_that_ends_is_opened_again(tmp_path: Path) -> None:

@@ -178,7 +178,7 @@ def test_what_does_not_fit_is_explained(display, settings, expected) -> None:  #
 def test_the_window_ends_with_its_owner(display: VirtualDisplay) -> None:
     projector = WindowProjector(display.name)
     process = projector._window._process
-    process.stdin.close()
+    projector._window._connection.close()
     assert process.wait(timeout=60) == 0
     projector.close()
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from rfpipe.config import Config, SceneSettings, parse_config
+from rfpipe.config import SceneSettings, parse_config
 from rfpipe.errors import ConfigError, InputError
 from rfpipe.rigs.protocol import read_token
 from rfpipe.scenes import scene_from_config
-from rfpipe.server.lease import LeaseHeldError, LeaseLapsedError, Leases
+from rfpipe.server.worker import LeaseHeldError, LeaseLapsedError, Leases
 
 
 class Clock:
@@ -131,10 +131,3 @@ def test_a_captured_scene() -> None:
 def test_settings_that_do_not_fit_a_rig(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         parse_config(settings, "test")
-
-
-def test_other_rigs_than_coaxial_ones_take_dual_photography() -> None:
-    desk = {**DESK["desk"], "camera_shape": [6, 7]}
-    config = Config(scenes={"desk": desk}, capture=REMOTE, methods={"dual": {}})
-    assert config.scenes["desk"].camera_ray_shape == (6, 7)
-    assert config.capture.rule == "hardware"

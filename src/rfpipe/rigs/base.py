@@ -1,4 +1,4 @@
-"""The rig protocol: what shows a pattern and returns a bracket."""
+"""The rig protocol: patterns in, brackets out."""
 
 from __future__ import annotations
 

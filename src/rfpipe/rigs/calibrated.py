@@ -25,7 +25,7 @@ FACTS, ARRAYS = "calibration.json", "calibration.zarr"
 """What lies in the folder: facts that a person reads, and the arrays."""
 
 VERDICTS_KEY = "calibration"
-"""Where a rig's description tells of its calibration."""
+"""Key of a rig's description under which its calibration's verdicts stand."""
 
 STANDINGS = {
     "good": "good",
@@ -216,6 +216,6 @@ def check_verdicts(facts: Mapping[str, Any], folder: str | None, *, force: bool)
 
 
 def warn_of(described: Mapping[str, Any], name: str) -> None:
-    """Warn of what the calibration in a rig's description found."""
+    """Warn of the faults in the verdicts of a rig's description."""
     for fault in faults_of(described.get(VERDICTS_KEY) or {}):
         _log.warning("%s: its calibration is not good. %s", name, fault)

@@ -148,7 +148,7 @@ class DeviceRig(Closing):
 
     @property
     def statistics(self) -> dict[str, dict[str, int]]:
-        """What the devices counted so far, such as failed frames, of those that count."""
+        """Counts of the devices so far, such as failed frames."""
         counters = {
             "projector": self.projector,
             "camera": self.camera,

@@ -1,4 +1,4 @@
-"""The two halves of a real rig: what a projector and a camera must do."""
+"""The two halves of a real rig: protocols of projectors and cameras."""
 
 from __future__ import annotations
 

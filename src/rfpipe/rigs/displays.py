@@ -44,7 +44,7 @@ class VirtualDisplay:
     pixels: NDArray[np.uint8]
 
     def revive(self) -> None:
-        """Start again what makes the display, where it has died; a mere array doesn't."""
+        """Start the display's server again where it has died; an array has none."""
 
 
 @contextmanager

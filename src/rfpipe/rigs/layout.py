@@ -158,7 +158,7 @@ class ProjectorLayout:
         return {"shape": list(self.shape), "ray_of_pixel": fingerprint(self.ray_of_pixel)}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return what `from_arrays` needs, to be stored."""
+        """Return the arrays that `from_arrays` takes."""
         return {"shape": np.array(self.shape, np.int64), "ray_of_pixel": self.ray_of_pixel}
 
     @classmethod

@@ -288,7 +288,7 @@ class _Connection:
 
 
 def _detail(response: httpx.Response) -> str:
-    """Return what an error says of itself."""
+    """Return the detail of an error's answer."""
     try:
         detail = response.json()["detail"]
     except (ValueError, KeyError, TypeError):
@@ -313,7 +313,7 @@ class _HeartBeat(threading.Thread):
         self.join()
 
     def run(self) -> None:
-        """Beat; what else goes wrong the capture itself says."""
+        """Renew the lease; other failures are the capture's to report."""
         import httpx
 
         headers = {"Rig-Lease": self.lease}

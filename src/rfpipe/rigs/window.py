@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import logging
+import multiprocessing
 import os
-import selectors
 import subprocess
 import sys
 import tempfile
@@ -13,7 +13,7 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,6 @@ from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.devices import Closing, Offset, PictureExtent, check_picture
-from rfpipe.rigs.window_process import ASK, DRAW
 
 Float = NDArray[np.float32]
 Codes = NDArray[np.uint8]
@@ -32,7 +31,7 @@ ANSWER_SECONDS = 20.0
 """Time within which a window opens and a picture is drawn, or the display counts as dead."""
 
 STEPS = 65535
-"""Weights are told apart in steps of 1 / STEPS before they are looked up."""
+"""Weights are rounded to multiples of 1 / STEPS before they are looked up."""
 
 _log = logging.getLogger(__name__)
 
@@ -299,7 +298,7 @@ class WindowProjector(Closing):
             window.close()
 
     def _given_up(self, last: str) -> CaptureError:
-        """Say what happened at first, which explains more than what every attempt since says."""
+        """Return the error of the first loss, which explains most, with the last one."""
         assert self._lost is not None
         first = self._lost.reason
         tried = f"tried to open it again for {self._reopen_seconds:g} s (reopen_seconds)"
@@ -316,77 +315,59 @@ class _WindowProcess:
         if display is not None:
             environment["DISPLAY"] = display
         self._display = environment.get("DISPLAY")
-        self._errors = cast("IO[bytes]", tempfile.TemporaryFile())  # noqa: SIM115
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115
+        self._connection, theirs = multiprocessing.Pipe()
+        program = Path(__file__).with_name("window_process.py")
         self._process = subprocess.Popen(
             # -P: modules of rfpipe.rigs beside the program are no top-level ones
-            [
-                sys.executable,
-                "-P",
-                str(Path(__file__).with_name("window_process.py")),
-                json.dumps(settings),
-            ],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            env=environment,
-        )
+            [sys.executable, "-P", str(program), str(theirs.fileno()), json.dumps(settings)],
+            pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL, stdout=self._errors,
+            stderr=self._errors, env=environment,
+        )  # fmt: skip
+        theirs.close()
         try:
-            height, width = self._answer("shape")
+            self.shape: tuple[int, int] = self._asked(None)
         except BaseException:
             self.close()
             raise
-        self.shape = (int(height), int(width))
 
     def draw(self, codes: Codes) -> None:
         """Send a picture, and wait until it is drawn."""
-        self._send(DRAW + codes.tobytes())
-        self._answer("shown")
+        self._asked(codes.tobytes())
 
     def is_undisturbed(self) -> bool:
         """Ask whether the last picture stood where it was drawn, and nothing hid it."""
-        self._send(ASK)
-        return bool(self._answer("undisturbed"))
+        return bool(self._asked(b""))
 
     def close(self) -> None:
         """End the process, which closes the window."""
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        with suppress(BrokenPipeError):
-            self._process.stdin.close()
+        self._connection.close()
         try:
             self._process.wait(timeout=5)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self._process.stdout.close()
         self._errors.close()
 
-    def _send(self, message: bytes) -> None:
-        assert self._process.stdin is not None
+    def _asked(self, message: bytes | None) -> Any:
+        """Send a message, if there is one, and return the answer."""
         try:
-            self._process.stdin.write(message)
-            self._process.stdin.flush()
-        except (BrokenPipeError, ValueError):
+            if message is not None:
+                self._connection.send_bytes(message)
+            if not self._connection.poll(ANSWER_SECONDS):
+                raise self._failure(f"the display gave no answer within {ANSWER_SECONDS:g} s")
+            answer, problem = self._connection.recv()
+        except (EOFError, OSError):
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(timeout=1)  # its last words are then said
             raise self._failure("the projector's window is gone") from None
-
-    def _answer(self, name: str) -> Any:
-        """Read the next answer."""
-        assert self._process.stdout is not None
-        with selectors.DefaultSelector() as selector:
-            selector.register(self._process.stdout, selectors.EVENT_READ)
-            if not selector.select(ANSWER_SECONDS):
-                raise self._failure(f"the display gave no answer within {ANSWER_SECONDS:g} s")
-        line = self._process.stdout.readline()
-        answer = json.loads(line) if line else {}
-        if name in answer:
-            return answer[name]
-        raise self._failure(answer.get("error", "the projector's window is gone"))
+        if problem:
+            raise self._failure(problem)
+        return answer
 
     def _failure(self, what: str) -> _LostWindowError:
-        """Say what happened, with what the window's process said last."""
+        """Return the error of a problem, with the last lines of the window's process."""
         self._errors.seek(0)
-        said = self._errors.read().decode(errors="replace").strip().splitlines()[-2:]
-        detail = f" ({' '.join(' '.join(said).split())})" if said else ""
+        words = self._errors.read().decode(errors="replace").strip().splitlines()[-2:]
+        detail = f" ({' '.join(' '.join(words).split())})" if words else ""
         return _LostWindowError(self._display, f"{what}{detail}")

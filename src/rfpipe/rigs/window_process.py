@@ -1,31 +1,27 @@
-"""The projector's window, in a process of its own: pictures come in by stdin, answers go out.
+"""The projector's window, in a process of its own: pictures come in, answers go out.
 
 SDL wants to be called by the main thread alone, and Xlib ends the process when its display goes
 away: neither is fit for a server. Started by `rfpipe.rigs.window` as
-``python -P window_process.py SETTINGS``; ends when stdin does. What comes in is `DRAW` and the
-bytes of a picture, or `ASK`, whether the last one still stands. Each answer is a line of JSON:
-``{"shape": [H, W]}`` once, ``{"shown": n}`` for each picture, ``{"undisturbed": bool}`` for each
-question, or ``{"error": text}`` at last.
+``python -P window_process.py CONNECTION SETTINGS``; ends when the connection does. What comes in
+are the bytes of a picture, or none: the question whether the last one still stands. Each answer is
+a pair: the window's shape at first, then a bool; and None, or an error's text at last.
 """
 
 import json
 import os
-import queue
 import signal
 import sys
-import threading
 from collections.abc import Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 EVENT_SECONDS = 0.05
 """How often the window's events are looked at while no picture comes."""
-
-DRAW, ASK = b"D", b"?"
-"""First byte of what comes in."""
 
 DRIVERS = ("x11", "wayland", "windows", "cocoa")
 """SDL's drivers that show something; without a display it takes one that doesn't."""
@@ -38,7 +34,7 @@ SDL_CENTRED_ON_DISPLAY = 0x2FFF0000
 
 
 class WindowError(Exception):
-    """The window can't be opened, or isn't any more what it was opened as."""
+    """The window can't be opened, or has been moved or resized."""
 
 
 class Window:
@@ -92,7 +88,7 @@ class Window:
         self._flip()
 
     def handle_events(self) -> None:
-        """Answer the window manager, and draw again what another window hid."""
+        """Answer the window manager, and draw a hidden picture again."""
         import pygame
 
         exposed = pygame.WINDOWEXPOSED, pygame.WINDOWRESTORED, pygame.WINDOWSHOWN
@@ -178,57 +174,31 @@ def open_window(display: str, **settings: Any) -> Window | MemoryWindow:
     return Window(**settings)
 
 
-def serve(window: Window | MemoryWindow, pictures: IO[bytes], answer: Any) -> None:
+def serve(window: Window | MemoryWindow, connection: Any) -> None:
     """Draw the pictures that come in until there are no more."""
-    incoming: queue.Queue[bytes] = queue.Queue(maxsize=1)
-    size = window.shape[0] * window.shape[1]
-
-    def read() -> None:
-        while (kind := pictures.read(1)) == ASK or kind == DRAW:
-            picture = pictures.read(size) if kind == DRAW else b""
-            if kind == DRAW and len(picture) < size:
-                break
-            incoming.put(kind + picture)
-        incoming.put(b"")
-
-    threading.Thread(target=read, daemon=True).start()
-    answer({"shape": window.shape})
-    shown = 0
+    connection.send((window.shape, None))
     while True:
-        try:
-            message = incoming.get(timeout=EVENT_SECONDS)
-        except queue.Empty:
+        if not connection.poll(EVENT_SECONDS):
             window.handle_events()
             continue
-        if not message:
-            return
-        if message == ASK:
-            answer({"undisturbed": window.is_undisturbed()})
-            continue
-        window.handle_events()
-        window.draw(np.frombuffer(message, np.uint8, offset=1).reshape(window.shape))
-        shown += 1
-        answer({"shown": shown})
+        picture = connection.recv_bytes()
+        if picture:
+            window.handle_events()
+            window.draw(np.frombuffer(picture, np.uint8).reshape(window.shape))
+        connection.send((bool(picture) or window.is_undisturbed(), None))
 
 
 def main() -> None:
     """Open the window that the settings ask for, and serve it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's; then stdin ends
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what libraries print must not get between the answers
-
-    def answer(value: dict[str, Any]) -> None:
-        answers.write(json.dumps(value) + "\n")
-        answers.flush()
-
-    settings = json.loads(sys.argv[1])
-    try:
-        serve(open_window(os.environ.get("DISPLAY", ""), **settings), sys.stdin.buffer, answer)
-    except WindowError as error:
-        answer({"error": str(error)})
-        sys.exit(1)
-    except BrokenPipeError:  # the parent is gone
-        sys.exit(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's; then the connection ends
+    connection: Any = Connection(int(sys.argv[1]))
+    with suppress(EOFError, OSError):  # the parent is gone
+        try:
+            window = open_window(os.environ.get("DISPLAY", ""), **json.loads(sys.argv[2]))
+            serve(window, connection)
+        except WindowError as error:
+            connection.send((None, str(error)))
+            sys.exit(1)
 
 
 if __name__ == "__main__":

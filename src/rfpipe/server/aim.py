@@ -162,7 +162,7 @@ class Watch:
 
     @property
     def state(self) -> dict[str, Any]:
-        """Plain data: the mode, the last look, and what is wrong with the devices."""
+        """Plain data: the mode, the last look, and the devices' error."""
         look = self.look
         return {"number": look.number, "mode": self._mode, "error": self._error, **look.facts}
 

@@ -31,14 +31,15 @@ from rfpipe.rigs.protocol import (
     RigAnswer,
     StatusAnswer,
 )
-from rfpipe.server.guard import CAPTURE_PATH, Guard
-from rfpipe.server.lease import LeaseHeldError, LeaseLapsedError, Leases
+from rfpipe.server.guard import CAPTURE_PATH, PROBLEM_TYPE, Guard, Problem, add_handlers
 from rfpipe.server.preview import preview_png
-from rfpipe.server.problems import PROBLEM_TYPE, Problem, add_handlers
 from rfpipe.server.settings import ServerSettings
 from rfpipe.server.worker import (
     CaptureConflictError,
     CaptureStoppedError,
+    LeaseHeldError,
+    LeaseLapsedError,
+    Leases,
     RigBusyError,
     RigWorker,
 )

@@ -1,1 +1,1 @@
-"""What drivers of cameras share, and those of GenICam, photo and web cameras."""
+"""Cameras that expose frame by frame: GenICam and Basler."""

@@ -112,7 +112,7 @@ class BracketCamera(Closing, ABC):
 
     @abstractmethod
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
-        """Take one frame; return it, or None and what is wrong."""
+        """Take one frame; return it, or None and the problem."""
 
     @abstractmethod
     def _restart(self) -> None:
@@ -123,7 +123,7 @@ class BracketCamera(Closing, ABC):
         """Let go of the device, whatever state it is in."""
 
     def _said(self, error: Exception) -> str:
-        """Return what the library says of an error."""
+        """Return the text of the library's error."""
         return str(error).strip().rstrip(".")
 
     def _before_trigger(self, exposure: float) -> None:

@@ -117,7 +117,7 @@ class Nodes(Protocol):
         """Give a setting a value, and return what the camera took; RefusedError if it doesn't."""
 
     def execute(self, name: str) -> None:
-        """Have the camera do what a command says."""
+        """Run a command of the camera."""
 
     def bounds(self, name: str) -> tuple[float, float]:
         """Return the least and the largest value of a number."""
@@ -170,11 +170,11 @@ class GenicamCamera(BracketCamera):
 
     @abstractmethod
     def _start(self) -> None:
-        """Have the camera take a frame at each trigger."""
+        """Start taking a frame at each trigger."""
 
     @abstractmethod
     def _stop(self) -> None:
-        """Have it take none, and drop those that are on their way."""
+        """Stop taking frames, and drop those that are on their way."""
 
     @abstractmethod
     def _trigger(self) -> None:
@@ -383,13 +383,13 @@ class GenicamCamera(BracketCamera):
             )
 
     def _set_trigger(self, source: str) -> None:
-        """Say what triggers a frame: Software, or the rising edge of an input such as Line1."""
+        """Set the source of triggers: Software, or the rising edge of an input such as Line1."""
         self._set("TriggerSource", source)
         if source != "Software" and self.nodes.is_writable("TriggerActivation"):
             self._set("TriggerActivation", "RisingEdge")
 
     def _set(self, name: str, value: Value) -> None:
-        """Make one setting, and compare what the camera took: numbers may be rounded by 2 %."""
+        """Make one setting, and compare the camera's value: numbers may be rounded by 2 %."""
         taken = self.nodes.write(name, value)
         is_near = isinstance(value, float) and math.isclose(
             float(taken), value, rel_tol=0.02, abs_tol=1e-6
@@ -421,7 +421,7 @@ class _Collector:
         self._thread.start()
 
     def finish(self) -> None:
-        """Wait for what still comes."""
+        """Wait for the last frames."""
         self._is_over.set()
         self._thread.join()
 

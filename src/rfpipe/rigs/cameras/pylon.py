@@ -109,7 +109,7 @@ class PylonNodes:
         return bool(_load_pylon()[1].IsWritable(getattr(self.camera, name)))
 
     def write(self, name: str, value: Value) -> Value:
-        """Make one setting, or say what the camera has against it."""
+        """Make one setting, or raise RefusedError with the values that the camera takes."""
         node = getattr(self.camera, name)
         try:
             node.Value = value
@@ -121,7 +121,7 @@ class PylonNodes:
         return taken
 
     def execute(self, name: str) -> None:
-        """Have the camera do what a command says."""
+        """Run a command of the camera."""
         getattr(self.camera, name).Execute()
 
     def bounds(self, name: str) -> tuple[float, float]:
@@ -154,7 +154,7 @@ def _said(error: Exception) -> str:
 
 
 def _choices(node: Any) -> str:
-    """Return what a node would take, for an error message."""
+    """Return the values of a node for an error message."""
     with suppress(Exception):
         return f". It takes {', '.join(node.Symbolics)}"
     with suppress(Exception):

@@ -233,7 +233,7 @@ def _by_exposure(bracket: list[Picture], exposures: tuple[float, ...], name: str
 
 
 def _brightness(checked: Checked, sheet: Sheet) -> list[str]:
-    """Return what is wrong with the light of the pictures."""
+    """Return the faults of the pictures' light."""
     rig, sensor = checked.rig, checked.rig.camera_sensor
     if not isinstance(sensor, CameraModel):
         return []
