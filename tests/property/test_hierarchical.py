@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.errors import InputError
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, merge_leaf_sets
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
@@ -214,40 +213,3 @@ def test_signed_leaves_are_kept_by_the_store_to_the_format_s_bits(tmp_path, numb
     assert save_transport(opened, tmp_path / "again.zarr", number_format) == first
     streamed = open_transport(path, memory_budget=0)
     np.testing.assert_array_equal(streamed.relight(pattern), opened.relight(pattern))
-
-
-def test_the_whole_tensor_is_kept_by_the_store(tmp_path):
-    transport, _ = random_transport((5, 7), 3, 11)
-    pattern = np.random.default_rng(0).random((5, 7))
-    digest = save_transport(transport, tmp_path / "a.zarr", scene="test")
-    again = save_transport(transport, tmp_path / "b.zarr", scene="test")
-    assert digest == again
-    opened = open_transport(tmp_path / "a.zarr")
-    assert (opened.camera_shape, opened.projector_shape, opened.channels) == ((5, 7), (5, 7), 3)
-    assert opened.nbytes == sum(
-        file.stat().st_size for file in (tmp_path / "a.zarr").rglob("*") if file.is_file()
-    )
-    np.testing.assert_array_equal(opened.relight(pattern), transport.relight(pattern))
-    assert opened.levels.equals(transport.levels)
-
-
-@pytest.mark.parametrize(
-    ("pattern", "message"),
-    [
-        (np.ones((5, 6)), "shape"),
-        (np.ones((5, 7, 2)), "shape"),
-        (np.full((5, 7), np.nan), "finite"),
-    ],
-)
-def test_a_pattern_that_does_not_fit_is_refused(pattern, message):
-    transport, _ = random_transport((5, 7), 3, 12)
-    with pytest.raises(InputError, match=message):
-        transport.relight(pattern)
-
-
-def test_a_level_or_channel_that_is_not_there_is_refused():
-    transport, _ = random_transport((5, 7), 3, 13)
-    with pytest.raises(InputError, match="level"):
-        transport.truncate(9)
-    with pytest.raises(InputError, match="channel"):
-        transport.channel(3)

@@ -97,15 +97,6 @@ def test_what_was_rounded_once_stays(number_format, leaves):
     np.testing.assert_array_equal(exact["values"], decoded(TREE, opened).values)
 
 
-@pytest.mark.parametrize("wrong", [np.nan, np.inf])
-def test_factors_that_are_not_finite_are_kept_as_they_are(wrong):
-    whole = np.zeros(1, np.int32)
-    values = np.random.default_rng(0).random((3, 30), dtype=np.float32)
-    values[1, 7] = wrong
-    packed = pack_leaves(TREE, LeafSet(0, whole, whole, values), "uint8")
-    np.testing.assert_array_equal(packed["values"], values)
-
-
 @pytest.mark.parametrize("number_format", FORMATS)
 def test_signed_leaves_are_rounded_apart_and_as_single_values(number_format):
     """All terms of a pair with a sign or a negative factor; the others are coded."""
@@ -129,13 +120,6 @@ def test_signed_leaves_are_rounded_apart_and_as_single_values(number_format):
     assert unsigned.signs is None
 
 
-def test_scalars_are_kept_as_they_are():
-    rays = np.arange(30, dtype=np.int32)
-    values = np.random.default_rng(0).random((3, 30), dtype=np.float32)
-    leaves = LeafSet(TREE.n_levels - 1, rays, rays, values)
-    np.testing.assert_array_equal(pack_leaves(TREE, leaves, "uint8")["values"], values)
-
-
 def test_a_glint_does_not_drown_its_surroundings():
     """Light at 1/1000 of a block's maximum is there still; even steps would lose all of it."""
     whole = np.zeros(1, np.int32)
@@ -157,9 +141,3 @@ def test_single_values_keep_their_leading_bits(number_format, bits, value, sign)
     least = float(np.finfo(np.float32).smallest_normal)
     assert error <= 2.0**-bits * max(abs(float(values[0])), least)
     np.testing.assert_array_equal(rounded(found, number_format), found)
-
-
-def test_single_values_that_are_no_numbers_stay():
-    values = np.array([np.nan, np.inf, -np.inf, np.finfo(np.float32).max], np.float32)
-    np.testing.assert_array_equal(rounded(values, "uint8"), values)
-    assert rounded(values, "float32") is values

@@ -6,13 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import Result
 from tests.buckets import BUCKET, proxy, put, s3_server, use
-from typer.testing import CliRunner
 
 import rfpipe
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.cli import app
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.transport import save_transport
 from rfpipe.transport.footprints import FootprintTransport
@@ -155,18 +152,3 @@ def test_damage_in_a_part_is_found(run: Path, tmp_path: Path) -> None:
     assert rfpipe.crop(rfpipe.open_transport(tmp_path), 8).relight(np.ones(SHAPE)).any()
     with pytest.raises(IntegrityError, match=r"array 'level_03_.*_codes'"):
         rfpipe.crop(rfpipe.open_transport(tmp_path), 0).relight(np.ones(SHAPE))
-
-
-def test_one_view_is_written_by_the_command(run: Path, tmp_path: Path) -> None:
-    from rfpipe.pictures.images import read_image
-
-    def relight(*options: str) -> Result:
-        written = ["--pattern", "white", "--output", str(tmp_path / "view.exr")]
-        return CliRunner().invoke(app, ["relight", str(run / STORE), *written, *options])
-
-    done = relight("--view", "4")
-    assert done.exit_code == 0, done.output
-    expected = rfpipe.open_transport(run / STORE).relight(np.ones(SHAPE))[4]
-    np.testing.assert_allclose(read_image(tmp_path / "view.exr"), expected, rtol=1e-4)
-    refused = relight("--view", "9")
-    assert "--view 9: the transport has 9 views, from 0" in str(refused.exception)

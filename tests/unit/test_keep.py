@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 import rfpipe
 from rfpipe.cli import app
 from rfpipe.config import parse_config
-from rfpipe.errors import ConfigError, InputError, IntegrityError, StoreError
+from rfpipe.errors import ConfigError, InputError, StoreError
 from rfpipe.store import open_arrays, write_arrays, write_manifest
 from rfpipe.store.places import content_of
 from rfpipe.transport import save_transport
@@ -235,27 +235,6 @@ def test_damage_there_is_found_and_sent_again(run: Path, address: str, faults: F
         assert (status, "1 stores" in output) == (0, True), output
 
 
-def test_the_address_of_another_run_is_warned_of(
-    run: Path, address: str, faults: Faults, caplog: pytest.LogCaptureFixture
-) -> None:
-    kept(run, address)
-    kept(run, address)
-    assert not caplog.records
-    (run / "results/shelf").rename(run / "results/drawer")
-    kept(run, address)
-    assert "has 1 transports that this run hasn't, such as results/shelf/" in caplog.text
-
-
-def test_what_is_damaged_here_is_not_sent(run: Path, address: str, faults: Faults) -> None:
-    chunk = run / "results/shelf/dual/transport.zarr/matrix/c.0.0.0"
-    content = bytearray(chunk.read_bytes())
-    content[200] ^= 1
-    chunk.write_bytes(content)
-    with pytest.raises(IntegrityError, match="altered"):
-        kept(run, address)
-    assert not any("shelf" in name for name in listed(address))
-
-
 def test_a_store_of_shards_is_read_and_checked_from_a_bucket(
     run: Path, address: str, faults: Faults
 ) -> None:
@@ -277,11 +256,3 @@ def test_a_store_of_shards_is_read_and_checked_from_a_bucket(
     bucket.put("large/c.0.0", shard[:-1])
     status, output = verified(address)
     assert (status, "'large' is missing, truncated or altered" in output) == (1, True), output
-
-
-def test_verify_tells_its_findings_as_json(run: Path, address: str, faults: Faults) -> None:
-    kept(run, address)
-    result = CliRunner().invoke(app, ["verify", "--json", address], catch_exceptions=False)
-    assert json.loads(result.output)["whole"] is True
-    with pytest.raises(InputError, match=r"has no manifest-sha256\.txt and no transport"):
-        CliRunner().invoke(app, ["verify", f"s3://{BUCKET}/none"], catch_exceptions=False)

@@ -1,7 +1,5 @@
 """A transport as a matrix: products, entries, coarser rays, and what is refused."""
 
-import re
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,7 +8,6 @@ import rfpipe
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
 from rfpipe.transport import Transport
-from rfpipe.transport.algebra import MatrixAlgebra
 from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
@@ -60,13 +57,6 @@ def test_some_rows_and_columns(make, rows, columns) -> None:
     np.testing.assert_allclose(transport.toarray(rows, columns), chosen, rtol=1e-6)
 
 
-def test_rays_by_a_mask_of_their_domain() -> None:
-    transport, matrix = dense()
-    mask = np.zeros(CAMERA, bool)
-    mask[1, 2:4] = True
-    np.testing.assert_allclose(transport.toarray(rows=mask), matrix[:, 7:9], rtol=1e-6)
-
-
 def test_parts_are_of_bounded_size(monkeypatch) -> None:
     transport, matrix = dense()
     monkeypatch.setattr("rfpipe.transport.algebra._BLOCK_BYTES", 1)
@@ -89,28 +79,6 @@ def test_products_are_numpy_s(make, dual: bool, shape: tuple[int, ...]) -> None:
     y = RANDOM.random((*leading, *count, matrix.shape[1]), dtype=np.float32)
     np.testing.assert_allclose(y @ lit, y @ matrix, rtol=1e-5)
     assert (lit @ x).dtype == (y @ lit).dtype == np.float32
-
-
-def test_product_is_the_relit_image() -> None:
-    transport, _ = dense()
-    pattern = RANDOM.random(PROJECTOR, dtype=np.float32)
-    image = (transport @ pattern.ravel()).T.reshape(*CAMERA, 3)
-    np.testing.assert_allclose(image, transport.relight(pattern), rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "x", [np.ones(PROJECTOR), np.ones(N + 1), np.ones((2, N, 4)), np.ones((1, 1, 1, N)), 2.0]
-)
-def test_products_with_another_shape_say_what_is_expected(x) -> None:
-    transport, _ = dense()
-    with pytest.raises(InputError, match=r"N projector rays = 24.*T\.relight\(x\)"):
-        transport @ x
-
-
-def test_products_from_the_right_say_what_is_expected() -> None:
-    transport, _ = dense()
-    with pytest.raises(InputError, match=r"M camera rays = 15.*T\.T\.relight\(x\)"):
-        np.ones(N) @ transport
 
 
 def test_products_refuse_what_isn_t_finite_or_no_number() -> None:
@@ -204,12 +172,6 @@ def averaging(shape: tuple[int, ...], factor: int) -> NDArray[np.float64]:
     return matrix
 
 
-@pytest.mark.parametrize("factor", [0, -1, 1.5])
-def test_factors_are_whole_numbers(factor: float) -> None:
-    with pytest.raises(InputError, match=re.escape(f"factor is {factor}")):
-        rfpipe.coarser(dense()[0], factor)
-
-
 def test_a_transport_of_one_ray_s_channel_works_in_scipy() -> None:
     from scipy.sparse.linalg import lsqr
 
@@ -228,13 +190,3 @@ def test_html_shows_the_floodlit_picture_and_what_the_transport_is() -> None:
     assert "2 x 4 x 3 = 24 rays" in html
     assert "5 patterns in 2 levels" in html
     assert "under full light, view 1 of 2" in transport.T._repr_html_()
-
-
-def test_html_of_a_huge_transport_has_no_picture() -> None:
-    assert "<img" not in _Nothing((1000, 1000))._repr_html_()
-
-
-def test_html_of_darkness_is_black() -> None:
-    dark = DenseTransport((2, 2), (2, 2), 1, [], {"matrix": np.zeros((1, 4, 4), np.float32)})
-    assert isinstance(dark, MatrixAlgebra)
-    assert "<img" in dark._repr_html_()

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.blocks import RayDomain
 from rfpipe.store.files import bytes_on_disk
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.transport.multilevel.pairs import PairSet, fold
+from rfpipe.transport.multilevel.pairs import PairSet
 from rfpipe.transport.multilevel.transport import MultilevelTransport
 
 CAMERA = RayDomain((1, 2))
@@ -67,22 +67,6 @@ def test_truncation_adds_up_what_lies_below(transport: MultilevelTransport) -> N
     assert root[0].values.tolist() == [[24.0, 8.0]]
     same = transport.truncate(2)
     np.testing.assert_array_equal(same.relight(np.eye(4)), transport.relight(np.eye(4)))
-
-
-def test_folding_nothing_gives_nothing() -> None:
-    tree = BlockTree(RayDomain((4, 4)))
-    folded = fold(tree, 1, [], channels=3, pixels=2)
-    assert len(folded) == 0
-    assert folded.values.shape == (3, 0)
-
-
-def test_an_empty_transport_is_dark() -> None:
-    dark = transport_of()
-    assert dark.nbytes == 0
-    assert dark.pair_sets == []
-    for image in (dark.relight(np.ones((4, 4))), dark.T.relight(np.ones((1, 2)))):
-        assert not image.any()
-    assert dark.truncate(1).pair_sets == []
 
 
 def test_it_is_stored(transport: MultilevelTransport, tmp_path: Path) -> None:

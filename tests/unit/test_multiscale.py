@@ -9,7 +9,6 @@ import pytest
 from scipy.sparse import csr_array
 from tests.helpers import dense
 
-from rfpipe.errors import InputError
 from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.dense import DenseTransport
@@ -18,7 +17,6 @@ from rfpipe.transport.multiscale.basis import (
     REACH,
     MultiscaleBasis,
     cells,
-    coarsest_scale,
     functions_over,
 )
 from rfpipe.transport.multiscale.transport import MultiscaleTransport
@@ -91,16 +89,6 @@ def test_weights_are_b_splines_about_the_centres(shape: tuple[int, ...]) -> None
     assert basis.weights.dtype == basis.sums.dtype == np.float32
 
 
-def test_centres_are_where_the_functions_are_largest() -> None:
-    basis = MultiscaleBasis((12, 16), every_function((12, 16), [1, 4]))
-    inside = (basis.centres >= 0).all(axis=1) & (basis.centres <= [12, 16]).all(axis=1)
-    brightest = basis.weights.toarray().argmax(axis=0)
-    row, column = brightest // 16 + 0.5, brightest % 16 + 0.5
-    away = np.abs(np.stack([row, column], axis=1) - basis.centres).max(axis=1)
-    assert inside.sum() > 12 * 16
-    assert (away[inside] <= 0.5).all()
-
-
 def test_functions_of_a_scale_come_where_they_are_wanted() -> None:
     wanted = np.zeros(cells((12, 16), 4), np.bool_)
     assert wanted.shape == (1, 3, 4)
@@ -115,15 +103,6 @@ def test_functions_of_a_scale_come_where_they_are_wanted() -> None:
     rays = functions_over(1, np.eye(3, dtype=np.bool_)[None])
     assert rays.tolist() == [[1, 0, 0, 0], [1, 0, 1, 1], [1, 0, 2, 2]]
     assert functions_over(2, np.zeros((1, 3, 3), np.bool_)).shape == (0, 4)
-
-
-def test_functions_in_any_order_make_the_same_basis() -> None:
-    functions = some_functions((13, 29))
-    shuffled = np.random.default_rng(0).permutation(functions)
-    one, other = (MultiscaleBasis((13, 29), table) for table in (functions, shuffled))
-    np.testing.assert_array_equal(one.functions, other.functions)
-    np.testing.assert_array_equal(one.first, other.first)
-    np.testing.assert_array_equal(one.second, other.second)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -145,31 +124,6 @@ def test_pairs_are_those_within_reach_each_once(shape: tuple[int, ...]) -> None:
     assert len(pairs) == len(set(pairs))
     assert set(pairs) == expected
     assert basis.first.dtype == basis.second.dtype == np.int32
-
-
-def test_between_views_a_pair_is_as_far_apart_as_the_coarsest_scale() -> None:
-    basis = MultiscaleBasis((2, 3, 5), some_functions((2, 3, 5)))
-    view = basis.functions[:, 1]
-    between = view[basis.first] != view[basis.second]
-    distances = basis.distances()
-    assert between.any()
-    assert (distances[between] == 4).all()
-    apart = basis.centres[basis.first] - basis.centres[basis.second]
-    within = np.sqrt(np.square(apart[~between]).sum(axis=1))
-    np.testing.assert_allclose(distances[~between], within)
-
-
-def test_a_basis_may_be_empty() -> None:
-    basis = MultiscaleBasis((3, 4), np.zeros((0, 4), np.int32))
-    assert len(basis) == len(basis.first) == len(basis.second) == len(basis.distances()) == 0
-
-
-@pytest.mark.parametrize(
-    ("shape", "scale"),
-    [((1, 1), 1), ((2, 3, 5), 1), ((1, 37), 1), ((1, 40), 2), ((13, 29), 4), ((310, 350), 64)],
-)
-def test_the_coarsest_scale_has_about_twenty_cells(shape: tuple[int, ...], scale: int) -> None:
-    assert coarsest_scale(shape) == scale
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -213,15 +167,6 @@ def test_it_is_symmetric(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(transport.T.relight(picture), transport.relight(picture))
 
 
-def test_each_channel_has_its_own_light() -> None:
-    transport = made((6, 7))
-    picture = np.random.default_rng(1).random((6, 7, 3))
-    together = transport.relight(picture)
-    for channel in range(3):
-        alone = transport.channel(channel) @ picture[..., channel].ravel()
-        np.testing.assert_allclose(together[..., channel].ravel(), alone, rtol=1e-5, atol=1e-6)
-
-
 def test_pairs_may_be_some_of_the_basis() -> None:
     whole = made((6, 7))
     arrays, _ = whole.pack()
@@ -233,24 +178,6 @@ def test_pairs_may_be_some_of_the_basis() -> None:
     expected = dense(whole)
     np.testing.assert_allclose(dense(parts[0]) + dense(parts[1]), expected, atol=1e-5)
     assert not np.allclose(dense(parts[0]), expected, atol=1e-2)
-
-
-@pytest.mark.parametrize("number_format", ["float32", "uint16", "uint8"])
-@pytest.mark.parametrize("shape", [(1, 1), (13, 29), (2, 3, 5)])
-def test_the_store_keeps_it_unrounded(
-    shape: tuple[int, ...], number_format: str, tmp_path: Path
-) -> None:
-    transport = made(shape)
-    path = tmp_path / "transport.zarr"
-    digest = save_transport(transport, path, number_format)  # type: ignore[arg-type]
-    stored = open_transport(path)
-    assert isinstance(stored, MultiscaleTransport)
-    assert (stored.camera_shape, stored.projector_shape, stored.channels) == (shape, shape, 3)
-    assert stored.level_rows == ROWS
-    np.testing.assert_array_equal(dense(stored), dense(transport))
-    files = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
-    assert stored.nbytes == files
-    assert save_transport(stored, tmp_path / "again", number_format) == digest  # type: ignore[arg-type]
 
 
 def test_a_sum_keeps_it_beside_other_parts(tmp_path: Path) -> None:
@@ -270,16 +197,3 @@ def test_a_sum_keeps_it_beside_other_parts(tmp_path: Path) -> None:
     scale = np.abs(dense(total)).max()
     np.testing.assert_allclose(dense(total) - diagonal, dense(smooth), atol=1e-6 * scale)
     assert total.nbytes == parts[0].nbytes + smooth.nbytes
-
-
-def test_bytes_are_those_of_its_arrays() -> None:
-    transport = made((6, 7))
-    arrays, about = transport.pack()
-    assert transport.nbytes == sum(array.nbytes for array in arrays.values())
-    assert about["kind"] == "multiscale"
-    assert {array.dtype.name for array in arrays.values()} == {"float32", "int32"}
-
-
-def test_another_picture_is_refused() -> None:
-    with pytest.raises(InputError, match=r"\(7, 6\)"):
-        made((6, 7)).relight(np.ones((7, 6)))

@@ -19,12 +19,11 @@ from typer.testing import CliRunner
 import rfpipe
 from rfpipe.cli import app
 from rfpipe.config import parse_config
-from rfpipe.errors import InputError, IntegrityError, RfpipeError
+from rfpipe.errors import InputError, IntegrityError
 from rfpipe.store import write_manifest
 from rfpipe.transport import save_transport
 from rfpipe.transport.dense import DenseTransport
-from rfpipe_publish import publication
-from rfpipe_publish.citation import Citation, Creator, checked, kept_values
+from rfpipe_publish.citation import Citation, checked, kept_values
 from rfpipe_publish.publication import encoded
 from rfpipe_publish.publication import publish as publish_run
 from rfpipe_publish.run import find_run
@@ -155,14 +154,6 @@ def test_what_a_citation_cannot_be_is_said(options: list[str], says: str, run: P
     assert not (run / "publication.zip").exists()
 
 
-def test_captured_frames_are_published_on_request(run: Path) -> None:
-    published(run, *GIVEN, "--captured")
-    files = contents(run / "publication.zip")
-    assert files["results/desk/dual/L00/capture.zarr/c.0"] == b"a frame"
-    assert "results/desk/dual/L00/capture.json" in files
-    assert not any(name.endswith(".log") for name in files)
-
-
 def test_the_example_runs_from_the_zip_and_the_folder(run: Path) -> None:
     published(run, *GIVEN, "-o", run / "crate")
     published(run, "-o", run / "crate.zip")
@@ -249,20 +240,6 @@ def test_an_unfinished_acquisition_is_left_out_and_named(run: Path) -> None:
     assert not any("symmetric" in name for name in contents(run / "publication.zip"))
 
 
-def test_without_the_workflow_rfpipe_itself_is_what_ran(
-    run: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(publication, "__file__", str(run / "a/b/publication.py"))
-    published(run, *GIVEN)
-    files = contents(run / "publication.zip")
-    assert not any(name.startswith("source/") for name in files)
-    graph = json.loads(files["ro-crate-metadata.json"])["@graph"]
-    entities = {entity["@id"]: entity for entity in graph}
-    assert entities["#run"]["instrument"] == {"@id": "#rfpipe"}
-    assert "mainEntity" not in entities["./"]
-    assert entities["./"]["conformsTo"] == {"@id": "https://w3id.org/ro/wfrun/process/0.5"}
-
-
 def test_an_unknown_key_of_a_kept_citation_is_said(run: Path) -> None:
     (run / "publication.yaml").write_text("titel: A desk\n")
     with pytest.raises(InputError, match="titel is unknown; known are title"):
@@ -281,11 +258,6 @@ def test_a_calibration_goes_with_a_real_rig(run: Path) -> None:
         published(run, "--overwrite", "--calibration", run)
 
 
-def test_a_folder_without_a_run_is_said(tmp_path: Path) -> None:
-    with pytest.raises(RfpipeError, match="give the folder of a run"):
-        published(tmp_path, *GIVEN)
-
-
 def test_croissant_tells_the_tables_types(run: Path) -> None:
     published(run, *GIVEN)
     files = contents(run / "publication.zip")
@@ -297,8 +269,3 @@ def test_croissant_tells_the_tables_types(run: Path) -> None:
     assert [*types.values()] == ["sc:Text", "sc:Integer", "sc:Float", "sc:Float"]
     (table,) = [found for found in croissant["distribution"] if found["@type"] == "cr:FileObject"]
     assert table["sha256"] == hashlib.sha256(files[table["contentUrl"]]).hexdigest()
-
-
-def test_a_creator_is_read_in_any_order() -> None:
-    made = Creator.parse("Doe, Jane; A Lab; https://orcid.org/0000-0002-1825-0097")
-    assert made == Creator(name="Doe, Jane", affiliation="A Lab", orcid="0000-0002-1825-0097")

@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import rfpipe
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.cli import app
-from rfpipe.errors import InputError, IntegrityError, StoreError, UnreachableError
+from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.transport import save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
@@ -118,13 +118,6 @@ def test_what_is_not_used_is_not_fetched(run: Path, tmp_path: Path) -> None:
         assert server.nbytes < stored + 2 * 256 * 2**10  # the zip's end, what is read ahead
 
 
-def test_commands_take_addresses_and_zip_files(run: Path) -> None:
-    with serving(run) as server:
-        for place in (run / "crate.zip", f"{server.address}/crate.zip"):
-            shown = CliRunner().invoke(app, ["info", str(place)], catch_exceptions=False)
-            assert "24 x 28 = 672 rays" in shown.output
-
-
 def test_a_store_behind_an_address_opens(run: Path, light: np.ndarray, relit: np.ndarray) -> None:
     with serving(run) as server:
         transport = rfpipe.open_transport(f"{server.address}/{DESK}")
@@ -133,18 +126,6 @@ def test_a_store_behind_an_address_opens(run: Path, light: np.ndarray, relit: np
         # a Path made of an address has lost a slash
         again = rfpipe.open_transport(Path(f"{server.address}/{DESK}"))
         assert np.array_equal(again.relight(light), relit)
-
-
-def test_a_published_folder_behind_an_address_tells_its_transports(
-    run: Path, tmp_path: Path, light: np.ndarray, relit: np.ndarray
-) -> None:
-    for name, file in files_of_store(run / DESK, f"crate/{DESK}"):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_bytes(file.read_bytes())
-    (tmp_path / "crate/manifest-sha256.txt").write_text(f"{64 * '0'}  {DESK}/zarr.json\n")
-    with serving(tmp_path) as server:
-        found = rfpipe.open_transport(f"{server.address}/crate")
-        assert np.array_equal(found.relight(light), relit)
 
 
 @pytest.mark.parametrize(
@@ -218,27 +199,6 @@ def test_a_slow_line_is_waited_for_and_one_that_stalls_asked_again(
     assert len(one_file.asked) == 3
 
 
-def test_a_server_that_fails_is_not_asked_for_every_folder_above(one_file: type[Handler]) -> None:
-    one_file.status, one_file.content = 403, b"<p>Not now</p>"
-    with listening(one_file) as address, pytest.raises(StoreError, match="who may read it"):
-        rfpipe.open_transport(f"{address}/a/b/transport.zarr")
-    assert any(path.endswith("/packed.json") for path, _ in one_file.asked)
-    one_file.status = 400
-    one_file.asked.clear()
-    with listening(one_file) as address, pytest.raises(UnreachableError, match="check the network"):
-        rfpipe.open_transport(f"{address}/a/b/transport.zarr")
-    assert {path for path, _ in one_file.asked} == {"/a/b/transport.zarr/zarr.json"}
-
-
-def test_a_page_for_people_is_not_taken_for_a_packed_folder(one_file: type[Handler]) -> None:
-    one_file.content = b"<html>Please log in</html>"
-    with (
-        listening(one_file) as address,
-        pytest.raises(StoreError, match=r"transport\.zarr/zarr\.json: .* no page for people"),
-    ):
-        rfpipe.open_transport(f"{address}/transport.zarr")
-
-
 def test_an_address_may_be_encoded_as_browsers_copy_it(run: Path, tmp_path: Path) -> None:
     inside = tmp_path / "a b/100% ü"
     inside.mkdir(parents=True)
@@ -301,11 +261,6 @@ def test_what_the_environment_says_wrongly_of_s3_is_said(
 def test_a_server_without_ranges_is_said(run: Path) -> None:
     with serving(run, ranges=False) as server, pytest.raises(StoreError, match="range requests"):
         rfpipe.open_transport(f"{server.address}/crate.zip")
-
-
-def test_another_kind_of_address_is_refused() -> None:
-    with pytest.raises(InputError, match="expected http://, https:// or s3://"):
-        rfpipe.open_transport("ftp://example.org/crate.zip")
 
 
 def test_damage_is_found_wherever_it_lies(run: Path, tmp_path: Path) -> None:

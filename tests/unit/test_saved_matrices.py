@@ -8,12 +8,10 @@ import h5py
 import mat73
 import numpy as np
 import pytest
-import scipy.io
 from numpy.typing import NDArray
 
 import rfpipe
 from rfpipe.errors import InputError, StoreError
-from rfpipe.transport import open_transport
 from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.matrix_out import MATRIX_FILES
 
@@ -78,17 +76,6 @@ def test_parts_make_the_same_matrix(tmp_path: Path, monkeypatch, suffix: str, du
     np.testing.assert_allclose(read(path)["T"], expected, rtol=1e-6)
 
 
-def test_a_mat_file_says_that_it_is_one_of_version_7_3(tmp_path: Path) -> None:
-    path = tmp_path / "matrix.mat"
-    transport_of(1).save(path)
-    header = path.read_bytes()[:512]
-    assert header.startswith(b"MATLAB 7.3 MAT-file")
-    assert header[124:128] == b"\x00\x02IM"
-    assert scipy.io.matlab.matfile_version(path) == (2, 0)
-    with pytest.raises(NotImplementedError, match="HDF"):  # scipy knows it, and doesn't read it
-        scipy.io.loadmat(path)
-
-
 def test_a_mat_file_gives_images_as_the_documents_say(tmp_path: Path) -> None:
     """What docs/export.md tells MATLAB's users to do, in numpy's words for it."""
     path = tmp_path / "matrix.mat"
@@ -121,12 +108,6 @@ def test_equal_matrices_make_equal_files(tmp_path: Path) -> None:
         assert one.read_bytes() == other.read_bytes()
 
 
-def test_a_store_is_opened_again(tmp_path: Path) -> None:
-    path = tmp_path / "kept.zarr"
-    transport_of(3).save(path)
-    np.testing.assert_array_equal(open_transport(path).toarray(), transport_of(3).toarray())
-
-
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
@@ -144,11 +125,6 @@ def test_refused(tmp_path: Path, name: str, options, message: str) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_dual_transport_has_no_store(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a transport as it is to \.zarr"):
-        transport_of(3).T.save(tmp_path / "dual.zarr")
-
-
 @pytest.mark.parametrize("suffix", MATRIX_FILES)
 def test_an_interrupted_export_leaves_what_was_there(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"matrix{suffix}"
@@ -163,20 +139,6 @@ def test_an_interrupted_export_leaves_what_was_there(tmp_path: Path, suffix: str
     with pytest.raises(KeyboardInterrupt):
         Failing(CAMERA, PROJECTOR, 1, [], {}).save(path)
     assert [path.read_text() for path in tmp_path.iterdir()] == ["before"]
-
-
-def test_a_folder_that_can_t_be_written(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for suffix in MATRIX_FILES:
-        with pytest.raises(StoreError, match="writing failed"):
-            transport_of(1).save(tmp_path / "file" / f"matrix{suffix}")
-
-
-def test_a_disk_without_room_is_found_before(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("rfpipe.transport.matrix_out.free_bytes", lambda folder: 1000)
-    with pytest.raises(StoreError, match=r"up to 4,320 bytes needed, 1,000 bytes free"):
-        transport_of(3).save(tmp_path / "matrix.h5")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("suffix", [".h5", ".mat"])

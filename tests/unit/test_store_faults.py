@@ -1,6 +1,5 @@
 """What kills, full disks and forbidden folders leave behind."""
 
-import errno
 import fcntl
 import os
 import signal
@@ -170,17 +169,6 @@ def test_a_lock_of_a_machine_that_died_is_waited_for(
             StoreLock(store).acquire()
 
 
-def test_a_file_system_without_locks_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def missing(_descriptor: int, _operation: int) -> None:
-        raise OSError(errno.ENOSYS, "Function not implemented")
-
-    monkeypatch.setattr(fcntl, "flock", missing)
-    with pytest.raises(StoreError, match=r"has no locks.*Lustre with -o flock"):
-        StoreLock(tmp_path / "s").acquire()
-
-
 def test_a_lock_file_removed_by_its_last_holder_is_made_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -271,22 +259,6 @@ def test_an_item_is_in_the_journal_only_once_its_chunk_is_written(
         assert read_journal(journal, 6).keys() == {0, 1}
         store.write(2, frames[2:])
         np.testing.assert_array_equal(store.read(0, 6), frames)
-
-
-def test_the_journal_is_synced_at_most_once_a_second(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    synced: list[int] = []
-    now = [100.0]
-    monkeypatch.setattr(os, "fsync", synced.append)
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    journal = JournalWriter(tmp_path / "journal")
-    for item in range(10):
-        now[0] += 0.3
-        journal.append(item, ["aa"])
-    assert len(synced) == 2
-    journal.close()
-    assert len(synced) == 3
 
 
 @pytest.mark.parametrize("number", [1, 13, 30])

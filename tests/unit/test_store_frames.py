@@ -142,19 +142,6 @@ def test_a_shard_is_added_to_chunk_by_chunk_and_there_once_it_is_whole(tmp_path:
     assert FrameStore.open(path).digest() == filled(tmp_path / "plain", frames)
 
 
-def test_one_item_of_a_shard_is_read_without_the_others(tmp_path: Path) -> None:
-    frames = counts()
-    path = tmp_path / "s"
-    filled(path, frames, chunks_per_file=7)
-    shard = path / "c.0.0.0.0.0"
-    content = bytearray(shard.read_bytes())
-    starts = np.frombuffer(content[-7 * 16 - 4 : -4], "<u8").reshape(7, 2)[:, 0]
-    content[: int(starts[3])] = bytes(int(starts[3]))
-    shard.write_bytes(content)
-    np.testing.assert_array_equal(FrameStore.open(path).read(3, 7), frames[3:])
-    assert FrameStore.open(path).damaged() == [0, 1, 2]
-
-
 def test_a_writer_of_a_run_that_is_over_leaves_a_new_store_alone(tmp_path: Path) -> None:
     filled(tmp_path / "s", counts())
     with pytest.raises(StaleStoreError, match="fingerprint abc instead of old"):
@@ -163,13 +150,6 @@ def test_a_writer_of_a_run_that_is_over_leaves_a_new_store_alone(tmp_path: Path)
         ItemWriter(tmp_path / "t", "old")
     with pytest.raises(StoreError, match="isn't open for writing"):
         FrameStore.open(tmp_path / "s").enter(0, ["0" * 32])
-
-
-def test_store_holds_one_file_an_item_beside_its_metadata_and_journal(tmp_path: Path) -> None:
-    filled(tmp_path / "s", counts())
-    chunks = {f"c.{item}.0.0.0.0" for item in range(7)}
-    assert set(tree(tmp_path / "s")) == chunks | {"zarr.json", "journal.jsonl"}
-    assert [p.name for p in tmp_path.iterdir()] == ["s"]  # no lock, nothing half made
 
 
 @pytest.mark.parametrize("items_per_chunk", [1, 2])
@@ -188,23 +168,6 @@ def test_bytes_and_digest_do_not_depend_on_the_order_of_writing(
     assert len(digests) == 1
 
 
-def test_digest_tells_contents_dtypes_and_shapes_apart(tmp_path: Path) -> None:
-    zeros = np.zeros((2, 4, 4), COUNTS)
-    swapped = counts((2, 4, 4))[::-1]
-    variants = [
-        zeros,
-        zeros.astype(np.int16),
-        zeros.reshape(2, 2, 8),
-        swapped,
-        swapped[::-1],
-    ]
-    digests = [filled(tmp_path / str(k), frames) for k, frames in enumerate(variants)]
-    assert len(set(digests)) == len(variants)
-    # the sizes of chunks and files are no part of the content
-    assert filled(tmp_path / "chunked", swapped, items_per_chunk=2) == digests[3]
-    assert filled(tmp_path / "sharded", swapped, chunks_per_file=2) == digests[3]
-
-
 def test_large_frames_compress_to_the_same_bytes_each_time(tmp_path: Path) -> None:
     # blosc with several threads would lay its blocks down as they finish
     frames = counts((1, 700, 900, 3))
@@ -220,13 +183,6 @@ def test_black_frames_count_as_captured(tmp_path: Path) -> None:
         assert store.missing() == []
     assert len(list((tmp_path / "s").glob("c.*"))) == 7
     np.testing.assert_array_equal(FrameStore.open(tmp_path / "s").read(0, 7), black)
-
-
-def test_a_missing_chunk_of_a_black_frame_is_damage(tmp_path: Path) -> None:
-    filled(tmp_path / "s", np.zeros(SHAPE, COUNTS))
-    (tmp_path / "s" / "c.4.0.0.0.0").unlink()
-    with pytest.raises(IntegrityError, match=r"c\.4\.0\.0\.0\.0: item 4 is missing"):
-        FrameStore.open(tmp_path / "s").read(0, 7)
 
 
 def test_an_empty_store_is_complete_at_once(tmp_path: Path) -> None:
@@ -386,22 +342,6 @@ def test_an_altered_journal_line_does_not_count(tmp_path: Path, line: bytes) -> 
     assert tree(path) == intact
 
 
-def test_a_journal_of_a_longer_store_does_not_count(tmp_path: Path) -> None:
-    filled(tmp_path / "long", counts((6, 5)))
-    filled(tmp_path / "short", counts((4, 5)))
-    (tmp_path / "short" / "journal.jsonl").write_bytes(
-        (tmp_path / "long" / "journal.jsonl").read_bytes()
-    )
-    assert FrameStore.open(tmp_path / "short").done.shape == (4,)
-
-
-def test_a_store_without_its_journal_is_captured_anew(tmp_path: Path) -> None:
-    filled(tmp_path / "s", counts())
-    (tmp_path / "s" / "journal.jsonl").unlink()
-    with FrameStore.create(tmp_path / "s", SHAPE, COUNTS, "abc", {}) as store:
-        assert store.missing() == [(0, 7)]
-
-
 def test_leftovers_of_a_kill_are_cleared(tmp_path: Path) -> None:
     path = tmp_path / "s"
     (tmp_path / ".s.new").mkdir()
@@ -521,14 +461,6 @@ def test_impossible_stores_are_refused(tmp_path: Path, change: dict[str, Any], n
     with pytest.raises(InputError, match=named):
         FrameStore.create(tmp_path / "s", **wanted)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_reading_out_of_bounds_is_refused(tmp_path: Path) -> None:
-    filled(tmp_path / "s", counts())
-    reader = FrameStore.open(tmp_path / "s")
-    for start, stop in ((-1, 2), (3, 8), (4, 2)):
-        with pytest.raises(InputError, match="expected a range within 0 to 7"):
-            reader.read(start, stop)
 
 
 def test_what_is_no_store_is_named_and_left_alone(tmp_path: Path) -> None:

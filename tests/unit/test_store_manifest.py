@@ -54,11 +54,6 @@ def test_damage_is_found(tmp_path: Path) -> None:
             read_manifest(path)
 
 
-def test_a_missing_manifest_is_named(tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match=r"capture\.json: no such manifest; run the stage"):
-        read_manifest(tmp_path / "capture.json")
-
-
 def test_what_json_cannot_hold_is_refused(tmp_path: Path) -> None:
     for data in ({"a": float("nan")}, {"a": {1, 2}}, {"checksum": "mine"}):
         with pytest.raises(InputError, match=r"a\.json"):

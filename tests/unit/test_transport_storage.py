@@ -12,7 +12,6 @@ import rfpipe
 from rfpipe.errors import InputError, IntegrityError, StoreError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import reference_scene, relighting_patterns
-from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
 from rfpipe.store import write_arrays
 from rfpipe.transport import Transport, open_transport, save_transport
 from rfpipe.transport.dense import DenseTransport
@@ -38,23 +37,6 @@ def dual() -> Transport:
 PATTERNS = np.stack(list(relighting_patterns(SHAPE).values()))
 
 
-@pytest.mark.parametrize(
-    ("number_format", "total", "unlit"),
-    [("float32", 0.0, 0.0), ("uint16", 1e-6, 2e-5), ("uint8", 1e-4, 4e-3)],
-)
-def test_a_format_costs_what_the_documentation_says(
-    transport: Transport, tmp_path: Path, number_format: str, total: float, unlit: float
-) -> None:
-    path = tmp_path / "transport.zarr"
-    save_transport(transport, path, number_format)
-    stored = open_transport(path)
-    for pattern in PATTERNS:
-        exact, found = transport.relight(pattern), stored.relight(pattern)
-        assert relative_rms(found, exact) <= total
-        if (pattern == 0).any():
-            assert unlit_rms(found, exact, pattern) <= unlit
-
-
 def test_only_a_hierarchy_knows_what_it_was_at_an_earlier_level(transport: Transport) -> None:
     rows, last = transport.level_rows, transport.last_level
     assert list(transport.known_levels) == [row["level"] for row in rows]
@@ -68,14 +50,6 @@ def test_only_a_hierarchy_knows_what_it_was_at_an_earlier_level(transport: Trans
             transport.truncate(level)
 
 
-def test_what_is_no_store_says_what_it_is_and_what_to_do(tmp_path: Path) -> None:
-    np.savez(tmp_path / "matrix.npz", np.eye(4))
-    with pytest.raises(StoreError, match=r"matrix\.npz: a file, no store; .*rfpipe\.read_matrix"):
-        open_transport(tmp_path / "matrix.npz")
-    with pytest.raises(StoreError, match=r"no such file or folder; give the transport\.zarr"):
-        open_transport(tmp_path / "missing" / "transport.zarr")
-
-
 def test_the_fewer_bits_the_smaller(transport: Transport, dual: Transport, tmp_path: Path) -> None:
     for acquired in (transport, dual):
         sizes = []
@@ -84,19 +58,6 @@ def test_the_fewer_bits_the_smaller(transport: Transport, dual: Transport, tmp_p
             sizes.append(open_transport(tmp_path / number_format).nbytes)
         assert sizes == sorted(sizes, reverse=True)
         assert sizes[2] < 0.65 * sizes[0]
-
-
-def test_dual_photography_is_rounded_to_twelve_bits(dual: Transport, tmp_path: Path) -> None:
-    save_transport(dual, tmp_path / "transport.zarr", "uint8")
-    stored = open_transport(tmp_path / "transport.zarr")
-    for pattern in PATTERNS:
-        error = relative_rms(stored.relight(pattern), dual.relight(pattern))
-        assert 0 < error <= 2.0**-12
-
-
-def test_stored_again_in_the_same_format_it_stays(transport: Transport, tmp_path: Path) -> None:
-    first = save_transport(transport, tmp_path / "first", "uint8")
-    assert save_transport(open_transport(tmp_path / "first"), tmp_path / "second", "uint8") == first
 
 
 def test_an_unknown_format_is_refused(transport: Transport, tmp_path: Path) -> None:
