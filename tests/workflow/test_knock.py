@@ -6,12 +6,9 @@ Its camera's pixels are its rays, so that it is a coaxial rig without a calibrat
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.workflow.harness import Workflow
-from tests.workflow.test_remote import Server
 
 import rfpipe
 from rfpipe.config import parse_rig_config
@@ -86,27 +83,3 @@ def test_reciprocity_notices_it_within_ten_patterns(method: str, at: int) -> Non
 @pytest.mark.parametrize("method", ["symmetric", "near_far"])
 def test_a_bench_that_stands_still_is_left_alone(method: str) -> None:
     assert Acquired(method, None).ended is None
-
-
-@pytest.mark.slow
-def test_a_run_by_a_method_for_any_rig_notices_it_by_looks(tmp_path: Path) -> None:
-    before = 40
-    server = Server(tmp_path, {})
-    server.settings = settings(before)
-    server.start()
-    capture = {"rig": "remote", "url": server.url, "token_file": str(server.token_file)}
-    workflow = Workflow(
-        tmp_path / "run",
-        {
-            "scenes": {"desk": {"kind": "captured", "shape": list(SHAPE), "channels": 1}},
-            "methods": {"dual": {}},
-            "capture": {**capture, "watch": "refuse"},
-        },
-    )
-    try:
-        said = workflow.run("results/desk/dual/transport.json", succeeds=False)
-        shown = server.status()["brackets"]
-    finally:
-        server.kill()
-    assert "the rig or the scene moved" in said
-    assert before < shown <= before + WITHIN  # the looks themselves included

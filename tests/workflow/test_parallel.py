@@ -264,7 +264,7 @@ def test_a_cluster_over_tls_with_the_certificates_of_dasks_settings(
             assert (threads, hand_out(identity)(2, 3).result()[1:]) == (1, (2, 3))
             address = cluster.scheduler_address
     assert "not encrypted" not in caplog.text
-    with pytest.raises(ClusterError, match=r"certificates for tls.*docs/parallel"):
+    with pytest.raises(ClusterError, match=r"docs/parallel.*certificates for tls"):
         connected(address, tmp_path).__enter__()
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-import numpy as np
 import pytest
 import yaml
 from tests.ports import free_port
@@ -20,15 +19,11 @@ from tests.waiting import wait_until
 from tests.workflow.harness import (
     CONFIG,
     LONG,
-    STAGES,
     Workflow,
     freeze_writer,
     journal,
     kill_group,
 )
-
-from rfpipe import open_transport
-from rfpipe.store import open_arrays, read_manifest
 
 BRUTE = "long/brute_force"
 TOKEN = "a-token-for-tests-only"
@@ -163,23 +158,6 @@ def test_both_killed_in_the_middle_of_a_level_go_on(
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
 
-def test_what_was_captured_is_processed_anew_without_the_server(
-    tmp_path: Path, server: Server, undisturbed: Workflow
-) -> None:
-    workflow = server.workflow(tmp_path / "run")
-    workflow.run(LONG)
-    assert server.kill(signal.SIGTERM) in (0, -signal.SIGTERM)
-    log = (tmp_path / "server.log").read_text()
-    assert "Application shutdown complete" in log
-    assert TOKEN not in log
-    for stage in STAGES:
-        workflow.path(f"{BRUTE}/L00/{stage}.json").unlink()
-    workflow.path(f"{BRUTE}/transport.json").unlink()
-    output = workflow.run(LONG)
-    assert "all 40 patterns are captured" in output
-    assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
-
-
 def test_a_server_that_stays_away_ends_the_run_with_advice(tmp_path: Path, server: Server) -> None:
     workflow = server.workflow(tmp_path / "run")
     workflow.configure(
@@ -201,50 +179,3 @@ def test_a_server_that_stays_away_ends_the_run_with_advice(tmp_path: Path, serve
     output = workflow.run(LONG, succeeds=False)
     assert "the rig has (16, 16) projector rays" in output
     assert "the settings of the scene say (5, 8)" in output
-
-
-def test_another_rig_in_the_middle_of_an_acquisition_is_refused(
-    tmp_path: Path, server: Server
-) -> None:
-    workflow = server.workflow(tmp_path / "run")
-    store = workflow.path(f"{BRUTE}/L00/capture.zarr")
-    process = workflow.start(LONG)
-    freeze_writer(store, 12)
-    server.kill()
-    kill_group(process, signal.SIGKILL)
-    process.communicate()
-    captured = journal(store)
-    server.settings["seed"] = 2
-    server.start()
-    workflow.unlock()
-    output = workflow.run(LONG, succeeds=False)
-    assert "the rig is not that of the patterns captured before (seed 1 -> 2)" in output
-    assert journal(store) == captured
-
-
-def test_a_captured_scene_is_relit_and_reported_without_a_truth(tmp_path: Path) -> None:
-    with serving(tmp_path, CONFIG["scenes"]["tiny"]) as server:
-        workflow = server.workflow(
-            tmp_path / "run",
-            scenes={"desk": {"kind": "captured", "shape": [8, 8]}},
-            methods={"symmetric": {}, "dual": {}},
-        )
-        workflow.run()
-        assert "Nothing to be done" in workflow.run()
-    for method in ("symmetric", "dual"):
-        folder = workflow.path(f"desk/{method}")
-        assert open_transport(folder / "transport.zarr").camera_shape == (8, 8)
-        images = open_arrays(folder / "relight.zarr")
-        assert "truth" not in images.names
-        floodlit, relit = (images.read(f"floodlit_{name}") for name in ("captured", "relit"))
-        assert np.abs(relit - floodlit).max() < 0.05 * floodlit.max()
-        described = read_manifest(folder / "L00/capture.json")["rig"]
-        assert described["sensor"]["kind"] == "camera"
-    page = workflow.path("report/index.html").read_text()
-    assert "The scene relit" in page
-    assert "acquired by a rig behind an acquisition server" in page
-    assert "ground truth by exact transport" not in page
-    assert "127.0.0.1" not in page
-    errors = workflow.path("report/tables/errors.csv").read_text().splitlines()
-    assert len(errors) == 1
-    assert workflow.path("report/figures/captured_desk_symmetric.png").stat().st_size > 1000

@@ -78,14 +78,6 @@ def test_a_crooked_rig_is_refused_and_a_right_one_is_not(tmp_path: Path) -> None
     assert told["frames"] == FRAMES
 
 
-def test_the_same_is_found_in_process(tmp_path: Path) -> None:
-    told = judge(begun(tmp_path, crooked()), accepted=0.9)
-    frames = {"black_frames": 2, "floodlit_frames": 2, "progress": False}
-    rig = matrix_rig(crooked(), CameraModel())
-    with pytest.raises(CaptureError, match=rf"error of {told['error']:.1%} \+- "):
-        rfpipe.acquire(rig, "symmetric", **frames)
-
-
 def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
     acquisition = begun(tmp_path, symmetric_matrix())
     told = judge(acquisition)
@@ -132,14 +124,6 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
     frames = {"black_frames": 2, "floodlit_frames": 2, "progress": False}
     result = rfpipe.acquire(matrix_rig(matrix, CameraModel()), Choice(), **frames)
     assert type(result.transport) is type(stored)
-
-
-def test_of_two_shapes_nobody_has_to_ask(tmp_path: Path) -> None:
-    folder, wide = AcquisitionFolder(tmp_path / "acquired"), (SHAPE[0], RAYS)
-    matrix = np.asarray(generator(3).random((SHAPE[0] * RAYS, RAYS)) / RAYS)
-    rig = OperatorRig(matrix, wide, SHAPE, noise=CameraModel())
-    acquired(Plan("choice", f"{__file__}:Choice", wide, SHAPE, 1), folder, rig, 0)
-    assert read_manifest(folder.path / "transport.json")["acquired_by"] == "brute_force"
 
 
 def test_a_choice_asks_for_its_target_where_that_is_tighter() -> None:

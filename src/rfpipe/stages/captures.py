@@ -241,6 +241,7 @@ class _BegunRig:
         self.sensor = sensor_from_description(described["sensor"], arrays)
         self._described, self._connect = described, connect
         self._rig: RemoteRig | None = None
+        self._before: dict[str, dict[str, int]] = {}
 
     def capture(
         self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
@@ -261,14 +262,10 @@ class _BegunRig:
     @property
     def statistics(self) -> dict[str, dict[str, int]]:
         """What the rig's devices counted since it was connected to."""
-        if self._rig is None:
-            return {}
+        counts = {} if self._rig is None else self._rig.statistics
         return {
-            device: {
-                what: count - self._before.get(device, {}).get(what, 0)
-                for what, count in counts.items()
-            }
-            for device, counts in self._rig.statistics.items()
+            device: {what: n - self._before.get(device, {}).get(what, 0) for what, n in of.items()}
+            for device, of in counts.items()
         }
 
     def describe(self) -> dict[str, Any]:

@@ -65,10 +65,8 @@ def connected(
     except ValueError as error:
         raise ClusterError(f"{setting}; it {error}") from None
     if not address.startswith("tls:") and urlsplit(address).hostname not in _HERE:
-        _log.warning(
-            "%s: not encrypted, and dask unpickles what it gets: whoever reaches the scheduler can "
-            "run programs there and here. docs/parallel.md tells how to use tls://", setting,
-        )  # fmt: skip
+        text = "%s: not encrypted, and dask unpickles what it gets: use tls:// (docs/parallel.md)"
+        _log.warning(text, setting)
     connect: Any = distributed.Client  # without types
     with ExitStack() as stack:
         try:
@@ -79,9 +77,8 @@ def connected(
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             raise ClusterError(
                 f"{setting}: within {_PATIENCE_SECONDS} s no scheduler with workers answered "
-                f"({error}). Start one with 'dask scheduler', workers with 'dask worker "
-                f"{address}', certificates for tls:// as docs/parallel.md says; or set it to "
-                "threads"
+                f"({error}). Start both as docs/parallel.md says, with certificates for tls://, or "
+                "set it to threads"
             ) from error
 
         def hand_out(work: Work) -> Callable[[int, int], _Promise]:
@@ -130,9 +127,8 @@ class _Promise:
 
     def _lost(self, why: str) -> ClusterError:
         return ClusterError(
-            f"{self.setting}: the work was lost ({why}). What is done is kept. Look at the "
-            "scheduler's and the workers' logs, a worker may have too little memory; start what is "
-            "missing and run again, or set it to threads"
+            f"{self.setting}: the work was lost ({why}). What is done is kept. See dask's logs, a "
+            "worker may have too little memory; start what is missing and run again"
         )
 
 
@@ -153,15 +149,9 @@ def _do(path: Path, code: str, first: int, last: int) -> Any:
 def _unfit(path: Path, code: str) -> str | None:
     """Return why this process can't do the work, or None."""
     if not path.is_file():
-        return (
-            f"does not see {path.parent}: workers share the file system with whoever sends them "
-            "work, under the same path. Mount it there"
-        )
+        return f"does not see {path.parent}. Mount it there, under the same path"
     if code != _our_code():
-        return (
-            "runs another version of rfpipe, Python, numpy, numba or zarr, which may give other "
-            "results. Install the same there and restart it"
-        )
+        return "runs another version of rfpipe or what it rests on. Install the same and restart it"
     return None
 
 
