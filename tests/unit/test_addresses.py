@@ -24,8 +24,8 @@ SECRET = "geheim"
 NONE = [
     "", "rig:8750", "ftp://rig", "http://", "http:///rig", "http://rig/v1", "http://rig?x=1",
     "http://rig#x", "http://[::1", "http://a b:8750", "http://..", "http://-rig:8750",
-    "http://" + "a" * 70, "http://\x00:8750", "http://%zz:8750", "http://256.256.256.256:8750",
-    "http://1.2.3:8750", "http://rig:0", "http://rig:99999", "http://rig:port", "http://r:i:g",
+    "http://" + "a" * 70, "http://\x00:8750", "http://%zz:8750",
+    "http://rig:0", "http://rig:99999", "http://rig:port", "http://r:i:g",
     f"http://otto:{SECRET}@127.0.0.1:8750", f"https://{SECRET}@rig", f"http://otto:{SECRET}@[::1",
 ]  # fmt: skip
 
@@ -73,7 +73,7 @@ def test_no_error_shows_the_password_of_an_address() -> None:
     ("info", "{run}/transport.zarr"), ("info", "{run}/nothing.zarr"), ("info", "{run}/no.zip"),
     ("relight", "{run}/transport.zarr", "--pattern", "white", "--output", "{out}/a.png"),
     ("view", "{run}/transport.zarr", "--output", "{out}/v.html"), ("verify", "{run}"),
-    ("export", "matrix", "{run}/transport.zarr", "{out}/m.npz"),
+    ("export", "{run}/transport.zarr", "{out}/m.npz"),
 ])  # fmt: skip
 def test_no_command_shows_the_password_of_an_address(
     tmp_path: Path, arguments: tuple[str, ...], caplog: pytest.LogCaptureFixture

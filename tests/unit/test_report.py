@@ -18,7 +18,7 @@ from tests.reports import (
 )
 
 from rfpipe.config import Config
-from rfpipe.config.verification import VerificationConfig
+from rfpipe.config.capture import VerificationConfig
 from rfpipe.errors import InputError, StoreError
 from rfpipe.pictures.images import srgb
 from rfpipe.report import build_report

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rfpipe.config.calibration import CalibrationConfig
     from rfpipe.config.camera import CameraConfig
+    from rfpipe.config.capture import OfflineConfig
     from rfpipe.config.devices import BenchConfig, RigConfig
     from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
     from rfpipe.config.files import (
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
         parse_rig_config,
     )
     from rfpipe.config.model import Config
-    from rfpipe.config.offline import OfflineConfig
     from rfpipe.config.processing import NumberFormat, StorageConfig
     from rfpipe.config.reading import read_yaml
     from rfpipe.config.scenes import SceneSettings
@@ -47,31 +47,24 @@ __all__ = [
     "read_yaml",
 ]
 
-_HOMES = {
-    "BenchConfig": "rfpipe.config.devices",
-    "CalibrationConfig": "rfpipe.config.calibration",
-    "CameraConfig": "rfpipe.config.camera",
-    "CameraDriver": "rfpipe.config.drivers",
-    "Config": "rfpipe.config.model",
-    "NumberFormat": "rfpipe.config.processing",
-    "OfflineConfig": "rfpipe.config.offline",
-    "ProjectorDriver": "rfpipe.config.drivers",
-    "RigConfig": "rfpipe.config.devices",
-    "RigDriver": "rfpipe.config.drivers",
-    "SceneSettings": "rfpipe.config.scenes",
-    "StorageConfig": "rfpipe.config.processing",
-    "json_schema": "rfpipe.config.files",
-    "load_config": "rfpipe.config.files",
-    "load_rig_config": "rfpipe.config.files",
-    "parse_config": "rfpipe.config.files",
-    "parse_rig_config": "rfpipe.config.files",
-    "read_yaml": "rfpipe.config.reading",
+_MODULES = {
+    "calibration": ["CalibrationConfig"],
+    "camera": ["CameraConfig"],
+    "capture": ["OfflineConfig"],
+    "devices": ["BenchConfig", "RigConfig"],
+    "drivers": ["CameraDriver", "ProjectorDriver", "RigDriver"],
+    "files": ["json_schema", "load_config", "load_rig_config", "parse_config", "parse_rig_config"],
+    "model": ["Config"],
+    "processing": ["NumberFormat", "StorageConfig"],
+    "reading": ["read_yaml"],
+    "scenes": ["SceneSettings"],
 }
+_HOMES = {name: module for module, names in _MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> object:
     if name not in _HOMES:
         raise AttributeError(f"module 'rfpipe.config' has no attribute {name!r}")
-    value: object = getattr(import_module(_HOMES[name]), name)
+    value: object = getattr(import_module(f"rfpipe.config.{_HOMES[name]}"), name)
     globals()[name] = value
     return value

@@ -30,6 +30,9 @@ Gamma = Annotated[float, Field(gt=0, le=5)]
 SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 Share = Annotated[float, Field(ge=0, lt=1)]
 Text = Annotated[str, Field(min_length=1)]
+Point = tuple[float, float]
+Corners = Annotated[tuple[tuple[Point, Point, Point, Point], ...], Field(min_length=1)]
+"""Upper left, upper right, lower right and lower left corner (x, y) of each view, in pixels."""
 ViewCount = Annotated[int, Field(ge=1, le=16)]
 
 

@@ -6,13 +6,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from rfpipe.config.base import Fraction, Settings, ViewCount
+from rfpipe.config.base import Corners, Fraction, Settings, ViewCount
 
-__all__ = ["CalibrationConfig", "Corners"]
-
-Point = tuple[float, float]
-Quadrilateral = tuple[Point, Point, Point, Point]
-Corners = Annotated[tuple[Quadrilateral, ...], Field(min_length=1)]
 Count = Annotated[int, Field(ge=2, le=1000)]
 
 
@@ -21,13 +16,11 @@ class CalibrationConfig(Settings):
 
     tolerance: Fraction = Field(
         0.02,
-        description="Error in total of a relit picture that the rig is to stay below, a fraction "
-        "above 0 and below 1; verdicts follow it.",
+        description="Error of a relit picture that verdicts allow, a fraction above 0, below 1.",
     )
     coaxial: bool = Field(
         True,
-        description="Whether camera and projector share their rays: then the camera is resampled "
-        "onto the projector's rays, and symmetry is checked. true or false.",
+        description="Whether camera and projector share their rays; symmetry is then checked.",
     )
     dark_frames: Count = Field(8, description="Brackets of the all-off picture, 2 to 1000.")
     levels: Count = Field(
@@ -44,22 +37,19 @@ class CalibrationConfig(Settings):
         ge=8,
         le=1024,
         multiple_of=4,
-        description="Period of the stripes in projector pixels, a multiple of 4, 8 to 1024: about "
-        "four camera pixels or more.",
+        description="Period of the stripes in projector pixels, a multiple of 4, 8 to 1024.",
     )
     phase_steps: int = Field(
         6, ge=3, le=64, description="Pictures of stripes an axis, 3 to 64, beside the Gray code."
     )
     views: tuple[ViewCount, ViewCount] | None = Field(
         None,
-        description="Rows and columns of an array of mirrors, found in the camera's picture, 1 to "
-        "16 each; null for a single view over the whole projector.",
+        description="Rows and columns of an array of views, 1 to 16 each; null: a single one.",
     )
     corners: Corners | None = Field(
         None,
-        description="Where the views lie, instead of finding them: (x, y) of upper left, upper "
-        "right, lower right and lower left corner of each, in projector pixels from the picture's "
-        "upper left corner. null: found, or the middle of the projector.",
+        description="Corners of each view in projector pixels, from the upper left one clockwise; "
+        "null: measured, or the middle of the projector.",
     )
     symmetry_patterns: Count = Field(
         12,

@@ -8,8 +8,6 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, mod
 
 from rfpipe.config.base import Gamma, Settings, Share
 
-__all__ = ["CameraConfig"]
-
 Exposure = Annotated[float, Field(gt=0, le=60)]
 
 
@@ -23,8 +21,7 @@ class CameraConfig(Settings):
     )
     electrons_per_radiance: PositiveFloat = Field(
         640_000.0,
-        description="Photo-electrons a second for a radiance of 1, above 0. The default fills "
-        "the full well at radiance 2 in 1/64 s.",
+        description="Photo-electrons a second for a radiance of 1, above 0.",
     )
     full_well_electrons: PositiveFloat = Field(
         20_000.0, description="Electrons at which a pixel saturates, above 0."
@@ -53,24 +50,20 @@ class CameraConfig(Settings):
     )
     flare: Share = Field(
         0.0,
-        description="Fraction of the light that the lens spreads evenly over the image, from 0 "
-        "(none) to below 1.",
+        description="Fraction of the light that the lens spreads over the image, 0 to below 1.",
     )
     bayer: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = Field(
         None,
-        description="Colour mosaic of the sensor, or null for three full channels: RGGB, BGGR, "
-        "GRBG or GBRG.",
+        description="Colour mosaic: RGGB, BGGR, GRBG, GBRG, or null for three full channels.",
     )
     response_gamma: Gamma = Field(
         1.0,
-        description="Exponent g of the response, counts ~ electrons^(1/g): above 0 and at most "
-        "5; 1 is a linear camera.",
+        description="Exponent g of the response, counts ~ electrons^(1/g), above 0, at most 5.",
     )
     white_level_counts: int | None = Field(
         None,
         ge=1,
-        description="Counts at which the sensor saturates, above the black level, where that is "
-        "below full scale, as a raw file's metadata say it; null for full scale.",
+        description="Counts at which the sensor saturates; null: full scale.",
     )
 
     @model_validator(mode="after")

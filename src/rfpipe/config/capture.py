@@ -1,13 +1,13 @@
-"""How a run's pictures are taken: the settings of its section ``capture``."""
+"""How a run's pictures are taken: capture, offline rigs, verification."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from rfpipe.config.addresses import check_server
-from rfpipe.config.base import Fraction, Settings, Text, check_command
+from rfpipe.config.base import Corners, Extent, Fraction, Gamma, Settings, Text, check_command
 
 SYMMETRY_FRAMES = 6  # four say the same within 20 %, eight within 10 %
 """Random patterns that tell whether a rig is coaxial."""
@@ -20,89 +20,84 @@ class CaptureConfig(Settings):
 
     rig: Literal["simulated", "remote", "offline"] = Field(
         "simulated",
-        description="The rig: simulated; remote, behind an acquisition server ('rfpipe serve'); or "
-        "offline, whose pictures are taken elsewhere ('rfpipe patterns', 'rfpipe import').",
+        description="The rig: simulated; remote, behind 'rfpipe serve'; or offline, by 'rfpipe "
+        "patterns' and 'rfpipe import'.",
     )
     url: str = Field(
         "http://127.0.0.1:8750",
-        pattern=r"^https?://[^\s/]+/?$",
         description="Address of the acquisition server, such as http://127.0.0.1:8750.",
     )
     token_file: Text | None = Field(
         None,
-        description="File with the server's token, readable by its owner alone, or null for the "
+        description="File with the server's token, readable by its owner alone; null: the "
         "environment variable RFPIPE_TOKEN.",
     )
     patience_seconds: float = Field(
         600.0,
         ge=0,
         le=604_800,
-        description="How long to wait for a server that doesn't answer, or for a rig that fails, "
-        "before the run ends, in seconds, 0 to 604800, a week.",
+        description="Wait for a server or rig that fails, in seconds, 0 to 604800.",
     )
     placing: Text | None = Field(
         None,
-        description="Command that puts a scene before the rig, such as one that moves a gantry or "
-        "waits until somebody says that the object stands there; it finds the scene's name in "
-        "RFPIPE_SCENE, and runs again when an acquisition goes on. null: the scene stands there.",
+        description="Command that puts the scene named in RFPIPE_SCENE before the rig; null: it "
+        "stands there.",
     )
     seconds_per_pattern: float = Field(
         2.0,
         gt=0,
         le=3600,
-        description="Time that a real rig takes for a pattern's bracket, in seconds, above 0 and "
-        "at most 3600; the simulation doesn't wait, reports count with it.",
+        description="Time of a pattern's bracket on a real rig, in seconds, for forecasts and "
+        "reports, above 0 and at most 3600.",
     )
     black_frames: Batch = Field(
         8, description="Brackets of the all-off pattern, averaged: 1 to 1024."
     )
     floodlit_frames: Batch = Field(
         64,
-        description="Brackets of the all-on pattern, averaged: 1 to 1024. A level's images are "
-        "scaled to them, so that they set the noise of the direct light.",
+        description="Brackets of the all-on pattern, averaged, which set the noise of the direct "
+        "light: 1 to 1024.",
     )
     share_references: Literal["none", "black", "all"] | None = Field(
         None,
-        description="Which of these are taken once for many: black (all-off ones, once for all "
-        "acquisitions by a rig), all (the all-on ones of a scene as well, once for all its "
-        "methods) or none; null: black with a collection, else none.",
+        description="Brackets taken once for many acquisitions: black ones by a rig, all of a "
+        "scene as well, or none; null: black with a collection.",
     )
     asymmetry: Fraction = Field(
         0.05,
-        description="Error in relit pictures, as a fraction of their norm between 0 and 1, that "
-        "taking the rig for a coaxial one may make; above it, the acquisition ends.",
+        description="Error in relit pictures, a fraction of their norm, above which a rig isn't "
+        "taken for a coaxial one.",
     )
     watch: Literal["off", "warn", "refuse"] = Field(
         "warn",
-        description="What to do when pictures tell that the rig moved, or that a coaxial one isn't "
-        "aligned: warn, refuse (end the capture), or off (not looked at).",
+        description="When pictures tell that the rig moved or isn't aligned: warn, refuse (end the "
+        "capture) or off (not looked at).",
     )
     batch_patterns: Batch = Field(
         16, description="Patterns captured and stored at a time, 1 to 1024."
     )
     keep_raw: bool = Field(
         True,
-        description="Whether a level's raw exposures stay after their merge: true or false. "
-        "Without them, other merge settings mean to capture again.",
+        description="Whether raw exposures stay after their merge; without them, other merge "
+        "settings mean to capture again.",
     )
     warm_up_minutes: float = Field(
         0.0,
         ge=0,
         le=240,
-        description="Time for which the projector shows white before a capture, when no bracket "
-        "was taken for as long: 0 (none) to 240 minutes. A simulated lamp waits, too.",
+        description="Minutes of white before a capture whose lamp may be cold, 0 to 240.",
     )
     drift_minutes: float | None = Field(
         None,
         gt=0,
         le=1440,
-        description="Time between two looks at the floodlit image during a level, above 0 and at "
-        "most 1440 minutes, or null for none: what the lamp drifts by is reported.",
+        description="Minutes between two looks at the floodlit image, above 0 and at most 1440; "
+        "null: none.",
     )
     when_patterns_change: Literal["recapture", "refuse"] = Field(
         "recapture",
-        description="What to do with a level's pictures when a changed setting changes its "
-        "patterns: recapture (it says so first) or refuse.",
+        description="What to do with a level's pictures when other settings change its patterns: "
+        "recapture or refuse.",
     )
 
     @field_validator("url")
@@ -135,3 +130,50 @@ class CaptureConfig(Settings):
         if self.drift_minutes is None:
             return 0
         return max(1, round(60 * self.drift_minutes / self.seconds_per_pattern))
+
+
+class OfflineConfig(Settings):
+    """A rig whose pictures come and go as files, with capture.rig offline."""
+
+    projector_shape: tuple[Extent, Extent] | None = Field(
+        None,
+        description="Height and width of the pictures to show, in pixels, 1 to 4096 each; null: "
+        "the calibration's, or a pixel a ray.",
+    )
+    projector_gamma: Gamma = Field(
+        2.2, description="Exponent g of the projector, light ~ code^g, above 0 and at most 5."
+    )
+    picture_shape: tuple[Extent, Extent] | None = Field(
+        None,
+        description="Height and width of the camera's pictures in pixels, 1 to 4096 each, where "
+        "camera_corners are set.",
+    )
+    camera_corners: Corners | None = Field(
+        None,
+        description="Upper left, upper right, lower right and lower left corner (x, y) of each "
+        "view's rays in the pictures, in pixels; null: the calibration's, or a pixel a ray.",
+    )
+    calibration: Text | None = Field(
+        None, description="Folder of a calibration, relative to where rfpipe runs, or null."
+    )
+
+    @model_validator(mode="after")
+    def _knows_the_picture(self) -> Self:
+        if (self.picture_shape is None) != (self.camera_corners is None):
+            raise ValueError(
+                "picture_shape and camera_corners should be set together, or both be null"
+            )
+        return self
+
+
+class VerificationConfig(Settings):
+    """Pictures that no method saw, taken after an acquisition to compare the transport with."""
+
+    pictures: Annotated[int, Field(ge=0, le=10)] | None = Field(
+        None, description="How many, 0 to 10; null: 8 by a real rig, none by another."
+    )
+    fail_above: Fraction | None = Field(
+        None,
+        description="Mean error of these pictures relit, a fraction of their norm, above which the "
+        "run fails at its end; null: it doesn't.",
+    )

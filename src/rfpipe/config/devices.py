@@ -7,14 +7,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, NonNegativeFloat, SerializeAsAny, model_validator
 
-from rfpipe.config.base import Extent, Gamma, Settings, Share, Text, group_of
-from rfpipe.config.calibration import CalibrationConfig, Corners
+from rfpipe.config.base import Corners, Extent, Gamma, Settings, Share, Text, group_of
+from rfpipe.config.calibration import CalibrationConfig
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
 from rfpipe.config.scenes import SceneSettings
-
-__all__ = ["BenchConfig", "RigConfig"]
-
 
 Pixels = Annotated[int, Field(ge=-4096, le=4096)]
 Knock = tuple[Annotated[int, Field(ge=0)], Pixels, Pixels]
@@ -39,23 +36,19 @@ class BenchConfig(Settings):
     )
     projector_corners: Corners | None = Field(
         None,
-        description="Where the projector lights the scene, for each view: (x, y) of the upper "
-        "left, upper right, lower right and lower left corner of the rays, in pixels from the "
-        "picture's upper left corner, x to the right, y downwards. null: in the middle, each ray "
-        "a square of as many whole pixels as fit.",
+        description="Corners of each view's rays in the projector's picture, in pixels, from the "
+        "upper left one clockwise; null: in the middle, as large as fits.",
     )
     camera_corners: Corners | None = Field(
         None,
-        description="The same on the camera. null: in the middle, over nine tenths of the "
-        "picture, turned and distorted a little.",
+        description="The same on the camera; null: in the middle, turned and distorted a little.",
     )
     camera_shape: tuple[Extent, Extent] = Field(
         (72, 80), description="Height and width of the camera's frames in pixels, 1 to 4096 each."
     )
     camera: CameraConfig | None = Field(
         None,
-        description="The camera's true numbers, to be found by calibration; its exposures aren't "
-        "used. null: those of sensor.",
+        description="The camera's true numbers, for calibration to measure; null: the sensor's.",
     )
     projector_gamma: Gamma = Field(
         2.2, description="Exponent g of the projector, light ~ code^g, above 0 and at most 5."
@@ -68,17 +61,15 @@ class BenchConfig(Settings):
         0.0,
         ge=0,
         le=60,
-        description="Time from a picture's drawing to its light, in seconds, 0 to 60: what a real "
-        "projector's electronics take.",
+        description="Time from a picture's drawing to its light, in seconds, 0 to 60.",
     )
     ambient: NonNegativeFloat = Field(
         0.0, description="Radiance of other light in every camera pixel, at least 0."
     )
     knock: Knock | None = Field(
         None,
-        description="A knock against the projector, to rehearse what notices it: exposures before "
-        "it, and its pixels that the picture then lies down and to the right, such as [200, 0, 4]; "
-        "null: none.",
+        description="A knock against the projector: exposures before it, and pixels by which the "
+        "picture moves down and to the right, such as [200, 0, 4]; null: none.",
     )
 
     @model_validator(mode="after")
@@ -114,9 +105,8 @@ class RigConfig(Settings):
     )
     rays: tuple[Extent, Extent] | None = Field(
         None,
-        description="Height and width of the ray domain where there is no calibration: each ray "
-        "is a square of as many whole projector pixels as fit, in the middle. null: each "
-        "projector pixel is a ray.",
+        description="Height and width of the ray domain without a calibration, in the middle of "
+        "the projector; null: a projector pixel a ray.",
     )
     camera: CameraDriver = Field(
         default_factory=lambda: CameraDriver.model_validate({}),
@@ -124,8 +114,7 @@ class RigConfig(Settings):
     )
     rig: RigDriver | None = Field(
         None,
-        description="A rig as a whole, in place of projector and camera; null for one of devices "
-        "or a simulated one.",
+        description="A rig as a whole, in place of projector and camera, or null.",
     )
     sensor: CameraConfig | None = Field(
         default_factory=CameraConfig,

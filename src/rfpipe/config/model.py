@@ -29,12 +29,16 @@ from rfpipe.config.base import (
     group_of,
 )
 from rfpipe.config.camera import CameraConfig
-from rfpipe.config.capture import CaptureConfig
-from rfpipe.config.offline import OfflineConfig
+from rfpipe.config.capture import CaptureConfig, OfflineConfig, VerificationConfig
 from rfpipe.config.own import check_own, merged
-from rfpipe.config.processing import MergeConfig, Normalization, ResourcesConfig, StorageConfig
+from rfpipe.config.processing import (
+    MergeConfig,
+    Normalization,
+    ReportConfig,
+    ResourcesConfig,
+    StorageConfig,
+)
 from rfpipe.config.scenes import SceneSettings
-from rfpipe.config.verification import VerificationConfig
 from rfpipe.provenance import fingerprint
 
 # Folders of a run's results that are no scene's.
@@ -45,20 +49,6 @@ _VERIFICATION_PICTURES = 8
 
 # Those of a run that names none, in the order of its report.
 DEFAULT_METHODS = ("near_far", "symmetric", "dual")
-
-
-class ReportConfig(Settings):
-    """What the report shows."""
-
-    page: bool | None = Field(
-        None,
-        description="Whether a run ends with the report on each scene: true or false; null: unless "
-        "it has a collection, whose catalogue (results/catalogue/index.html) lists them.",
-    )
-
-    title: Text | None = Field(
-        None, description="The report's title; null: Light transport, of as many scenes as it has."
-    )
 
 
 def _scenes_or_a_collection(schema: dict[str, Any]) -> None:
@@ -75,52 +65,46 @@ class Config(Settings):
     seed: int = Field(1, ge=0, description="Seed of the captures' noise, an integer of at least 0.")
     scenes: dict[SectionName, SerializeAsAny[SceneSettings]] = Field(
         min_length=1,
-        description="The scenes by name: lower-case letters, digits and _. With a collection "
-        "there may be none.",
+        description="The scenes by name: lower-case letters, digits and _.",
     )
     collection: Text | None = Field(
         None,
-        description="A CSV or YAML file whose rows are scenes, too (docs/collections.md), found "
-        "from where rfpipe runs or from the settings' own folder; or null.",
+        description="A CSV or YAML file whose rows are scenes, too (docs/collections.md); or null.",
     )
     rigs: dict[SectionName, dict[str, Any]] = Field(
         default_factory=dict,
-        description="Settings that the scenes before one rig share, by a name that scenes call "
-        "their rig, such as {studio: {camera: {bits: 14}, capture: {black_frames: 16}}}.",
+        description="Settings that the scenes before one rig share, such as {studio: {camera: "
+        "{bits: 14}}}.",
     )
     methods: MethodSections = Field(
         default_factory=lambda: dict.fromkeys(DEFAULT_METHODS),
         validate_default=True,
-        description="Methods to acquire each scene with, each with options of its own; what is "
-        "left out has its default, as in {symmetric: {}}. 'rfpipe settings methods' lists all.",
+        description="Methods to acquire each scene with, each with its options, as in {symmetric: "
+        "{}}.",
     )
     camera: CameraConfig | None = Field(
         default_factory=CameraConfig,
-        description="The simulated camera, or the one that takes an offline rig's pictures; null "
-        "for exact radiance.",
+        description="The simulated or offline rig's camera; null for exact radiance.",
     )
     capture: CaptureConfig = group_of(CaptureConfig)
     merge: MergeConfig = group_of(MergeConfig)
     normalization: Normalization = Field(
         "per_channel",
-        description="Scaling of a level's images to add up to the floodlit image [B.2]: none, "
-        "per_channel, or total_energy (the thesis' own: the floodlit image's colour in proportion "
-        "to each image's energy, for the colours that a mosaic loses).",
+        description="Scaling of a level's images to the floodlit image [B.2]: none, per_channel, "
+        "or total_energy (the thesis' own, for colour mosaics).",
     )
     verification: VerificationConfig = group_of(VerificationConfig)
     offline: OfflineConfig = group_of(OfflineConfig)
     rig_file: Text | None = Field(
         None,
-        description="Settings of the rig that 'snakemake calibrate' calibrates, a YAML file, or "
-        "null; its setting calibration names the folder.",
+        description="Settings of the rig that 'snakemake calibrate' calibrates, or null.",
     )
     storage: StorageConfig = group_of(StorageConfig)
     resources: ResourcesConfig = group_of(ResourcesConfig)
     notify: Text | None = Field(
         None,
-        description="Command to run when a run has ended or failed, such as a script that sends a "
-        "message, or null for none. It finds RFPIPE_STATUS (done or failed) and RFPIPE_LOG in its "
-        "environment.",
+        description="Command for the end of a run, which finds RFPIPE_STATUS (done or failed) and "
+        "RFPIPE_LOG in its environment; or null.",
     )
     report: ReportConfig = group_of(ReportConfig)
 

@@ -1,4 +1,4 @@
-"""How pictures become a transport: settings of merging, of what jobs may use, and of storing."""
+"""How pictures become a transport and a report: merging, storing, resources, report."""
 
 from __future__ import annotations
 
@@ -7,24 +7,22 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from rfpipe.config.addresses import THREADS, check_bucket, check_workers
-from rfpipe.config.base import Settings
+from rfpipe.config.base import Settings, Text
+from rfpipe.units import NumberFormat
 
 Normalization = Literal["none", "per_channel", "total_energy"]
-NumberFormat = Literal["float32", "uint16", "uint8"]
 
 
 class MergeConfig(Settings):
     """How a bracket becomes a radiance image."""
 
     mask_defects: bool = Field(
-        True,
-        description="Leave dead and hot pixels out, with an infinite variance: true or false. On a "
-        "coaxial rig, what others see of them fills them in at the end.",
+        True, description="Whether dead and hot pixels are left out, with an infinite variance."
     )
     divide_out_drift: bool = Field(
         False,
-        description="Divide images by the light's brightness at their time, where "
-        "capture.drift_minutes had it measured: true or false.",
+        description="Whether images are divided by the light's brightness at their time, which "
+        "capture.drift_minutes has measured.",
     )
 
 
@@ -32,33 +30,22 @@ class ResourcesConfig(Settings):
     """What a job may use; none of it changes a result."""
 
     memory_gib: float = Field(
-        4.0,
-        ge=0.5,
-        le=1024,
-        description="Memory that a job may take, in GiB, 0.5 to 1024. As many jobs as there are "
-        "cores run side by side.",
+        4.0, ge=0.5, le=1024, description="Memory that a job may take, in GiB, 0.5 to 1024."
     )
     workers: str = Field(
         THREADS,
-        description="Where work is done: threads of the job, or the workers of a dask scheduler, "
-        "by its address, such as tls://host:8786, which must see the results' folder under the "
-        "same path. The environment variable RFPIPE_WORKERS goes before it. "
-        "docs/parallel.md tells what pays. Over plain tcp:// whoever reaches the scheduler can "
-        "run programs on all of these machines.",
+        description="Where work is done: threads, or the workers of a dask scheduler by its "
+        "address, such as tls://host:8786 (docs/parallel.md).",
     )
-
     jobs: Literal["stage", "acquisition"] | None = Field(
         None,
-        description="What a job of the workflow is: stage, one stage of one level; or acquisition, "
-        "a scene by a method from its first pattern to its transport, for collections and "
-        "clusters. null: acquisition with a collection or with capture.placing, else stage. The "
-        "same bytes either way, and one goes on with what the other left (docs/clusters.md).",
+        description="A job of the workflow: a stage of a level, or a whole acquisition; null: "
+        "acquisition with a collection or capture.placing, else stage.",
     )
     captures: Literal["here", "job"] = Field(
         "here",
-        description="Where jobs that need a real rig run when others go to a cluster: here, beside "
-        "Snakemake, which then is started on the rig's host; or job, as jobs of the cluster that "
-        "the profile sends to the rig's host (docs/clusters.md).",
+        description="Where jobs of a real rig run: here, beside Snakemake, or as jobs of the "
+        "cluster (docs/clusters.md).",
     )
 
     @field_validator("workers")
@@ -74,14 +61,12 @@ class StorageConfig(Settings):
     number_format: NumberFormat = Field(
         "uint8",
         description="Numbers of a stored transport: float32 keeps every bit; uint16 and uint8 "
-        "round a leaf's factors, by about 1e-5 and 3e-3 of their values. uint8 takes a quarter of "
-        "float32's bytes; uint16 is for tolerances below 1e-4 without noise.",
+        "round a leaf's factors by about 1e-5 and 3e-3 of their values.",
     )
     keep_at: str | None = Field(
         None,
-        description="Folder in a bucket of an object store, of this run alone, into which a run "
-        "brings its transports, relit pictures and report at its end, such as s3://lab/desk; "
-        "captures stay here. Credentials and endpoint come from the environment: docs/stores.md.",
+        description="Folder in a bucket, of this run alone, into which its results go at its end, "
+        "such as s3://lab/desk (docs/stores.md).",
     )
 
     @field_validator("keep_at")
@@ -90,3 +75,16 @@ class StorageConfig(Settings):
         if keep_at is not None:
             check_bucket(keep_at)
         return keep_at
+
+
+class ReportConfig(Settings):
+    """What the report shows."""
+
+    page: bool | None = Field(
+        None,
+        description="Whether a run ends with the report on each scene; null: unless it has a "
+        "collection, which has a catalogue.",
+    )
+    title: Text | None = Field(
+        None, description="The report's title; null: Light transport, of as many scenes as it has."
+    )

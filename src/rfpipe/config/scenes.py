@@ -27,34 +27,31 @@ class SceneSettings(Described):
     files: ClassVar[tuple[str, ...]] = ()
 
     kind: Text = Field(
-        description="What kind of scene it is: one that 'rfpipe settings scenes' lists with its "
-        "options, or a class of your own as module:Class or file.py:Class.",
+        description="Kind of scene, one that 'rfpipe settings scenes' lists, or a class of your "
+        "own as module:Class or file.py:Class.",
     )
     shape: tuple[Extent, Extent] = Field(
         (62, 70),
-        description="Rays of the rig, or of each of its views: height and width in pixels, 1 to "
-        "4096 each.",
+        description="Rays of the rig, or of each view: height and width, 1 to 4096 each.",
     )
     channels: Literal[1, 3] = Field(3, description="Colour channels: 1 (grey) or 3 (RGB).")
     methods: MethodSections | None = Field(
         None,
-        description="Methods to acquire this scene with, each with the options that differ from "
-        "its section among the run's methods, such as {symmetric: {tolerance: 2.0e-3}}; null for "
-        "all methods of the run as they are.",
+        description="Methods of this scene, with options that differ from the run's, such as "
+        "{symmetric: {tolerance: 2.0e-3}}; null: the run's.",
     )
     rig: SectionName | None = Field(
         None,
-        description="Which of the settings' rigs it stands before; null for that of the run.",
+        description="The one of the settings' rigs that it stands before; null: the run's.",
     )
     settings: dict[str, Any] = Field(
         default_factory=dict,
-        description="Settings of the run that are others for this scene, such as {seed: 7, camera: "
-        "{exposures: [0.1, 1.0]}}; they win over those of its rig.",
+        description="Settings of the run, other for this scene, such as {camera: {bits: 10}}; they "
+        "win over its rig's.",
     )
     about: dict[str, Any] = Field(
         default_factory=dict,
-        description="What else is to be known of it, such as {number: 1992.14.3}, for the "
-        "catalogue; it shapes nothing.",
+        description="Facts for the catalogue, such as {number: 1992.14.3}.",
     )
 
     @classmethod
