@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         parse_rig_config,
     )
     from rfpipe.config.model import Config
-    from rfpipe.config.processing import NumberFormat, StorageConfig
+    from rfpipe.config.processing import StorageConfig
     from rfpipe.config.reading import read_yaml
     from rfpipe.config.scenes import SceneSettings
 
@@ -32,7 +32,6 @@ __all__ = [
     "CameraConfig",
     "CameraDriver",
     "Config",
-    "NumberFormat",
     "OfflineConfig",
     "ProjectorDriver",
     "RigConfig",
@@ -55,7 +54,7 @@ _MODULES = {
     "drivers": ["CameraDriver", "ProjectorDriver", "RigDriver"],
     "files": ["json_schema", "load_config", "load_rig_config", "parse_config", "parse_rig_config"],
     "model": ["Config"],
-    "processing": ["NumberFormat", "StorageConfig"],
+    "processing": ["StorageConfig"],
     "reading": ["read_yaml"],
     "scenes": ["SceneSettings"],
 }
