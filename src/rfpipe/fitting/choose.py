@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,28 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.fitting.coaxial import floodlit_of, near_far_models
 from rfpipe.fitting.linear import Linear, solve_linear
-from rfpipe.fitting.series import Series
-from rfpipe.methods.states import level_row
+from rfpipe.fitting.series import Float, Series
+from rfpipe.methods.adaptive.pictures import Pictures
+from rfpipe.methods.adaptive.residual import Canvas, residual_of
+from rfpipe.methods.adaptive.smooth import as_transport, fit
+from rfpipe.methods.states import joined, level_row
 from rfpipe.provenance import generator
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.transport.base import Transport
 
-__all__ = ["Fit", "Models", "fit_transport"]
-
 Models = Literal["best", "linear", "near_far"]
-
-# Of the pictures, those that are left out to see how well they are predicted.
-_HELD_OUT, _MOST_HELD_OUT = 8, 16
-_LINEAR = "linear"
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What was found.
+    """A transport behind pictures.
 
     Attributes
     ----------
@@ -65,9 +61,7 @@ class Fit:
 
         None where they are complete, nothing is known of noise, and none can be left out.
         """
-        if self.noise is not None:
-            return self.noise
-        return self.errors.get(self.model)
+        return self.errors.get(self.model) if self.noise is None else self.noise
 
 
 def fit_transport(series: Series, *, coaxial: bool = False, model: Models = "best") -> Fit:
@@ -87,44 +81,80 @@ def fit_transport(series: Series, *, coaxial: bool = False, model: Models = "bes
     InputError
         When near/far's model is asked for and the pictures don't allow it.
     """
-    allowed = _why_not(series, coaxial)
-    if model == "near_far" and allowed:
-        raise InputError(f"near/far's model can't be fitted: {allowed}")
+    obstacle = _why_not(series, coaxial)
+    if model == "near_far" and obstacle:
+        raise InputError(f"near/far's model can't be fitted: {obstacle}")
     complete = series.is_complete
-    kinds = [model] if model != "best" else [_LINEAR, "near_far"]
-    if allowed or (model == "best" and complete):
-        kinds = [_LINEAR]
+    kinds = {"linear", "near_far"} if model == "best" else {model}
+    if obstacle or (model == "best" and complete):
+        kinds = {"linear"}
     held = _held_out(series)
     rest = np.setdiff1d(np.arange(len(series.patterns)), held)
     errors: dict[str, float] = {}
     # of patterns that are just complete, one that is left out isn't told of by the others
-    tells = bool(held.size) and not (complete and not series.some(rest).is_complete)
-    if tells:
+    if held.size and not (complete and not series.some(rest).is_complete):
         for name, found in _models(series.some(rest), kinds, []):
             errors[name] = _error(found, series.some(held))
             _log.info("%s: left-out pictures are off by %.3g %%", name, 100 * errors[name])
-    best = min(errors, key=lambda name: errors[name]) if errors else kinds[0]
+    best = min(errors, key=lambda name: errors[name]) if errors else min(kinds)
     noise = None
-    if complete and best == _LINEAR and series.variance.any():
+    if complete and best == "linear" and series.variance.any():
         noise = _noise(solve_linear(series), series)
     row = level_row(0, len(series.patterns), rank_k=0)
     error = noise if noise is not None else errors.get(best)
     if error is not None:
         row["estimated_error"] = error
-    transport = dict(_models(series, [_LINEAR if best == _LINEAR else "near_far"], [row]))[best]
-    return Fit(transport, best, complete, errors, noise, len(held) if tells else 0)
+    fitted = dict(_models(series, {"linear" if best == "linear" else "near_far"}, [row]))
+    return Fit(fitted[best], best, complete, errors, noise, len(held) if errors else 0)
 
 
 def _models(
-    series: Series, kinds: list[Any], rows: list[dict[str, Any]]
+    series: Series, kinds: Collection[str], rows: list[dict[str, Any]]
 ) -> Iterator[tuple[str, Transport]]:
-    """Yield the models of some kinds, fitted to pictures."""
-    if _LINEAR in kinds:
+    """Yield the models of some kinds, fitted to pictures; `rows` is the table of levels.
+
+    Near/far's are direct and smooth indirect light, and the same with what it leaves.
+    """
+    if "linear" in kinds:
         found = solve_linear(series)
         _log.info("least squares: entries alike over %g rays", found.scale)
-        yield _LINEAR, found.transport(series, rows)
-    if "near_far" in kinds and floodlit_of(series) is not None:
-        yield from near_far_models(series, rows)
+        yield "linear", found.transport(series, rows)
+    known = _floodlit(series)
+    if "near_far" not in kinds or known is None:
+        return
+    shape, white = series.projector_shape, np.ones((1, series.patterns.shape[1]), np.bool_)
+    telling = ~series.patterns.all(axis=1) & series.patterns.any(axis=1)
+    probes = (series.patterns[telling] > 0, series.radiance[telling], series.variance[telling])
+    pictures = joined([Pictures(white, *known).completed(shape), Pictures(*probes)], axis=0)
+    model = fit(shape, pictures)
+    smooth = as_transport(shape, rows, model, pictures)
+    yield "near_far", smooth
+    canvas = Canvas.of(shape, pictures)
+    taken = canvas.taken(pictures.lit, pictures.radiance, pictures.variance)
+    rest = residual_of(canvas, taken, smooth).transport(canvas)
+    yield "near_far and what it leaves", as_transport(shape, rows, model, pictures, [rest])
+
+
+def _floodlit(series: Series) -> tuple[Float, Float] | None:
+    """Return the floodlit image (1, C, M) and its variance: of white pictures, else of opposites.
+
+    None where there are neither, or the patterns aren't of light and dark.
+    """
+    if not series.is_binary:
+        return None
+    white = series.patterns.all(axis=1)
+    if white.any():
+        mean = series.radiance[white].mean(axis=0, dtype=np.float64)[None]
+        spread = series.variance[white].mean(axis=0, dtype=np.float64)[None]
+        spread /= np.count_nonzero(white)
+        return mean.astype(np.float32), spread.astype(np.float32)
+    number = {pattern.tobytes(): index for index, pattern in enumerate(series.patterns)}
+    for index, pattern in enumerate(series.patterns):
+        other = number.get((1 - pattern).astype(np.float32).tobytes())
+        if other is not None:
+            pair = [index, other]
+            return series.radiance[pair].sum(0)[None], series.variance[pair].sum(0)[None]
+    return None
 
 
 def _why_not(series: Series, coaxial: bool) -> str:
@@ -138,44 +168,46 @@ def _why_not(series: Series, coaxial: bool) -> str:
         )
     if not series.is_binary:
         return "its patterns are of light and dark alone, 0 and 1"
-    if floodlit_of(series) is None:
+    if _floodlit(series) is None:
         return "it needs a picture under white light, or those of a pattern and its opposite"
-    if not (~series.patterns.all(axis=1) & series.patterns.any(axis=1)).any():
-        return "there is no picture but of white and black"
+    if series.patterns.all(axis=1).all():
+        return "there is no picture but of white"
     return ""
 
 
 def _held_out(series: Series) -> NDArray[np.int64]:
-    """Choose pictures to leave out: neither white nor black ones, whose light others know."""
-    white, dark = series.patterns.min(axis=1) > 0, ~series.patterns.any(axis=1)
-    free = np.flatnonzero(~white & ~dark)
-    count = min(
-        len(free) // _HELD_OUT if len(free) >= _HELD_OUT else len(free) // 2, _MOST_HELD_OUT
-    )
+    """Choose an eighth of the pictures to leave out, 16 at most; of fewer than 8, half.
+
+    Neither white nor black ones, whose light others know.
+    """
+    free = np.flatnonzero(~(series.patterns.min(axis=1) > 0) & series.patterns.any(axis=1))
+    count = min(len(free) // (8 if len(free) >= 8 else 2), 16)
     return np.sort(generator(0, len(free)).choice(free, count, replace=False)).astype(np.int64)
+
+
+def _relit(found: Transport, patterns: Float) -> Float:
+    """Return pictures (P, C, M) of patterns (P, N)."""
+    shape = (len(patterns), found.channels, patterns.shape[1])
+    return found.forward(np.broadcast_to(patterns[:, None], shape), range(found.channels))
 
 
 def _error(found: Transport, held: Series) -> float:
     """Return the mean error of pictures, less the noise that they are known to have."""
-    channels = range(held.channels)
-    shape = (len(held.patterns), held.channels, held.patterns.shape[1])
-    relit = found.forward(np.broadcast_to(held.patterns[:, None], shape), channels)
+    relit = _relit(found, held.patterns)
     wrong = np.square(relit - held.radiance, dtype=np.float64).sum(axis=(1, 2))
-    wrong = np.maximum(wrong - held.variance.sum(axis=(1, 2), dtype=np.float64), 0)
-    light = np.square(held.radiance, dtype=np.float64).sum(axis=(1, 2))
-    lit = light > 0
-    return float(np.sqrt(wrong[lit] / light[lit]).mean()) if lit.any() else 0.0
+    return _mean_ratio(wrong - held.variance.sum(axis=(1, 2), dtype=np.float64), held.radiance)
 
 
 def _noise(found: Linear, series: Series) -> float:
     """Return the mean error of relit pictures that noise makes."""
     patterns = np.stack(list(relighting_patterns(series.projector_shape).values()))
     patterns = patterns.reshape(len(patterns), -1).astype(np.float32)
-    shape = (len(patterns), series.channels, patterns.shape[1])
-    images = found.transport(series, []).forward(
-        np.broadcast_to(patterns[:, None], shape), range(series.channels)
-    )
+    images = _relit(found.transport(series, []), patterns)
+    return _mean_ratio(found.noise_of(patterns).sum(axis=(1, 2)), images)
+
+
+def _mean_ratio(wrong: NDArray[np.float64], images: Float) -> float:
+    """Return the mean root of squared errors over the norms of pictures that aren't black."""
     light = np.square(images, dtype=np.float64).sum(axis=(1, 2))
     lit = light > 0
-    spread = found.noise_of(patterns).sum(axis=(1, 2))
-    return float(np.sqrt(spread[lit] / light[lit]).mean()) if lit.any() else 0.0
+    return float(np.sqrt(np.maximum(wrong[lit], 0) / light[lit]).mean()) if lit.any() else 0.0

@@ -10,19 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.fitting.series import Series
+from rfpipe.fitting.series import Float, Series
 from rfpipe.pictures import Header, Picture, picture_files, read_header, read_picture
 
 if TYPE_CHECKING:
     from rfpipe.photometry import CameraModel
 
-__all__ = ["FolderOptions", "Transfer", "read_series"]
-
-Float = NDArray[np.float32]
-Transfer = Literal["linear", "srgb"]
-
 _OTHERS = (".bmp", ".hdr", ".jpeg", ".jpg", ".pfm")
-_PICTURES, _PATTERNS = "pictures", "patterns"
 _ARRAYS = ("patterns.npy", "patterns.npz")
 
 
@@ -48,7 +42,7 @@ class FolderOptions:
     lights: tuple[int, int] | None = None
     camera: CameraModel | None = None
     black: Path | None = None
-    transfer: Transfer = "linear"
+    transfer: Literal["linear", "srgb"] = "linear"
     reduce: int = 1
 
 
@@ -75,45 +69,49 @@ def read_series(folder: Path, options: FolderOptions | None = None) -> Series:
         When a picture can't be read, or number, size or channels don't fit together.
     """
     options = options or FolderOptions()
-    own = folder / _PICTURES
-    files = picture_files(own if own.is_dir() else folder, _OTHERS)
-    step = len(options.camera.exposures) if options.camera else 1
-    if len(files) % step:
-        raise InputError(
-            f"{folder}: holds {len(files)} pictures, no multiple of the {step} exposures of the "
-            "settings' camera"
-        )
-    patterns, shape = _patterns(folder, options, len(files) // step)
-    headers = [read_header(path) for path in files]
-    _check_alike(headers, files)
+    own = folder / "pictures"
+    brackets = _brackets(own if own.is_dir() else folder, options)
+    patterns, shape = _patterns(folder, options, len(brackets))
+    headers = [read_header(path) for files in brackets for path in files]
+    for header, path in zip(headers, (path for files in brackets for path in files), strict=True):
+        kinds = [(each.size, each.channels, each.kind) for each in (header, headers[0])]
+        if kinds[0] != kinds[1]:
+            raise InputError(
+                f"{path}: is {kinds[0]} (size, channels, kind); {brackets[0][0].name} is "
+                f"{kinds[1]}. All should be alike"
+            )
     size = tuple(extent // options.reduce for extent in headers[0].size)
     if not all(size):
         raise InputError(
-            f"{files[0]}: is {headers[0].size} pixels; a mean over {options.reduce} leaves none"
+            f"{brackets[0][0]}: is {headers[0].size} pixels; a mean over {options.reduce} leaves "
+            "none"
         )
-    black_files = _black_files(options.black, step)
-    black = np.flatnonzero(~patterns.any(axis=1))
+    lit = np.asarray(patterns.any(axis=1))
+    dark = [files for files, is_lit in zip(brackets, lit, strict=True) if not is_lit]
+    dark += _brackets(options.black, options) if options.black else []
+    brackets = [files for files, is_lit in zip(brackets, lit, strict=True) if is_lit]
     if options.camera:
-        brackets = [files[first : first + step] for first in range(0, len(files), step)]
-        dark = [brackets[index] for index in black] + black_files
-        radiance, variance = _merged(options, brackets, headers, dark)
+        radiance, variance = _merged(options.camera, options.reduce, brackets, headers, dark)
     else:
         seconds = [header.exposure_s for header in headers]
-        radiance = np.stack([_light(path, options, seconds, header) for path, header in
-                             zip(files, headers, strict=True)])  # fmt: skip
-        variance = np.zeros_like(radiance)
-        if black.size or black_files:
-            dark_light = [radiance[index] for index in black]
-            dark_light += [
-                _light(path, options, seconds, read_header(path)) for [path] in black_files
-            ]
-            radiance -= np.mean(dark_light, axis=0, dtype=np.float64).astype(np.float32)
-    lit = patterns.any(axis=1)
-    patterns, radiance, variance = patterns[lit], radiance[lit], variance[lit]
-    if not options.camera:
-        variance[:] = _of_repeats(patterns, radiance)
-    height, width = size
-    return Series((height, width), shape, patterns, radiance, variance)
+        radiance = np.stack([_light(path, options, seconds) for [path] in brackets])
+        if dark:
+            black = [_light(path, options, seconds) for [path] in dark]
+            radiance -= np.mean(black, axis=0, dtype=np.float64).astype(np.float32)
+        variance = np.full_like(radiance, _of_repeats(patterns[lit], radiance))
+    return Series((size[0], size[1]), shape, patterns[lit], radiance, variance)
+
+
+def _brackets(place: Path, options: FolderOptions) -> list[list[Path]]:
+    """Return the pictures of a folder, or a single one, bracket by bracket."""
+    files = [place] if place.is_file() else picture_files(place, _OTHERS)
+    step = len(options.camera.exposures) if options.camera else 1
+    if len(files) % step:
+        raise InputError(
+            f"{place}: holds {len(files)} pictures, no multiple of the {step} exposures of the "
+            "settings' camera"
+        )
+    return [files[first : first + step] for first in range(0, len(files), step)]
 
 
 def _patterns(folder: Path, options: FolderOptions, count: int) -> tuple[Float, tuple[int, int]]:
@@ -127,8 +125,11 @@ def _patterns(folder: Path, options: FolderOptions, count: int) -> tuple[Float, 
             )
         return np.eye(count, dtype=np.float32), (down, across)
     weights = _weights(folder, options)
-    if len(weights) != count:
-        raise InputError(f"{folder}: holds {count} pictures of {len(weights)} patterns; one each")
+    if weights.ndim != 3 or len(weights) != count:
+        raise InputError(
+            f"{folder}: holds {count} pictures of {len(weights)} patterns, an array "
+            f"{weights.shape}; expected one each, (pictures, H, W)"
+        )
     if not ((weights >= 0) & (weights < np.inf)).all():
         raise InputError(
             f"{folder}: patterns should be finite and not negative; light of both signs, such as "
@@ -140,27 +141,17 @@ def _patterns(folder: Path, options: FolderOptions, count: int) -> tuple[Float, 
 
 def _weights(folder: Path, options: FolderOptions) -> NDArray[Any]:
     """Read patterns as (K, H, W)."""
-    for name in _ARRAYS:
-        if (folder / name).is_file():
-            held = np.load(folder / name, allow_pickle=False)
-            if not isinstance(held, np.ndarray):
-                if len(held.files) != 1:
-                    raise InputError(
-                        f"{folder / name}: holds {', '.join(held.files)}; expected one array"
-                    )
-                held = held[held.files[0]]
-            if held.ndim == 2:
-                held = held[:, None]
-            if held.ndim != 3 or held.dtype.kind not in "fiub":
-                raise InputError(
-                    f"{folder / name}: holds {held.dtype} {held.shape}; expected weights "
-                    "(pictures, H, W)"
-                )
-            return np.asarray(held)
-    own = folder / _PATTERNS
+    for path in (folder / name for name in _ARRAYS if (folder / name).is_file()):
+        held = np.load(path, allow_pickle=False)
+        if not isinstance(held, np.ndarray):
+            if len(held.files) != 1:
+                raise InputError(f"{path}: holds {', '.join(held.files)}; expected one array")
+            held = held[held.files[0]]
+        return np.asarray(held[:, None] if held.ndim == 2 else held)
+    own = folder / "patterns"
     if not own.is_dir():
         raise InputError(
-            f"{folder}: has no patterns; expected a folder {_PATTERNS} of pictures, or "
+            f"{folder}: has no patterns; expected a folder {own.name} of pictures, or "
             f"{' or '.join(_ARRAYS)}, or --lights for one light at a time"
         )
     pictures = []
@@ -168,41 +159,28 @@ def _weights(folder: Path, options: FolderOptions) -> NDArray[Any]:
         picture = read_picture(path)
         if picture.header.channels == 3 and np.ptp(picture.pixels, axis=-1).any():
             raise InputError(f"{path}: is coloured; patterns are of white light")
-        pictures.append(_linear(picture, options.transfer)[..., 0])
+        pictures.append(_linear(picture, options)[..., 0])
     if len({picture.shape for picture in pictures}) > 1:
         raise InputError(f"{own}: holds pictures of several sizes; patterns have one")
     return np.stack(pictures)
 
 
-def _check_alike(headers: list[Header], files: list[Path]) -> None:
-    for header, path in zip(headers, files, strict=True):
-        if (header.size, header.channels, header.kind) != (
-            headers[0].size, headers[0].channels, headers[0].kind,
-        ):  # fmt: skip
-            raise InputError(
-                f"{path}: is {header.size[0]} x {header.size[1]} with {header.channels} channels "
-                f"of {header.kind}; {files[0].name} is {headers[0].size[0]} x {headers[0].size[1]} "
-                f"with {headers[0].channels} of {headers[0].kind}. All should be alike"
-            )
-
-
-def _light(
-    path: Path, options: FolderOptions, seconds: list[float | None], header: Header
-) -> Float:
+def _light(path: Path, options: FolderOptions, seconds: list[float | None]) -> Float:
     """Return a picture as light, (C, M), over its exposure time where these differ."""
-    light = _reduced(_linear(read_picture(path), options.transfer), options.reduce)
-    known = [second for second in seconds if second is not None]
-    if header.exposure_s and len(known) == len(seconds) and max(known) > 1.01 * min(known):
-        light = light / np.float32(header.exposure_s)
+    picture = read_picture(path)
+    light = _reduced(_linear(picture, options), options.reduce)
+    known, own = [second for second in seconds if second is not None], picture.header.exposure_s
+    if own and len(known) == len(seconds) and max(known) > 1.01 * min(known):
+        light = light / np.float32(own)
     return light
 
 
-def _linear(picture: Picture, transfer: Transfer) -> Float:
+def _linear(picture: Picture, options: FolderOptions) -> Float:
     """Return a picture's values as linear light; integers go from 0 to 1."""
     if picture.header.kind == "light":
         return np.asarray(picture.pixels, np.float32)
     value = picture.pixels / np.float32(2**picture.bits - 1)
-    if transfer == "srgb":
+    if options.transfer == "srgb":
         value = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     return value.astype(np.float32)
 
@@ -215,28 +193,17 @@ def _reduced(image: Float, by: int) -> Float:
     return np.ascontiguousarray(mean.reshape(rows * columns, -1).T)
 
 
-def _black_files(black: Path | None, step: int) -> list[list[Path]]:
-    if black is None:
-        return []
-    files = picture_files(black, _OTHERS) if black.is_dir() else [black]
-    if len(files) % step:
-        raise InputError(f"{black}: holds {len(files)} pictures; a bracket has {step}")
-    return [files[first : first + step] for first in range(0, len(files), step)]
-
-
 def _merged(
-    options: FolderOptions,
+    camera: CameraModel,
+    reduce: int,
     brackets: list[list[Path]],
     headers: list[Header],
     dark: list[list[Path]],
 ) -> tuple[Float, Float]:
-    """Return what brackets merge to and its variance, (K, C, M) each."""
+    """Return merged brackets and their variance, (K, C, M) each."""
     from rfpipe.photometry import MergeOptions
 
-    camera = options.camera
-    assert camera is not None
-    mosaic = camera.bayer is not None
-    channels = 3 if mosaic else headers[0].channels
+    channels = headers[0].channels if camera.bayer is None else 3
     shape = camera.frame_shape(headers[0].size, channels)
 
     def frames(files: list[Path]) -> NDArray[Any]:
@@ -252,9 +219,8 @@ def _merged(
     radiance, variance = [], []
     for files in brackets:
         merged = merge(frames(files)[None])
-        radiance.append(_reduced(merged.radiance[0], options.reduce))
-        spread = _reduced(merged.variance[0], options.reduce)
-        variance.append(spread / np.float32(options.reduce**2))
+        radiance.append(_reduced(merged.radiance[0], reduce))
+        variance.append(_reduced(merged.variance[0], reduce) / np.float32(reduce**2))
     return np.stack(radiance), np.stack(variance)
 
 

@@ -1,12 +1,12 @@
 """Regularised least squares: the transport of each camera ray from all pictures.
 
-A row t of T is taken for a Gaussian process over the projector's rays: its entries are equally
-large and, over some distance, alike. With patterns P, pictures ``y = P t`` of variance V and the
-prior's covariance K, ``t = K P^T (P K P^T + V / s)^-1 y``, s the prior's variance. One eigenvalue
-decomposition serves all rays. Where V is known, the distance, and s beside the brightness of a ray,
-are those under which the pictures are most probable. Where it isn't, complete patterns are solved
-directly, and for others cross-validation chooses. Where the patterns are complete and noise is
-small, all of them come to the direct solution.
+A row t of T is taken for a Gaussian process over the projector's rays: its entries share a mean,
+are equally large and, over some distance, alike. With patterns P, pictures ``y = P t`` of variance
+V and the prior's covariance K, ``t = K P^T (P K P^T + V / s)^-1 y``, s the prior's variance. One
+eigenvalue decomposition serves all rays. Where V is known, the distance, and s beside the
+brightness of a ray, are those under which the pictures are most probable. Where it isn't, complete
+patterns are solved directly, and for others cross-validation chooses. Where the patterns are
+complete and noise is small, all of them come to the direct solution.
 """
 
 from __future__ import annotations
@@ -18,32 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.fitting.series import Series
+from rfpipe.fitting.series import Float, Series
 from rfpipe.transport.base import Transport
 from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.low_rank import LowRankTransport
 
-__all__ = ["Linear", "solve_linear"]
-
-Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 
-# Entries of a row share a mean, whose variance is that of an entry.
-_MEAN = 1.0
-# What keeps the direct solution from dividing by rounding.
-_DIRECT = 1e-13
 # Noise to signal, squared, among which the most probable is sought.
 _RIDGES: Double = np.logspace(-10, 2, 25)
-# Distances, in rays, over which entries may be alike.
-_SCALES = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
-# Cross-validation takes the least ridge whose score is within this part of the best one's.
-_AS_GOOD = 0.02
 # Eigenvalues below this part of the largest one are rounding; so is noise below it.
 _ROUNDING = 1e-13
-# Rays whose likelihood is looked at to choose the prior: enough of any picture.
-_LOOKED_AT = 512
-# Of the brightest ray, what every ray is taken to have at least.
-_DIMMEST = 1e-3
+_TINY = float(np.finfo(np.float32).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,32 +76,31 @@ class Linear:
 
 
 def solve_linear(series: Series) -> Linear:
-    """Find the transport's rows.
-
-    Parameters
-    ----------
-    series : Series
-    """
-    weights = _of_pictures(series)
-    is_known = bool(series.variance.any())
+    """Find the transport's rows."""
+    weights = np.ones(len(series.patterns))
+    variance = series.variance.mean(axis=(1, 2), dtype=np.float64)
+    is_known = bool(variance.any())
+    if is_known:
+        # a picture of no noise at all is one of which nothing was known
+        weights = 1 / np.sqrt(np.maximum(variance / variance.mean(), 1e-3))
+    gain = _gains(series)
     if not is_known and series.is_complete:
-        return _Basis.of(series, weights, 0.0).solved(series, weights, _DIRECT)
-    looked = _looked_at(series)
-    seen = series.radiance[:, :, looked].astype(np.float64) * weights[:, None, None]
-    gain = _gains(series)[:, looked]
+        return _Basis.of(series, weights, 0.0).solved(series, weights, gain, _ROUNDING)
+    rays = series.radiance.shape[2]  # some of them, evenly spread, choose the prior
+    looked = np.unique(np.linspace(0, rays - 1, min(rays, 512)).astype(np.int64))
+    observed = series.radiance[:, :, looked].astype(np.float64) * weights[:, None, None]
     spread = series.variance[:, :, looked] * np.square(weights)[:, None, None]
     noise = spread.mean(axis=0, dtype=np.float64)
-    best: tuple[float, _Basis, float] | None = None
-    for scale in _scales(series.projector_shape):
+    longest = max(RayDomain(series.projector_shape).image_shape)
+    found = []
+    for scale in [0.0, *(2.0**power for power in range(8) if 2 ** (power + 1) <= longest)]:
         basis = _Basis.of(series, weights, scale)
-        scores = basis.surprises(seen, gain, noise) if is_known else basis.misses(seen, gain)
-        good = scores.min() if is_known else (1 + _AS_GOOD) * scores.min()
-        index = int(np.argmax(scores <= good))
-        if best is None or scores[index] < best[0]:
-            best = float(scores[index]), basis, float(_RIDGES[index])
-    assert best is not None
-    _, basis, ridge = best
-    return basis.solved(series, weights, ridge)
+        scores = basis.scores(observed, gain[:, looked], noise)
+        # cross-validation takes the least ridge whose score is about the best one's
+        index = int(np.argmax(scores <= (1 if is_known else 1.02) * scores.min()))
+        found.append((float(scores[index]), basis, float(_RIDGES[index])))
+    _, basis, ridge = min(found, key=lambda each: each[0])
+    return basis.solved(series, weights, gain, ridge)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,83 +127,63 @@ class _Basis:
         spread = _spread(patterns, series.projector_shape, scale)
         values, vectors = np.linalg.eigh(patterns @ spread.T)
         largest = max(float(values[-1]), np.finfo(np.float64).tiny)
-        kept = values > _ROUNDING * largest
-        values, vectors = values[kept][::-1], vectors[:, kept][:, ::-1]
+        used = values > _ROUNDING * largest
+        values, vectors = values[used][::-1], vectors[:, used][:, ::-1]
         return cls(values / largest, vectors, (vectors.T @ spread) / largest, scale)
 
-    def surprises(self, seen: Double, gain: Double, noise: Double) -> Double:
-        """Return how improbable pictures (K, C, m) of known noise (C, m) are at each ridge."""
-        told, rest, silent = self._told(seen)
-        shining = noise > 0
+    def scores(self, observed: Double, gain: Double, noise: Double) -> Double:
+        """Return how bad each ridge is for pictures (K, C, m) of noise (C, m).
+
+        How improbable they are where the noise is known; else, the generalised cross-validation
+        score.
+        """
+        along = np.square(np.einsum("kr,kcm->rcm", self.vectors, observed, optimize=True))
+        light = np.square(observed).sum(axis=0)
+        rest, silent = (
+            np.maximum(light - along.sum(axis=0), 0),
+            len(self.vectors) - len(self.values),
+        )
+        shining, is_known = noise > 0, bool(noise.any())
         found = np.empty(len(_RIDGES))
         for index, ridge in enumerate(_RIDGES):
             own = ridge * gain
             variance = self.values[:, None, None] + own
-            unit = np.where(shining, noise, 1) / own
-            misfit = (told / variance).sum(axis=0) + (rest / own if silent else 0)
-            logs = np.log(variance).sum(axis=0) + silent * np.log(own)
-            score = len(seen) * np.log(unit) + logs + misfit / unit
-            found[index] = float(score[shining].sum())
+            if is_known:
+                unit = np.where(shining, noise, 1) / own
+                misfit = (along / variance).sum(axis=0) + (rest / own if silent else 0)
+                logs = np.log(variance).sum(axis=0) + silent * np.log(own)
+                score = len(observed) * np.log(unit) + logs + misfit / unit
+                found[index] = float(score[shining].sum())
+            else:
+                left = own / variance
+                missed = (np.square(left) * along).sum(axis=0) + rest
+                free = np.square(left.sum(axis=0) + silent)
+                found[index] = float((missed / free / np.maximum(light, _TINY)).mean())
         return found
 
-    def misses(self, seen: Double, gain: Double) -> Double:
-        """Return the generalised cross-validation score of pictures (K, C, m) at each ridge."""
-        told, rest, silent = self._told(seen)
-        light = np.maximum(np.square(seen).sum(axis=0), np.finfo(np.float64).tiny)
-        found = np.empty(len(_RIDGES))
-        for index, ridge in enumerate(_RIDGES):
-            own = ridge * gain
-            left = own / (self.values[:, None, None] + own)
-            missed = (np.square(left) * told).sum(axis=0) + rest
-            free = left.sum(axis=0) + silent
-            found[index] = float((missed / np.square(free) / light).mean())
-        return found
-
-    def _told(self, seen: Double) -> tuple[Double, Double, int]:
-        """Return pictures' squares along the vectors, what is left of them, and of how many."""
-        told = np.square(np.einsum("kr,kcm->rcm", self.vectors, seen, optimize=True))
-        rest = np.maximum(np.square(seen).sum(axis=0) - told.sum(axis=0), 0)
-        return told, rest, len(self.vectors) - len(self.values)
-
-    def solved(self, series: Series, weights: Double, ridge: float) -> Linear:
+    def solved(self, series: Series, weights: Double, gain: Double, ridge: float) -> Linear:
         """Return the rows at a ridge."""
         rays = series.radiance.shape[2]
         left = np.empty((series.channels, len(self.values), rays), np.float32)
         noise = np.empty_like(left)
-        gain = _gains(series)
         for channel in range(series.channels):
             own = 1 / (self.values[:, None] + ridge * gain[channel])
-            seen = series.radiance[:, channel].astype(np.float64) * weights[:, None]
-            left[channel] = own * (self.vectors.T @ seen)
+            observed = series.radiance[:, channel].astype(np.float64) * weights[:, None]
+            left[channel] = own * (self.vectors.T @ observed)
             spread = series.variance[:, channel] * np.square(weights)[:, None]
             noise[channel] = np.square(own) * (np.square(self.vectors).T @ spread)
         return Linear(left, self.right.astype(np.float32), self.scale, noise)
 
 
-def _of_pictures(series: Series) -> Double:
-    """Return what each picture's deviations count, (K,): the inverse of its mean one."""
-    spread = series.variance.mean(axis=(1, 2), dtype=np.float64)
-    if not spread.any():
-        return np.ones(len(spread))
-    # a picture of no noise at all is one of which nothing was known
-    return np.asarray(1 / np.sqrt(np.maximum(spread / spread.mean(), 1e-3)))
-
-
 def _gains(series: Series) -> Double:
     """Return the variance of each ray's pictures over its squared brightness, (C, M), of mean 1."""
     light = np.sqrt(np.square(series.radiance, dtype=np.float64).mean(axis=0))
-    light = np.maximum(light, _DIMMEST * max(float(light.max()), float(np.finfo(np.float32).tiny)))
+    light = np.maximum(light, 1e-3 * max(float(light.max()), _TINY))
     spread = series.variance.mean(axis=0, dtype=np.float64)
     if not spread.any():  # nothing is known: as many per cent of every ray
         return np.ones_like(light)
     gain = np.maximum(spread, 1e-3 * spread.mean()) / np.square(light)
     return np.asarray(gain / np.median(gain))
-
-
-def _scales(shape: tuple[int, ...]) -> list[float]:
-    """Return the distances to try, in rays."""
-    longest = max(RayDomain(shape).image_shape)
-    return [0.0, *(scale for scale in _SCALES if 2 * scale <= longest)]
 
 
 def _spread(patterns: Double, shape: tuple[int, ...], scale: float) -> Double:
@@ -234,10 +199,4 @@ def _spread(patterns: Double, shape: tuple[int, ...], scale: float) -> Double:
         own[own.shape[0] // 2, own.shape[1] // 2] = 1
         peak = gaussian_filter(own, scale, mode="constant", truncate=6).max()
         spread = filtered.reshape(patterns.shape) / peak
-    return np.asarray(spread + _MEAN * patterns.sum(axis=1, keepdims=True))
-
-
-def _looked_at(series: Series) -> NDArray[np.int64]:
-    """Return some of the camera rays, evenly spread."""
-    rays = series.radiance.shape[2]
-    return np.unique(np.linspace(0, rays - 1, min(rays, _LOOKED_AT)).astype(np.int64))
+    return np.asarray(spread + patterns.sum(axis=1, keepdims=True))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import prod
 
 import numpy as np
@@ -11,11 +11,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import ray_shape
 from rfpipe.errors import InputError
 
-__all__ = ["Series"]
-
 Float = NDArray[np.float32]
-# Singular values of the patterns below this part of the largest one are none.
-_RANK = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,25 +45,19 @@ class Series:
         rays = prod(ray_shape(self.camera_shape, "camera_shape"))
         lights = prod(ray_shape(self.projector_shape, "projector_shape"))
         count = len(self.patterns)
-        if not count or self.patterns.shape != (count, lights):
-            raise InputError(
-                f"patterns have the shape {self.patterns.shape}; expected (pictures, {lights})"
-            )
-        expected = (count, self.channels, rays)
-        for name in ("radiance", "variance"):
-            found = getattr(self, name)
-            if found.shape != expected:
-                raise InputError(f"{name} has the shape {found.shape}; expected {expected}")
+        pictures = (count, self.channels, rays)
+        for name, shape in (
+            ("patterns", (count, lights)), ("radiance", pictures), ("variance", pictures)
+        ):  # fmt: skip
+            values = getattr(self, name)
+            if values.shape != shape:
+                raise InputError(f"{name} has the shape {values.shape}; expected {shape}")
+            if not np.isfinite(values).all() or (name != "radiance" and (values < 0).any()):
+                raise InputError(f"{name} should be finite and not negative, every value")
         if self.channels not in (1, 3):
             raise InputError(f"pictures have {self.channels} channels; expected 1 or 3")
-        for name in ("patterns", "variance"):
-            found = getattr(self, name)
-            if not ((found >= 0) & (found < np.inf)).all():
-                raise InputError(f"{name} should be finite and not negative, every value")
-        if not np.isfinite(self.radiance).all():
-            raise InputError("radiance should be finite, every value")
         if not self.patterns.any():
-            raise InputError("all patterns are dark; nothing is told of light")
+            raise InputError("all patterns are dark, or there are none: they tell nothing of light")
 
     @property
     def channels(self) -> int:
@@ -84,7 +74,7 @@ class Series:
         """Number of independent patterns."""
         gram = self.patterns.astype(np.float64) @ self.patterns.T.astype(np.float64)
         values = np.linalg.eigvalsh(gram)
-        return int(np.count_nonzero(values > _RANK**2 * values[-1]))
+        return int(np.count_nonzero(values > 1e-10 * values[-1]))
 
     @property
     def is_complete(self) -> bool:
@@ -94,10 +84,5 @@ class Series:
 
     def some(self, chosen: NDArray[np.int64]) -> Series:
         """Return some of the pictures."""
-        return Series(
-            self.camera_shape,
-            self.projector_shape,
-            self.patterns[chosen],
-            self.radiance[chosen],
-            self.variance[chosen],
-        )
+        parts = {name: getattr(self, name)[chosen] for name in ("patterns", "radiance", "variance")}
+        return replace(self, **parts)
