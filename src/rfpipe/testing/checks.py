@@ -9,8 +9,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-__all__ = ["require", "require_equal_descriptions", "require_raises"]
-
 
 class _Described(Protocol):
     def describe(self) -> dict[str, Any]: ...

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from rfpipe.transport import Transport
 
-__all__ = ["dot_test"]
-
 
 def dot_test(
     operator: Transport | LinearOperator | NDArray[Any], tolerance: float = 1e-5, seed: int = 0

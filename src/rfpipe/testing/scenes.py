@@ -12,8 +12,6 @@ from rfpipe.provenance import generator
 from rfpipe.scenes.base import Scene
 from rfpipe.testing.checks import require, require_equal_descriptions
 
-__all__ = ["SceneContract"]
-
 Float = NDArray[np.float32]
 
 
@@ -44,11 +42,7 @@ class SceneContract:
         for count in (1, 3):
             patterns = _patterns(scene, count)
             images = scene.apply(patterns)
-            expected = (count, prod(scene.camera_shape), scene.channels)
-            require(
-                images.shape == expected and images.dtype == np.float32,
-                f"apply() returns {images.dtype} {images.shape}; expected float32 {expected}",
-            )
+            _require_float32(images, (count, prod(scene.camera_shape), scene.channels), "apply()")
             flat = scene.apply(patterns.reshape(count, -1))
             require(np.array_equal(flat, images), "apply() differs for patterns (B, N)")
 
@@ -98,17 +92,18 @@ class SceneContract:
     def test_albedo(self) -> None:
         """The albedo that the camera sees is float32 (*camera_shape, C), not negative."""
         scene = self.make_scene()
-        expected = (*scene.camera_shape, scene.channels)
         albedo = scene.albedo
-        require(
-            albedo.shape == expected and albedo.dtype == np.float32,
-            f"albedo is {albedo.dtype} {albedo.shape}; expected float32 {expected}",
-        )
+        _require_float32(albedo, (*scene.camera_shape, scene.channels), "albedo")
         require(np.isfinite(albedo).all() and albedo.min() >= 0, "albedo is negative or NaN")
 
     def test_description(self) -> None:
         """`describe` is plain data that JSON keeps, and the same each time."""
         require_equal_descriptions(lambda: nullcontext(self.make_scene()))
+
+
+def _require_float32(found: NDArray[np.floating], shape: tuple[int, ...], name: str) -> None:
+    is_so = found.shape == shape and found.dtype == np.float32
+    require(is_so, f"{name} is {found.dtype} {found.shape}; expected float32 {shape}")
 
 
 def _patterns(scene: Scene, count: int) -> Float:

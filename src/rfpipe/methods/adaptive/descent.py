@@ -96,10 +96,7 @@ class Targeted(Adaptive):
 
     def __init__(self, inner: Descent[Any]) -> None:
         self._inner = inner
-        about = (
-            "name title colour marker line needs_coaxial_rig bytes_per_ray Options trades trials"
-        )
-        for name in about.split():
+        for name in set(Method.__annotations__) - {"estimates_error"}:
             setattr(self, name, getattr(inner, name))
 
     @property
