@@ -162,7 +162,7 @@ class BrokenCamera(SimulatedCamera):
         ("clips", "rejects_what_cannot_be_shown"),
         ("one pixel off", "shows_pixel_by_pixel"),
         ("bends light", "shows_pixel_by_pixel"),
-        ("keeps a view", "keeps_no_hold_of_the_picture"),
+        ("keeps a view", "takes_any_memory_layout_and_keeps_no_hold_of_it"),
         ("never closes", "closes"),
     ],
 )
@@ -182,7 +182,7 @@ def test_the_contract_finds_what_is_wrong_with_a_projector(fault: str, test: str
         ("loses a frame", "brackets"),
         ("late by a frame", "is_steady"),
         ("too many bits", "brackets"),
-        ("reuses its buffer", "keeps_no_hold_of_its_frames"),
+        ("reuses its buffer", "brackets"),
         ("unstable description", "describes_itself"),
         ("never closes", "closes"),
     ],

@@ -104,7 +104,7 @@ class Broken(OperatorRig):
     [
         ("clips patterns", "rejects_what_cannot_be_shown"),
         ("forgets its key", "same_bytes_however_captured"),
-        ("one noise for all", "own_noise_for_each_key"),
+        ("one noise for all", "same_bytes_however_captured"),
         ("ambient light", "light_adds_up"),
         ("projector gamma", "light_adds_up"),
         ("flickering black level", "black_is_black"),

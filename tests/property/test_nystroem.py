@@ -7,12 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.methods.symmetric.nodes import Frontier, child_pairs
+from rfpipe.methods.symmetric.nodes import Frontier, Pairs, child_pairs
 from rfpipe.methods.symmetric.pieces import Pieces, Subdivided
 from rfpipe.methods.symmetric.rank_k import predictable, rank_k_leaves
 from rfpipe.methods.symmetric.rank_k_kernels import _decompose
 from rfpipe.methods.symmetric.rank_test import Limits
-from rfpipe.transport.hierarchical.leaves import factor_offsets
 
 SEEDS = st.integers(0, 2**32 - 1)
 shapes = st.tuples(st.integers(5, 20), st.integers(5, 20))
@@ -28,28 +27,26 @@ def measured(tree, blocks, sigma=0.0, seed=0):
     nodes = Frontier(*pair, np.zeros((len(blocks), 0), np.float32), zero[:, 0], zero)
     _, first, second = child_pairs(tree, 1, nodes)
     starts, middle = tree.starts[2], tree.starts[1][1]
-    offset_a, offset_b, size = factor_offsets(starts, first, second)
+    pairs, size = Pairs.of(starts, first, second)
     values = np.empty((len(blocks), size), np.float32)
     for n, (i, j) in enumerate(zip(first, second, strict=True)):
         rows = slice(starts[i], starts[i + 1])
         columns = slice(starts[j] - middle, starts[j + 1] - middle)
         block = blocks[:, rows, columns]
-        values[:, offset_a[n] : offset_a[n] + block.shape[1]] = block.sum(axis=2)
-        values[:, offset_b[n] : offset_b[n] + block.shape[2]] = block.sum(axis=1)
+        values[:, pairs.at_a[n] : pairs.at_a[n] + block.shape[1]] = block.sum(axis=2)
+        values[:, pairs.at_b[n] : pairs.at_b[n] + block.shape[2]] = block.sum(axis=1)
     rounding = np.finfo(np.float32).eps * values
     variances = np.float32(sigma) ** 2 + rounding**2
     values += sigma * np.random.default_rng(seed).standard_normal(values.shape, dtype=np.float32)
     sizes = np.diff(starts)
-    sides = ((offset_a, sizes[first]), (offset_b, sizes[second]))
+    sides = ((pairs.at_a, sizes[first]), (pairs.at_b, sizes[second]))
     sums, spread = (
         np.stack([[np.sum(v[:, o : o + s], axis=1, dtype=float) for o, s in zip(*side, strict=True)]
                   for side in sides]).transpose(2, 0, 1)
         for v in (values, variances)
     )  # fmt: skip
-    pieces = Pieces(
-        first, second, offset_a, offset_b, values, variances, sums.copy(), spread.copy(),
-        spread.copy(), np.zeros(0, np.int64),
-    )  # fmt: skip
+    unknown = np.zeros(0, np.int64)
+    pieces = Pieces(pairs, values, variances, sums.copy(), spread.copy(), spread.copy(), unknown)
     return Subdivided(tree, 1, nodes, np.array([0, len(first)]), pieces)
 
 

@@ -2,7 +2,8 @@
 
 A *piece* ``(k, b)`` is what block ``k`` of the camera received while block ``b`` was lit. The two
 pieces of a pair of blocks stand one after the other, pair after pair; on the diagonal there is
-one. Images are planar and in tree order, so that a piece of an image is one run.
+one. Images are planar and in tree order, so that a piece of an image is one run. Arguments are the
+named tuples of `rfpipe.methods.symmetric.nodes`.
 """
 
 from __future__ import annotations
@@ -10,10 +11,11 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from rfpipe.methods.symmetric.unknown_kernels import unknown_difference
 from rfpipe.transport.hierarchical.kernels import dot, summed
 
 _FAST = {"reassoc", "contract", "nsz", "arcp"}
+# How much more uncertain than the other a sum is that is known from the other alone.
+_NO_WEIGHT = 1e12
 
 
 @numba.njit(cache=True, fastmath=_FAST)
@@ -25,19 +27,30 @@ def _squared_difference(measured, factor, scale):  # type: ignore[no-untyped-def
     return total
 
 
+@numba.njit(cache=True)
+def _unknown_difference(unknown, first, measured, factor, scale):  # type: ignore[no-untyped-def]
+    """Sum the squared differences of a piece's unknown pixels from a factor.
+
+    `first` is the tree position of its first pixel.
+    """
+    total = 0.0
+    last = first + measured.shape[0]
+    for k in range(np.searchsorted(unknown, first), np.searchsorted(unknown, last)):
+        at = unknown[k] - first
+        difference = measured[at] - factor[at] * scale
+        total += np.float64(difference * difference)
+    return total
+
+
 @numba.njit(cache=True, parallel=True)
-def collect_pieces(  # type: ignore[no-untyped-def]
-    starts, block_a, block_b, offset_a, offset_b, pattern_of_block, first, residuals, spreads,
-    values, variances,
-):  # fmt: skip
+def collect_pieces(starts, pairs, pattern_of_block, first, residuals, spreads, values, variances):  # type: ignore[no-untyped-def]
     """Copy the pieces of some patterns' images to their pairs.
 
     Parameters
     ----------
     starts : int64 (n_blocks + 1,)
         First tree positions of the level's blocks.
-    block_a, block_b, offset_a, offset_b : (n,)
-        The pairs and where their two pieces begin.
+    pairs : Pairs
     pattern_of_block : int32
         Pattern that lights each block, -1 for none.
     first : int
@@ -47,6 +60,7 @@ def collect_pieces(  # type: ignore[no-untyped-def]
     values, variances : float32 (C, n_values)
         Written.
     """
+    block_a, block_b, offset_a, offset_b = pairs
     for n in numba.prange(block_a.shape[0]):
         a, b = block_a[n], block_b[n]
         for side in range(1 if a == b else 2):
@@ -62,22 +76,78 @@ def collect_pieces(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True)
-def sum_pieces(starts, block_a, block_b, offset_a, offset_b, values, sums):  # type: ignore[no-untyped-def]
-    """Sum each piece.
-
-    Parameters
-    ----------
-    starts, block_a, block_b, offset_a, offset_b, values
-        As in `collect_pieces`.
-    sums : float64 (C, 2, n)
-        Written: of piece (a, b) and of piece (b, a), the same on the diagonal.
-    """
+def sum_pieces(starts, pairs, values, sums):  # type: ignore[no-untyped-def]
+    """Write the sums of each piece (a, b) and (b, a), float64 (C, 2, n); alike on the diagonal."""
+    block_a, block_b, offset_a, offset_b = pairs
     for n in numba.prange(block_a.shape[0]):
         a, b = block_a[n], block_b[n]
         size_a, size_b = starts[a + 1] - starts[a], starts[b + 1] - starts[b]
         for c in range(values.shape[0]):
             sums[c, 0, n] = summed(values[c, offset_a[n] : offset_a[n] + size_a])
             sums[c, 1, n] = summed(values[c, offset_b[n] : offset_b[n] + size_b])
+
+
+@numba.njit(cache=True)
+def _guess(piece, unknown):  # type: ignore[no-untyped-def]
+    """Return mean and variance of a piece's known pixels; `unknown` others are zero in it."""
+    known = piece.shape[0] - unknown
+    if known == 0:
+        return 0.0, 0.0
+    total, squares = 0.0, 0.0
+    for k in range(piece.shape[0]):
+        total += np.float64(piece[k])
+        squares += np.float64(piece[k]) * np.float64(piece[k])
+    mean = total / known
+    return mean, max(squares / known - mean * mean, 0.0)
+
+
+@numba.njit(cache=True, parallel=True)
+def complete_pieces(starts, pieces):  # type: ignore[no-untyped-def]
+    """Fill in pixels that no image shows, as far as the pair's other piece knows their light.
+
+    By symmetry both pieces of a pair have one sum. What one lacks is what its unknown pixels
+    have, beside noise: they are taken to be like the other pixels of the piece, and then moved by
+    how uncertain that is in proportion to all that is uncertain. Where a block has no other pixels
+    they have all that its partner sends; on the diagonal, where there is no partner, the mean.
+    Values, sums, spread and doubt change; values are 0 in unknown pixels before.
+    """
+    (block_a, block_b, offset_a, offset_b), values, _, sums, spread, doubt, unknown = pieces
+    for n in numba.prange(block_a.shape[0]):
+        a, b = block_a[n], block_b[n]
+        first_a, last_a = np.searchsorted(unknown, starts[a : a + 2])
+        first_b, last_b = np.searchsorted(unknown, starts[b : b + 2])
+        count_a, count_b = last_a - first_a, last_b - first_b
+        if count_a + count_b == 0:
+            continue
+        size_a, size_b = starts[a + 1] - starts[a], starts[b + 1] - starts[b]
+        for c in range(values.shape[0]):
+            piece_a = values[c, offset_a[n] : offset_a[n] + size_a]
+            piece_b = values[c, offset_b[n] : offset_b[n] + size_b]
+            light_a, variance_a = _guess(piece_a, count_a)
+            light_b, variance_b = _guess(piece_b, count_b)
+            if a != b:
+                lacking = sums[c, 1, n] + count_b * light_b - sums[c, 0, n] - count_a * light_a
+                doubt[c, 0, n] += count_a * variance_a
+                doubt[c, 1, n] += count_b * variance_b
+                total = doubt[c, 0, n] + doubt[c, 1, n]
+                if size_a == count_a:
+                    light_a = lacking / count_a
+                    spread[c, 0, n] = spread[c, 1, n]
+                    doubt[c, 0, n] = _NO_WEIGHT * doubt[c, 1, n]
+                elif size_b == count_b:
+                    light_b = -lacking / count_b
+                    spread[c, 1, n] = spread[c, 0, n]
+                    doubt[c, 1, n] = _NO_WEIGHT * doubt[c, 0, n]
+                elif total > 0.0:
+                    light_a += variance_a * lacking / total
+                    light_b -= variance_b * lacking / total
+            light_a, light_b = max(light_a, 0.0), max(light_b, 0.0)
+            for k in range(first_a, last_a):
+                piece_a[unknown[k] - starts[a]] = light_a
+            for k in range(first_b, last_b):
+                piece_b[unknown[k] - starts[b]] = light_a if a == b else light_b
+            sums[c, 0, n] += count_a * light_a
+            sums[c, 1, n] += count_a * light_a if a == b else count_b * light_b
 
 
 @numba.njit(cache=True)
@@ -94,40 +164,24 @@ def _shares(piece, energy, first_child, last_child, child_starts, shares):  # ty
 
 
 @numba.njit(cache=True, parallel=True)
-def rank_test(  # type: ignore[no-untyped-def]
-    children, child_starts, block_a, block_b, offset_a, offset_b, pieces, energy, piece_variance,
-    first_pair, pair_a, pair_b, pair_offset_a, pair_offset_b, values, spread, unknown, ssd, noise,
-    squares,
-):  # fmt: skip
+def rank_test(divided, ssd, noise, squares):  # type: ignore[no-untyped-def]
     """Predict the pieces of each node's children from its factors, and compare.
 
     Parameters
     ----------
-    children : int64 (n_blocks + 1,)
-        The next level's blocks in each block of the nodes' level.
-    child_starts : int64
-        First tree positions of the next level's blocks.
-    block_a, block_b, offset_a, offset_b : (n,)
-        The nodes and where their two factors begin in `pieces`.
-    pieces : float32 (C, n_values)
-        Non-negative; both factors of a node sum to its energy.
-    energy : float64 (C, n)
-    piece_variance : float64 (C, 2, n)
-        Summed variance of the two factors.
-    first_pair : int64 (n + 1,)
-        The children of node ``i`` are the pairs ``first_pair[i]:first_pair[i + 1]``.
-    pair_a, pair_b, pair_offset_a, pair_offset_b, values
-        The children and their pieces, as in `collect_pieces`.
-    spread : float64 (C, 2, pairs)
-        Summed variance of the children's pieces.
-    unknown : int64 (k,)
-        Tree positions of pixels that don't count, ascending.
+    divided : Divided
+        Factors are not negative, and both of a node sum to its energy.
     ssd, noise : float64 (C, n)
         Written: summed squared differences, and what noise alone would make of them.
     squares : float64 (C, 2, n)
         Written: over the children of b, and over those of a, the sum of the squared shares that
         they have of the node's energy; 1 where a single child has all of it.
     """
+    _, children, child_starts = divided.grid
+    (block_a, block_b, offset_a, offset_b), pieces, energy, piece_variance = divided.nodes
+    pair_a, pair_b, pair_offset_a, pair_offset_b = divided.pieces.pairs
+    values, spread, unknown = divided.pieces.values, divided.pieces.spread, divided.pieces.unknown
+    first_pair = divided.first_pair
     for n in numba.prange(block_a.shape[0]):
         a, b = block_a[n], block_b[n]
         start_a, start_b = child_starts[children[a]], child_starts[children[b]]
@@ -152,7 +206,7 @@ def rank_test(  # type: ignore[no-untyped-def]
                 measured, factor = values[c, at : at + end - begin], factor_a[begin:end]
                 share = np.float32(shares_b[j - children[b]])
                 total += _squared_difference(measured, factor, share)
-                total -= unknown_difference(unknown, child_starts[i], measured, factor, share)
+                total -= _unknown_difference(unknown, child_starts[i], measured, factor, share)
                 expected += spread[c, 0, pair]
                 if i == j:
                     continue
@@ -161,7 +215,7 @@ def rank_test(  # type: ignore[no-untyped-def]
                 measured, factor = values[c, at : at + end - begin], factor_b[begin:end]
                 share = np.float32(shares_a[i - children[a]])
                 total += _squared_difference(measured, factor, share)
-                total -= unknown_difference(unknown, child_starts[j], measured, factor, share)
+                total -= _unknown_difference(unknown, child_starts[j], measured, factor, share)
                 expected += spread[c, 1, pair]
             ssd[c, n] = total
             noise[c, n] = expected
@@ -185,15 +239,17 @@ def _reconcile_block(size, offsets, values, variances, whole, noise):  # type: i
 
 
 @numba.njit(cache=True, parallel=True)
-def reconcile(  # type: ignore[no-untyped-def]
-    child_starts, children, block_a, block_b, offset_a, offset_b, pieces, piece_variance,
-    first_pair, pair_a, pair_b, pair_offset_a, pair_offset_b, values, variances,
-):  # fmt: skip
+def reconcile(divided):  # type: ignore[no-untyped-def]
     """Make the children's pieces agree with the node's own, which measured their sum before.
 
-    Each pixel's light is then known from all levels' images together. Arguments as in `rank_test`;
-    `values` and their `variances` are changed in place.
+    Each pixel's light is then known from all levels' images together. The pieces' values and
+    variances are changed in place.
     """
+    _, children, child_starts = divided.grid
+    (block_a, block_b, offset_a, offset_b), pieces, _, piece_variance = divided.nodes
+    pair_a, pair_b, pair_offset_a, pair_offset_b = divided.pieces.pairs
+    values, variances = divided.pieces.values, divided.pieces.variances
+    first_pair = divided.first_pair
     for n in numba.prange(block_a.shape[0]):
         a, b = block_a[n], block_b[n]
         offsets = np.empty(2 * (first_pair[n + 1] - first_pair[n]), np.int64)
@@ -219,24 +275,13 @@ def reconcile(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True)
-def weigh_pairs(pair_a, pair_b, sums, spread, chosen, significant, energy):  # type: ignore[no-untyped-def]
-    """Combine the two sums of pairs by their variances, and tell light from noise.
+def weigh_pairs(pairs, sums, spread, chosen, significant, energy):  # type: ignore[no-untyped-def]
+    """Combine the two sums of chosen pairs by their variances, and tell light from noise.
 
-    On the diagonal both are the same one.
-
-    Parameters
-    ----------
-    pair_a, pair_b
-        As in `rank_test`.
-    sums, spread : float64 (C, 2, pairs)
-        Of the pieces, and of their variances.
-    chosen : int64 (n,)
-        The pairs to weigh.
-    significant : float
-        Squared standard deviations above which a sum is light.
-    energy : float64 (C, n)
-        Written: 0 where there is no light.
+    On the diagonal both are the same one. `energy`, float64 (C, n), is 0 where the sum is no more
+    than `significant` squared standard deviations.
     """
+    pair_a, pair_b, _, _ = pairs
     for n in numba.prange(chosen.shape[0]):
         pair = chosen[n]
         for c in range(energy.shape[0]):
@@ -292,32 +337,24 @@ def _worst_share(piece, energy, first_child, last_child, child_starts, shares): 
 
 @numba.njit(cache=True, parallel=True)
 def take_pieces(  # type: ignore[no-untyped-def]
-    starts, children, child_starts, block_a, block_b, source_a, source_b, values, variances,
-    profile_a, profile_b, profiles, significance, energy, offset_a, offset_b, pieces, worst, lit,
-):  # fmt: skip
+    grid, nodes, sources, values, variances, above, profiles, significance, worst, lit
+):
     """Make factors of nodes' pieces, and bound what the rank test can still find.
 
     Parameters
     ----------
-    starts, children, child_starts
-        As in `collect_pieces` and `rank_test`.
-    block_a, block_b : int32 (n,)
-        The nodes.
-    source_a, source_b : int64 (n,)
-        Where their pieces begin in `values`.
+    grid : Grid
+    nodes : Nodes
+        Both factors, which are written, are scaled to the energy; 0 gives empty ones.
+    sources : int64 (2, n)
+        Where the nodes' pieces begin in `values`.
     values, variances : float32 (C, n_source_values)
-    profile_a, profile_b : int64 (n,)
+    above : int64 (2, n)
         Where the pictures of block a and of block b begin in `profiles`; -1 for none.
     profiles : float32 (C, n_profile_values)
         Factors of the nodes above.
     significance : float
         Standard deviations by which a pixel must differ from the picture to count alone.
-    energy : float64 (C, n)
-        Energy that both factors are scaled to; 0 gives empty ones.
-    offset_a, offset_b : int64 (n,)
-        Where the factors begin in `pieces`.
-    pieces : float32 (C, n_values)
-        Written.
     worst : float64 (C, n)
         Written: no non-negative transport with these pieces can give the next level's rank test
         a larger sum of squared differences.
@@ -325,6 +362,8 @@ def take_pieces(  # type: ignore[no-untyped-def]
         Written: how many pixels that sum is over in effect, by the participation number
         ``(sum x)^2 / sum x^2`` of each piece; a glint in a dark block counts as one pixel.
     """
+    starts, children, child_starts = grid
+    (block_a, block_b, offset_a, offset_b), pieces, energy, _ = nodes
     for n in numba.prange(block_a.shape[0]):
         a, b = block_a[n], block_b[n]
         shares_a = np.empty(children[a + 1] - children[a])
@@ -335,16 +374,12 @@ def take_pieces(  # type: ignore[no-untyped-def]
             piece_a = pieces[c, offset_a[n] : offset_a[n] + size_a]
             piece_b = pieces[c, offset_b[n] : offset_b[n] + size_b]
             for side in range(1 if a == b else 2):
-                source, above, target = (
-                    (source_a[n], profile_a[n], piece_a)
-                    if side == 0
-                    else (source_b[n], profile_b[n], piece_b)
-                )
-                size = len(target)
+                target = piece_a if side == 0 else piece_b
+                source, profile, size = sources[side, n], above[side, n], len(target)
                 _take_piece(
                     values[c, source : source + size], variances[c, source : source + size],
-                    profiles[c, above : above + (size if above >= 0 else 0)], significance, e,
-                    target,
+                    profiles[c, profile : profile + (size if profile >= 0 else 0)], significance,
+                    e, target,
                 )  # fmt: skip
             square = dot(piece_a, piece_a)
             worst[c, n] = square * _worst_share(

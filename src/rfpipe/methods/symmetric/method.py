@@ -35,7 +35,6 @@ from rfpipe.methods.symmetric.rank_test import (
     Limits,
     classify,
     rank_test,
-    reconcile,
 )
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import LeafSet
@@ -228,6 +227,8 @@ def _refine_nodes(
     memory_bytes: int,
 ) -> _Refined:
     """Test nodes of the level above the images'; keep them as leaves or sort their children."""
+    from rfpipe.methods.symmetric import kernels
+
     tree, level = state.tree, state.level
     node, first, second = child_pairs(tree, level - 1, nodes)
     pieces = collect(tree, first, second, state.known, state.channels, images, memory_bytes)
@@ -241,7 +242,7 @@ def _refine_nodes(
     chosen = np.flatnonzero(subdivided[node])
     above = node[chosen]
     settled = verdict[above] == AGREES
-    reconcile(divided)
+    kernels.reconcile(divided.arrays)
     rank_k = rank_k_leaves(divided, smooth)
     found = classify(tree, level, pieces, chosen, settled, nodes, above, limits)
     return _Refined(

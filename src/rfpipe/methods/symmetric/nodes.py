@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,60 @@ from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, ragged
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 Blocks = NDArray[np.int32]
+Index = NDArray[np.int64]
 
 # Subdividing a node takes a kilobyte, its children some dozens of bytes.
 _NODES_AT_A_TIME = 2**15
+
+
+class Grid(NamedTuple):
+    """The blocks of a level, for kernels.
+
+    Attributes
+    ----------
+    starts : ndarray of int64, shape (n_blocks + 1,)
+        First tree positions of the level's blocks.
+    children : ndarray of int64, shape (n_blocks + 1,)
+        Each block's first child, a block of the next level.
+    below : ndarray of int64
+        First tree positions of the next level's blocks.
+    """
+
+    starts: Index
+    children: Index
+    below: Index
+
+    @classmethod
+    def of(cls, tree: BlockTree, level: int) -> Grid:
+        """Return the blocks of a level that is not the last."""
+        return cls(tree.starts[level], tree.child_starts[level], tree.starts[level + 1])
+
+
+class Pairs(NamedTuple):
+    """Pairs of blocks (a, b) of a level, and where their two pieces begin, (n,) each.
+
+    Piece (a, b), then piece (b, a) unless it is the same, pair after pair.
+    """
+
+    a: Blocks
+    b: Blocks
+    at_a: Index
+    at_b: Index
+
+    @classmethod
+    def of(cls, starts: Index, a: Blocks, b: Blocks) -> tuple[Pairs, int]:
+        """Return pairs, and how many values their pieces have."""
+        at_a, at_b, n_values = factor_offsets(starts, a, b)
+        return cls(a, b, at_a, at_b), n_values
+
+
+class Nodes(NamedTuple):
+    """Unknown nodes with their factors, for kernels; see `Frontier`."""
+
+    pairs: Pairs
+    factors: Float
+    energy: Double
+    variance: Double
 
 
 @dataclass(frozen=True)
@@ -42,6 +94,11 @@ class Frontier:
     def __len__(self) -> int:
         return len(self.block_a)
 
+    def nodes(self, tree: BlockTree, level: int) -> Nodes:
+        """Return the nodes, of `level`, for kernels."""
+        pairs, _ = Pairs.of(tree.starts[level], self.block_a, self.block_b)
+        return Nodes(pairs, self.pieces, self.energy, self.variance)
+
 
 def no_nodes(channels: int) -> Frontier:
     """Return an empty frontier."""
@@ -52,7 +109,7 @@ def no_nodes(channels: int) -> Frontier:
     )  # fmt: skip
 
 
-def child_counts(tree: BlockTree, level: int, nodes: Frontier) -> NDArray[np.int64]:
+def child_counts(tree: BlockTree, level: int, nodes: Frontier) -> Index:
     """Count the children of each node of `level`; see `child_pairs`."""
     if level >= tree.n_levels - 1:
         return np.zeros(len(nodes), np.int64)
@@ -61,9 +118,7 @@ def child_counts(tree: BlockTree, level: int, nodes: Frontier) -> NDArray[np.int
     return np.where(nodes.block_a == nodes.block_b, a * (a + 1) // 2, a * b)
 
 
-def child_pairs(
-    tree: BlockTree, level: int, nodes: Frontier
-) -> tuple[NDArray[np.int64], Blocks, Blocks]:
+def child_pairs(tree: BlockTree, level: int, nodes: Frontier) -> tuple[Index, Blocks, Blocks]:
     """Subdivide nodes of `level`: return each child's node, and its blocks of the next level.
 
     A node off the diagonal gives every pair of a child of a and a child of b; one on the diagonal
@@ -86,9 +141,7 @@ def child_blocks(tree: BlockTree, level: int, nodes: Frontier) -> tuple[Blocks, 
     return first, second
 
 
-def _child_blocks(
-    children: NDArray[np.int64], block_a: Blocks, block_b: Blocks
-) -> tuple[Blocks, Blocks]:
+def _child_blocks(children: Index, block_a: Blocks, block_b: Blocks) -> tuple[Blocks, Blocks]:
     a, b = block_a.astype(np.int64), block_b.astype(np.int64)
     count_b = children[b + 1] - children[b]
     total = (children[a + 1] - children[a]) * count_b

@@ -8,38 +8,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rfpipe.blocks import BlockTree
 from rfpipe.methods.base import LevelImages
-from rfpipe.methods.symmetric.nodes import Blocks, Double, Float, Frontier, compared_pixels
-from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, runs
+from rfpipe.methods.symmetric.nodes import (
+    Blocks,
+    Double,
+    Float,
+    Frontier,
+    Grid,
+    Index,
+    Nodes,
+    Pairs,
+    compared_pixels,
+)
+from rfpipe.transport.hierarchical.leaves import LeafSet, runs
 from rfpipe.transport.hierarchical.partition import predict
 
-# Bytes that a pixel of a piece takes, its variance included, and a pair of blocks in each channel:
-# sums, variances, energy.
-_PIXEL_BYTES = 2 * np.dtype(np.float32).itemsize
-_PAIR_BYTES = 8 * np.dtype(np.float64).itemsize
-# How much of the memory pieces may take: the nodes and leaves made of them take as much again at
-# most. And how much the images that are read at a time may take, of which there are five copies: as
-# read and in tree order with their variance, and predicted.
-_SHARE = 2
-_BATCH_SHARE = 8
-_IMAGE_COPIES = 5
-_MOST_AT_A_TIME = 64
 
-
-@dataclass(frozen=True)
-class Pieces:
+class Pieces(NamedTuple):
     """The two pieces of pairs of blocks of one level; one on the diagonal.
 
     Attributes
     ----------
-    block_a, block_b : ndarray of int32, shape (n,)
-    offset_a, offset_b : ndarray of int64, shape (n,)
-        Where piece (a, b) and piece (b, a) begin.
+    pairs : Pairs
     values, variances : ndarray of float32, shape (C, n_values)
         Residual radiance; the variance includes the rounding of the images to float32.
     sums, spread : ndarray of float64, shape (C, 2, n)
@@ -51,19 +46,22 @@ class Pieces:
         other piece of the pair and their neighbours say, with a variance of 0; no test counts them.
     """
 
-    block_a: Blocks
-    block_b: Blocks
-    offset_a: NDArray[np.int64]
-    offset_b: NDArray[np.int64]
+    pairs: Pairs
     values: Float
     variances: Float
     sums: Double
     spread: Double
     doubt: Double
-    unknown: NDArray[np.int64]
+    unknown: Index
 
-    def __len__(self) -> int:
-        return len(self.block_a)
+
+class Divided(NamedTuple):
+    """Unknown nodes and their children's pieces, for kernels; see `Subdivided`."""
+
+    grid: Grid
+    nodes: Nodes
+    first_pair: Index
+    pieces: Pieces
 
 
 @dataclass(frozen=True)
@@ -85,8 +83,14 @@ class Subdivided:
     tree: BlockTree
     level: int
     nodes: Frontier
-    first_pair: NDArray[np.int64]
+    first_pair: Index
     pieces: Pieces
+
+    @property
+    def arrays(self) -> Divided:
+        """All of it, for kernels."""
+        nodes = self.nodes.nodes(self.tree, self.level)
+        return Divided(Grid.of(self.tree, self.level), nodes, self.first_pair, self.pieces)
 
 
 def affordable(tree: BlockTree, level: int, nodes: Frontier, memory_bytes: int) -> Iterator[slice]:
@@ -98,8 +102,10 @@ def affordable(tree: BlockTree, level: int, nodes: Frontier, memory_bytes: int) 
     children = np.diff(tree.child_starts[level])
     pairs = children[nodes.block_a] * children[nodes.block_b]
     pixels = compared_pixels(tree, level, nodes)
-    taken = (pixels * _PIXEL_BYTES + pairs * _PAIR_BYTES) * channels
-    return runs(taken, memory_bytes / _SHARE)
+    # a pixel of a piece and its variance, and a pair's sums, variances and energy; nodes and leaves
+    # made of pieces take as much again at most
+    taken = (8 * pixels + 64 * pairs) * channels
+    return runs(taken, memory_bytes / 2)
 
 
 def collect(
@@ -127,17 +133,18 @@ def collect(
         Memory to work in; the pieces don't depend on it.
     """
     from rfpipe.methods.symmetric import kernels
-    from rfpipe.methods.symmetric.unknown_kernels import complete_pieces
 
     schedule = images.schedule
     starts = tree.starts[schedule.level]
-    offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
+    pairs, n_values = Pairs.of(starts, block_a, block_b)
     values = np.zeros((channels, n_values), np.float32)
     variances = np.zeros_like(values)
     unknown = np.zeros(tree.domain.size, np.bool_)
     pattern_of_block = schedule.pattern_of_block(tree)
-    image_bytes = channels * tree.domain.size * np.dtype(np.float32).itemsize * _IMAGE_COPIES
-    batch = min(max(1, memory_bytes // (_BATCH_SHARE * image_bytes)), _MOST_AT_A_TIME)
+    # images take an eighth of the memory: five copies, as read and in tree order with their
+    # variance, and predicted
+    image_bytes = channels * tree.domain.size * np.dtype(np.float32).itemsize * 5
+    batch = min(max(1, memory_bytes // (8 * image_bytes)), 64)
     for first in range(0, schedule.count, batch):
         last = min(first + batch, schedule.count)
         radiance, variance = (_planar(part, tree, channels) for part in images.read(first, last))
@@ -147,22 +154,19 @@ def collect(
         radiance -= predict(tree, known, schedule.level, pattern_of_block, first, last, channels)
         radiance[..., unknown], variance[..., unknown] = 0, 0
         kernels.collect_pieces(
-            starts, block_a, block_b, offset_a, offset_b, pattern_of_block, first, radiance,
-            variance, values, variances,
-        )  # fmt: skip
+            starts, pairs, pattern_of_block, first, radiance, variance, values, variances
+        )
     sums = np.empty((channels, 2, len(block_a)))
     spread = np.empty_like(sums)
     for part, total in ((values, sums), (variances, spread)):
-        kernels.sum_pieces(starts, block_a, block_b, offset_a, offset_b, part, total)
+        kernels.sum_pieces(starts, pairs, part, total)
     positions, doubt = np.flatnonzero(unknown), spread
     if len(positions):
         doubt = spread.copy()
-        complete_pieces(
-            starts, block_a, block_b, offset_a, offset_b, positions, values, sums, spread, doubt
-        )
-    return Pieces(
-        block_a, block_b, offset_a, offset_b, values, variances, sums, spread, doubt, positions
-    )
+    pieces = Pieces(pairs, values, variances, sums, spread, doubt, positions)
+    if len(positions):
+        kernels.complete_pieces(starts, pieces)
+    return pieces
 
 
 def _planar(image: Float, tree: BlockTree, channels: int) -> Float:

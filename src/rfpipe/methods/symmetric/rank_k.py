@@ -20,8 +20,6 @@ from rfpipe.methods.symmetric.pieces import Subdivided
 from rfpipe.methods.symmetric.rank_test import Limits
 from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, ragged_ranges
 
-__all__ = ["predictable", "rank_k_leaves"]
-
 Flags = NDArray[np.bool_]
 
 AMPLIFIED = 32.0
@@ -52,19 +50,14 @@ def predictable(divided: Subdivided, asked: Flags, limits: Limits) -> Flags:
     """
     from rfpipe.methods.symmetric import rank_k_kernels as kernels
 
-    tree, level, nodes, pieces = divided.tree, divided.level, divided.nodes, divided.pieces
+    tree, level, nodes = divided.tree, divided.level, divided.nodes
     children = np.diff(tree.child_starts[level])
     several = np.minimum(children[nodes.block_a], children[nodes.block_b]) > 1
-    tested = asked & several & (nodes.block_a != nodes.block_b)
     passed = np.zeros(len(nodes), np.bool_)
-    chosen = np.flatnonzero(tested)
-    ssd = np.empty((len(pieces.values), len(chosen)))
+    chosen = np.flatnonzero(asked & several & (nodes.block_a != nodes.block_b))
+    ssd = np.empty((len(nodes.energy), len(chosen)))
     noise = np.empty_like(ssd)
-    kernels.leave_one_out(
-        tree.child_starts[level], tree.starts[level + 1], nodes.block_a[chosen],
-        nodes.block_b[chosen], divided.first_pair[chosen], pieces.offset_a, pieces.offset_b,
-        pieces.values, pieces.sums, pieces.spread, AMPLIFIED, ssd, noise,
-    )  # fmt: skip
+    kernels.leave_one_out(divided.arrays, chosen, AMPLIFIED, ssd, noise)
     samples = compared_pixels(tree, level, nodes)[chosen]
     allowed = limits.allowed(noise / samples, samples)
     passed[chosen] = (ssd / samples <= allowed).all(axis=0)
@@ -83,41 +76,32 @@ def rank_k_leaves(divided: Subdivided, chosen: Flags) -> LeafSet:
     chosen : ndarray of bool, shape (n,)
         Nodes that passed.
     """
-    from rfpipe.methods.symmetric import kernels as of_pieces
     from rfpipe.methods.symmetric import rank_k_kernels as kernels
+    from rfpipe.methods.symmetric.kernels import sum_pieces
 
     tree, level, nodes, pieces = divided.tree, divided.level, divided.nodes, divided.pieces
-    starts, children = tree.starts[level], tree.child_starts[level]
-    block_a, block_b = nodes.block_a[chosen], nodes.block_b[chosen]
-    first = divided.first_pair[:-1][chosen]
-    channels, count = len(pieces.values), len(block_a)
-    most = int(np.diff(children)[np.concatenate([block_a, block_b])].max(initial=0))
+    arrays, own = divided.arrays, np.flatnonzero(chosen)
+    block_a, block_b = nodes.block_a[own], nodes.block_b[own]
+    channels, count = len(pieces.values), len(own)
+    children = np.diff(arrays.grid.children)
+    most = int(children[np.concatenate([block_a, block_b])].max(initial=0))
     left, right = np.zeros((2, channels, count, most, most))
     rank = np.empty((channels, count), np.int64)
     sums = np.empty_like(pieces.sums)
-    of_pieces.sum_pieces(
-        tree.starts[level + 1], pieces.block_a, pieces.block_b, pieces.offset_a, pieces.offset_b,
-        pieces.values, sums,
-    )  # fmt: skip
-    kernels.invert_cores(
-        children, tree.starts[level + 1], block_a, block_b, first, pieces.offset_a, pieces.offset_b,
-        pieces.values, sums, pieces.sums, pieces.spread, AMPLIFIED, left, right, rank,
-    )  # fmt: skip
-    without = (rank == 0) & (nodes.energy[:, chosen] > 0)
+    sum_pieces(arrays.grid.below, pieces.pairs, pieces.values, sums)
+    kernels.invert_cores(arrays, own, AMPLIFIED, sums, left, right, rank)
+    without = (rank == 0) & (nodes.energy[:, own] > 0)
     terms = np.maximum(rank.max(axis=0), without.any(axis=0))
     term_a, term_b = np.repeat(block_a, terms), np.repeat(block_b, terms)
-    begin, _, n_values = factor_offsets(starts, term_a, term_b)
+    begin, _, n_values = factor_offsets(arrays.grid.starts, term_a, term_b)
     factors = np.zeros((channels, n_values), np.float32)
     first_term = np.append(0, np.cumsum(terms))
-    kernels.combine_pieces(
-        children, tree.starts[level + 1], block_a, block_b, first, pieces.offset_a,
-        pieces.offset_b, pieces.values, left, right, first_term, begin, factors,
-    )  # fmt: skip
+    kernels.combine_pieces(arrays, own, left, right, first_term, begin, factors)
     if without.any():
         rank_1 = as_leaves(tree, level, select(tree, level, nodes, chosen)).values
-        own, _, n_values = factor_offsets(starts, block_a, block_b)
-        sizes = np.diff(np.append(own, n_values))
+        at, _, n_values = factor_offsets(arrays.grid.starts, block_a, block_b)
+        sizes = np.diff(np.append(at, n_values))
         for c, some in enumerate(without):
             target = ragged_ranges(begin[first_term[:-1][some]], sizes[some])
-            factors[c, target] = rank_1[c, ragged_ranges(own[some], sizes[some])]
+            factors[c, target] = rank_1[c, ragged_ranges(at[some], sizes[some])]
     return LeafSet(level, term_a, term_b, factors)

@@ -242,46 +242,38 @@ def _core(pair, sums, spread, core):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True)
-def leave_one_out(  # type: ignore[no-untyped-def]
-    children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values, sums, spread,
-    amplified, ssd, noise,
-):  # fmt: skip
+def leave_one_out(divided, chosen, amplified, ssd, noise):  # type: ignore[no-untyped-def]
     """Predict the images under each child of nodes from those under the other children.
 
     Parameters
     ----------
-    children : int64 (n_blocks + 1,)
-        The next level's blocks in each block of the nodes' level.
-    child_starts : int64
-        First tree positions of the next level's blocks.
-    block_a, block_b : int32 (n,)
+    divided : Divided
+    chosen : int64 (n,)
         The nodes.
-    first_pair : int64 (n,)
-        First pair of children of each.
-    offset_a, offset_b : int64 (pairs,)
-        Where a pair's two pieces begin.
-    values : float32 (C, n_values)
-    sums, spread : float64 (C, 2, pairs)
-        Of the pieces, and of their variances.
     amplified : float
         As in `_carried`.
     ssd, noise : float64 (C, n)
         Written: summed squared differences, and what noise alone would make of them.
     """
-    for n in numba.prange(block_a.shape[0]):
-        starts_a = _starts_within(children, child_starts, block_a[n])
-        starts_b = _starts_within(children, child_starts, block_b[n])
+    _, children, child_starts = divided.grid
+    block_a, block_b, _, _ = divided.nodes.pairs
+    first_pair = divided.first_pair
+    _, _, offset_a, offset_b = divided.pieces.pairs
+    values, sums, spread = divided.pieces.values, divided.pieces.sums, divided.pieces.spread
+    for n in numba.prange(chosen.shape[0]):
+        starts_a = _starts_within(children, child_starts, block_a[chosen[n]])
+        starts_b = _starts_within(children, child_starts, block_b[chosen[n]])
         rows, columns = starts_a.shape[0] - 1, starts_b.shape[0] - 1
         core = np.empty((rows, columns))
         for c in range(values.shape[0]):
-            limit = _core(first_pair[n], sums[c], spread[c], core)
+            limit = _core(first_pair[chosen[n]], sums[c], spread[c], core)
             noise_a, noise_b = np.zeros(columns), np.zeros(rows)
             for i in range(rows):
                 for j in range(columns):
-                    noise_a[j] += spread[c, 0, first_pair[n] + i * columns + j]
-                    noise_b[i] += spread[c, 1, first_pair[n] + i * columns + j]
+                    noise_a[j] += spread[c, 0, first_pair[chosen[n]] + i * columns + j]
+                    noise_b[i] += spread[c, 1, first_pair[chosen[n]] + i * columns + j]
             over_a, over_b = _over_both_sides(
-                values[c], first_pair[n], offset_a, offset_b, starts_a, starts_b
+                values[c], first_pair[chosen[n]], offset_a, offset_b, starts_a, starts_b
             )
             error_a, expected_a = _residual(
                 core, limit, amplified, _over_all(over_a), over_b, noise_a
@@ -294,36 +286,37 @@ def leave_one_out(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True)
-def invert_cores(  # type: ignore[no-untyped-def]
-    children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values, sums,
-    measured, spread, amplified, left, right, rank,
-):  # fmt: skip
+def invert_cores(divided, chosen, amplified, sums, left, right, rank):  # type: ignore[no-untyped-def]
     """Split the truncated pseudo-inverse of each node's core: ``W^+ = right @ left.T``.
 
     Parameters
     ----------
-    children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values, spread,
-    amplified
+    divided, chosen, amplified
         As in `leave_one_out`.
-    sums, measured : float64 (C, 2, pairs)
-        Of the pieces as they are, and as they were measured.
+    sums : float64 (C, 2, pairs)
+        Of the pieces as they are; `divided` has them as they were measured.
     left, right : float64 (C, n, rows, terms), (C, n, columns, terms)
         Written, each as wide as it needs to be.
     rank : int64 (C, n)
         Written: number of terms.
     """
-    for n in numba.prange(block_a.shape[0]):
-        starts_a = _starts_within(children, child_starts, block_a[n])
-        starts_b = _starts_within(children, child_starts, block_b[n])
+    _, children, child_starts = divided.grid
+    block_a, block_b, _, _ = divided.nodes.pairs
+    first_pair = divided.first_pair
+    _, _, offset_a, offset_b = divided.pieces.pairs
+    values, measured, spread = divided.pieces.values, divided.pieces.sums, divided.pieces.spread
+    for n in numba.prange(chosen.shape[0]):
+        starts_a = _starts_within(children, child_starts, block_a[chosen[n]])
+        starts_b = _starts_within(children, child_starts, block_b[chosen[n]])
         rows, columns = starts_a.shape[0] - 1, starts_b.shape[0] - 1
         core, vectors = np.empty((rows, columns)), np.empty((columns, columns))
         carried = np.empty(columns, np.bool_)
         for c in range(sums.shape[0]):
-            limit = _core(first_pair[n], measured[c], spread[c], core)
-            _core(first_pair[n], sums[c], spread[c], core)
+            limit = _core(first_pair[chosen[n]], measured[c], spread[c], core)
+            _core(first_pair[chosen[n]], sums[c], spread[c], core)
             _decompose(core, vectors)
             over_a, over_b = _over_both_sides(
-                values[c], first_pair[n], offset_a, offset_b, starts_a, starts_b
+                values[c], first_pair[chosen[n]], offset_a, offset_b, starts_a, starts_b
             )
             _carried(core, vectors, limit, amplified, _over_all(over_a), _over_all(over_b), carried)
             terms = 0
@@ -341,15 +334,12 @@ def invert_cores(  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True)
-def combine_pieces(  # type: ignore[no-untyped-def]
-    children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values, left, right,
-    first_term, begin, factors,
-):  # fmt: skip
+def combine_pieces(divided, chosen, left, right, first_term, begin, factors):  # type: ignore[no-untyped-def]
     """Write the factors of nodes' terms: ``Y @ right`` and ``Z @ left``.
 
     Parameters
     ----------
-    children, child_starts, block_a, block_b, first_pair, offset_a, offset_b, values
+    divided, chosen
         As in `leave_one_out`.
     left, right
         As `invert_cores` writes them, 0 where a channel has fewer terms.
@@ -360,9 +350,14 @@ def combine_pieces(  # type: ignore[no-untyped-def]
     factors : float32 (C, n_factors)
         Zeros; added to.
     """
-    for n in numba.prange(block_a.shape[0]):
-        starts_a = _starts_within(children, child_starts, block_a[n])
-        starts_b = _starts_within(children, child_starts, block_b[n])
+    _, children, child_starts = divided.grid
+    block_a, block_b, _, _ = divided.nodes.pairs
+    first_pair = divided.first_pair
+    _, _, offset_a, offset_b = divided.pieces.pairs
+    values = divided.pieces.values
+    for n in numba.prange(chosen.shape[0]):
+        starts_a = _starts_within(children, child_starts, block_a[chosen[n]])
+        starts_b = _starts_within(children, child_starts, block_b[chosen[n]])
         rows, columns = starts_a.shape[0] - 1, starts_b.shape[0] - 1
         whole_a = starts_a[rows] - starts_a[0]
         for term in range(first_term[n], first_term[n + 1]):
@@ -371,7 +366,7 @@ def combine_pieces(  # type: ignore[no-untyped-def]
                 place_a = begin[term] + starts_a[i] - starts_a[0]
                 size_a = starts_a[i + 1] - starts_a[i]
                 for j in range(columns):
-                    pair = first_pair[n] + i * columns + j
+                    pair = first_pair[chosen[n]] + i * columns + j
                     place_b = begin[term] + whole_a + starts_b[j] - starts_b[0]
                     size_b = starts_b[j + 1] - starts_b[j]
                     for c in range(values.shape[0]):

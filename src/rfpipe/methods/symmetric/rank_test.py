@@ -12,24 +12,16 @@ from rfpipe.blocks import BlockTree
 from rfpipe.methods.symmetric.nodes import (
     Double,
     Frontier,
+    Grid,
+    Nodes,
+    Pairs,
     as_leaves,
     compared_pixels,
     no_nodes,
     select,
 )
 from rfpipe.methods.symmetric.pieces import Pieces, Subdivided
-from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets
-
-__all__ = [
-    "AGREES",
-    "CLOSE",
-    "DIFFERS",
-    "UNTOLD",
-    "Found",
-    "Limits",
-    "classify",
-    "rank_test",
-]
+from rfpipe.transport.hierarchical.leaves import LeafSet
 
 # The mean of n squared normal deviates stays within 1 +- 3 sqrt(2 / n) of its expectation.
 _SPREAD = 3.0
@@ -109,17 +101,11 @@ def rank_test(divided: Subdivided, limits: Limits) -> NDArray[np.int8]:
     """
     from rfpipe.methods.symmetric import kernels
 
-    tree, level, nodes, pieces = divided.tree, divided.level, divided.nodes, divided.pieces
-    offset_a, offset_b, _ = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
+    tree, level, nodes = divided.tree, divided.level, divided.nodes
     ssd = np.empty(nodes.energy.shape)
     noise = np.empty_like(ssd)
     squares = np.empty((len(ssd), 2, len(nodes)))
-    kernels.rank_test(
-        tree.child_starts[level], tree.starts[level + 1], nodes.block_a, nodes.block_b,
-        offset_a, offset_b, nodes.pieces, nodes.energy, nodes.variance, divided.first_pair,
-        pieces.block_a, pieces.block_b, pieces.offset_a, pieces.offset_b, pieces.values,
-        pieces.spread, pieces.unknown, ssd, noise, squares,
-    )  # fmt: skip
+    kernels.rank_test(divided.arrays, ssd, noise, squares)
     samples = compared_pixels(tree, level, nodes)
     children = np.diff(tree.child_starts[level])
     # Two of four children with half the energy each are evidence enough, or three quarters and
@@ -135,22 +121,6 @@ def rank_test(divided: Subdivided, limits: Limits) -> NDArray[np.int8]:
     if tree.splits_views(level):
         verdict[:] = UNTOLD
     return verdict
-
-
-def reconcile(divided: Subdivided) -> None:
-    """Make the pieces of the children of nodes agree with the nodes', in place.
-
-    Their sums stay as they were measured.
-    """
-    from rfpipe.methods.symmetric import kernels
-
-    tree, level, nodes, pieces = divided.tree, divided.level, divided.nodes, divided.pieces
-    offset_a, offset_b, _ = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
-    kernels.reconcile(
-        tree.starts[level + 1], tree.child_starts[level], nodes.block_a, nodes.block_b,
-        offset_a, offset_b, nodes.pieces, nodes.variance, divided.first_pair, pieces.block_a,
-        pieces.block_b, pieces.offset_a, pieces.offset_b, pieces.values, pieces.variances,
-    )  # fmt: skip
 
 
 def classify(
@@ -184,37 +154,29 @@ def classify(
     from rfpipe.methods.symmetric import kernels
 
     energy = np.empty((len(pieces.values), len(chosen)))
-    kernels.weigh_pairs(
-        pieces.block_a, pieces.block_b, pieces.sums, pieces.doubt, chosen, limits.significant,
-        energy,
-    )  # fmt: skip
+    pairs = pieces.pairs
+    kernels.weigh_pairs(pairs, pieces.sums, pieces.doubt, chosen, limits.significant, energy)
     full: NDArray[np.bool_] = np.any(energy, axis=0)
     empty = len(full) - int(np.count_nonzero(full))
     chosen, node, settled = chosen[full], node[full], settled[full]
     energy = np.ascontiguousarray(energy[:, full])
-    block_a, block_b = pieces.block_a[chosen], pieces.block_b[chosen]
+    block_a, block_b = pairs.a[chosen], pairs.b[chosen]
     channels = len(energy)
     if level == tree.n_levels - 1:
         leaves = LeafSet(level, block_a, block_b, energy.astype(np.float32))
         return Found(leaves, no_nodes(channels), {"empty": empty, "scalar": len(leaves)})
     starts = tree.starts[level]
-    offset_a, offset_b, n_values = factor_offsets(starts, block_a, block_b)
-    factors = np.empty((channels, n_values), np.float32)
+    own, n_values = Pairs.of(starts, block_a, block_b)
+    sources = np.stack([pairs.at_a[chosen], pairs.at_b[chosen]])
+    spread = np.empty((channels, 2, len(chosen)))
+    kernels.sum_pieces(starts, Pairs(block_a, block_b, *sources), pieces.variances, spread)
+    nodes = Nodes(own, np.empty((channels, n_values), np.float32), energy, spread)
     worst = np.empty((channels, len(block_a)))
     lit = np.empty_like(worst)
-    profile_a, profile_b = _profiles(tree, level, block_a, block_b, above, node)
     kernels.take_pieces(
-        starts, tree.child_starts[level], tree.starts[level + 1], block_a, block_b,
-        pieces.offset_a[chosen], pieces.offset_b[chosen], pieces.values, pieces.variances,
-        profile_a, profile_b, above.pieces, limits.significance, energy,
-        offset_a, offset_b, factors, worst, lit,
+        Grid.of(tree, level), nodes, sources, pieces.values, pieces.variances,
+        _profiles(tree, level, own, above, node), above.pieces, limits.significance, worst, lit,
     )  # fmt: skip
-    spread = np.empty((channels, 2, len(chosen)))
-    kernels.sum_pieces(
-        starts, block_a, block_b, pieces.offset_a[chosen], pieces.offset_b[chosen],
-        pieces.variances, spread,
-    )  # fmt: skip
-    nodes = Frontier(block_a, block_b, factors, energy, spread)
     sizes = np.diff(starts)
     pixels = np.where(block_a == block_b, sizes[block_a], sizes[block_a] + sizes[block_b])
     noise = np.where(block_a == block_b, spread[:, 0], spread.sum(axis=1)) / pixels
@@ -224,26 +186,23 @@ def classify(
     lit = np.maximum(lit, 1.0)
     certain = (worst / lit <= limits.allowed(noise, lit)).all(axis=0)
     certain |= (sizes[block_a] == 1) | (sizes[block_b] == 1) | settled
-    leaves = as_leaves(tree, level, select(tree, level, nodes, certain))
-    frontier = select(tree, level, nodes, ~certain)
+    found = Frontier(block_a, block_b, *nodes[1:])
+    leaves = as_leaves(tree, level, select(tree, level, found, certain))
+    frontier = select(tree, level, found, ~certain)
     return Found(leaves, frontier, {"empty": empty, "rank1": len(leaves)})
 
 
 def _profiles(
-    tree: BlockTree,
-    level: int,
-    block_a: NDArray[np.int32],
-    block_b: NDArray[np.int32],
-    above: Frontier,
-    node: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    tree: BlockTree, level: int, pairs: Pairs, above: Frontier, node: NDArray[np.int64]
+) -> NDArray[np.int64]:
     """Find the pictures of two blocks among the factors of the nodes above; -1 where none are."""
     if not len(above):
-        none = np.full(len(block_a), -1, np.int64)
-        return none, none
+        return np.full((2, len(pairs.a)), -1, np.int64)
     starts, own = tree.starts[level - 1], tree.starts[level]
-    offset_a, offset_b, _ = factor_offsets(starts, above.block_a, above.block_b)
-    return (
-        offset_a[node] + own[block_a] - starts[above.block_a[node]],
-        offset_b[node] + own[block_b] - starts[above.block_b[node]],
+    outer = above.nodes(tree, level - 1).pairs
+    return np.stack(
+        [
+            outer.at_a[node] + own[pairs.a] - starts[outer.a[node]],
+            outer.at_b[node] + own[pairs.b] - starts[outer.b[node]],
+        ]
     )
