@@ -10,7 +10,6 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.symmetric.nodes import Frontier, Pairs, child_pairs
 from rfpipe.methods.symmetric.pieces import Pieces, Subdivided
 from rfpipe.methods.symmetric.rank_k import predictable, rank_k_leaves
-from rfpipe.methods.symmetric.rank_k_kernels import _decompose
 from rfpipe.methods.symmetric.rank_test import Limits
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -94,23 +93,6 @@ def told_apart(tree, block, rank):
     without = [np.delete(core, k, axis) for axis in (0, 1) for k in range(core.shape[axis])]
     values = [np.linalg.svd(part, compute_uv=False) for part in without]
     return min(v[rank - 1] / v[0] if len(v) >= rank else 0.0 for v in values)
-
-
-@settings(max_examples=50, deadline=None)
-@given(rows=st.integers(1, 4), columns=st.integers(1, 4), rank=st.integers(1, 4), seed=SEEDS)
-def test_the_decomposition_is_numpy_s(rows, columns, rank, seed):
-    rng = np.random.default_rng(seed)
-    matrix = rng.standard_normal((rows, rank)) @ rng.standard_normal((rank, columns))
-    rotated, vectors = matrix.copy(), np.empty((columns, columns))
-    _decompose(rotated, vectors)
-    scale = np.linalg.norm(matrix)
-    np.testing.assert_allclose(matrix @ vectors, rotated, atol=1e-12 * scale)
-    np.testing.assert_allclose(vectors.T @ vectors, np.eye(columns), atol=1e-12)
-    values = np.sort(np.linalg.norm(rotated, axis=0))[::-1]
-    expected = np.zeros(columns)
-    exact = np.linalg.svd(matrix, compute_uv=False)
-    expected[: len(exact)] = exact
-    np.testing.assert_allclose(values, expected, atol=1e-12 * scale)
 
 
 def test_images_that_have_nothing_to_do_with_each_other_do_not_pass():

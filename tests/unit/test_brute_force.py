@@ -1,7 +1,5 @@
 """Brute force: the yardstick."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from tests.helpers import acquire_matrix, dense
@@ -10,7 +8,6 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods import options_of
 from rfpipe.methods.brute_force import BruteForce
-from rfpipe.transport import open_transport, save_transport
 
 
 @pytest.fixture
@@ -56,19 +53,6 @@ def test_relighting_and_its_transpose(matrix: np.ndarray) -> None:
         operator = transport.channel(channel)
         np.testing.assert_allclose(operator @ np.eye(42), matrix[channel], rtol=1e-6)
         np.testing.assert_allclose(operator.T @ np.eye(20), matrix[channel].T, rtol=1e-6)
-
-
-def test_states_restore_and_transports_are_stored(matrix: np.ndarray, tmp_path: Path) -> None:
-    method = BruteForce()
-    run = acquire_matrix(method, matrix, (4, 5), (6, 7))
-    before, after = run.states
-    restored = method.restore(before, run.packs)
-    assert (restored.level, restored.rows) == (after.level, after.rows)
-    np.testing.assert_array_equal(restored.matrix, after.matrix)
-    save_transport(run.transport, tmp_path / "transport.zarr", "uint8")  # never rounded
-    stored = open_transport(tmp_path / "transport.zarr")
-    np.testing.assert_array_equal(dense(stored), dense(run.transport))
-    assert stored.level_rows == run.transport.level_rows
 
 
 def test_nothing_is_known_before_the_scan() -> None:

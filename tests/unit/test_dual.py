@@ -1,6 +1,5 @@
 """Dual photography on known matrices."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +8,8 @@ from tests.helpers import Acquisition, acquire_matrix, dense
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods import Pack, get_method, method_names
-from rfpipe.methods.dual import Dual, DualState
+from rfpipe.methods import get_method
+from rfpipe.methods.dual import Dual
 from rfpipe.scenes.reference import reference_scene
 from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
@@ -27,19 +26,9 @@ def wedge() -> np.ndarray:
     return reference_scene("IV", (32, 32), channels=1).dense(0).astype(np.float32)
 
 
-@pytest.mark.parametrize("name", ["brute_force", "dual", "symmetric"])
-def test_registry_knows_the_methods(name: str) -> None:
-    assert get_method(name).name == name
-    assert name in method_names()
-
-
 def test_registry_names_the_methods_it_knows() -> None:
     with pytest.raises(InputError, match="'duel' is unknown; expected one of auto, brute_force"):
         get_method("duel")
-
-
-def test_any_rig_fits() -> None:
-    assert Dual().n_levels(RayDomain((3, 5)), RayDomain((2, 8, 8))) == 5
 
 
 @pytest.mark.parametrize("shape", [(1, 37), (13, 29), (1, 1), (3, 4, 6)])
@@ -50,13 +39,6 @@ def test_permutation_is_recovered_exactly(shape: tuple[int, ...]) -> None:
     np.testing.assert_array_equal(dense(run.transport)[0], matrix)
     # No pixel sees two rays: as many patterns a level as a block has children.
     assert max(run.patterns) <= max(4, shape[0] if len(shape) == 3 else 0)
-
-
-def test_mirror_takes_four_patterns_a_level() -> None:
-    matrix = np.eye(256).reshape(16, 16, 256)[:, ::-1].reshape(256, 256)
-    run = acquire_matrix(Dual(), matrix, (16, 16), (16, 16))
-    assert run.patterns == [1, 4, 4, 4, 4]
-    np.testing.assert_array_equal(dense(run.transport)[0], matrix)
 
 
 def test_dense_random_matrix_degrades_to_brute_force() -> None:
@@ -84,19 +66,6 @@ def test_sparse_random_matrix_of_any_shape(
     matrix = sparse_random(RayDomain(camera).size, RayDomain(projector).size, 0.05)
     run = acquire_matrix(Dual(), matrix, camera, projector, tolerance=1e-7)
     np.testing.assert_allclose(dense(run.transport)[0], matrix, rtol=1e-5, atol=1e-6)
-
-
-def test_zero_transport_is_done_after_one_pattern() -> None:
-    run = acquire_matrix(Dual(), np.zeros((12, 64)), (3, 4), (8, 8))
-    assert run.patterns == [1, 0, 0, 0]
-    assert run.transport.nbytes == 0
-    assert not run.transport.relight(np.ones((8, 8))).any()
-
-
-def test_a_channel_without_energy_stays_dark() -> None:
-    matrix = np.stack([sparse_random(20, 64, 0.1), np.zeros((20, 64))])
-    run = acquire_matrix(Dual(), matrix, (4, 5), (8, 8), tolerance=1e-7)
-    np.testing.assert_allclose(dense(run.transport), matrix, rtol=1e-5, atol=1e-6)
 
 
 def test_the_brightest_channel_decides_for_all() -> None:
@@ -132,18 +101,6 @@ def test_responses_are_dropped_stored_or_subdivided(wedge: np.ndarray) -> None:
             assert (pairs.values.max(axis=0) > 0).all()
             key = pairs.block.astype(np.int64) * 1024 + pairs.pixel
             assert (np.diff(key) > 0).all()  # sorted, no pair twice
-
-
-def test_no_energy_is_stored_at_two_levels(wedge: np.ndarray) -> None:
-    """Each matrix element is covered by one stored response at most, its own block's."""
-    run = acquire_matrix(Dual(), wedge, (32, 32), (32, 32), tolerance=1e-2)
-    tree = run.states[0].tree
-    covered = np.zeros((1024, 1024), np.int64)
-    for pairs in run.transport.pair_sets:
-        for block, pixel in zip(pairs.block, pairs.pixel, strict=True):
-            start, end = tree.starts[pairs.level][block : block + 2]
-            covered[pixel, tree.order[start:end]] += 1
-    assert covered.max() == 1
 
 
 @pytest.mark.slow
@@ -245,51 +202,6 @@ def test_culled_blocks_leave_a_level_complete_and_stored_ones_do_not() -> None:
     stored = acquire_matrix(Dual(), matrix, (4, 4), (4, 4), tolerance=0.1)
     assert (stored.schedules[2].pattern_of_ray.reshape(4, 4)[2:, 2:] == -1).all()
     assert [schedule.complete for schedule in stored.schedules] == [True, True, False]
-
-
-def assert_same_state(one: DualState, other: DualState) -> None:
-    for a, b in zip([*one.stored, one.frontier], [*other.stored, other.frontier], strict=True):
-        assert a.level == b.level
-        for part in ("block", "pixel", "values"):
-            left, right = getattr(a, part), getattr(b, part)
-            assert left.dtype == right.dtype
-            np.testing.assert_array_equal(left, right)
-    for name in (
-        "level",
-        "channels",
-        "options",
-        "floodlit_maximum",
-        "floodlit_rms",
-        "complete",
-        "rows",
-    ):
-        assert getattr(one, name) == getattr(other, name)
-
-
-@pytest.mark.parametrize("sigma", [0.0, 0.01])
-def test_restored_states_are_the_same_to_the_last_bit(wedge: np.ndarray, sigma: float) -> None:
-    method = Dual()
-    run = acquire_matrix(method, wedge, (32, 32), (32, 32), tolerance=1e-2, sigma=sigma)
-    packs = [Pack(pack.arrays, json.loads(json.dumps(dict(pack.attributes)))) for pack in run.packs]
-    assert_same_state(method.restore(run.states[0], []), run.states[0])
-    for count in range(1, len(packs) + 1):
-        restored = method.restore(run.states[0], packs[:count])
-        assert_same_state(restored, run.states[count])
-        if count < len(packs):
-            assert method.schedule(restored).digest() == run.schedules[count].digest()
-            assert method.schedule(restored).complete == run.schedules[count].complete
-
-
-def test_a_state_gives_its_open_responses_at_their_estimate(wedge: np.ndarray) -> None:
-    method = Dual()
-    run = acquire_matrix(method, wedge, (32, 32), (32, 32), tolerance=1e-2)
-    floodlit = method.transport(run.states[1])
-    assert [row["level"] for row in floodlit.level_rows] == [0]
-    np.testing.assert_allclose(
-        floodlit.relight(np.ones((32, 32))).ravel(), wedge.sum(axis=1), rtol=1e-5
-    )
-    empty = method.transport(run.states[0])
-    assert not empty.relight(np.ones((32, 32))).any()
 
 
 def test_truncated_is_as_if_stopped() -> None:

@@ -145,19 +145,6 @@ def test_colours_are_fitted_each_by_itself() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("black", ["both", "projector"])
-def test_a_view_that_sees_nothing(black: str) -> None:
-    matrix = room().copy()
-    matrix[:, :, 240:] = 0
-    if black == "both":
-        matrix[:, 240:] = 0
-    done = run_method(Footprints(), matrix, SHAPE, SHAPE, sigma=1e-3, target_error=0.03)
-    found, truth = dense(done.transport)[0], matrix[0]
-    shown = np.random.default_rng(0).random((360, 5)) < 0.4
-    assert relative_rms(found @ shown, truth @ shown) < 0.02
-
-
-@pytest.mark.slow
 def test_cameras_that_stand_beside_the_projectors() -> None:
     # two cameras' views of what three projectors light, one turned upside down
     matrix = room().reshape(VIEWS, *IMAGE, -1)[[0, 2], ::-1].reshape(1, 240, 360)

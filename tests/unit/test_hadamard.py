@@ -1,7 +1,5 @@
 """Hadamard multiplexing: brute force with half of the projector lit."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from tests.helpers import MatrixImages, acquire_matrix, dense
@@ -13,7 +11,6 @@ from rfpipe.errors import InputError
 from rfpipe.methods import options_of
 from rfpipe.methods.brute_force import BruteForce
 from rfpipe.methods.hadamard import Hadamard, s_matrix_order, s_matrix_row
-from rfpipe.transport import open_transport, save_transport
 
 
 @pytest.fixture
@@ -97,19 +94,6 @@ def test_a_dim_scene_before_a_noisy_camera_gains() -> None:
         for name in ("brute_force", "hadamard")
     }
     assert errors["hadamard"] < 0.5 * errors["brute_force"]
-
-
-def test_states_restore_and_transports_are_stored(matrix: np.ndarray, tmp_path: Path) -> None:
-    method = Hadamard()
-    run = acquire_matrix(method, matrix, (4, 5), (6, 7))
-    before, after = run.states
-    restored = method.restore(before, run.packs)
-    assert (restored.level, restored.rows) == (after.level, after.rows)
-    np.testing.assert_array_equal(restored.matrix, after.matrix)
-    save_transport(run.transport, tmp_path / "transport.zarr", "uint8")
-    stored = open_transport(tmp_path / "transport.zarr")
-    np.testing.assert_array_equal(dense(stored), dense(run.transport))
-    assert stored.level_rows == run.transport.level_rows
 
 
 def test_a_scan_too_large_to_hold_is_refused() -> None:

@@ -40,18 +40,6 @@ def test_the_transform_is_orthonormal(stack: tuple[int, int, int], seed: int) ->
     assert sorted(numbers) == list(range(haar.size))
 
 
-def test_a_function_is_where_its_group_says() -> None:
-    haar = Haar((2, 24, 40))
-    for group in haar.groups:
-        for place, (row, column) in enumerate(group.centres()):
-            unit = np.zeros((haar.size, 1), np.float32)
-            unit[group.start + place] = 1
-            lit = np.argwhere(haar.inverse(unit).reshape(haar.stack))
-            assert len(np.unique(lit[:, 0])) == 1
-            assert np.ptp(lit[:, 1:], axis=0).tolist() == [group.side - 1] * 2
-            np.testing.assert_allclose(lit[:, 1:].mean(axis=0) + 0.5, (row, column))
-
-
 @pytest.mark.parametrize(
     ("shape", "most", "side"),
     [((48, 48), 4096, 1), ((65, 64), 4096, 2), ((310, 350), 4096, 6), ((9, 8, 8), 100, 3),

@@ -86,7 +86,8 @@ def test_a_state_is_restored_once(tmp_path: Path, read: list[tuple[str, str]]) -
     found = plan.state_before(folder, 2)
     before = len(read)
     assert plan.state_before(folder, 2) is found
-    assert len(read) == before
+    plan.method.schedule(found)
+    assert len(read) == before, "a schedule needs no leaves"
     write_refined(folder, run, 0, dark=1 - run.packs[0].arrays["dark"])
     assert (plan.state_before(folder, 2).dark != found.dark).all()
 

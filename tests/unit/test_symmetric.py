@@ -5,8 +5,8 @@ import pytest
 
 import rfpipe
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import CaptureError, InputError
-from rfpipe.methods import Pack, options_of
+from rfpipe.errors import CaptureError
+from rfpipe.methods import options_of
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.photometry import CameraModel
 from rfpipe.scenes.relighting import relighting_patterns
@@ -73,13 +73,6 @@ def test_a_mirror_takes_few_patterns():
     assert result.patterns < 40
 
 
-def test_direct_light_alone_takes_four_patterns_a_level():
-    matrix = np.diag(np.random.default_rng(2).uniform(0.1, 1, 32 * 32))
-    result = acquire(matrix, (32, 32))
-    assert list(result.levels["patterns"]) == [1, 4, 4, 4, 4, 4]
-    assert relative_error(result.transport, matrix) < 1e-6
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (1, 37), (37, 1), (13, 29), (2, 3, 5)])
 def test_domains_of_any_size(shape):
     size = int(np.prod(shape))
@@ -87,12 +80,6 @@ def test_domains_of_any_size(shape):
     matrix += matrix.T
     result = acquire(matrix, shape, tolerance=1e-6)
     assert relative_error(result.transport, matrix) < 1e-6
-
-
-def test_no_light_at_all_is_an_empty_transport():
-    result = acquire(np.zeros((64, 64)), (8, 8))
-    assert result.patterns == 1
-    assert not dense(result.transport).any()
 
 
 def test_direct_light_100000_times_the_indirect_does_not_spoil_it():
@@ -104,15 +91,6 @@ def test_direct_light_100000_times_the_indirect_does_not_spoil_it():
     error = dense(result.transport) - matrix
     np.fill_diagonal(error, 0)
     assert np.linalg.norm(error) < 0.05 * np.linalg.norm(indirect)
-
-
-def test_a_channel_without_light_stays_dark():
-    matrix = np.random.default_rng(5).random((64, 64))
-    matrix += matrix.T
-    result = acquire(np.stack([matrix, np.zeros_like(matrix), matrix / 2]), (8, 8), 1e-5)
-    assert np.allclose(dense(result.transport, 0), matrix, rtol=1e-5)
-    assert not dense(result.transport, 1).any()
-    assert np.allclose(dense(result.transport, 2), matrix / 2, rtol=1e-5)
 
 
 def test_camera_noise_does_not_make_it_subdivide_noise():
@@ -156,13 +134,6 @@ def test_the_transport_is_exactly_symmetric_and_not_negative():
     assert found.min() >= 0
 
 
-def test_looser_tolerances_take_no_more_patterns():
-    x = np.linspace(0, 1, 256)
-    matrix = np.diag(np.full(256, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
-    patterns = [acquire(matrix, (16, 16), tolerance).patterns for tolerance in (1e-1, 1e-2, 1e-3)]
-    assert patterns == sorted(patterns)
-
-
 def grainy_light(side, seed):
     """Direct light with a bright spot, and indirect light as grainy as sampling leaves it."""
     random = np.random.default_rng(seed)
@@ -193,12 +164,6 @@ def test_errors_of_many_leaves_do_not_add_up_beyond_the_tolerance(seed):
     assert errors == sorted(errors, reverse=True)
 
 
-def test_a_rig_that_is_not_coaxial_is_refused():
-    rig = rfpipe.OperatorRig(np.ones((6, 4)), camera_shape=(2, 3), projector_shape=(2, 2))
-    with pytest.raises(InputError, match="coaxial"):
-        rfpipe.acquire(rig, "symmetric", progress=False)
-
-
 def test_truncation_is_what_stopping_there_would_have_given():
     x = np.linspace(0, 1, 144)
     matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
@@ -216,39 +181,6 @@ def test_truncation_is_what_stopping_there_would_have_given():
     assert np.allclose(stopped[-1].truncate(0).relight(np.ones((12, 12))), row_sums, rtol=1e-5)
 
 
-def test_a_state_restored_from_its_packs_goes_on_alike():
-    x = np.linspace(0, 1, 144)
-    matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
-    method, domain = Symmetric(), RayDomain((12, 12))
-    start = method.start(domain, domain, 1, options_of(method, tolerance=1e-4))
-    state, packs = start, []
-    for _ in range(method.n_levels(domain, domain)):
-        schedule = method.schedule(state)
-        without_leaves = [Pack(_NoLeaves(pack.arrays), pack.attributes) for pack in packs]
-        again = method.schedule(method.restore(start, without_leaves))
-        assert again.digest() == schedule.digest()
-        images = _images(matrix, schedule, (12, 12))
-        restored = method.refine(method.restore(start, packs), images)
-        state = method.refine(state, images)
-        pack = method.pack(state)
-        again = method.pack(restored)
-        assert pack.attributes == again.attributes
-        assert pack.arrays.keys() == again.arrays.keys()
-        for name, array in pack.arrays.items():
-            np.testing.assert_array_equal(array, again.arrays[name])
-        packs.append(Pack(pack.arrays, pack.attributes))
-    final = method.transport(method.restore(start, packs))
-    np.testing.assert_array_equal(dense(final), dense(method.transport(state)))
-
-
-class _NoLeaves(dict):
-    """Arrays of a store that a schedule doesn't read the leaves of."""
-
-    def __getitem__(self, name):
-        assert not name.startswith("leaves_"), name
-        return super().__getitem__(name)
-
-
 def _images(matrix, schedule, shape):
     patterns = schedule.batch(0, schedule.count).reshape(schedule.count, matrix.shape[1])
     light = (patterns @ matrix.T).astype(np.float32).reshape(schedule.count, *shape, 1)
@@ -259,22 +191,6 @@ def _images(matrix, schedule, shape):
     return NormalizedImages(
         schedule, merged, normalize_level(schedule, total, (floodlit, floodlit), None, "none", 3.0)
     )
-
-
-@pytest.mark.parametrize("memory_bytes", [pytest.param(1, marks=pytest.mark.slow), 40_000])
-def test_what_is_found_does_not_depend_on_the_memory(memory_bytes):
-    x = np.linspace(0, 1, 144)
-    matrix = np.diag(np.full(144, 5.0)) + 0.05 / (0.01 + (x[:, None] - x[None]) ** 2)
-    method, domain = Symmetric(), RayDomain((12, 12))
-    state = method.start(domain, domain, 1, options_of(method, tolerance=1e-4))
-    for _ in range(method.n_levels(domain, domain)):
-        images = _images(matrix, method.schedule(state), (12, 12))
-        frugal = method.refine(state, images, memory_bytes)
-        state = method.refine(state, images)
-        pack, other = method.pack(state), method.pack(frugal)
-        assert pack.attributes == other.attributes
-        for name, array in pack.arrays.items():
-            np.testing.assert_array_equal(array, other.arrays[name])
 
 
 @pytest.mark.slow

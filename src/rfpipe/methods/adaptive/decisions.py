@@ -25,14 +25,8 @@ _UNFIT = (0.07, 0.05)
 def smooth_light(state: AdaptiveState, just: str, slot: str, depth: int) -> str:
     """Tell what follows a round of smooth light, or of what it leaves.
 
-    Parameters
-    ----------
-    state : AdaptiveState
-        After the round's estimate.
-    just, slot : str
-        What the last level was for, and the next one is.
-    depth : int
-        Levels of the block tree.
+    `just` is what the last level was for, `slot` what the next one is for, `depth` the levels of
+    the block tree.
     """
     found, limit = state.estimates[-1], state.options.patterns
     # the first estimate knows neither strip nor spots: it bounds the error if nothing is indirect

@@ -130,71 +130,65 @@ class Targeted(Adaptive):
             follows = 0.3 * own.target_error
             tolerance = follows if tolerance == default else min(tolerance, follows)
         state = TargetedState(camera, projector, channels, options, tolerance=tolerance)
-        begun = self.inner_start(state)
+        begun = self._inner_start(state)
         return replace(state, inner=begun, best=begun)
 
     def slot(self, state: AdaptiveState) -> str:
         """Return what follows: no level is kept for anything else."""
         return state.following
 
-    def in_round(self, state: AdaptiveState) -> int:
-        """Return 0: only held-out pictures are shown beside the hierarchy's."""
+    def _in_round(self, state: AdaptiveState) -> int:
         return 0
 
-    def nearness(self, state: AdaptiveState) -> Float:
-        """Return how much of each ray's light stays near, (*shape)."""
+    def _nearness(self, state: AdaptiveState) -> Float:
         return nearness(self.transport(state))
 
-    def row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
+    def _row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
         """Return the next level's row: ``block_level`` is that which the hierarchy has reached."""
         alike = dict.fromkeys(state.inner.rows[0], 0) if state.inner.rows else {}
         own = level_row(state.level, patterns, block_level=len(state.descended) - 1)
         return {**alike, **own}
 
-    def begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
-        """Take the floodlit image."""
-        taken = super().begun(state, images).taken
-        return self.descend(state, images, MEMORY_BYTES, taken=taken)
+    def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
+        taken = super()._begun(state, images).taken
+        return self._descend(state, images, MEMORY_BYTES, taken=taken)
 
-    def descend(
+    def _descend(
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int, **new: Any
     ) -> AdaptiveState:
-        """Let the inner method refine a level."""
-        after = super().descend(state, images, memory_bytes, **new)
+        after = super()._descend(state, images, memory_bytes, **new)
         if isinstance(after, TargetedState) and not after.held:
             after = replace(after, best=after.inner).changed(best_level=after.inner.level)
         return self.decided(after)
 
-    def fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
-        """Fit nothing: the inner method does."""
+    def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
         return state
 
-    def patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        """Show nothing beside held-out patterns."""
+    def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
         return np.zeros((count, *state.projector.shape), np.bool_)
 
-    def dark(self, state: AdaptiveState) -> None:
+    def _dark(self, state: AdaptiveState) -> None:
         """Return None: nothing is known of direct light."""
 
-    def candidates(self, state: AdaptiveState) -> Iterator[Transport]:
+    def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
         """Yield the transport of the inner method's best state."""
         assert isinstance(state, TargetedState)
         found = self.hierarchy.transport(state.best)
         found.level_rows = list(state.rows)
         yield found
 
-    def judged(self, state: AdaptiveState) -> AdaptiveState:
+    def _judged(self, state: AdaptiveState) -> AdaptiveState:
         """Take the inner method's transport for the best where it is no worse."""
         assert isinstance(state, TargetedState)
         states = [state.inner] if state.best is state.inner else [state.inner, state.best]
-        estimates = [self.estimate(state, self.hierarchy.transport(each)) for each in states]
+        estimates = [self._estimate(state, self.hierarchy.transport(each)) for each in states]
         found, best = min(zip(estimates, states, strict=True), key=lambda each: each[0].error)
         after = replace(state, best=best).changed(best_level=best.level, estimates=[found])
         return after.counted(estimated_error=found.error)
 
     def transport(self, state: AdaptiveState) -> Transport:
         """Return what predicts the held-out pictures best, of the inner method's kind."""
-        return next(self.candidates(state))
+        return next(self._candidates(state))
 
     def decided(self, state: AdaptiveState) -> AdaptiveState:
         """Go on down the tree, ask for what held-out pictures are missing, or end."""
@@ -211,7 +205,7 @@ class Targeted(Adaptive):
         assert isinstance(state, TargetedState)
         if state.best_level == state.inner.level:
             return replace(state, best=state.inner)
-        best = self.hierarchy.restore(self.inner_start(state), inner[: state.best_level])
+        best = self.hierarchy.restore(self._inner_start(state), inner[: state.best_level])
         return replace(state, best=best)
 
 

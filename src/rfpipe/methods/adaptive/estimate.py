@@ -77,16 +77,9 @@ def error_of(
     known: NDArray[np.bool_],
     dark: NDArray[np.bool_] | None = None,
 ) -> Estimate:
-    """Compare a transport's pictures with held-out ones, where pixels are known.
+    """Compare a transport's pictures with held-out ones, where pixels are `known`, (M,).
 
-    Parameters
-    ----------
-    transport : Transport
-    held : Held
-    known : ndarray of bool, shape (M,)
-        Camera pixels that the pictures show.
-    dark : ndarray of bool, shape (M,), optional
-        Those to which the first pattern sends no direct light, where that is known.
+    `dark`, (M,), are those to which the first pattern sends no direct light, where that is known.
     """
     patterns = held.lit[::HELD_OUT, None].astype(np.float32)
     shape = (len(patterns), transport.channels, held.lit.shape[1])

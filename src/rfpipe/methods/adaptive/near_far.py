@@ -99,8 +99,7 @@ class NearFar(Adaptive):
     def _depth(state: AdaptiveState) -> int:
         return BlockTree(state.projector).n_levels
 
-    def in_round(self, state: AdaptiveState) -> int:
-        """Return the probes of a round of smooth light, or the blocks of what is left."""
+    def _in_round(self, state: AdaptiveState) -> int:
         if self.slot(state) == "model":
             return ROUNDS[state.level - 1]
         if state.reached:  # all that is left is to see whether spots are as good
@@ -110,33 +109,30 @@ class NearFar(Adaptive):
             before += len(BLOCKS) + self._depth(state) - 1
         return BLOCKS[state.level - before]
 
-    def patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        """Return probes, or blocks of cells."""
+    def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
         shape, level = state.projector.shape, state.level
         if self.slot(state) == "residual":
             return block_patterns(cells_of(shape), level, count)
         return probe_patterns(shape, level, count, self._range(state) if level > 1 else None)
 
-    def nearness(self, state: AdaptiveState) -> Float:
-        """Return how much of each ray's light stays near, (*shape)."""
+    def _nearness(self, state: AdaptiveState) -> Float:
         return self._range(state).nearness
 
     def _range(self, state: AdaptiveState) -> LightRange:
         assert state.model is not None
         return light_range(state.projector.shape, state.model, state.pictures.floodlit)
 
-    def row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
-        """Return the next level's row of the table."""
+    def _row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
         return level_row(state.level, patterns, rank_k=0, **counts)
 
-    def begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
+    def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Take the floodlit image; unknown pixels are as bright as their neighbours."""
-        after = super().begun(state, images)
+        after = super()._begun(state, images)
         [floodlit] = after.taken
         completed = floodlit.completed(state.projector.shape)
         return state.after(after.rows[-1], taken=[completed])
 
-    def fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
+    def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
         """Fit smooth light, or what the better model leaves of all pictures."""
         shape, level = state.projector.shape, state.level - 1
         if self._slot(state, level) == "model":
@@ -149,7 +145,7 @@ class NearFar(Adaptive):
         canvas = Canvas.of(shape, state.pictures)
         state = state.changed(others=[canvas.read(images, first)])
         bases = self._bases(state)
-        of_hierarchy, base = min(bases, key=lambda each: self.estimate(state, each[1]).error)
+        of_hierarchy, base = min(bases, key=lambda each: self._estimate(state, each[1]).error)
         left = self._left_by(state, base, canvas)
         counted = state.counted(nodes=left.pairs.shape[1])
         return counted.changed(residual=left, of_hierarchy=of_hierarchy)
@@ -160,13 +156,13 @@ class NearFar(Adaptive):
         Then the error is less than .95 of what it is without.
         """
         [(_, base)] = self._bases(state)
-        shape, error = state.projector.shape, self.estimate(state, base).error
+        shape, error = state.projector.shape, self._estimate(state, base).error
         if error <= state.options.target_error:
             return None
         roughly, canvas = (Canvas.of(shape, state.pictures, most) for most in (1024, MOST_CELLS))
         left = self._left_by(state, base, roughly)
         both = self._with_rest(state, left.transport(roughly), of_hierarchy=False)
-        if self.estimate(state, both).error >= 0.95 * error:
+        if self._estimate(state, both).error >= 0.95 * error:
             return None
         # of small pictures, the rough look is the close one
         same = roughly.cells.side == canvas.cells.side
@@ -178,11 +174,10 @@ class NearFar(Adaptive):
         pictures = [canvas.taken(own.lit, own.radiance, own.variance), *state.others]
         return residual_of(canvas, joined(pictures, axis=0), base)
 
-    def dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
-        """Return the pixels that the first held-out pattern leaves dark."""
+    def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
         return np.asarray(~state.held[0].lit[0])
 
-    def candidates(self, state: AdaptiveState) -> Iterator[Transport]:
+    def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
         """Yield the models there are, and what is returned with what one of them leaves."""
         for of_hierarchy, base in self._bases(state):
             yield base
@@ -204,7 +199,7 @@ class NearFar(Adaptive):
             model, parts = None, [self.hierarchy.transport(state.inner), rest]
         return as_transport(state.projector.shape, list(state.rows), model, state.pictures, parts)
 
-    def descend(
+    def _descend(
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int, **new: Any
     ) -> AdaptiveState:
         """Let symmetric photography refine a level; its pictures serve later rounds, too."""
@@ -212,7 +207,7 @@ class NearFar(Adaptive):
             new["others"] = [Canvas.of(state.projector.shape, state.pictures).read(images)]
         if self._slot(state, state.level + 1) == "residual":
             new["following"] = "residual"
-        return super().descend(state, images, memory_bytes, **new)
+        return super()._descend(state, images, memory_bytes, **new)
 
     def decided(self, state: AdaptiveState) -> AdaptiveState:
         """Go on, go another way, or end."""
@@ -223,7 +218,7 @@ class NearFar(Adaptive):
             # of the benchmark's coaxial scenes, relit pictures are off by one to five tolerances of
             # a hundredth, and by no less at larger ones; the pictures of all levels together more
             # than halve that
-            return self.hand_over(state, min(state.options.target_error, 0.01))
+            return self._hand_over(state, min(state.options.target_error, 0.01))
         if following == "residual" and just == "model":
             _log.info("smooth light is not all there is; going on with random blocks")
         return state.changed(following=following)

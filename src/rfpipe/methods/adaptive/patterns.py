@@ -32,14 +32,8 @@ def octave_noise(
 ) -> NDArray[np.float64]:
     """Return noise with unit deviation, on the torus, float64 (*shape).
 
-    Parameters
-    ----------
-    shape : tuple of int
-        The ray domain.
-    random : Generator
-    falloff : float
-        The power of the frequency with which amplitudes fall: 1 has equal power in every octave,
-        0 is white.
+    Amplitudes fall with the power `falloff` of the frequency: 1 has equal power in every octave, 0
+    is white.
     """
     height, width = RayDomain(shape).image_shape
     frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))

@@ -142,27 +142,27 @@ class Adaptive(PackingMethod[AdaptiveState]):
         """Return what the next level is for; where something else follows it shows nothing."""
 
     @abstractmethod
-    def in_round(self, state: AdaptiveState) -> int:
+    def _in_round(self, state: AdaptiveState) -> int:
         """Return how many patterns the next round shows, held-out ones not counted."""
 
     @abstractmethod
-    def patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
+    def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
         """Return the next round's patterns, (count, *shape)."""
 
     @abstractmethod
-    def nearness(self, state: AdaptiveState) -> Float:
+    def _nearness(self, state: AdaptiveState) -> Float:
         """Return how much of each ray's light stays near, (*shape)."""
 
     @abstractmethod
-    def fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
+    def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
         """Return the state with a fit to a round's images, too, from the first on."""
 
     @abstractmethod
-    def candidates(self, state: AdaptiveState) -> Iterator[Transport]:
+    def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
         """Yield what may be returned."""
 
     @abstractmethod
-    def dark(self, state: AdaptiveState) -> NDArray[np.bool_] | None:
+    def _dark(self, state: AdaptiveState) -> NDArray[np.bool_] | None:
         """Return the camera pixels without direct light in the first held-out picture."""
 
     @abstractmethod
@@ -185,10 +185,10 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def _due(self, state: AdaptiveState) -> str:
         return state.following if state.following == self.slot(state) else "done"
 
-    def asked(self, state: AdaptiveState) -> tuple[int, int]:
+    def _asked(self, state: AdaptiveState) -> tuple[int, int]:
         """Return how many held-out pictures a round shows, and how many others."""
         held = 0 if state.all_held else HELD_OUT * (2 if state.held else 1)
-        count, limit = self.in_round(state), getattr(state.options, "patterns", 0)
+        count, limit = self._in_round(state), getattr(state.options, "patterns", 0)
         if not limit:
             return held, count
         room = limit - state.shown
@@ -206,15 +206,15 @@ class Adaptive(PackingMethod[AdaptiveState]):
             return Schedule.nothing(level, shape)
         if due == "hierarchy":
             return replace(self.hierarchy.schedule(state.inner), level=level)
-        held, count = self.asked(state)
+        held, count = self._asked(state)
         shown: list[NDArray[Any]] = []
         if held:  # shapes at first, then the strip and spots
             shown = [held_out_shapes(shape)]
             if state.held:
-                shown = [held_out_strip(self.nearness(state)), held_out_spots(shape)]
+                shown = [held_out_strip(self._nearness(state)), held_out_spots(shape)]
         shown = [each[None] for each in shown for _ in range(HELD_OUT)]
         if count:
-            shown.append(self.patterns(state, count))
+            shown.append(self._patterns(state, count))
         weights = np.concatenate([np.zeros((0, *shape)), *shown]).astype(np.float32)
         return Schedule(level, shape, len(weights), weights=weights)
 
@@ -230,30 +230,30 @@ class Adaptive(PackingMethod[AdaptiveState]):
         """Fit all pictures so far, or refine the hierarchy, and estimate the error."""
         due, count = self._due(state), images.schedule.count
         if state.level == 0:
-            return self.begun(state, images)
+            return self._begun(state, images)
         if due == "hierarchy":
-            return self.descend(state, images, memory_bytes)
-        after = state.after(self.row(state, count))
+            return self._descend(state, images, memory_bytes)
+        after = state.after(self._row(state, count))
         if not count:
             return after if due == "done" else after.changed(following="done")
-        first, _ = self.asked(state)
+        first, _ = self._asked(state)
         if first:
             held = Pictures.read(images, state.channels, state.camera.size, 0, first)
             after = after.changed(held=[Held(held.lit, held.radiance)])
         if count > first:
-            after = self.fitted(after, images, first)
-        return self.decided(self.judged(after))
+            after = self._fitted(after, images, first)
+        return self.decided(self._judged(after))
 
-    def begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
+    def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Take the floodlit image."""
         floodlit = Pictures.read(images, state.channels, state.camera.size, 0, 1)
-        return state.after(self.row(state, 1, scalar=state.camera.size), taken=[floodlit])
+        return state.after(self._row(state, 1, scalar=state.camera.size), taken=[floodlit])
 
-    def row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
+    def _row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
         """Return the next level's row of the table."""
         return level_row(state.level, patterns, **counts)
 
-    def descend(
+    def _descend(
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int, **new: Any
     ) -> AdaptiveState:
         """Let the hierarchy refine a level of its own; `new` are other fields that change."""
@@ -261,16 +261,16 @@ class Adaptive(PackingMethod[AdaptiveState]):
         inner = self.hierarchy.refine(state.inner, own, memory_bytes)
         levels = (*state.descended, state.level)
         state = replace(state, descended=levels)
-        rows = [*state.rows, self.row(state, images.schedule.count)]
+        rows = [*state.rows, self._row(state, images.schedule.count)]
         # a level may have changed the row of the one before it
         for back in range(1, min(len(levels), 2) + 1):
             level = levels[-back]
             rows[level] = {**rows[level], **inner.rows[-back], "level": level}
         state = replace(state, rows=tuple(rows[:-1]))
         state = state.after(rows[-1], inner=inner, descended=levels, **new)
-        return self.judged(state) if images.schedule.count and state.held else state
+        return self._judged(state) if images.schedule.count and state.held else state
 
-    def hand_over(self, state: AdaptiveState, tolerance: float) -> AdaptiveState:
+    def _hand_over(self, state: AdaptiveState, tolerance: float) -> AdaptiveState:
         """Begin the hierarchy with the floodlit image, which is there already."""
         state = state.changed(following="hierarchy", tolerance=tolerance)
         pictures, shape = state.pictures, (1, *state.camera.shape, state.channels)
@@ -279,34 +279,34 @@ class Adaptive(PackingMethod[AdaptiveState]):
             for each in (pictures.radiance, pictures.variance)
         )
         floodlit = FloodlitImage(Schedule.floodlit(state.projector.shape), *image)
-        return state.changed(inner=self.hierarchy.refine(self.inner_start(state), floodlit))
+        return state.changed(inner=self.hierarchy.refine(self._inner_start(state), floodlit))
 
-    def inner_start(self, state: AdaptiveState) -> Any:
+    def _inner_start(self, state: AdaptiveState) -> Any:
         """Return the hierarchy's state before the floodlit image."""
         names = {"noise_significance", "subtract_stored"} & set(self.hierarchy.Options.model_fields)
         same = {n: getattr(state.options, n) for n in names if hasattr(state.options, n)}
         options = options_of(self.hierarchy, tolerance=state.tolerance, **same)
         return self.hierarchy.start(state.camera, state.projector, state.channels, options)
 
-    def estimate(self, state: AdaptiveState, transport: Transport) -> Estimate:
+    def _estimate(self, state: AdaptiveState, transport: Transport) -> Estimate:
         """Compare a transport's pictures with the held-out ones, where pixels are known."""
-        return error_of(transport, joined(list(state.held), 0), state.known, self.dark(state))
+        return error_of(transport, joined(list(state.held), 0), state.known, self._dark(state))
 
-    def best(self, state: AdaptiveState) -> tuple[Transport, Estimate]:
+    def _best(self, state: AdaptiveState) -> tuple[Transport, Estimate]:
         """Return what predicts the held-out pictures best, and how well."""
         if not state.held:
-            return next(iter(self.candidates(state))), Estimate(1.0, 1.0, 1.0, 1.0, 1.0)
-        estimated = [(each, self.estimate(state, each)) for each in self.candidates(state)]
+            return next(iter(self._candidates(state))), Estimate(1.0, 1.0, 1.0, 1.0, 1.0)
+        estimated = [(each, self._estimate(state, each)) for each in self._candidates(state)]
         return min(estimated, key=lambda pair: pair[1].error)
 
-    def judged(self, state: AdaptiveState) -> AdaptiveState:
+    def _judged(self, state: AdaptiveState) -> AdaptiveState:
         """Estimate the error of what would be returned after the last level."""
-        found = self.best(state)[1]
+        found = self._best(state)[1]
         return state.counted(estimated_error=found.error).changed(estimates=[found])
 
     def transport(self, state: AdaptiveState) -> Transport:
         """Return what predicts the held-out pictures best."""
-        return self.best(state)[0]
+        return self._best(state)[0]
 
     def known(self, state: AdaptiveState) -> Transport:
         """Return the hierarchy while it is refined, however far off it still is."""
@@ -330,7 +330,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
         inner = inner_packs(packs)
         if not inner:
             return state
-        return replace(state, inner=self.hierarchy.restore(self.inner_start(state), inner))
+        return replace(state, inner=self.hierarchy.restore(self._inner_start(state), inner))
 
 
 def inner_packs(packs: Sequence[Pack]) -> list[Pack]:

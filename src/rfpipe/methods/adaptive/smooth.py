@@ -200,18 +200,8 @@ def as_transport(
     """Return direct light, near-range and far-range light where there is any, as a sum.
 
     Direct is what the floodlit image has and the other parts don't, so that rows have the energy
-    that was measured; of pixels that the pictures don't show it stays dark.
-
-    Parameters
-    ----------
-    shape : tuple of int
-    rows : list of dict
-        The table of levels.
-    model : Smooth or None
-        None before there is one: all light counts as direct.
-    pictures : Pictures
-    more : sequence of Transport
-        Other parts of indirect light.
+    that was measured; of pixels that the pictures don't show it stays dark. Without a model all
+    light counts as direct; `more` are other parts of indirect light.
     """
     parts = [*(() if model is None else _parts(shape, model, pictures)), *more]
     floodlit = pictures.floodlit

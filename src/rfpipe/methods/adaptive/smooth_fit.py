@@ -228,22 +228,9 @@ def solve(
     most: int,
     start: Float | None = None,
 ) -> Float:
-    """Find the cores by preconditioned conjugate gradients.
+    """Find the cores (pairs,) by conjugate gradients, to a part `tolerance` of the residual.
 
-    Parameters
-    ----------
-    observed : Observations
-    deviations : ndarray of float32, shape (pairs,)
-        Of the prior.
-    tolerance : float
-        Part of the residual at which to stop.
-    most : int
-        Iterations at most.
-    start : ndarray of float32, shape (pairs,), optional
-
-    Returns
-    -------
-    ndarray of float32, shape (pairs,)
+    `deviations` are those of the prior, `most` the iterations at most.
     """
     from rfpipe.methods.adaptive.kernels import weigh
     from rfpipe.transport.pair_kernels import couple

@@ -131,30 +131,23 @@ class Symmetric(Descent[SymmetricState]):
         if not images.schedule.count:
             return state.after(level_row(level, 0, rank_k=0))
         limits = _limits(state, tests=int(child_counts(tree, level - 1, nodes).sum()))
-        refined = [
-            _refine_nodes(state, select(tree, level - 1, nodes, run), images, limits, memory_bytes)
-            for run in affordable(tree, level - 1, nodes, memory_bytes)
-        ]
-        added = (
-            joined([part.kept[kind] for kind in (0, 1) for part in refined]),
-            joined([part.found.leaves for part in refined]),
+        rank1, rank_k, found, counts, above = zip(
+            *(
+                _refine_nodes(
+                    state, select(tree, level - 1, nodes, run), images, limits, memory_bytes
+                )
+                for run in affordable(tree, level - 1, nodes, memory_bytes)
+            ),
+            strict=True,
         )
         before = state.rows[-1]
-        outcome = {
-            "rank1": before["rank1"] + sum(len(part.kept[0]) for part in refined),
-            "rank_k": sum(part.smooth for part in refined),
-            "subdivided": sum(part.subdivided for part in refined),
-        }
-        counts = {
-            name: sum(part.found.counts[name] for part in refined)
-            for name in refined[0].found.counts
-        }
-        children = sum(part.children for part in refined)
-        row = level_row(level, images.schedule.count, nodes=children, rank_k=0, **counts)
+        outcome = _total(above)
+        outcome["rank1"] += before["rank1"]
+        row = level_row(level, images.schedule.count, rank_k=0, **_total(counts))
         return replace(state, rows=(*state.rows[:-1], {**before, **outcome})).after(
             row,
-            known=added,
-            frontier=joined([part.found.frontier for part in refined]),
+            known=(joined([*rank1, *rank_k]), joined([part.leaves for part in found])),
+            frontier=joined([part.frontier for part in found]),
         )
 
     def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
@@ -205,18 +198,9 @@ def _limits(state: SymmetricState, tests: int) -> Limits:
     return Limits(asked, options.noise_significance, tests)
 
 
-@dataclass(frozen=True)
-class _Refined:
-    """What a level's images told about some of the unknown nodes.
-
-    `kept` are the nodes' own leaves, of rank 1 and of rank k; `smooth` nodes have the latter.
-    """
-
-    kept: tuple[LeafSet, LeafSet]
-    found: Found
-    children: int
-    smooth: int
-    subdivided: int
+def _total(parts: Sequence[dict[str, int]]) -> dict[str, int]:
+    """Add up counts of the same names."""
+    return {name: sum(part[name] for part in parts) for name in parts[0]}
 
 
 def _refine_nodes(
@@ -225,8 +209,12 @@ def _refine_nodes(
     images: LevelImages,
     limits: Limits,
     memory_bytes: int,
-) -> _Refined:
-    """Test nodes of the level above the images'; keep them as leaves or sort their children."""
+) -> tuple[LeafSet, LeafSet, Found, dict[str, int], dict[str, int]]:
+    """Test nodes of the level above the images'; keep them as leaves or sort their children.
+
+    Returns the nodes' own leaves, of rank 1 and of rank k, what became of their children, and the
+    counts of children and of nodes.
+    """
     from rfpipe.methods.symmetric import kernels
 
     tree, level = state.tree, state.level
@@ -245,10 +233,6 @@ def _refine_nodes(
     kernels.reconcile(divided.arrays)
     rank_k = rank_k_leaves(divided, smooth)
     found = classify(tree, level, pieces, chosen, settled, nodes, above, limits)
-    return _Refined(
-        (rank1, rank_k),
-        found,
-        len(chosen),
-        int(np.count_nonzero(smooth)),
-        int(np.count_nonzero(subdivided)),
-    )
+    smooth_nodes, divided_nodes = (int(np.count_nonzero(each)) for each in (smooth, subdivided))
+    counts = {"rank1": len(rank1), "rank_k": smooth_nodes, "subdivided": divided_nodes}
+    return rank1, rank_k, found, {"nodes": len(chosen), **found.counts}, counts

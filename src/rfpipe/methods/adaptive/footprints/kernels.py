@@ -43,17 +43,9 @@ def solve_weights(
 ) -> Float:
     """Return each pixel's non-negative least-squares weights, by coordinate descent.
 
-    Parameters
-    ----------
-    starts, rays
-        Candidates.
-    ridge, expected : ndarray of float32, shape (candidates,)
-        Inverse variance of each weight, and about what.
-    lit : ndarray of float32, shape (projector pixels, M)
-    certainty, seen : ndarray of float32, shape (pixels, M)
-        Inverse variances of the pictures, and the pictures.
-    least : float
-        Weights that explain less than this of a pixel's squared standard deviations are 0.
+    Weights lie about what is `expected`, with inverse variances `ridge`, (candidates,) each.
+    Pictures are what is `seen`, with inverse variances `certainty`, (pixels, M). Weights that
+    explain less than `least` of a pixel's squared standard deviations are 0.
     """
     weights = np.zeros(len(rays), np.float32)
     for pixel in range(len(starts) - 1):
@@ -97,22 +89,9 @@ def marginal(
     """Return what takes unknown weights out of each pixel's pictures, and its precision's trace.
 
     The precision of pixel i is ``W - W A H A^T W`` with ``H = (G^-1 + A^T W A)^-1``, G the weights'
-    variances: ``W - U^T U`` with ``U = C^-1 A^T W``, C the Cholesky factor of H's inverse.
-
-    Parameters
-    ----------
-    starts, rays
-        Candidates.
-    variance : ndarray of float32, shape (candidates,)
-        Of each weight.
-    lit, certainty
-        As for `solve_weights`.
-
-    Returns
-    -------
-    ndarray of float64, shape (candidates, M)
-        U of all pixels. In float32 the precision would not be positive where pictures are exact.
-    ndarray of float32, shape (pixels,)
+    variances: ``W - U^T U`` with ``U = C^-1 A^T W``, C the Cholesky factor of H's inverse. The U of
+    all pixels are float64 (candidates, M): in float32 the precision would not be positive where
+    pictures are exact.
     """
     factors = np.empty((len(rays), lit.shape[1]))
     trace = np.empty(len(starts) - 1, np.float32)
@@ -147,22 +126,10 @@ def match_near(
 ) -> tuple[Int64, Float]:
     """Find the box that each series resembles most among those near some places.
 
-    Parameters
-    ----------
-    own, boxes : ndarray of float32, shape (n, M), (widths x per_width, M)
-        Series of length 1.
-    guesses : ndarray of float64, shape (n, places, 2)
-        Row and column in pixels; NaN for none.
-    reach : float
-        Pixels from a place, along either axis.
-    per_width, across : int
-        Boxes of each width, and in each row of them, at half-pixel positions from 1/2.
-
-    Returns
-    -------
-    ndarray of int64, shape (n,)
-    ndarray of float32, shape (n,)
-        Correlations; 0 where there is no place.
+    Series and boxes, (n, M) and (widths x per_width, M), have length 1; boxes lie at half-pixel
+    positions from 1/2, `across` of them in a row. `guesses` are rows and columns, (n, places, 2),
+    NaN for none; a box is at most `reach` pixels from one along either axis. Returns the boxes'
+    numbers and correlations, 0 where there is no place.
     """
     best, score = np.zeros(len(own), np.int64), np.zeros(len(own), np.float32)
     down = per_width // across
@@ -258,20 +225,9 @@ def united(
 ) -> tuple[Int64, Float, Float, Float]:
     """Return candidates of two lists of ascending keys, and what each list has of them.
 
-    Parameters
-    ----------
-    own, weights, variance : ndarray, shape (n,)
-        The first list; all of its candidates count.
-    back, other, spread : ndarray, shape (m,)
-        The second; those that only it has count where their weight is above 0.
-
-    Returns
-    -------
-    keys : ndarray of int64, ascending
-    first, second : ndarray of float32
-        Weights of either list, 0 where it lacks the candidate.
-    largest : ndarray of float32
-        The larger variance.
+    All candidates of the first list (own, weights, variance) count; those that only the second
+    (back, other, spread) has count where their weight is above 0. Returns ascending keys, the
+    weights of either list, 0 where it lacks the candidate, and the larger variance.
     """
     count = len(own)
     place = 0

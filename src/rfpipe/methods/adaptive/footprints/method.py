@@ -116,19 +116,17 @@ class Footprints(Adaptive):
         """Return what the next level is for: rounds, then the levels of dual photography."""
         return "model" if state.level <= len(ROUNDS) else "hierarchy"
 
-    def in_round(self, state: AdaptiveState) -> int:
+    def _in_round(self, state: AdaptiveState) -> int:
         """Return the patterns of the next round; none where held-out ones are all that is left."""
         if state.unfit or state.reached:
             return 0
         return in_round(state.level - 1, state.projector.views)
 
-    def patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
-        """Return random patterns."""
+    def _patterns(self, state: AdaptiveState, count: int) -> NDArray[np.bool_]:
         return view_patterns(state.projector.shape, state.level, count)
 
-    def begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
-        """Take the floodlit image."""
-        after = super().begun(state, images)
+    def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
+        after = super()._begun(state, images)
         return after.changed(unfit=not after.pictures.shine() or not self._fits(state))
 
     def _fits(self, state: AdaptiveState) -> bool:
@@ -145,7 +143,7 @@ class Footprints(Adaptive):
         # smaller projectors are lit block by block at once
         return rays >= 4 * ROUNDS[0] * views
 
-    def fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
+    def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
         """Fit the model to a round's pictures and all before them."""
         assert isinstance(state, FootprintState)
         count, channels = images.schedule.count, state.channels
@@ -161,14 +159,14 @@ class Footprints(Adaptive):
         nodes, scalar = len(arrays["cores_columns"]), len(arrays["footprints_columns"])
         return state.counted(nodes=nodes, scalar=scalar).changed(model=arrays, found=model.grey)
 
-    def candidates(self, state: AdaptiveState) -> Iterator[Transport]:
+    def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
         """Yield the model, and the hierarchy if there is one."""
         rows = list(state.rows)
         yield SumTransport([_model_of(state)], rows)
         if state.inner is not None:
             yield SumTransport([self.hierarchy.transport(state.inner)], rows)
 
-    def dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
+    def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
         """Return the camera pixels with at most a 50th of their direct light."""
         lit = state.held[0].lit[0]
         both = np.stack([lit, np.ones_like(lit)]).astype(np.float32)[:, None]
@@ -177,7 +175,7 @@ class Footprints(Adaptive):
         observed, full = direct.sum(axis=1)
         return ~np.asarray(observed > 0.02 * full)
 
-    def nearness(self, state: AdaptiveState) -> Float:
+    def _nearness(self, state: AdaptiveState) -> Float:
         """Return how much of each projector ray's light arrives near where it lights, (*shape).
 
         Its indirect light, radiance, over the root mean square distance, in pixels of the camera,
@@ -213,7 +211,7 @@ class Footprints(Adaptive):
             # mean errors of relit pictures in tolerances of dual photography: of scenes with glass
             # and mirrors, where the model doesn't fit, 3 to 17, of diffuse scenes 1 to 6
             part = 10.0 if state.unfit else 3.0
-            return self.hand_over(state, min(state.options.target_error / part, 0.01))
+            return self._hand_over(state, min(state.options.target_error / part, 0.01))
         return state.changed(following=following)
 
 
