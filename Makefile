@@ -107,7 +107,6 @@ benchmark: $(INSTALLED) ## every method on every scene, hours; goes on with docs
 
 config: $(INSTALLED) ## write schemas, config/README.md's tables and rigs from their models
 	python -m rfpipe.config config
-	python -m rfpipe.report docs
 
 lock: $(INSTALLED) ## resolve pyproject.toml anew into requirements.lock and validators.lock
 	uv pip compile pyproject.toml --extra dev $(LOCK_OPTIONS) --output-file requirements.lock

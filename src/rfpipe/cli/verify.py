@@ -71,11 +71,6 @@ def verify(
         return
     if checked.findings:
         raise typer.Exit(1)
-    for report in (folder, folder / "report"):
-        if (report / "results.json").is_file():
-            from rfpipe.report import check_report
-
-            check_report(report)
 
 
 def _print(folder: Path, checked: Checked) -> None:

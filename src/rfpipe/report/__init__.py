@@ -1,6 +1,5 @@
 """The report of a run: the thesis' figures and tables for the acquired scenes."""
 
-from rfpipe.report.check import check_report
 from rfpipe.report.page import build_report
 
-__all__ = ["build_report", "check_report"]
+__all__ = ["build_report"]

@@ -31,8 +31,7 @@ def times_section(inputs: Inputs) -> Section:
         "image."
     )
     blocks.append(Tabulation("Processing time", about, tables.processing_table(inputs)))
-    sources = [*inputs.run_sources, *inputs.time_sources]
-    return Section("time", "Where the processing time goes", blocks, sources=sources)
+    return Section("time", "Where the processing time goes", blocks)
 
 
 def setup_section(inputs: Inputs) -> Section:
@@ -76,7 +75,7 @@ def setup_section(inputs: Inputs) -> Section:
         _settings("Acquisition", {"seconds_per_pattern": "s"}, acquisition),
         _settings("Versions", {}, versions()),
     ]
-    return Section("setup", "Camera, scenes and versions", blocks, text, inputs.run_sources)
+    return Section("setup", "Camera, scenes and versions", blocks, text)
 
 
 _REMOTE = (

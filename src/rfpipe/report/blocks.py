@@ -43,8 +43,6 @@ class Picture:
         From left to right, all of one shape; what each is stands above it.
     compared : (int, int), optional
         Numbers of a relit picture and the true one, whose difference is shown at the right.
-    sources : sequence of str
-        As in `Illustration`.
     """
 
     name: str
@@ -52,7 +50,6 @@ class Picture:
     slug: str
     light: list[Light]
     compared: tuple[int, int] | None = None
-    sources: Sequence[str] = ()
 
 
 @dataclass(frozen=True)
@@ -80,9 +77,6 @@ class Illustration:
         Name of its files, without folder and suffix.
     figure : Figure or Drawing
         A `Drawing` where it shows light.
-    sources : sequence of str
-        Files that it was made from, their paths from the results folder; those of its section by
-        default.
     alt : str
         What the figure says, for those who can't see it; by default its name alone.
     is_folded : bool
@@ -93,7 +87,6 @@ class Illustration:
     caption: str
     slug: str
     figure: Figure | Drawing
-    sources: Sequence[str] = ()
     alt: str = ""
     is_folded: bool = False
 
@@ -175,15 +168,12 @@ class Tabulation:
     table : Table
     is_folded : bool
         Whether a reader has to open it.
-    sources : sequence of str
-        As in `Illustration`.
     """
 
     name: str
     caption: str
     table: Table
     is_folded: bool = True
-    sources: Sequence[str] = ()
 
 
 Block = Gallery | Illustration | Tabulation
@@ -199,12 +189,9 @@ class Section:
     blocks : sequence of Block
     text : sequence of str
         Paragraphs before them.
-    sources : sequence of str
-        Files that those blocks were made from that name none of their own.
     """
 
     anchor: str
     title: str
     blocks: Sequence[Block]
     text: Sequence[str] = ()
-    sources: Sequence[str] = ()

@@ -62,7 +62,7 @@ def build_calibration_report(folder: CalibrationFolder) -> Path:
     rest = [_section(name, one) for name, one in found.items() if name != "scene"]
     sections = [_first(found), *rest]
     write_page(
-        page, "Calibration of the rig", lead or "No step found a fault.", sections, folder.path,
+        page, "Calibration of the rig", lead or "No step found a fault.", sections,
         STANDING_COLOURS,
     )  # fmt: skip
     return page

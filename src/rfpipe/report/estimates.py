@@ -52,7 +52,6 @@ def estimates_section(inputs: Inputs) -> Section | None:
             Tabulation("Estimates level by level", _STEPS, _stepwise(steps, inputs)),
         ],
         [_ABOUT],
-        [*inputs.run_sources, *inputs.error_sources[:1]],
     )
 
 

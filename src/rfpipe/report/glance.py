@@ -48,7 +48,6 @@ def glance_section(inputs: Inputs) -> Section:
         "At a glance",
         [Gallery(pictures), Tabulation("What it took", caption, table, is_folded=False)],
         [_scenes_text(inputs), _found(numbers)],
-        [*inputs.run_sources, *inputs.error_sources[:1]],
     )
 
 
@@ -107,4 +106,4 @@ def scene_picture(run: Run) -> Picture:
     if is_brightened:
         caption += f" Its unlit pixels are shown {UNLIT_GAIN:g} times brighter."
     compared = (1, 2) if run.has_truth else None
-    return Picture(run.title, caption, f"scene_{run.scene}", light, compared, [run.source])
+    return Picture(run.title, caption, f"scene_{run.scene}", light, compared)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -54,16 +53,6 @@ class Run:
     acquired: dict[str, Any] = field(default_factory=dict)
     verified: dict[str, Any] = field(default_factory=dict)
     verified_images: ArrayBundle | None = None
-
-    @property
-    def verification_source(self) -> str:
-        """The manifest of what it was verified with, from the results folder."""
-        return f"{self.scene}/{self.method}/{VERIFIED}"
-
-    @property
-    def source(self) -> str:
-        """The manifest of its pictures, from the results folder."""
-        return f"{self.scene}/{self.method}/relight.json"
 
     @property
     def title(self) -> str:
@@ -169,9 +158,7 @@ class Inputs:
         ``scene``, ``method``, ``level`` (-1 for the transport's assembly), ``stage``,
         ``seconds`` of each stage of each level; may be empty.
     results : Path
-        Where it was all found; sources are named by their paths from there.
-    tables : tuple of Path
-        The tables of the evaluate stage: errors, and speed against error.
+        The folder of it all.
     """
 
     config: Config
@@ -180,24 +167,6 @@ class Inputs:
     speed_error: pd.DataFrame
     times: pd.DataFrame
     results: Path
-    tables: tuple[Path, Path]
-
-    @property
-    def run_sources(self) -> list[str]:
-        """The manifests of all runs' pictures."""
-        return [run.source for run in self.runs]
-
-    @property
-    def error_sources(self) -> list[str]:
-        """The tables of the evaluate stage, from the results folder."""
-        return [Path(os.path.relpath(path, self.results)).as_posix() for path in self.tables]
-
-    @property
-    def time_sources(self) -> list[str]:
-        """The files of the stages' times, from the results folder."""
-        folders = [self.results / run.scene / run.method for run in self.runs]
-        found = [path for folder in folders for path in _time_files(folder)]
-        return [path.relative_to(self.results).as_posix() for path in found]
 
     @property
     def has_truth(self) -> bool:
@@ -291,7 +260,6 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         pd.read_csv(speed_error),
         pd.DataFrame(times, columns=["scene", "method", "level", "stage", "seconds"]),
         results,
-        (errors, speed_error),
     )
 
 

@@ -1,62 +1,41 @@
-"""Where a report's numbers come from: versions, seeds, digests, settings, time and cost."""
+"""What a report was made from: versions, settings, digests, time and cost, as ``results.json``."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.report import tables
-from rfpipe.report.drawn import plain_value
-from rfpipe.report.entries import AcquisitionEntry, Provenance, VerificationEntry
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.report.placing import source_of
 
-__all__ = ["provenance_of"]
+RESULTS_NAME = "results.json"
 
 
-def provenance_of(inputs: Inputs) -> Provenance:
-    """Say what a report was made from."""
+def provenance_of(inputs: Inputs) -> dict[str, Any]:
+    """Return plain data that tells a report's origin."""
     shaping = inputs.config.shaping()
-    verified = [run.verification_source for run in inputs.runs if run.verified]
-    files = [*inputs.run_sources, *verified, *inputs.error_sources]
-    return Provenance(
-        versions=versions(),
-        seed=inputs.config.seed,
-        configuration=shaping,
-        configuration_fingerprint=fingerprint(shaping),
-        acquisitions=[
-            _acquisition(run, cost, inputs.config.verification.fail_above)
-            for run, cost in zip(inputs.runs, tables.costs(inputs), strict=True)
-        ],
-        sources=[source_of(file, inputs.results) for file in files],
-    )
+    costs = zip(inputs.runs, tables.costs(inputs), strict=True)
+    return {
+        "versions": versions(),
+        "seed": inputs.config.seed,
+        "configuration": shaping,
+        "configuration_fingerprint": fingerprint(shaping),
+        "acquisitions": [_acquisition(*each) for each in costs],
+    }
 
 
-def _acquisition(run: Run, cost: dict[str, Any], accepted: float | None) -> AcquisitionEntry:
-    return AcquisitionEntry(
-        scene=run.scene,
-        method=run.method,
-        options=run.facts["options"],
-        scene_settings=run.settings.model_dump(mode="json", exclude={"methods"}),
-        transport_digest=run.acquired.get("digest"),
-        relit_digest=run.images.digest,
-        versions=run.facts.get("versions", {}),
-        rays=run.rays,
-        patterns=run.patterns,
-        megabytes=cost["megabytes"],
-        capture_s=cost["capture_s"],
-        capture_jobs_s=plain_value(cost["capture_jobs_s"]),
-        processing_s=plain_value(cost["processing_s"]),
-        verification=_verification(run, accepted),
-    )
-
-
-def _verification(run: Run, accepted: float | None) -> VerificationEntry | None:
-    if run.verified_images is None:
-        return None
-    fields = set(VerificationEntry.model_fields) - {"digest", "accepted"}
-    return VerificationEntry(
-        digest=run.verified_images.digest,
-        accepted=accepted,
-        **{name: run.verified[name] for name in fields},
-    )
+def _acquisition(run: Run, cost: dict[str, Any]) -> dict[str, Any]:
+    names = ("rays", "patterns", "megabytes", "capture_s", "capture_jobs_s", "processing_s")
+    numbers = {name: float(cost[name]) for name in names}
+    verified = {name: run.verified[name] for name in ("mean_error", "worst_error") if run.verified}
+    return {
+        "scene": run.scene,
+        "method": run.method,
+        "options": run.facts["options"],
+        "versions": run.facts.get("versions", {}),
+        "transport_digest": run.acquired.get("digest"),
+        "relit_digest": run.images.digest,
+        **{name: value if math.isfinite(value) else None for name, value in numbers.items()},
+        "verification": verified or None,
+    }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -19,10 +20,9 @@ from rfpipe.report import (
     verification,
 )
 from rfpipe.report.blocks import Section
-from rfpipe.report.entries import RESULTS_NAME, Results, SectionEntry, write_results
 from rfpipe.report.inputs import Inputs, load_inputs
-from rfpipe.report.origin import provenance_of
-from rfpipe.report.placing import Place
+from rfpipe.report.origin import RESULTS_NAME, provenance_of
+from rfpipe.report.placing import place
 from rfpipe.report.text import ray_size
 from rfpipe.stages.verifying.report_files import write_report_files
 from rfpipe.store.files import write_atomically
@@ -59,11 +59,10 @@ def build_report(
         )
     title, lead = config.title, _lead(inputs)
     swatches = methods.swatches(inputs.methods) | verdicts.STANDING_COLOURS
-    shown = write_page(
-        page, title, lead, make_sections(inputs), results, swatches, _SOURCE, _views(inputs, page)
-    )
-    numbers = Results(title=title, lead=lead, provenance=provenance_of(inputs), sections=shown)
-    write_results(page.with_name(RESULTS_NAME), numbers)
+    shown = make_sections(inputs)
+    write_page(page, title, lead, shown, swatches, _SOURCE, _views(inputs, page))
+    summary = {"title": title, "lead": lead, "provenance": provenance_of(inputs)}
+    write_atomically(page.with_name(RESULTS_NAME), json.dumps(summary, indent=2).encode())
     write_report_files(page.parent)
 
 
@@ -72,11 +71,10 @@ def write_page(
     title: str,
     lead: str,
     sections: Sequence[Section],
-    root: Path,
     swatches: Mapping[str, str] | None = None,
     source: str = "",
     views: Mapping[str, Sequence[tuple[str, str]]] | None = None,
-) -> list[SectionEntry]:
+) -> None:
     """Write a page that opens from disk, its pictures embedded.
 
     Parameters
@@ -86,32 +84,22 @@ def write_page(
     title, lead : str
         Its heading, and a sentence on what it is about.
     sections : sequence of Section
-    root : Path
-        The folder from which their sources are named.
     swatches : mapping of str to str, optional
         Colours that stand before these texts in tables.
     source : str
         What stands at the page's end.
     views : mapping of str to sequence of (str, str), optional
         Pages to light a scene on, by the scene: method, and the page's path from this one.
-
-    Returns
-    -------
-    list of SectionEntry
-        All that the page shows, as data.
     """
-    place = Place(page.parent, root)
-    shown = [place.put(section) for section in sections]
     text = _render(
         title=title,
         lead=lead,
-        sections=shown,
+        sections=[place(page.parent, section) for section in sections],
         swatches=swatches or {},
         source=source,
         views=views or {},
     )
     write_atomically(page, text.encode())
-    return [section.entry for section in shown]
 
 
 def make_sections(inputs: Inputs) -> list[Section]:

@@ -51,7 +51,6 @@ def errors_section(inputs: Inputs) -> Section:
         "Errors by pattern",
         [Tabulation("Errors by pattern", detail, tables.errors_by_pattern(inputs))],
         [about],
-        inputs.error_sources[:1],
     )
 
 
@@ -74,7 +73,6 @@ def captured_section(inputs: Inputs) -> Section:
                 caption,
                 f"captured_{run.scene}_{run.method}",
                 pictures.captured_figure(run),
-                sources=[run.source],
             )
             for run in inputs.runs
         ],
@@ -115,7 +113,6 @@ def matrices_section(inputs: Inputs) -> Section:
                     caption,
                     f"fig_2_1_{method}{suffix}",
                     pictures.matrices_figure(runs),
-                    [run.source for run in runs],
                     is_folded=method != inputs.methods[0],
                 )
             )
@@ -139,7 +136,7 @@ def cost_section(inputs: Inputs) -> Section:
     )
     block = Tabulation("Costs", caption, tables.cost_table(inputs), is_folded=False)
     title = "Size, time and patterns (Tables 3.1 and 5.1)"
-    return Section("cost", title, [block], sources=inputs.run_sources)
+    return Section("cost", title, [block])
 
 
 def methods_section(inputs: Inputs) -> Section | None:
@@ -163,7 +160,6 @@ def methods_section(inputs: Inputs) -> Section | None:
                 caption,
                 f"fig_5_9{suffix}",
                 pictures.methods_figure(part),
-                [run.source for runs in part for run in runs],
             )
             for part, suffix in _parts(scenes)
         ],
@@ -188,8 +184,7 @@ def levels_section(inputs: Inputs) -> Section | None:
         "light of a lit pixel is spread over its whole block. Methods that fit all their pictures "
         "together are left out: they don't tell what they knew at an earlier level."
     )
-    drawing, sources = pictures.levels_figure(runs), [run.source for run in runs]
-    figure = Illustration("Fig. 5.7", caption, "fig_5_7", drawing, sources)
+    figure = Illustration("Fig. 5.7", caption, "fig_5_7", pictures.levels_figure(runs))
     return Section("levels", "Stopping at a level (Fig. 5.7)", [figure])
 
 
@@ -219,9 +214,8 @@ def leaves_section(inputs: Inputs) -> Section | None:
     if rows:
         figure = charts.leaves_figure(rows)
         blocks.insert(0, Illustration(name, caption, "fig_5_10", figure))
-    sources = [run.source for run in runs]
     title = "Leaves at each level (Fig. 5.10)" if inputs.has_truth else "Leaves at each level"
-    return Section("leaves", title, blocks, sources=sources)
+    return Section("leaves", title, blocks)
 
 
 def speed_section(inputs: Inputs) -> Section | None:
@@ -248,8 +242,7 @@ def speed_section(inputs: Inputs) -> Section | None:
         for part, suffix in _parts(scenes)
     ]
     table = Tabulation("Error after each level", "As in the plot.", tables.speed_table(inputs))
-    sources = inputs.error_sources[1:]
-    return Section("speed", "Speed against error", [*curves, table], sources=sources)
+    return Section("speed", "Speed against error", [*curves, table])
 
 
 def _speed_in_words(inputs: Inputs, scenes: Sequence[str]) -> str:

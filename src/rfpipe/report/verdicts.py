@@ -52,6 +52,5 @@ def verdicts_section(inputs: Inputs) -> Section:
         rows = [[one["title"], STANDINGS[one["standing"]]] for one in verdicts.values()]
         rows = rows or [["no calibration", STANDINGS["unknown"]]]
         table = Table([], ["step", "verdict"], rows, text_columns=2)
-        sources = [f"{run.scene}/{run.method}/L00/capture.json" for run in runs]
-        blocks.append(Tabulation("Verdicts", who, table, is_folded=False, sources=sources))
-    return Section("calibration", "Calibration of the rig", blocks, text, inputs.run_sources)
+        blocks.append(Tabulation("Verdicts", who, table, is_folded=False))
+    return Section("calibration", "Calibration of the rig", blocks, text)

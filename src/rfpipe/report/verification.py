@@ -26,9 +26,8 @@ def verification_section(inputs: Inputs) -> Section | None:
         Tabulation("Verification, picture by picture", _BY_PICTURE, _by_picture(inputs, runs)),
         Tabulation("The rig during the capture", _OF_THE_RIG, _rig(inputs, runs), is_folded=False),
     ]
-    sources = [run.verification_source for run in runs]
     title = "Verified by pictures that no method saw"
-    return Section("verification", title, blocks, _text(inputs, runs), sources)
+    return Section("verification", title, blocks, _text(inputs, runs))
 
 
 def _text(inputs: Inputs, runs: list[Run]) -> list[str]:
@@ -149,8 +148,7 @@ def _pictures(run: Run) -> list[Picture]:
         )
         slug = f"verified_{run.scene}_{run.method}_{name}"
         title = f"{run.title}, {words(name)}"
-        source = [run.verification_source]
-        found.append(Picture(title, caption, slug, light, (0, 1), source))
+        found.append(Picture(title, caption, slug, light, (0, 1)))
     return found
 
 
