@@ -307,7 +307,7 @@ def test_progress_says_how_long_it_will_take(
             bar.advance(1)
     messages = [record.getMessage() for record in caplog.records]
     assert re.search(r"level 2: 10\d of 1100 patterns, \d\d:\d\d to go", messages[0])
-    assert re.search(r"level 2: 3 patterns in 0\.\d s", messages[-1])
+    assert messages[-1] == "level 2: 3 patterns in 00:00"
 
 
 @pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force"])

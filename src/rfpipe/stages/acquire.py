@@ -23,10 +23,10 @@ from rfpipe.stages.memory import AcquisitionInMemory
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.schedule import write_schedule
 from rfpipe.stages.symmetry import NOTICED
-from rfpipe.stages.unseen.comparing import Verification, compare
+from rfpipe.stages.unseen.comparing import Verification
 from rfpipe.stages.unseen.patterns import NAMES
-from rfpipe.stages.unseen.verify import schedule_of
-from rfpipe.stages.watch import DRIFT, MUTUAL
+from rfpipe.stages.unseen.verify import compared, schedule_of
+from rfpipe.stages.watch import MUTUAL
 from rfpipe.transport import Transport
 from rfpipe.units import SATURATION_FRACTION
 
@@ -197,17 +197,12 @@ def acquire(
     verified = None
     if verification:
         names, schedule = schedule_of(transport, verification)
-        write_schedule(folder, "", schedule)
+        write_schedule(folder, "", schedule, names=names)
         # a look at the lamp before the first and after the last
         capturing |= {"symmetry_frames": 0, "drift_patterns": verification, "watching": None}
         capture.run(timed, folder, VERIFICATION, **capturing)
         merge.run(folder, VERIFICATION, **merging, divide_out_drift=True)
-        with folder.frames(VERIFICATION, "merge") as frames:
-            images = frames.read(0, schedule.count)
-        assert schedule.weights is not None
-        relit = transport.relight_batch(schedule.weights)
-        gain = np.mean(folder.read_manifest(VERIFICATION, "merge")[DRIFT]["gain"], axis=0)
-        verified = compare(names, schedule.weights, (images[:, 0], images[:, 1]), relit, gain)
+        verified = compared(folder, transport)
     captured, merged = (
         [folder.read_manifest(level, stage) for level in folder.levels()]
         for stage in ("capture", "merge")

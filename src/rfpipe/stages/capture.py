@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
+from functools import partial
 from math import prod
 from time import monotonic, sleep
 from typing import Any, Literal
@@ -168,12 +169,6 @@ def brackets_of(
     def of_schedule(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
         return schedule.batch(first, last), [(level, index) for index in range(first, last)]
 
-    def of_references(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        return reference_patterns(shape, off, first, last)
-
-    def of_symmetry(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
-        return symmetry_patterns(shape, symmetry_frames, first, last)
-
     def brackets(store: str, name: str, count: int, patterns: Any, shown: Any) -> Brackets:
         path = folder.store(level, store)
         return Brackets(rig, folder, path, name, count, {**shown, "rig": described}, patterns)
@@ -181,12 +176,13 @@ def brackets_of(
     before: dict[str, Brackets] = {}
     if level == 0:
         before[REFERENCE] = brackets(
-            REFERENCE, "reference brackets", off + on, of_references,
+            REFERENCE, "reference brackets", off + on, partial(reference_patterns, shape, off),
             {"black_frames": off, "floodlit_frames": on},
         )  # fmt: skip
     if level == 0 and symmetry_frames:
         before[SYMMETRY] = brackets(
-            SYMMETRY, "brackets of random patterns", symmetry_frames, of_symmetry,
+            SYMMETRY, "brackets of random patterns", symmetry_frames,
+            partial(symmetry_patterns, shape, symmetry_frames),
             {"symmetry_frames": symmetry_frames},
         )  # fmt: skip
     count = schedule.count

@@ -9,7 +9,7 @@ the pictures of a coaxial rig themselves tell, for nothing, whether it still is 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -105,70 +105,50 @@ def watching_level(
     mutual_error : float
         Error in a picture of a rig taken for a coaxial one from which on it is said.
     """
-    folder, refuse, merger = of_level.folder, mode == "refuse", None
+    folder, merger = of_level.folder, None
     if folder.exists(0, "merge"):
         merger = read_merger(of_level.rig.sensor, folder, SATURATION_FRACTION)
     is_coaxial = bool(folder.read_manifest(level, "schedule").get("coaxial"))
-
-    def lamp(position: int, index: int, bracket: NDArray[Any]) -> None:
-        if merger is not None:
-            gain, deviation, local = brightness(merger, bracket, index)
-            _log.info(
-                "drift watch before pattern %d: %s of the floodlit image's light (noise %.2g %%); "
-                "parts of the image differ by up to %.2g %%",
-                position, ", ".join(f"{100 * part:.2f} %" for part in gain),
-                100 * deviation.max(), 100 * float(local),
-            )  # fmt: skip
-
-    def place(position: int, _index: int, bracket: NDArray[Any]) -> None:
-        first = None if merger is None else _first_look(folder, merger)
-        if first is not None and merger is not None:
-            where = f"{name_of(level)}, before pattern {position}"
-            _say_moved(_change(merger, first, bracket), where, refuse=refuse)
-
     shape = of_level.rig.projector_shape
+    white = np.ones(shape, np.float32)
+    lit = random_signs(shape, 1, 1, seed=15)[0] > 0
+    fine = np.asarray(lit if lit.any() else ~lit, np.float32)
+    every = looks_every(looks, is_coaxial) if mode != "off" else 0
     with ExitStack() as stack:
-        shown: list[_Looks] = []
-        white = np.ones(shape, np.float32)
-        kinds: list[Any] = [(DRIFT, "drift watch", DRIFT_KEY, white, drift_patterns, lamp)]
-        if mode != "off":
-            lit = random_signs(shape, 1, 1, seed=15)[0] > 0
-            fine = np.asarray(lit if lit.any() else ~lit, np.float32)
-            every = looks_every(looks, is_coaxial)
-            kinds.append((MOVES, "look at the rig", LOOK_KEY, fine, every, place))
-        for kind in kinds:
-            begun = _begin(stack, of_level, level, *kind)
-            shown += [begun] if begun else []
+        begun = [
+            _begin(stack, of_level, level, DRIFT, "drift watch", DRIFT_KEY, white, drift_patterns),
+            _begin(stack, of_level, level, MOVES, "look at the rig", LOOK_KEY, fine, every),
+        ]
         mutual = None
         if mode != "off" and is_coaxial and 0 < level < VERIFICATION and merger is not None:
-            mutual = _Mutual.begin(of_level, level, merger, mutual_error, refuse)
-        yield Watcher(shown, mutual)
+            mutual = _Mutual.begin(of_level, level, merger, mutual_error, mode == "refuse")
+        looks_of_level = [look for look in begun if look]
+        yield Watcher(of_level, level, merger, looks_of_level, mutual, mode == "refuse")
 
 
 @dataclass(frozen=True)
 class Watcher:
     """Takes the looks of a level, and holds its pictures against each other."""
 
+    of_level: Brackets
+    level: int
+    merger: Merger | None
     looks: Sequence[_Looks]
     mutual: _Mutual | None
+    refuse: bool
 
     def due(self, first: int, last: int) -> Sequence[int]:
         """Return the positions between two patterns at which a look is due."""
-        return sorted(
-            {
-                at
-                for look in self.looks
-                for at in range((first // look.every + 1) * look.every, last, look.every)
-            }
-        )
+        steps = [look.every for look in self.looks]
+        return sorted({at for n in steps for at in range((first // n + 1) * n, last, n)})
 
     def before(self, position: int) -> None:
         """Take the looks that are due before the pattern at `position`, or after the last one."""
         for look in self.looks:
-            last = look_count(look.patterns, look.every) - 1
-            index = last if position == look.patterns else position // look.every
+            at_end = position == self.of_level.count
+            index = look.brackets.count - 1 if at_end else position // look.every
             if not look.frames.done[index]:
-                look.tell(position, index, look.brackets.take(look.frames, index, index + 1))
+                self._tell(look, position, look.brackets.take(look.frames, index, index + 1))
 
     def after(self, first: int, brackets: NDArray[Any]) -> None:
         """Judge captured brackets, from pattern `first` on."""
@@ -183,21 +163,47 @@ class Watcher:
         }
         return {**looks, **({MUTUAL: self.mutual.facts()} if self.mutual else {})}
 
+    def _tell(self, look: _Looks, position: int, bracket: NDArray[Any]) -> None:
+        """Say what a look shows; CaptureError where the rig moved and that ends the capture."""
+        if self.merger is None:
+            return
+        if look.name == DRIFT:
+            gain, deviation, local = brightness(self.merger, bracket, 0)
+            _log.info(
+                "drift watch before pattern %d: %s of the floodlit image's light (noise %.2g %%); "
+                "parts of the image differ by up to %.2g %%",
+                position, ", ".join(f"{100 * part:.2f} %" for part in gain),
+                100 * deviation.max(), 100 * float(local),
+            )  # fmt: skip
+            return
+        first = _first_look(self.of_level.folder, self.merger)
+        change = _change(self.merger, first, bracket) if first else 0.0
+        if change <= _MOVED:
+            return
+        text = (
+            f"{name_of(self.level)}, before pattern {position}: the rig or the scene moved: the "
+            f"same pattern looks different by {change:.1%} from how it looked first, whatever the "
+            "lamp does. Pictures from before and after don't fit together"
+        )
+        if self.refuse:
+            raise CaptureError(
+                f"{text}. What is captured is kept: put things back, or remove the acquisition's "
+                "folder and begin anew; capture.watch: warn goes on regardless"
+            )
+        _log.warning("%s", text)
+
 
 @dataclass(frozen=True)
 class _Looks:
     name: str
     brackets: Brackets
     frames: Any
-    patterns: int
     every: int
-    tell: Callable[[int, int, NDArray[Any]], None]
 
 
 def _begin(
     stack: ExitStack, of_level: Brackets, level: int,
     name: str, title: str, key: int, pattern: NDArray[np.float32], every: int,
-    tell: Callable[[int, int, NDArray[Any]], None],
 ) -> _Looks | None:  # fmt: skip
     path, patterns = of_level.folder.store(level, name), of_level.count
     if of_level.count_missing() < patterns:  # it was begun
@@ -217,18 +223,13 @@ def _begin(
         keys: Keys = [(key, level, index) for index in range(first, last)]
         return np.repeat(pattern[None], last - first, axis=0), keys
 
-    about = {
-        "every": every,
-        "made_beside": of_level.made_for,
-        "rig": of_level.shown["rig"],
-    }
+    about = {"every": every, "made_beside": of_level.made_for, "rig": of_level.shown["rig"]}
     brackets = Brackets(
         of_level.rig, of_level.folder, path, f"{name_of(level)}, {title}",
         look_count(patterns, every), about, repeated,
     )  # fmt: skip
     brackets.settle()
-    frames = stack.enter_context(brackets.recording())
-    return _Looks(name, brackets, frames, patterns, every, tell)
+    return _Looks(name, brackets, stack.enter_context(brackets.recording()), every)
 
 
 # --- what looks tell: the lamp
@@ -387,22 +388,6 @@ def _change(merger: Merger, first: Merged, bracket: NDArray[Any]) -> float:
     square = float(np.square(now - gain * was).sum() - noise.sum())
     chance = _SIGNIFICANCE * np.sqrt(2 * np.square(noise).sum()) + _NOISE_KNOWN * noise.sum()
     return float(np.sqrt(max(square, 0.0) / light)) if square > chance else 0.0
-
-
-def _say_moved(change: float, where: str, *, refuse: bool) -> None:
-    if change <= _MOVED:
-        return
-    text = (
-        f"{where}: the rig or the scene moved: the same pattern looks different by {change:.1%} "
-        "from how it looked first, whatever the lamp does. Pictures from before and after don't "
-        "fit together"
-    )
-    if refuse:
-        raise CaptureError(
-            f"{text}. What is captured is kept: put things back, or remove the acquisition's "
-            "folder and begin anew; capture.watch: warn goes on regardless"
-        )
-    _log.warning("%s", text)
 
 
 # --- what the patterns themselves tell

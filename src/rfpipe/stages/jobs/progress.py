@@ -69,15 +69,13 @@ class Progress:
         self._bar.close()
         count, seconds = self._bar.n - self._done, monotonic() - self._began
         if count > 0 and seconds >= self._least:
-            _log.info("%s: %d %ss in %s", self._name, count, self._unit, _duration(seconds))
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(seconds, 60)
-    hours, minutes = divmod(int(minutes), 60)
-    if hours:
-        return f"{hours} h {minutes:02d} min"
-    return f"{minutes} min {rest:02.0f} s" if minutes else f"{rest:.1f} s"
+            _log.info(
+                "%s: %d %ss in %s",
+                self._name,
+                count,
+                self._unit,
+                self._bar.format_interval(seconds),
+            )
 
 
 def log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> None:

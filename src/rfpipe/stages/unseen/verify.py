@@ -135,6 +135,18 @@ def check_bound(manifests: Mapping[str, Mapping[str, Any]], bound: float, where:
         )
 
 
+def compared(folder: AcquisitionFolder, transport: Transport) -> Verification:
+    """Compare the merged pictures that verify a transport with what it makes of them."""
+    schedule = read_schedule(folder, VERIFICATION)
+    assert schedule.weights is not None
+    names = folder.read_manifest(VERIFICATION, "schedule")["names"]
+    with folder.frames(VERIFICATION, "merge") as frames:
+        images = frames.read(0, schedule.count)
+    gain = np.mean(folder.read_manifest(VERIFICATION, "merge")[DRIFT]["gain"], axis=0)
+    relit = transport.relight_batch(schedule.weights)
+    return compare(names, schedule.weights, (images[:, 0], images[:, 1]), relit, gain)
+
+
 def _watching(folder: AcquisitionFolder, pictures: int) -> dict[str, Any]:
     """Look at the rig before the first picture and after the last, if it was looked at before."""
     was_watched = any(folder.path.glob(f"L[0-9]*/{MOVES}.zarr"))
@@ -158,15 +170,7 @@ def _compare(folder: AcquisitionFolder, code: str) -> None:
     acquired = read_manifest(folder.path / "transport.json")
     merged = folder.read_manifest(VERIFICATION, "merge")
     made_from = fingerprint([acquired["digest"], merged["digest"], code])
-    transport = open_transport(folder.path / "transport.zarr")
-    schedule = read_schedule(folder, VERIFICATION)
-    assert schedule.weights is not None
-    names = folder.read_manifest(VERIFICATION, "schedule")["names"]
-    with folder.frames(VERIFICATION, "merge") as frames:
-        images = frames.read(0, schedule.count)
-    gain = np.mean(merged[DRIFT]["gain"], axis=0)
-    relit = transport.relight_batch(schedule.weights)
-    found = compare(names, schedule.weights, (images[:, 0], images[:, 1]), relit, gain)
+    found = compared(folder, open_transport(folder.path / "transport.zarr"))
     told(found, str(folder.path))
     write_bundle(
         manifest,
