@@ -175,12 +175,7 @@ def _tree(top: str, folder: Path, files: Any) -> Iterator[tuple[str, Path]]:
 
 
 def _reference_pictures(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
-    """Yield name and content of an acquisition's reference pictures.
-
-    The floodlit picture as radiance (EXR, float32) and for looking at (PNG, sRGB, its maximum
-    white); the black level of each exposure in counts, as EXR. An acquisition whose merge store
-    was removed has none.
-    """
+    """Yield name and content of an acquisition's reference pictures."""
     folder = AcquisitionFolder(acquisition.folder)
     if not folder.store(0, REFERENCES).exists():
         return

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from rfpipe.export import Scale
+    from rfpipe.store.places import Place
     from rfpipe.transport import Transport
     from rfpipe.transport.base import Light
 
@@ -82,32 +83,23 @@ def info(
     typer.echo(transport.levels.to_string(index=False))
 
 
-def open_checked(path: Path) -> Transport:
-    """Open a transport, checked against the manifest that a run left beside it.
-
-    Of a folder that holds one transport, that one is taken.
+def open_checked(path: Path | Place) -> Transport:
+    """Open a transport, or that in a folder, checked against the manifest that a run left beside it.
 
     Raises
     ------
-    InputError
+    StoreError
         When it is a folder of several, or of none.
     IntegrityError
         When it is damaged, or another than the manifest's.
     """
     from rfpipe.stages.relight import check_transport
-    from rfpipe.store.places import locate
-    from rfpipe.transport import open_transport
+    from rfpipe.transport.storage import find_transport, open_transport
 
-    if path.is_dir() and not _is_store(path) and locate(path) == path:
-        below = _transports_below(path)
-        if len(below) != 1:
-            named = "".join(f"\n  {place}" for place in below) or " none"
-            raise InputError(
-                f"{path}: is a folder; expected one transport, but below it are{named}"
-            )
-        path = below[0]
-    check_transport(path)
-    return open_transport(path)
+    place = find_transport(path)
+    if isinstance(place, Path):
+        check_transport(place)
+    return open_transport(place)
 
 
 def times(shape: tuple[int, ...]) -> str:
@@ -119,17 +111,15 @@ def _is_store(path: Path) -> bool:
     return path.suffix == ".zarr" or (path / "zarr.json").exists()
 
 
-def _transports_below(folder: Path) -> list[Path]:
+def _transports_below(folder: Path) -> list[Path | Place]:
     from rfpipe.store.places import locate
     from rfpipe.transport.storage import transports_in
 
     place = locate(folder)
-    if isinstance(place, Path):
-        return sorted(path for path in folder.rglob("transport.zarr") if path.is_dir())
-    return [folder / name for name in transports_in(place)]
+    return [place / name for name in transports_in(place)]
 
 
-def _line(path: Path) -> str:
+def _line(path: Path | Place) -> str:
     try:
         transport = open_checked(path)
     except StoreError as error:

@@ -64,8 +64,9 @@ def view(
 
     For example: rfpipe view results/planes_iv/symmetric -o scene.html
     """
+    from rfpipe.transport.storage import find_transport
     from rfpipe.viewer import write_view
-    from rfpipe.viewer.stored import find_transport, view_of
+    from rfpipe.viewer.stored import view_of
 
     if compare is not None and truth is not None:
         raise InputError("--compare and --truth: give one of them, a page has one comparison")
@@ -76,7 +77,7 @@ def view(
         compared = _compared(beside, shown.transport, is_truth=truth is not None)
         shown, kept = view_of(store, title, compared)
     names = [str(kept[name]) for name in ("scene", "method") if kept.get(name)]
-    page = output or Path(f"{'_'.join(names) or store.stem}.html")
+    page = output or Path(f"{'_'.join(names) or Path(str(store)).stem}.html")
     written = write_view(shown, page, round(largest * 1e6))
     typer.echo(f"{written.page}: {written.nbytes / 1e6:.1f} MB, levels {_listed(written.levels)}")
     if written.left_out:
@@ -92,8 +93,9 @@ def _compared(path: Path, transport: Transport, *, is_truth: bool) -> Compared:
     """Read what to compare with: a transport, or a picture."""
     from rfpipe.blocks import RayDomain
     from rfpipe.pictures.images import read_image
+    from rfpipe.transport.storage import find_transport
     from rfpipe.viewer import Compared
-    from rfpipe.viewer.stored import find_transport, view_of
+    from rfpipe.viewer.stored import view_of
 
     if path.suffix.lower() not in _PICTURES:
         other, _ = view_of(find_transport(path))

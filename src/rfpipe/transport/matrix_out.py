@@ -166,11 +166,7 @@ def _hdf5(path: Path, contents: Contents) -> None:
 
 
 def _matlab(path: Path, contents: Contents) -> None:
-    """Write a MAT file of version 7.3: HDF5 behind a header of its own.
-
-    Its variables are ``T`` (rows, columns, channels), what stands beside it, and ``about``. MATLAB
-    counts axes from the other end than HDF5, so the dataset is (C, columns, rows).
-    """
+    """Write a MAT file of version 7.3: HDF5 behind a header of its own."""
     with _hdf5_file(path, userblock_size=_MATLAB_HEADER) as file:
         channels, rows, columns = contents.shape
         high, wide = _chunk(rows, columns)

@@ -104,14 +104,7 @@ class _Channels:
 
 
 class _Dense:
-    """A dense matrix in float64.
-
-    The rounding of a matrix product depends on how the library cuts it up: on the number of
-    columns, on odd rows, on threads. All products here have the same shape, a multiple of the
-    cuts, and double precision, whose kernels keep one order of summation then (measured for
-    OpenBLAS on four kinds of processors with 1 to 5 threads; single precision doesn't). So
-    frames are the same bytes however they are batched.
-    """
+    """A dense matrix in float64."""
 
     def __init__(self, matrix: Double) -> None:
         rows, columns = matrix.shape

@@ -95,7 +95,7 @@ def open_transport(path: str | Path | Place, memory_budget: int = MEMORY_BUDGET)
     IntegrityError
         When an array that is read does not match its digest.
     """
-    return unpack_transport(open_arrays(_found(path)), memory_budget)
+    return unpack_transport(open_arrays(find_transport(path)), memory_budget)
 
 
 def unpack_transport(bundle: ArrayBundle, memory_budget: int) -> Transport:
@@ -132,8 +132,8 @@ def transports_in(place: Path | Place) -> list[str]:
         When its files can't be listed.
     """
     if isinstance(place, Path):
-        found = place.rglob(f"{STORE_NAME}/{METADATA}")
-        return sorted(file.parent.relative_to(place).as_posix() for file in found)
+        found = (store for store in place.rglob(STORE_NAME) if store.is_dir())
+        return sorted(store.relative_to(place).as_posix() for store in found)
     listed = content_of(place / MANIFEST)
     if listed is None:
         files = place.files()
@@ -143,8 +143,8 @@ def transports_in(place: Path | Place) -> list[str]:
     return sorted(name.removesuffix(f"/{METADATA}") for name in files if f"/{name}".endswith(ends))
 
 
-def _found(path: str | Path | Place) -> Path | Place:
-    """Return where the one transport lies that `path` names or holds."""
+def find_transport(path: str | Path | Place) -> Path | Place:
+    """Return where the one transport lies that `path` names or holds, or raise StoreError."""
     place = locate(path)
     if isinstance(place, Path) and not place.is_dir():
         what = "a file, no store" if place.exists() else "no such file or folder"
@@ -152,13 +152,12 @@ def _found(path: str | Path | Place) -> Path | Place:
             f"{place}: {what}; give the {STORE_NAME} that an acquisition wrote, or a folder, zip "
             "file or address that has one. A matrix in a file is read by rfpipe.read_matrix"
         )
-    is_named = isinstance(place, Place) and place.key.endswith(".zarr")
-    if is_named or content_of(place / METADATA) is not None:
+    if str(place).endswith(".zarr") or content_of(place / METADATA) is not None:
         return place
     names = transports_in(place)
     if len(names) == 1:
         found = place / names[0]
-        return _found(found) if names[0].endswith(ZIP_NAME) else found
+        return find_transport(found) if names[0].endswith(ZIP_NAME) else found
     if not names:
         raise StoreError(
             f"{place}: no {STORE_NAME} in here; give the {STORE_NAME} that an acquisition wrote, "

@@ -8,43 +8,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rfpipe.errors import StoreError
 from rfpipe.store import open_arrays
+from rfpipe.store.places import Place
 from rfpipe.transport import Transport, open_transport
 from rfpipe.viewer.build import Compared, View, Written, write_view
 
-__all__ = ["find_transport", "view_of", "write_acquisition"]
+__all__ = ["view_of", "write_acquisition"]
 
-_STORE = "transport.zarr"
 # Bytes stored of two transports on one page.
 _TOGETHER = 15 * 10**6
 
 
-def find_transport(path: Path) -> Path:
-    """Return the store of a transport: the path, or the transport.zarr in this folder.
-
-    Raises
-    ------
-    StoreError
-        If there is nothing, or a folder in which there is none; those below it are named.
-    """
-    if (path / _STORE).is_dir():
-        return path / _STORE
-    if path.is_dir() and not (path / "zarr.json").exists():
-        below = sorted(str(found) for found in path.glob(f"*/**/{_STORE}"))
-        listed = f"; there are {', '.join(below[:5])}" if below else ""
-        raise StoreError(f"{path}: a folder without {_STORE}{listed}; give one of a run's")
-    return path
-
-
 def view_of(
-    path: Path, title: str | None = None, compared: Compared | None = None
+    path: Path | Place, title: str | None = None, compared: Compared | None = None
 ) -> tuple[View, dict[str, Any]]:
     """Return the view of a stored transport, and what the store says of it.
 
     Parameters
     ----------
-    path : Path
+    path : Path or Place
         A ``transport.zarr``.
     title : str, optional
         By default scene and method.

@@ -74,11 +74,7 @@ def apply_leaf_sets(
 def _add_up(
     tree: BlockTree, leaf_sets: Sequence[LeafSet], patterns: Float, channels: Index, sums: Float
 ) -> None:
-    """Write what each share of the leaves makes of patterns.
-
-    Patterns ``(P, K, N)``, or ``(P, 1, N)`` for the same light in all channels; sums
-    ``(shares, P, K, N)``.
-    """
+    """Write what each share of the leaves makes of patterns."""
     from rfpipe.transport.hierarchical import kernels
 
     kernels.clear(sums)
@@ -131,11 +127,7 @@ def _prepared(tree: BlockTree, leaf_sets: Sequence[LeafSet]) -> Iterator[LeafSet
 
 
 def _split_scalars(tree: BlockTree, leaves: LeafSet) -> tuple[LeafSet, LeafSet] | None:
-    """Return apart, as scalars, the leaves that take no more numbers as scalars; None if none do.
-
-    These are the leaves over few rays. They are most of the leaves of fine levels, and a leaf
-    takes longer to set out on than a scalar.
-    """
+    """Return leaves, and those that take no more numbers as scalars as such; None without."""
     if leaves.level == tree.n_levels - 1:
         return None
     sizes = np.diff(tree.starts[leaves.level])
@@ -169,10 +161,7 @@ def _as_scalars(tree: BlockTree, leaves: LeafSet) -> LeafSet:
 
 
 def _cut(tree: BlockTree, leaves: LeafSet, shares: int) -> tuple[Index, Index]:
-    """Cut leaves into shares of about equal work, and these into runs of `_RUN_VALUES`.
-
-    Returns the first leaf and the first value of each run, both ``(shares, runs + 1)``.
-    """
+    """Cut leaves into shares of about equal work, and these into runs of `_RUN_VALUES`."""
     name = f"{shares} shares"
     if name not in leaves.kept:
         offsets = leaf_offsets(tree, leaves)

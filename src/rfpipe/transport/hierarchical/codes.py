@@ -122,11 +122,7 @@ def _without_signs(leaves: LeafSet) -> LeafSet:
 
 
 def _differences(codes: NDArray[Any]) -> NDArray[Any]:
-    """Turn all channels but the first into differences to it, small ones into small numbers.
-
-    The channels of a scene are much alike, so that this compresses better. Differences wrap
-    around; 0, -1, 1, -2, 2 ... become 0, 1, 2, 3, 4 ...
-    """
+    """Turn all channels but the first into differences to it, small ones into small numbers."""
     signed = (codes[1:] - codes[:1]).view(codes.dtype.name.removeprefix("u"))
     folded = (signed << 1) ^ (signed >> (8 * codes.itemsize - 1))
     return np.concatenate([codes[:1], folded.view(codes.dtype)])

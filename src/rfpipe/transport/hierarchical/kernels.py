@@ -62,10 +62,7 @@ def _add_scaled(target, factor, scale):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _apply_short_leaf(a0, a1, b0, b1, values, at, scale, source, target):  # type: ignore[no-untyped-def]
-    """Apply a leaf over two small blocks; its values begin at `at`.
-
-    All indices are unsigned, which saves a test for negative ones in each use.
-    """
+    """Apply a leaf over two small blocks; its values begin at `at`."""
     of_a = at - a0
     from_a, from_b = np.float32(0.0), np.float32(0.0)
     for k in range(a0, a1):

@@ -133,10 +133,7 @@ def _level(key: str) -> int:
 
 
 def _within(first: Index, lengths: Index, sizes: Index) -> Index:
-    """Return where items begin of runs that begin at `first`, one behind the other in each.
-
-    A run has as many items as `lengths` says, of `sizes`.
-    """
+    """Return where items begin of runs that begin at `first`, one behind the other in each."""
     before = np.append(0, np.cumsum(sizes))
     begin = before[np.cumsum(lengths) - lengths]
     found: Index = before[:-1] + np.repeat(first - begin, lengths)

@@ -94,12 +94,7 @@ class HierarchicalTransport(CoaxialTransport[Sequence[LeafSet]], LevelTransport[
         return self._holding(self.level_rows, leaves_between(self._held, rays))
 
     def _truncated(self, level: int, level_rows: list[dict[str, Any]]) -> Transport:
-        """Make leaves of what was subdivided at `level` of the blocks.
-
-        Such nodes become rank-1 leaves again, made of their row and column sums, which is what the
-        patterns of that level measured. So do its leaves of rank k off the diagonal, which take
-        the images of the level after.
-        """
+        """Make leaves of what was subdivided at `level` of the blocks."""
         if level == self.finest:
             return self
         held = self._held
