@@ -153,7 +153,7 @@ class ZipPlace(Place):
             raise IntegrityError(f"{self}: damaged ({error}); fetch {self._file} anew") from error
 
 
-def _in_zip(file: Path | Place, key: str = "") -> ZipPlace:
+def _in_zip(file: Path | Place, key: str = "") -> Place:
     try:
         archive = zipfile.ZipFile(file if isinstance(file, Path) else file.open())
     except FileNotFoundError:
@@ -162,4 +162,4 @@ def _in_zip(file: Path | Place, key: str = "") -> ZipPlace:
         raise StoreError(
             f"{file}: can't be read as a zip file ({error}); is it whole? Fetch it anew"
         ) from error
-    return ZipPlace(archive, file, key)
+    return _within_packed(ZipPlace(archive, file, key))

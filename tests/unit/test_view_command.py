@@ -69,7 +69,7 @@ def test_a_large_one_is_a_folder(results: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["results"], "a folder without transport.zarr; there are .*symmetric"),
+        (["results"], "has 2 transports(.|\\n)*symmetric"),
         (["nothing"], "nothing"),
         (["results/corner/symmetric", "--truth", "small.png"], "3 x 4 pixels; expected 20 x 24"),
         (["results/corner/symmetric", "-o", "page.pdf"], r"ends in \.html"),

@@ -84,7 +84,7 @@ def info(
 
 
 def open_checked(path: Path | Place) -> Transport:
-    """Open a transport, or that in a folder, checked against the manifest that a run left beside it.
+    """Open a transport, or that in a folder, checked against the manifest beside it.
 
     Raises
     ------

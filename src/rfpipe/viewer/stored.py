@@ -40,7 +40,7 @@ def view_of(
     transport = open_transport(path)
     kept = open_arrays(path).attributes
     scene, method = (str(kept.get(name, "")) for name in ("scene", "method"))
-    named = " by ".join(filter(None, (scene, method))) or path.stem
+    named = " by ".join(filter(None, (scene, method))) or Path(str(path)).stem
     facts = [("Scene", scene), ("Method", method), *_facts(transport)]
     about = [(name, value) for name, value in facts if value]
     return View(transport, title or named, about=about, compared=compared), kept
