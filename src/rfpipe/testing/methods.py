@@ -157,21 +157,20 @@ class MethodContract:
         """Return the method."""
         raise NotImplementedError(f"{type(self).__name__} must define make_method()")
 
+    def _shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        return _COAXIAL if self.make_method().needs_coaxial_rig else _ANY
+
     def _run(self, matrix: NDArray[Any], **changes: Any) -> MethodRun:
         method = self.make_method()
         return run_method(method, matrix, *self._shapes(), **{**self.options, **changes})
 
-    def _shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        return _COAXIAL if self.make_method().needs_coaxial_rig else _ANY
-
-    def _matrix(self, channels: int = 3) -> NDArray[np.float64]:
+    def _matrix(self) -> NDArray[np.float64]:
         """Return direct light and smooth indirect light, symmetric where rays are shared."""
         camera, projector = (prod(shape) for shape in self._shapes())
-        random = generator(7)
         one, other = np.linspace(0, 1, camera)[:, None], np.linspace(0, 1, projector)
         smooth = np.exp(-3 * np.square(one - other)) / projector
-        direct = np.eye(camera, projector) * random.uniform(0.3, 1, (channels, 1, 1))
-        matrix: NDArray[np.float64] = direct + smooth * random.uniform(0.5, 1, (channels, 1, 1))
+        bright, dim = (generator(7).uniform(low, 1, (3, 1, 1)) for low in (0.3, 0.5))
+        matrix: NDArray[np.float64] = np.eye(camera, projector) * bright + smooth * dim
         return matrix
 
     def test_it_describes_itself(self) -> None:
@@ -193,8 +192,8 @@ class MethodContract:
         message = require_raises(InputError, unknown, "no_such_option = 1 was accepted")
         require("no_such_option" in message, f"the message doesn't name it: {message}")
 
-    def test_forecasts(self) -> None:
-        """At least one pattern is expected, and no more than there may be."""
+    def test_forecasts_and_rigs(self) -> None:
+        """At least one pattern is expected; a method for coaxial rigs takes no other."""
         method = self.make_method()
         options = options_of(method)
         for shape in ((1, 1), (8, 8), (62, 70), (3, 10, 11)):
@@ -202,40 +201,34 @@ class MethodContract:
             expected = method.expected_patterns(rays, rays, options)
             most = method.most_patterns(rays, rays, options)
             require(0 < expected <= most, f"{expected} patterns of at most {most} for {shape}")
-
-    def test_rigs_that_do_not_fit_are_refused(self) -> None:
-        """A method for coaxial rigs takes no other; one for any rig takes all."""
-        method = self.make_method()
         count = partial(method.n_levels, *map(RayDomain, _ANY))
         if method.needs_coaxial_rig:
             require_raises(InputError, count, f"{_ANY} was accepted, though it isn't coaxial")
         else:
             require(count() > 0, f"{_ANY} has no level")
 
-    def test_small_matrices_are_found(self) -> None:
-        """The matrix itself and its floodlit image; the dual belongs to the primal."""
+    def test_a_small_matrix_is_found(self) -> None:
+        """The matrix, its floodlit image and its dual; stored as it is, and linear in light."""
         matrix = self._matrix()
-        run = self._run(matrix)
-        found = matrix_of(run.transport)
-        self._require_close(found, matrix, self.error, "the matrix")
-        self._require_close(found.sum(2), matrix.sum(2), self.floodlit_error, "the floodlit image")
-        dot_test(run.transport)
-
-    def test_it_is_linear_in_light(self) -> None:
-        """Twice the radiance is twice the transport; relighting is linear in the pattern."""
-        matrix = self._matrix()
-        once, twice = (matrix_of(self._run(scale * matrix).transport) for scale in (1, 2))
-        self._require_close(twice, 2 * once, 1e-4, "twice the light")
         transport = self._run(matrix).transport
+        found = matrix_of(transport)
+        _require_close(found, matrix, self.error, "the matrix")
+        _require_close(found.sum(2), matrix.sum(2), self.floodlit_error, "the floodlit image")
+        dot_test(transport)
+        twice = matrix_of(self._run(2 * matrix).transport)
+        _require_close(twice, 2 * found, 1e-4, "twice the light")
         one, other = generator(1).random((2, *transport.projector_shape), np.float32)
-        joint = transport.relight(2 * one + 3 * other)
         apart = 2 * transport.relight(one) + 3 * transport.relight(other)
-        self._require_close(joint, apart, 1e-5, "the picture of a sum of patterns")
+        joint = transport.relight(2 * one + 3 * other)
+        _require_close(joint, apart, 1e-5, "the picture of a sum of patterns")
+        with TemporaryDirectory(prefix="rfpipe-") as folder:
+            save_transport(transport, Path(folder) / "transport.zarr")
+            _require_same(open_transport(Path(folder) / "transport.zarr"), transport)
 
-    def test_patterns(self) -> None:
-        """Weights in [0, 1] over the projector's rays; complete ones add up to full light."""
-        shape = self._shapes()[1]
-        for level, schedule in enumerate(self._run(self._matrix()).schedules):
+    def test_patterns_and_the_table_of_levels(self) -> None:
+        """Weights in [0, 1], complete ones adding up to full light; a row a level, plain data."""
+        run, shape = self._run(self._matrix()), self._shapes()[1]
+        for level, schedule in enumerate(run.schedules):
             require(schedule.level == level, f"level {level} says {schedule.level}")
             shown = schedule.batch(0, schedule.count)
             expected = (schedule.count, *shape)
@@ -244,13 +237,9 @@ class MethodContract:
             if schedule.complete:
                 total = shown.sum(axis=0)
                 require(np.allclose(total, 1), f"level {level} is complete but adds up to {total}")
-
-    def test_the_table_of_levels(self) -> None:
-        """A row a level with its patterns and counts, plain data."""
-        run = self._run(self._matrix())
         rows = run.transport.level_rows
-        require([row["level"] for row in rows] == list(range(len(run.patterns))), f"{rows}")
-        require([row["patterns"] for row in rows] == run.patterns, f"{rows}")
+        for name, values in (("level", list(range(len(rows)))), ("patterns", run.patterns)):
+            require([row[name] for row in rows] == values, f"{rows}")
         for row in rows:
             require(set(row) >= _COUNTS, f"a row lacks {_COUNTS - set(row)}")
         estimates = any("estimated_error" in row for row in rows)
@@ -265,21 +254,21 @@ class MethodContract:
         packs = [Pack(pack.arrays, json.loads(json.dumps(pack.attributes))) for pack in run.packs]
         for level in range(len(packs) + 1):
             restored = method.restore(run.states[0], packs[:level])
-            self._require_same(method.transport(restored), method.transport(run.states[level]))
+            _require_same(method.transport(restored), method.transport(run.states[level]))
             if level == len(packs):
                 break
             schedule = method.schedule(restored)
             require(schedule.digest() == run.schedules[level].digest(), f"level {level} differs")
             images = MatrixImages(matrix, self._shapes()[0], schedule)
             after = method.refine(restored, images)
-            self._require_same(method.transport(after), method.transport(run.states[level + 1]))
+            _require_same(method.transport(after), method.transport(run.states[level + 1]))
 
     def test_memory_changes_nothing(self) -> None:
         """As little as there may be gives the same bytes."""
         matrix = self._matrix()
         for sigma in (0.0, 0.01):
             small = self._run(matrix, sigma=sigma, memory_bytes=2**16)
-            self._require_same(small.transport, self._run(matrix, sigma=sigma).transport)
+            _require_same(small.transport, self._run(matrix, sigma=sigma).transport)
 
     def test_nothing_but_finite_numbers(self) -> None:
         """Not from darkness, nor from noise, nor where a channel has no light."""
@@ -293,36 +282,23 @@ class MethodContract:
 
     def test_more_accuracy_is_no_worse(self) -> None:
         """Along its own trials, errors don't rise by more than a little."""
-        method, matrix = self.make_method(), self._matrix()
-        if method.trades is None:
-            return
-        errors = []
-        for value in method.trials:
-            found = matrix_of(self._run(matrix, **{method.trades: value}).transport)
+        method, matrix, errors = self.make_method(), self._matrix(), []
+        for value in method.trials if method.trades else ():
+            found = matrix_of(self._run(matrix, **{str(method.trades): value}).transport)
             errors.append(float(np.linalg.norm(found - matrix) / np.linalg.norm(matrix)))
         for before, after in pairwise(errors):
             require(after <= 1.1 * before + 1e-4, f"errors along the trials: {errors}")
 
-    def test_stores_keep_every_bit(self) -> None:
-        """What is stored as float32 is opened as it was."""
-        transport = self._run(self._matrix()).transport
-        with TemporaryDirectory(prefix="rfpipe-") as folder:
-            save_transport(transport, Path(folder) / "transport.zarr")
-            stored = open_transport(Path(folder) / "transport.zarr")
-            self._require_same(stored, transport)
 
-    @staticmethod
-    def _require_close(
-        found: NDArray[Any], expected: NDArray[Any], error: float, what: str
-    ) -> None:
-        difference = np.linalg.norm(np.asarray(found, np.float64) - expected)
-        relative = float(difference / np.linalg.norm(expected))
-        require(relative <= error, f"{what} is {relative:.2g} off, more than {error:g}")
+def _require_close(found: NDArray[Any], expected: NDArray[Any], error: float, what: str) -> None:
+    difference = np.linalg.norm(np.asarray(found, np.float64) - expected)
+    relative = float(difference / np.linalg.norm(expected))
+    require(relative <= error, f"{what} is {relative:.2g} off, more than {error:g}")
 
-    @staticmethod
-    def _require_same(found: Transport, expected: Transport) -> None:
-        (arrays, about), (wanted, facts) = found.pack(), expected.pack()
-        require(set(arrays) == set(wanted), f"arrays {sorted(arrays)}, not {sorted(wanted)}")
-        for name, array in wanted.items():
-            require(np.array_equal(arrays[name], array), f"{name} differs")
-        require(json.loads(json.dumps(about)) == json.loads(json.dumps(facts)), f"{about}")
+
+def _require_same(found: Transport, expected: Transport) -> None:
+    (arrays, about), (wanted, facts) = found.pack(), expected.pack()
+    require(set(arrays) == set(wanted), f"arrays {sorted(arrays)}, not {sorted(wanted)}")
+    for name, array in wanted.items():
+        require(np.array_equal(arrays[name], array), f"{name} differs")
+    require(json.loads(json.dumps(about)) == json.loads(json.dumps(facts)), f"{about}")
