@@ -229,19 +229,12 @@ def _divisible_into(tree: BlockTree, level: int) -> Index:
 def _judge(
     response: Float, noise: NDArray[np.floating[Any]], threshold: float, children: Index
 ) -> NDArray[np.uint8]:
-    """Decide what becomes of responses, all channels together.
+    """Decide what becomes of responses (n, C), all channels together.
 
     A response is subdivided only where its children can be told from noise too: an average child
-    has to be significant.
-
-    Parameters
-    ----------
-    response, noise : ndarray of float32, shape (n, C)
-        The measured radiance, and the radiance above which one is significant.
-    threshold : float
-        Radiance below which a response is stored rather than subdivided.
-    children : ndarray of int, shape (n,)
-        Number of children of the response's block; 0 where it can't be subdivided.
+    has to be significant. `noise` is the radiance above which a response is significant,
+    `threshold` that below which it is stored rather than subdivided; `children` is 0 where it can't
+    be.
     """
     significant = (response > noise).any(axis=1)
     limit = np.maximum(threshold, children[:, None] * noise)
@@ -253,18 +246,7 @@ def _judge(
 def coloured_blocks(frontier: PairSet, pixels: int) -> tuple[Index, NDArray[np.int32]]:
     """Colour blocks so that no camera pixel sees two of one colour (ConstructConflictFreeLists).
 
-    Parameters
-    ----------
-    frontier : PairSet
-        Which pixel sees which block.
-    pixels : int
-        Number of camera pixels.
-
-    Returns
-    -------
-    blocks : ndarray of int, shape (n,)
-        The frontier's blocks, ascending.
-    colours : ndarray of int32, shape (n,)
+    Returns the frontier's blocks, ascending, and their colours.
     """
     from scipy.sparse import coo_array
 

@@ -86,20 +86,9 @@ def s_matrix_row(order: int) -> NDArray[np.uint8]:
 
 
 def decode(coded: NDArray[Any], rays: int) -> Float:
-    """Solve ``S x = c`` for many c.
+    """Solve ``S x = c`` for many c, (pixels, n), float32 (pixels, rays).
 
     ``S^-1 = 2 (2 S^T - J) / (n + 1)``; S is circulant, so that its product is a correlation.
-
-    Parameters
-    ----------
-    coded : ndarray of float, shape (pixels, n)
-        Each pixel under the rows of the S-matrix of order n.
-    rays : int
-        Unknowns, at most n.
-
-    Returns
-    -------
-    ndarray of float32, shape (pixels, rays)
     """
     from scipy import fft
 

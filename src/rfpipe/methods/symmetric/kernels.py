@@ -46,19 +46,8 @@ def _unknown_difference(unknown, first, measured, factor, scale):  # type: ignor
 def collect_pieces(starts, pairs, pattern_of_block, first, residuals, spreads, values, variances):  # type: ignore[no-untyped-def]
     """Copy the pieces of some patterns' images to their pairs.
 
-    Parameters
-    ----------
-    starts : int64 (n_blocks + 1,)
-        First tree positions of the level's blocks.
-    pairs : Pairs
-    pattern_of_block : int32
-        Pattern that lights each block, -1 for none.
-    first : int
-        Pattern of the first of the images.
-    residuals, spreads : float32 (P, C, N)
-        The images and their variance.
-    values, variances : float32 (C, n_values)
-        Written.
+    `pattern_of_block` is -1 for none, `first` the pattern of the first of the images; residuals and
+    spreads are the images and their variance, float32 (P, C, N).
     """
     block_a, block_b, offset_a, offset_b = pairs
     for n in numba.prange(block_a.shape[0]):
@@ -167,15 +156,9 @@ def _shares(piece, energy, first_child, last_child, child_starts, shares):  # ty
 def rank_test(divided, ssd, noise, squares):  # type: ignore[no-untyped-def]
     """Predict the pieces of each node's children from its factors, and compare.
 
-    Parameters
-    ----------
-    divided : Divided
-        Factors are not negative, and both of a node sum to its energy.
-    ssd, noise : float64 (C, n)
-        Written: summed squared differences, and what noise alone would make of them.
-    squares : float64 (C, 2, n)
-        Written: over the children of b, and over those of a, the sum of the squared shares that
-        they have of the node's energy; 1 where a single child has all of it.
+    Written are, float64 (C, n), summed squared differences and what noise alone would make of them;
+    and `squares`, (C, 2, n): over the children of b, and over those of a, the sum of the squared
+    shares that they have of the node's energy; 1 where a single child has all of it.
     """
     _, children, child_starts = divided.grid
     (block_a, block_b, offset_a, offset_b), pieces, energy, piece_variance = divided.nodes
@@ -341,26 +324,14 @@ def take_pieces(  # type: ignore[no-untyped-def]
 ):
     """Make factors of nodes' pieces, and bound what the rank test can still find.
 
-    Parameters
-    ----------
-    grid : Grid
-    nodes : Nodes
-        Both factors, which are written, are scaled to the energy; 0 gives empty ones.
-    sources : int64 (2, n)
-        Where the nodes' pieces begin in `values`.
-    values, variances : float32 (C, n_source_values)
-    above : int64 (2, n)
-        Where the pictures of block a and of block b begin in `profiles`; -1 for none.
-    profiles : float32 (C, n_profile_values)
-        Factors of the nodes above.
-    significance : float
-        Standard deviations by which a pixel must differ from the picture to count alone.
-    worst : float64 (C, n)
-        Written: no non-negative transport with these pieces can give the next level's rank test
-        a larger sum of squared differences.
-    lit : float64 (C, n)
-        Written: how many pixels that sum is over in effect, by the participation number
-        ``(sum x)^2 / sum x^2`` of each piece; a glint in a dark block counts as one pixel.
+    The factors of `nodes` are written, scaled to their energy; 0 gives empty ones. `sources`, (2,
+    n), is where the nodes' pieces begin in `values`, `above`, (2, n), where the pictures of their
+    blocks begin in `profiles`, the factors of the nodes above; -1 for none.
+
+    Written are, float64 (C, n): `worst`, than which no non-negative transport with these pieces can
+    give the next level's rank test a larger sum of squared differences; and `lit`, how many pixels
+    that sum is over in effect, by the participation number ``(sum x)^2 / sum x^2`` of each piece: a
+    glint in a dark block counts as one pixel.
     """
     starts, children, child_starts = grid
     (block_a, block_b, offset_a, offset_b), pieces, energy, _ = nodes

@@ -119,18 +119,8 @@ def collect(
 ) -> Pieces:
     """Subtract the known leaves' prediction from a level's images and take the pairs' pieces.
 
-    Parameters
-    ----------
-    tree : BlockTree
-    block_a, block_b : ndarray of int32, shape (n,)
-        The pairs, blocks of the images' level.
-    known : sequence of LeafSet
-        Leaves found so far.
-    channels : int
-    images : LevelImages
-        Of a schedule that is a partition of the rays.
-    memory_bytes : int
-        Memory to work in; the pieces don't depend on it.
+    The images are of a schedule that is a partition of the rays; the pieces don't depend on the
+    memory to work in.
     """
     from rfpipe.methods.symmetric import kernels
 

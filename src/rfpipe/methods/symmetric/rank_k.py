@@ -28,25 +28,12 @@ to 128 errors are the same within some per cent (`benchmarks/bench_rank_k.py --s
 
 
 def predictable(divided: Subdivided, asked: Flags, limits: Limits) -> Flags:
-    """Tell which nodes' images under each child follow from those under the other children.
+    """Tell which nodes' images under each child follow from those under the other children, (n,).
 
     Each of the 4 + 4 images is held out in turn and predicted by the approximation of the others,
     of rank 3 at most. All four together make a leaf that is better than what passes: the corner of
-    a square is extrapolated from the three others.
-
-    Parameters
-    ----------
-    divided : Subdivided
-        With the children's pieces as they were measured.
-    asked : ndarray of bool, shape (n,)
-        Which nodes to test. None on the diagonal passes, where direct light is, and none with a
-        single child on a side.
-    limits : Limits
-        Of the images' differences, as in the rank test.
-
-    Returns
-    -------
-    ndarray of bool, shape (n,)
+    a square is extrapolated from the three others. None on the diagonal passes, where direct light
+    is, and none with a single child on a side. The children's pieces are those measured.
     """
     from rfpipe.methods.symmetric import rank_k_kernels as kernels
 
@@ -65,16 +52,10 @@ def predictable(divided: Subdivided, asked: Flags, limits: Limits) -> Flags:
 
 
 def rank_k_leaves(divided: Subdivided, chosen: Flags) -> LeafSet:
-    """Return the leaves of some nodes, as many terms each as their block sums are evidence of.
+    """Return the leaves of chosen nodes, as many terms each as their block sums are evidence of.
 
     Where none is, in a colour channel that had light a level above, the node's rank-1 leaf is kept.
-
-    Parameters
-    ----------
-    divided : Subdivided
-        The children's pieces may have been reconciled with the nodes'.
-    chosen : ndarray of bool, shape (n,)
-        Nodes that passed.
+    The children's pieces may have been reconciled with the nodes'.
     """
     from rfpipe.methods.symmetric import rank_k_kernels as kernels
     from rfpipe.methods.symmetric.kernels import sum_pieces

@@ -144,18 +144,9 @@ def _over_all(products):  # type: ignore[no-untyped-def]
 def _residual(core, limit, amplified, products, of_rows, noise):  # type: ignore[no-untyped-def]
     """Predict each column of images from the others; return squared errors and their noise.
 
-    Parameters
-    ----------
-    core : float64 (rows, columns)
-        Energies of the images' blocks.
-    limit, amplified : float
-        As in `_carried`.
-    products : float64 (columns, columns)
-        Inner products of the images.
-    of_rows : float64 (columns, rows, rows)
-        Those of the rows' images, over the block of each column.
-    noise : float64 (columns,)
-        Summed variance of each.
+    `core` are the energies of the images' blocks, (rows, columns), `products` the images' inner
+    products, `of_rows` those of the rows' images over the block of each column, `noise` each
+    column's variance.
     """
     columns = core.shape[1]
     weights = np.empty(columns)
@@ -176,19 +167,8 @@ def _residual(core, limit, amplified, products, of_rows, noise):  # type: ignore
 def _inner_products(values, pair, offsets, starts, step, stride, products):  # type: ignore[no-untyped-def]
     """Write the inner products of a node's images on one side, child by child of that side.
 
-    Parameters
-    ----------
-    values : float32 (n_values,)
-    pair : int
-        First pair of children.
-    offsets : int64 (pairs,)
-        Where the pairs' pieces on this side begin.
-    starts : int64 (blocks + 1,)
-        First tree positions of the side's children.
-    step, stride : int
-        From one child of this side to the next, and from one of the other side, in pairs.
-    products : float64 (blocks, images, images)
-        Written.
+    `products` are float64 (blocks, images, images). From the node's first pair of children, `step`
+    pairs lead to the next child of this side, `stride` to that of the other.
     """
     for block in range(products.shape[0]):
         size = starts[block + 1] - starts[block]
@@ -243,17 +223,9 @@ def _core(pair, sums, spread, core):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, parallel=True)
 def leave_one_out(divided, chosen, amplified, ssd, noise):  # type: ignore[no-untyped-def]
-    """Predict the images under each child of nodes from those under the other children.
+    """Predict the images under each child of chosen nodes from those under the other children.
 
-    Parameters
-    ----------
-    divided : Divided
-    chosen : int64 (n,)
-        The nodes.
-    amplified : float
-        As in `_carried`.
-    ssd, noise : float64 (C, n)
-        Written: summed squared differences, and what noise alone would make of them.
+    Written are the summed squared differences and what noise alone would make of them, (C, n).
     """
     _, children, child_starts = divided.grid
     block_a, block_b, _, _ = divided.nodes.pairs
@@ -289,16 +261,9 @@ def leave_one_out(divided, chosen, amplified, ssd, noise):  # type: ignore[no-un
 def invert_cores(divided, chosen, amplified, sums, left, right, rank):  # type: ignore[no-untyped-def]
     """Split the truncated pseudo-inverse of each node's core: ``W^+ = right @ left.T``.
 
-    Parameters
-    ----------
-    divided, chosen, amplified
-        As in `leave_one_out`.
-    sums : float64 (C, 2, pairs)
-        Of the pieces as they are; `divided` has them as they were measured.
-    left, right : float64 (C, n, rows, terms), (C, n, columns, terms)
-        Written, each as wide as it needs to be.
-    rank : int64 (C, n)
-        Written: number of terms.
+    `sums` are those of the pieces as they are; `divided` has them as they were measured. Written
+    are `left` (C, n, rows, terms), `right` (C, n, columns, terms), and `rank` (C, n), the number of
+    terms.
     """
     _, children, child_starts = divided.grid
     block_a, block_b, _, _ = divided.nodes.pairs
@@ -337,18 +302,9 @@ def invert_cores(divided, chosen, amplified, sums, left, right, rank):  # type: 
 def combine_pieces(divided, chosen, left, right, first_term, begin, factors):  # type: ignore[no-untyped-def]
     """Write the factors of nodes' terms: ``Y @ right`` and ``Z @ left``.
 
-    Parameters
-    ----------
-    divided, chosen
-        As in `leave_one_out`.
-    left, right
-        As `invert_cores` writes them, 0 where a channel has fewer terms.
-    first_term : int64 (n + 1,)
-        The terms of node ``i`` are ``first_term[i]:first_term[i + 1]``.
-    begin : int64 (terms,)
-        Where a term's factors begin.
-    factors : float32 (C, n_factors)
-        Zeros; added to.
+    `left` and `right` are those of `invert_cores`, 0 where a channel has fewer terms. The terms of
+    node ``i`` are ``first_term[i]:first_term[i + 1]``; their factors begin at `begin`, are 0 before
+    and added to.
     """
     _, children, child_starts = divided.grid
     block_a, block_b, _, _ = divided.nodes.pairs

@@ -79,25 +79,17 @@ class Found:
 
 
 def rank_test(divided: Subdivided, limits: Limits) -> NDArray[np.int8]:
-    """Tell how well each unknown node predicts its children's pieces (thesis §5.1).
+    """Tell how well each unknown node predicts its children's pieces (thesis §5.1), int8 (n,).
 
     A node passes only on evidence: where a single child on either side has nearly all the energy,
     its image is the node's own again, whatever lies underneath. So are the images that whole views
     light: they are as alike as can be where all views see the same spots, each of which is lit by
     few rays of any of them.
 
-    Parameters
-    ----------
-    divided : Subdivided
-    limits : Limits
-
-    Returns
-    -------
-    ndarray of int8, shape (n,)
-        `UNTOLD`: there is no evidence, its children are unknown. `DIFFERS`: so they are, unless the
-        node is found to be of a higher rank. `AGREES`: they are leaves, made of the images that
-        are there now; the error of a rank-1 leaf falls with the sides of both its blocks, so that
-        it is some four times less than the node's own. `CLOSE`: nothing is gained by that.
+    `UNTOLD`: there is no evidence, its children are unknown. `DIFFERS`: so they are, unless the
+    node is of a higher rank. `AGREES`: they are leaves, made of the images that are there now; the
+    error of a rank-1 leaf falls with the sides of both its blocks, so that it is some four times
+    less than the node's own. `CLOSE`: nothing is gained by that.
     """
     from rfpipe.methods.symmetric import kernels
 
@@ -133,23 +125,10 @@ def classify(
     node: NDArray[np.int64],
     limits: Limits,
 ) -> Found:
-    """Sort pairs that a level measured into empty ones, leaves and unknown ones.
+    """Sort chosen pairs that a level measured into empty ones, leaves and unknown ones.
 
-    Parameters
-    ----------
-    tree : BlockTree
-    level : int
-        Of the pairs.
-    pieces : Pieces
-    chosen : ndarray of int64, shape (n,)
-        Which of the pairs to sort.
-    settled : ndarray of bool, shape (n,)
-        Those that are no longer unknown in any case.
-    above : Frontier
-        Nodes of the level above, none at level 0.
-    node : ndarray of int64, shape (n,)
-        Each pair's node among them.
-    limits : Limits
+    `settled` ones, (n,), are no longer unknown in any case; `node`, (n,), is the number of each
+    pair's node among those of the level above, none at level 0.
     """
     from rfpipe.methods.symmetric import kernels
 

@@ -108,17 +108,10 @@ def chart_of(
 ) -> Chart:
     """Make a chart of a projector view's image (height, width).
 
-    A ray's place is known where direct light is a part of the floodlit image, and of a typical
-    ray's. The chart reaches beyond its view's image by half of its short side at most.
-
-    Parameters
-    ----------
-    camera : RayDomain
-    middle : csr_array of float32, shape (camera rays, rays of the view)
-        Footprints on the view.
-    shape : tuple of int
-    floodlit : ndarray of float32, shape (camera rays,)
-        Radiance when all of the view is lit.
+    `middle` are the footprints on the view, (camera rays, rays of the view), `floodlit` the
+    radiance when all of the view is lit. A ray's place is known where direct light is a part of the
+    floodlit image, and of a typical ray's. The chart reaches beyond its view's image by half of its
+    short side at most.
     """
     height, width = shape
     ray = np.arange(height * width)

@@ -92,17 +92,10 @@ def find(
 ) -> Model:
     """Find the model.
 
-    Candidates are searched for twice when nothing is known, once in later rounds.
-
-    Parameters
-    ----------
-    camera, projector : RayDomain
-    grey : tuple of Series
-        The sum of the channels: pictures of patterns on each of the projector's views.
-    channels : iterable of tuple of Series
-        Each is fitted before the next is asked for; empty where the sum is the only channel.
-    before : Candidates or None
-        As an earlier model's `Model.grey`; None at first.
+    Footprints are searched for twice when nothing is known, once in later rounds, where `before` is
+    an earlier model's `Model.grey`. `grey` is the sum of the channels, pictures of patterns on each
+    of the projector's views; of `channels` each is fitted before the next is asked for, none where
+    the sum is the only channel.
     """
     rays, view = projector.rays_per_image, RayDomain(projector.image_shape)
     templates = []
