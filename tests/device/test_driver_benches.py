@@ -34,6 +34,7 @@ class Kind:
 
 
 KINDS = {
+    "pylon": Kind("pylon", {}, {"bits": 12, "black_level_counts": 100}, 1, (48, 52)),
     "aravis": Kind(
         "aravis", {"pixel_format": "Mono16"}, {"bits": 16, "black_level_counts": 1000}, 1, (24, 26)
     ),
@@ -80,7 +81,7 @@ def settings(kind: Kind, **more: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@pytest.fixture(params=[pytest.param("aravis", marks=ARAVIS), "gphoto2", "webcam"])
+@pytest.fixture(params=["pylon", pytest.param("aravis", marks=ARAVIS), "gphoto2", "webcam"])
 def kind(request: pytest.FixtureRequest) -> Kind:
     return KINDS[request.param]
 

@@ -10,14 +10,11 @@ import pytest
 from tests.server.harness import TOKEN, ResampledRig, Running, running
 
 from rfpipe import acquire
-from rfpipe.config import SceneSettings
 from rfpipe.errors import CaptureError, ConfigError
-from rfpipe.stages import assemble, captures, merge, normalize, refine, relight, schedule
+from rfpipe.stages import assemble, captures, merge, normalize, refine, schedule
 from rfpipe.stages.capture import read_sensor
-from rfpipe.stages.evaluating.evaluate import errors_table
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
-from rfpipe.store import open_arrays
 from rfpipe.transport import open_transport
 
 CODE = "some code"
@@ -86,21 +83,6 @@ def test_a_resampled_sensor_is_made_again_from_what_its_capture_left(acquired: A
         np.testing.assert_array_equal(found[0][name], array, err_msg=name)
     sensor = ResampledRig().sensor
     assert read_sensor(acquired.folder).describe() == sensor.describe()
-
-
-def test_a_captured_scene_is_relit_without_a_truth(acquired: Acquisition) -> None:
-    folder = acquired.folder.path
-    relight.run(folder, SceneSettings.of("captured", shape=SHAPE), CODE)
-    images = open_arrays(folder / "relight.zarr")
-    assert set(images.names) == {
-        "patterns", "relit", "floodlit_relit", "floodlit_captured", "levels_relit",
-    }  # fmt: skip
-    transport = open_transport(folder / "transport.zarr")
-    patterns = images.read("patterns")
-    np.testing.assert_array_equal(images.read("relit"), transport.relight_batch(patterns))
-    floodlit = images.read("floodlit_captured")
-    assert np.abs(images.read("floodlit_relit") - floodlit).max() < 0.02 * floodlit.max()
-    assert len(errors_table([folder / "relight.json"])) == 0
 
 
 @pytest.fixture

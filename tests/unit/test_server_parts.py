@@ -116,14 +116,6 @@ def test_a_captured_scene() -> None:
             {"scenes": {"desk": {**DESK["desk"], "camera_shape": [6, 7]}}, "capture": REMOTE},
             r"scenes.desk.methods should be methods for any rig",
         ),
-        (
-            {"scenes": {"desk": {**DESK["desk"], "surfaces": ["white"]}}, "capture": REMOTE},
-            "scenes.desk.surfaces is unknown",
-        ),
-        (
-            {"scenes": {"a": {"kind": "plane", "surfaces": ["white"], "camera_shape": [2, 2]}}},
-            "scenes.a.camera_shape is unknown",
-        ),
         ({"capture": {**REMOTE, "url": "rig:8750"}}, "capture.url is 'rig:8750'"),
         ({"capture": {**REMOTE, "patience_seconds": -1}}, "capture.patience_seconds is -1"),
     ],
