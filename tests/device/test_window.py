@@ -59,13 +59,6 @@ class TestWithAMeasuredResponse(OnDisplay):
         return WindowProjector(self.display.name, settle_seconds=0, response=GAMMA)
 
 
-def test_a_window_is_black_until_told_otherwise(display: VirtualDisplay) -> None:
-    with WindowProjector(display.name, settle_seconds=0) as projector:
-        projector.show(np.ones(projector.shape, np.float32))
-    with WindowProjector(display.name):
-        assert not display.pixels.any()
-
-
 def test_a_window_that_was_killed_is_opened_again(display: VirtualDisplay) -> None:
     with WindowProjector(display.name, settle_seconds=0) as projector:
         white = np.ones(projector.shape, np.float32)

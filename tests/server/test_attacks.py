@@ -383,26 +383,6 @@ def test_a_client_that_does_not_take_its_answer_is_dropped() -> None:
             assert left < 16_000_000
 
 
-def test_200_parallel_connections(server: Running, rig: SlowRig) -> None:
-    seen: list[int] = []
-    request = b"GET /v1/rig HTTP/1.1\r\nHost: rig\r\nConnection: close\r\n\r\n"
-
-    def ask() -> None:
-        with connected(server) as connection:
-            connection.sendall(request)
-            seen.append(status_of(connection))
-
-    with undisturbed_capture(server, rig), ExitStack() as stack:
-        idle = [stack.enter_context(connected(server)) for _ in range(200)]
-        threads = [threading.Thread(target=ask) for _ in range(200)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        assert seen == [401] * 200
-        assert {status_of(connection) for connection in idle} == {408}
-
-
 def test_more_connections_than_allowed_are_refused_and_the_holder_is_not(rig: SlowRig) -> None:
     with (
         running(rig, **LIMITS, most_connections=20) as server,
