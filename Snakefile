@@ -17,7 +17,7 @@ import os
 from pathlib import Path
 
 from rfpipe.stages.jobs.ends import FailedJobs, check_groups, notify
-from rfpipe.stages.verifying.again import write_run
+from rfpipe.stages.checking.again import write_run
 from snakemake.logging import logger
 from snakemake.utils import min_version
 
@@ -52,7 +52,7 @@ else:
     include: "workflow/rules/acquire.smk"
 
 
-include: "workflow/rules/verify.smk"
+include: "workflow/rules/verification.smk"
 include: "workflow/rules/pages.smk"
 include: "workflow/rules/relight.smk"
 include: "workflow/rules/view.smk"

@@ -14,9 +14,8 @@ from rfpipe.config import parse_config
 from rfpipe.errors import ConfigError, InputError, VerificationError
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
-from rfpipe.stages.unseen.comparing import compare
-from rfpipe.stages.unseen.patterns import NAMES, unseen_patterns
-from rfpipe.stages.unseen.verify import check_bound
+from rfpipe.stages.unseen import NAMES, unseen_patterns
+from rfpipe.stages.verification import check_bound, compare
 
 FEW = {"floodlit_frames": 32, "progress": False, "symmetry_frames": 0, "watch": "off"}
 
@@ -39,7 +38,7 @@ def test_the_error_is_the_true_one_within_noise(
     norms = [np.linalg.norm(images.reshape(len(NAMES), -1), axis=1) for images in (relit - truth,
              truth)]  # fmt: skip
     true = norms[0] / norms[1]
-    for one, expected in zip(found.compared, true, strict=True):
+    for one, expected in zip(found.table.itertuples(), true, strict=True):
         # the black level and the lamp's gain, which all pictures share, have noise of their own
         assert abs(one.error - expected) < 4 * one.standard_error + 2e-3, one.name
     assert found.mean_error == pytest.approx(true.mean(), abs=2e-3)
@@ -56,11 +55,11 @@ def test_noise_alone_is_no_error() -> None:
     seen[:, 0] = 1e6  # what isn't known doesn't count
     names = [str(index) for index in range(200)]
     found = compare(names, truth[..., 0], (seen, variance), truth, np.ones(1))
-    assert np.mean([one.error == 0 for one in found.compared]) == pytest.approx(0.5, abs=0.15)
-    assert np.mean([one.error > 3 * one.standard_error for one in found.compared]) < 0.02
+    errors, spread = found.table["error"], found.table["standard_error"]
+    assert (errors == 0).mean() == pytest.approx(0.5, abs=0.15)
+    assert (errors > 3 * spread).mean() < 0.02
     off = compare(names, truth[..., 0], (seen, variance), truth * np.float32(1.2), np.ones(1))
-    errors = np.array([one.error for one in off.compared])
-    spread = np.array([one.standard_error for one in off.compared])
+    errors, spread = off.table["error"], off.table["standard_error"]
     assert errors.mean() == pytest.approx(0.2, rel=0.02)
     assert np.std((errors - 0.2) / spread) == pytest.approx(1, abs=0.2)
 

@@ -40,7 +40,7 @@ _OF_SNAKEMAKE = (
     "rfpipe.scenes.kinds.surfaces",
     "rfpipe.stages.jobs.ends",
     "rfpipe.stages.plan",
-    "rfpipe.stages.verifying.again",
+    "rfpipe.stages.checking.again",
 )
 _OF_JOBS = (
     "colour",

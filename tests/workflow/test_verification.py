@@ -22,13 +22,12 @@ from rfpipe.errors import CaptureError
 from rfpipe.keys import LOOK_KEY, VERIFICATION_KEY
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages import capture
+from rfpipe.stages import capture, verification
+from rfpipe.stages.checking.run import check
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.symmetry import NOTICED
-from rfpipe.stages.unseen import verify
-from rfpipe.stages.verifying.verify import verify as verify_bytes
 from rfpipe.stages.watch import LOOK_PATTERNS
 from rfpipe.store import read_manifest
 
@@ -49,14 +48,14 @@ def acquire(
 
 
 def verified(folder: AcquisitionFolder, rig: Any, code: str = CODE) -> dict[str, Any]:
-    verify.run(
+    verification.run(
         folder,
         partial(capture.run, rig),
         pictures=PICTURES,
         settings=settings(code=code),
         resources=Resources(),
     )
-    return read_manifest(folder.path / verify.MANIFEST)
+    return read_manifest(folder.path / verification.MANIFEST)
 
 
 pytestmark = pytest.mark.usefixtures("closed_logs")
@@ -98,9 +97,9 @@ def test_a_verification_that_was_stopped_ends_with_the_same_numbers(
     pictures = [key for key in rig.shown if key[0] == VERIFICATION_KEY]
     assert pictures == [(VERIFICATION_KEY, index) for index in range(PICTURES)]  # none twice
     assert facts == intact
-    assert verify_bytes(tmp_path / "results").findings == []
+    assert check(tmp_path / "results").findings == []
     shown = len(rig.shown)
-    (folder.path / verify.MANIFEST).unlink()
+    (folder.path / verification.MANIFEST).unlink()
     assert verified(folder, rig, "other code")["pictures"] == intact["pictures"]
     assert len(rig.shown) == shown  # the pictures are kept
 
@@ -136,11 +135,11 @@ def test_kill_9_in_a_verification_costs_one_picture(tmp_path: Path, intact: dict
     )  # fmt: skip
     assert killed.returncode == -signal.SIGKILL
     assert killed.stdout.split() == ["0", "1", "2"]
-    assert not (folder.path / verify.MANIFEST).exists()
+    assert not (folder.path / verification.MANIFEST).exists()
     assert verified(folder, rig) == intact
     pictures = [key[1] for key in rig.shown if key[0] == VERIFICATION_KEY]
     assert pictures == list(range(2, PICTURES))  # the one that was not stored is taken again
-    assert verify_bytes(tmp_path / "results").findings == []
+    assert check(tmp_path / "results").findings == []
 
 
 def test_what_is_damaged_of_a_verification_is_found(tmp_path: Path) -> None:
@@ -151,7 +150,7 @@ def test_what_is_damaged_of_a_verification_is_found(tmp_path: Path) -> None:
     chunk = next(path for path in store.rglob("c*") if path.is_file())
     chunk.write_bytes(chunk.read_bytes()[:10])
     (tmp_path / "results/matrix/dual/verification.json").write_text("{")
-    places = {finding.path.name for finding in verify_bytes(tmp_path / "results").findings}
+    places = {finding.path.name for finding in check(tmp_path / "results").findings}
     assert {"capture.zarr", "verification.json"} <= places
 
 
@@ -196,6 +195,6 @@ def test_the_workflow_has_a_step_for_it(tmp_path: Path) -> None:
     planned = run.run("--dry-run")
     # after the report it is said what is above
     assert re.search(r"^bound +1$", planned, re.MULTILINE)
-    assert "verify_simulated" not in planned
+    assert "verification " not in planned
     run.configure(**settings, verification={**verification, "fail_above": 0.5})
     assert "Nothing to be done" in run.run(wanted)  # another bound takes no pictures

@@ -21,8 +21,8 @@ from rfpipe.calibration import CalibrationFolder
 from rfpipe.calibration.base import Findings, Verdict
 from rfpipe.errors import IntegrityError
 from rfpipe.stages.brackets import Brackets
+from rfpipe.stages.checking.run import check, command_for
 from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.verifying.verify import command_for, verify
 from rfpipe.store import read_manifest, write_manifest
 
 
@@ -108,7 +108,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 
 
 def test_an_intact_run_is_found_whole(intact: Path) -> None:
-    checked = verify(intact)
+    checked = check(intact)
     assert checked.findings == []
     assert checked.notes == []
     assert checked.stores == 2 * (4 * 6 + 2 + 1)
@@ -121,7 +121,7 @@ def test_damage_is_found_and_mended_to_the_same_bytes(
 ) -> None:
     run = results / "matrix" / "symmetric"
     DAMAGES[kind](run)
-    findings = verify(results).findings
+    findings = check(results).findings
     assert findings
     assert all(finding.path.is_relative_to(run) for finding in findings)
     for finding in findings:
@@ -134,7 +134,7 @@ def test_damage_is_found_and_mended_to_the_same_bytes(
     assert bool(shown) == of_captures
     if kind.startswith("capture"):
         assert len(shown) <= 1  # the damaged pattern alone
-    assert verify(results).findings == []
+    assert check(results).findings == []
     assert left(results) == left(intact)
 
 
@@ -191,9 +191,9 @@ def test_a_damaged_header_of_a_capture_heals(
 def test_a_digit_of_a_header_without_a_copy_is_found(results: Path, after: str) -> None:
     store = results / "matrix/symmetric/L02/capture.zarr"
     (store / "header.json").unlink()  # as earlier versions left it
-    assert verify(results).findings == []
+    assert check(results).findings == []
     other_digit(store / "zarr.json", after)
-    (finding,) = verify(results).findings
+    (finding,) = check(results).findings
     assert "its header is damaged" in finding.what
 
 
@@ -201,10 +201,10 @@ def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:
     folder = CalibrationFolder(tmp_path / "calibration")
     folder.write("dark", Findings(Verdict("good", ""), {"a": 1}, {"black": np.ones(4)}), "x")
     folder.write("light", Findings(Verdict("good", ""), {"a": 1}, {"light": np.ones(9)}), "x")
-    assert verify(folder.path).findings == []
+    assert check(folder.path).findings == []
     shutil.rmtree(folder.store("dark"))
     shutil.copytree(folder.store("light"), folder.store("dark"))
-    (finding,) = verify(folder.path).findings
+    (finding,) = check(folder.path).findings
     assert "isn't the store of dark.json" in finding.what
     command = command_for(finding)
     assert command.startswith(f"rm -rf {folder.manifest('dark')} && rfpipe calibrate RIG.yaml")
@@ -238,7 +238,7 @@ def test_a_running_acquisition_is_left_alone(results: Path) -> None:
     from rfpipe.store import StoreLock
 
     with StoreLock(results / "matrix" / "symmetric"):
-        checked = verify(results)
+        checked = check(results)
     assert [note for note in checked.notes if "at this moment" in note]
     assert checked.stores == 27
 
@@ -249,14 +249,14 @@ def test_dropped_exposures_are_no_damage_and_what_is_made_of_them_is_dear(result
     run = results / "matrix" / "symmetric"
     for level in range(4):
         drop(run / f"L{level:02d}" / "capture.zarr")
-    assert verify(results).findings == []
+    assert check(results).findings == []
     damage(run / "L01/merge.zarr")
-    (finding,) = verify(results).findings
+    (finding,) = check(results).findings
     assert "ALL patterns" in finding.mend.cost
     assert run / "L03/capture.zarr" in finding.mend.remove
     subprocess.run(command_for(finding).partition(" && ")[0], shell=True, check=True)
     assert acquire(run)
-    assert verify(results).findings == []
+    assert check(results).findings == []
 
 
 def test_a_published_folder_is_checked_by_its_list(intact: Path, tmp_path: Path) -> None:
@@ -270,22 +270,22 @@ def test_a_published_folder_is_checked_by_its_list(intact: Path, tmp_path: Path)
         for path in files
     ]
     (crate / "manifest-sha256.txt").write_text("\n".join(lines) + "\n")
-    checked = verify(crate)
+    checked = check(crate)
     assert (checked.findings, checked.files) == ([], len(files))
     archive = Path(shutil.make_archive(str(tmp_path / "crate"), "zip", tmp_path, "crate"))
-    checked = verify(archive)
+    checked = check(archive)
     assert (checked.findings, checked.files) == ([], len(files))
     content = bytearray(archive.read_bytes())
     with zipfile.ZipFile(archive) as held:
         largest = max(held.infolist(), key=lambda info: info.compress_size)
     content[largest.header_offset + 30 + len(largest.filename) + largest.compress_size // 2] ^= 1
     archive.write_bytes(content)
-    (finding,) = verify(archive).findings
+    (finding,) = check(archive).findings
     assert finding.path.name == Path(largest.filename).name
     files[0].write_bytes(b"something else")
     files[1].unlink()
     (crate / "more.txt").write_text("?")
-    checked = verify(crate)
+    checked = check(crate)
     found = {finding.path: finding.what for finding in checked.findings}
     assert set(found) == set(files[:2])
     assert found[files[1]] == "is missing"
@@ -295,9 +295,9 @@ def test_a_published_folder_is_checked_by_its_list(intact: Path, tmp_path: Path)
 def test_a_store_without_a_run_can_be_checked_too(intact: Path, tmp_path: Path) -> None:
     store = tmp_path / "mine.zarr"
     shutil.copytree(intact / "matrix/dual/transport.zarr", store)
-    assert verify(store).findings == []
+    assert check(store).findings == []
     damage(store)
-    (finding,) = verify(store).findings
+    (finding,) = check(store).findings
     assert command_for(finding) == ""
 
 
@@ -339,4 +339,4 @@ def test_a_run_damaged_in_ten_ways_at_once_is_mended_by_the_commands_named(
     again = again.replace("snakemake", f"snakemake {TINY}", 1)  # and not the whole report
     subprocess.run(again, shell=True, check=True, capture_output=True)
     assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")
-    assert verify(run).findings == []
+    assert check(run).findings == []

@@ -19,10 +19,8 @@ rule evaluate:
         "results/report/evaluate.benchmark.tsv"
     conda:
         "../envs/rfpipe.yaml"
-    threads: all_cores
     resources:
         **ASKED,
-        workers=SETTINGS.resources.workers,
     params:
         seconds_per_pattern=SETTINGS.capture.seconds_per_pattern,
         code=code_digest(pages=True),

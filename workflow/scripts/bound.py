@@ -1,7 +1,7 @@
 from pathlib import Path
 
 from rfpipe.stages.jobs.job import start
-from rfpipe.stages.unseen.verify import check_bound
+from rfpipe.stages.verification import check_bound
 from rfpipe.store import read_manifest
 
 start(snakemake.log[0])

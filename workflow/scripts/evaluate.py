@@ -2,7 +2,6 @@ from pathlib import Path
 
 from rfpipe.stages.evaluating import evaluate
 from rfpipe.stages.jobs.job import start
-from rfpipe.stages.jobs.workers import Resources
 
 start(snakemake.log[0])
 evaluate.run(
@@ -10,5 +9,4 @@ evaluate.run(
     Path(snakemake.output.errors),
     Path(snakemake.output.speed_error),
     snakemake.params.seconds_per_pattern,
-    Resources.of_job(snakemake),
 )

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from rfpipe.stages.verifying.findings import Checked, Finding
+    from rfpipe.stages.checking.stores import Checked, Finding
 
 __all__ = ["verify"]
 
@@ -45,8 +45,7 @@ def verify(
     whose pictures are damaged. Of a report it is checked, too, that no figure is missing or blank
     and no link leads to nothing. Exit status 1 when anything is wrong.
     """
-    from rfpipe.stages.verifying.verify import bytes_below, command_for
-    from rfpipe.stages.verifying.verify import verify as check
+    from rfpipe.stages.checking.run import bytes_below, check, command_for
 
     if sys.stderr.isatty() and folder.is_dir():
         from tqdm import tqdm
@@ -99,7 +98,7 @@ def _print(folder: Path, checked: Checked) -> None:
 
 
 def _advice(finding: Finding) -> list[str]:
-    from rfpipe.stages.verifying.verify import command_for
+    from rfpipe.stages.checking.run import command_for
 
     command = command_for(finding)
     if not command:
@@ -108,7 +107,7 @@ def _advice(finding: Finding) -> list[str]:
 
 
 def _plain(folder: Path, checked: Checked) -> dict[str, Any]:
-    from rfpipe.stages.verifying.verify import command_for
+    from rfpipe.stages.checking.run import command_for
 
     return {
         "folder": str(folder),

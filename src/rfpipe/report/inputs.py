@@ -16,7 +16,7 @@ from rfpipe.report import methods
 from rfpipe.report.blocks import Column
 from rfpipe.report.light import Light
 from rfpipe.stages.relight import right_half
-from rfpipe.stages.unseen.verify import MANIFEST as VERIFIED
+from rfpipe.stages.verification import MANIFEST as VERIFIED
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Run:
     verified : dict
         The manifest ``verification.json``; empty where there is none.
     verified_images : ArrayBundle or None
-        ``verification.zarr``, see `rfpipe.stages.unseen.comparing.Verification`.
+        ``verification.zarr``, see `rfpipe.stages.verification.Verification`.
     """
 
     scene: str

@@ -24,7 +24,7 @@ from rfpipe.report.inputs import Inputs, load_inputs
 from rfpipe.report.origin import RESULTS_NAME, provenance_of
 from rfpipe.report.placing import place
 from rfpipe.report.text import ray_size
-from rfpipe.stages.verifying.report_files import write_report_files
+from rfpipe.stages.results import FILES, write_files
 from rfpipe.store.files import write_atomically
 
 __all__ = ["build_report", "make_sections", "write_page"]
@@ -63,7 +63,9 @@ def build_report(
     write_page(page, title, lead, shown, swatches, _SOURCE, _views(inputs, page))
     summary = {"title": title, "lead": lead, "provenance": provenance_of(inputs)}
     write_atomically(page.with_name(RESULTS_NAME), json.dumps(summary, indent=2).encode())
-    write_report_files(page.parent)
+    suffixes = (".csv", ".exr", ".html", ".json", ".png")
+    files = (path for path in sorted(page.parent.rglob("*")) if path.suffix in suffixes)
+    write_files(page.with_name(FILES), (path for path in files if path.name != FILES))
 
 
 def write_page(

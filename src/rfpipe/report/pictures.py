@@ -26,8 +26,7 @@ from rfpipe.report.inputs import Run
 from rfpipe.report.light import Light
 from rfpipe.report.text import TIMES, words
 from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
-from rfpipe.stages.evaluating.slices import NO_LEAF
-from rfpipe.stages.relight import right_half
+from rfpipe.stages.relight import NO_LEAF, right_half
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

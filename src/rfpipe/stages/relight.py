@@ -10,33 +10,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain
+from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.evaluating.slices import leaf_levels, line_patterns
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merger import read_floodlit
 from rfpipe.stages.results import write_bundle
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.transport import Transport, open_transport
+from rfpipe.transport.hierarchical.transport import HierarchicalTransport
+from rfpipe.transport.multilevel.transport import MultilevelTransport
 from rfpipe.units import RADIANCE_UNIT
 
 if TYPE_CHECKING:
     from rfpipe.config import SceneSettings
     from rfpipe.scenes import Scene
 
-__all__ = [
-    "images_of",
-    "one_view_at_a_time",
-    "relit_arrays",
-    "relit_of_captured",
-    "right_half",
-    "run",
-]
+NO_LEAF = -1
+"""Level of an entry that no leaf holds: it was measured as empty."""
 
 Float = NDArray[np.float32]
 
-_AT_A_TIME = 32
+_AT_A_TIME = 32  # single-pixel patterns relit together
 
 
 def images_of(scene: Scene, patterns: Float) -> Float:
@@ -47,8 +42,7 @@ def images_of(scene: Scene, patterns: Float) -> Float:
 def right_half(shape: tuple[int, ...]) -> Float:
     """Return the pattern of [Fig. 5.9]: the right half lit, the middle column of odd ones dark."""
     pattern = np.zeros(shape, np.float32)
-    _, width = RayDomain(shape).image_shape
-    pattern[..., (width + 1) // 2 :] = 1
+    pattern[..., (shape[-1] + 1) // 2 :] = 1
     return pattern
 
 
@@ -61,7 +55,7 @@ def one_view_at_a_time(shape: tuple[int, ...]) -> Float:
 
 
 def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
-    """Compute all that the report shows of one transport, beside the truth.
+    """Return all that the report shows of one transport, beside the truth.
 
     Parameters
     ----------
@@ -94,10 +88,10 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
     """
     from rfpipe.scenes import scene_patterns
 
-    seen, lit = transport.camera_shape, transport.projector_shape
-    if (seen, lit) != (scene.camera_shape, scene.projector_shape):
+    shapes = transport.camera_shape, transport.projector_shape
+    if shapes != (scene.camera_shape, scene.projector_shape):
         raise InputError(
-            f"a transport from {lit} to {seen} rays isn't of a scene from "
+            f"a transport from {shapes[1]} to {shapes[0]} rays isn't of a scene from "
             f"{scene.projector_shape} to {scene.camera_shape}"
         )
     if transport.channels != scene.channels:
@@ -106,18 +100,18 @@ def relit_arrays(transport: Transport, scene: Scene) -> dict[str, NDArray[Any]]:
         )
     truth_of = partial(images_of, scene)
     patterns = np.stack(list(scene_patterns(scene).values()))
-    details = _between_views if RayDomain(lit).is_stack else _within_image
+    details = _between_views if RayDomain(shapes[1]).is_stack else _within_image
     return {
         **_relit(transport, patterns),
         "truth": truth_of(patterns),
-        "floodlit_truth": truth_of(np.ones((1, *lit), np.float32))[0],
+        "floodlit_truth": truth_of(np.ones((1, *shapes[1]), np.float32))[0],
         "albedo": scene.albedo,
         **details(transport, truth_of),
     }
 
 
 def relit_of_captured(transport: Transport, floodlit: Float) -> dict[str, NDArray[Any]]:
-    """Compute what the report shows of a transport whose scene is a real one.
+    """Return what the report shows of a transport whose scene is a real one.
 
     Parameters
     ----------
@@ -128,9 +122,8 @@ def relit_of_captured(transport: Transport, floodlit: Float) -> dict[str, NDArra
     Returns
     -------
     dict of ndarray
-        ``patterns`` (P, *projector_shape), ``relit`` (P, *camera_shape, C), ``levels_relit``
-        (L, *camera_shape, C), ``floodlit_relit`` and ``floodlit_captured`` (*camera_shape, C), as
-        in `relit_arrays`.
+        ``patterns``, ``relit``, ``levels_relit`` and ``floodlit_relit``, as in `relit_arrays`, and
+        ``floodlit_captured``.
     """
     from rfpipe.scenes import relighting_patterns
 
@@ -191,14 +184,65 @@ def _entries(
 
     `light` turns patterns (P, *shape) into images (P, H, W, C).
     """
-    _, width = RayDomain(shape).image_shape
-    columns = [
-        light(line_patterns(shape, projector_row, range(first, min(first + _AT_A_TIME, width))))[
-            :, camera_row
-        ]
-        for first in range(0, width, _AT_A_TIME)
-    ]
+    columns = []
+    for first in range(0, shape[-1], _AT_A_TIME):
+        count = min(_AT_A_TIME, shape[-1] - first)
+        patterns = np.zeros((count, *shape), np.float32)
+        patterns[range(count), projector_row, range(first, first + count)] = 1
+        columns.append(light(patterns)[:, camera_row])
     return np.concatenate(columns).swapaxes(0, 1)
+
+
+def leaf_levels(
+    transport: Transport, camera_row: int, projector_row: int
+) -> NDArray[np.int16] | None:
+    """Return the level of the leaf that holds each entry between the rays of two image rows.
+
+    Parameters
+    ----------
+    transport : Transport
+        Over images (H, W).
+    camera_row, projector_row : int
+        Rows of the camera's and the projector's image, from 0; one row in a hierarchy of leaves,
+        whose rig is coaxial.
+
+    Returns
+    -------
+    ndarray of int16, shape (W, W'), or None
+        Camera rays down, projector rays across; `NO_LEAF` where the entry is empty. None for a
+        transport without leaves.
+    """
+    shape = transport.camera_shape[-1], transport.projector_shape[-1]
+    levels = np.full(shape, NO_LEAF, np.int16)
+    if isinstance(transport, HierarchicalTransport):
+        for leaves in transport.leaf_sets:
+            number, of_ray = _blocks_of_line(transport.tree, leaves.level, projector_row)
+            first, second = number[leaves.block_a], number[leaves.block_b]
+            inside = (first >= 0) & (second >= 0)
+            held = np.zeros(shape, np.bool_)
+            held[first[inside], second[inside]] = held[second[inside], first[inside]] = True
+            levels[held[np.ix_(of_ray, of_ray)]] = leaves.level
+        return levels
+    if isinstance(transport, MultilevelTransport):
+        for pairs in transport.pair_sets:
+            number, of_ray = _blocks_of_line(transport.tree, pairs.level, projector_row)
+            block, pixel = number[pairs.block], pairs.pixel - camera_row * shape[0]
+            inside = (block >= 0) & (pixel >= 0) & (pixel < shape[0])
+            held = np.zeros(shape, np.bool_)
+            held[pixel[inside], block[inside]] = True
+            levels[held[:, of_ray]] = pairs.level
+        return levels
+    return None
+
+
+def _blocks_of_line(
+    tree: BlockTree, level: int, row: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the number of each block along an image row, -1 elsewhere, and that of each ray."""
+    present, of_ray = np.unique(tree.labels(level)[row], return_inverse=True)
+    number = np.full(tree.n_blocks(level), -1, np.int64)
+    number[present] = np.arange(len(present))
+    return number, of_ray
 
 
 def check_transport(store: Path) -> None:
@@ -214,10 +258,10 @@ def check_transport(store: Path) -> None:
     manifest = store.with_suffix(".json")
     if not manifest.is_file() or store.name != "transport.zarr":
         return
-    stated, found = read_manifest(manifest).get("digest"), open_arrays(store).digest
-    if stated not in (None, found):
+    stated, digest = read_manifest(manifest).get("digest"), open_arrays(store).digest
+    if stated not in (None, digest):
         raise IntegrityError(
-            f"{store}: isn't the transport of the manifest beside it: its digest is {found}, not "
+            f"{store}: isn't the transport of the manifest beside it: its digest is {digest}, not "
             f"{stated}. To make it anew from its levels, remove {manifest} and run again"
         )
 
@@ -229,7 +273,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     ----------
     folder : Path
         ``results/{scene}/{method}``, with ``transport.zarr`` and ``transport.json``; for a
-        captured scene with what the merge of level 0 left, too.
+        captured scene with the results of level 0's merge, too.
     scene : SceneSettings
         The scene that it was acquired from.
     code : str
@@ -237,31 +281,32 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     """
     from rfpipe.scenes import relighting_patterns, scene_from_config, scene_patterns
 
-    manifest = folder / "relight.json"
     acquired = read_manifest(folder / "transport.json")
-    made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
     check_transport(folder / "transport.zarr")
     transport = open_transport(folder / "transport.zarr")
-    if not scene.has_truth:
+    if scene.has_truth:
+        simulated = scene_from_config(scene)
+        arrays, names = relit_arrays(transport, simulated), list(scene_patterns(simulated))
+    else:
         floodlit, _ = read_floodlit(AcquisitionFolder(folder))
         arrays = relit_of_captured(transport, floodlit)
         names = list(relighting_patterns(transport.projector_shape))
-    else:
-        simulated = scene_from_config(scene)
-        arrays = relit_arrays(transport, simulated)
-        names = list(scene_patterns(simulated))
-    facts = {
-        "stage": "relight",
-        "transport": acquired["digest"],
-        "scene": acquired["scene"],
-        "method": acquired["method"],
-        "names": names,
-        "coaxial": scene.is_coaxial,
-        "row": _middle_row(transport.camera_shape),
-        "patterns": acquired["patterns"],
-        "bytes": transport.nbytes,
-        "levels": transport.level_rows,
-        "options": acquired["options"],
-        "units": RADIANCE_UNIT,
-    }
-    write_bundle(manifest, made_from, arrays, facts)
+    write_bundle(
+        folder / "relight.json",
+        fingerprint({"transport": acquired["digest"], "scene": scene, "code": code}),
+        arrays,
+        {
+            "stage": "relight",
+            "transport": acquired["digest"],
+            "scene": acquired["scene"],
+            "method": acquired["method"],
+            "names": names,
+            "coaxial": scene.is_coaxial,
+            "row": _middle_row(transport.camera_shape),
+            "patterns": acquired["patterns"],
+            "bytes": transport.nbytes,
+            "levels": transport.level_rows,
+            "options": acquired["options"],
+            "units": RADIANCE_UNIT,
+        },
+    )

@@ -8,7 +8,7 @@ Snakemake has found that it is due and has removed its manifest; in a loop over 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from rfpipe.errors import IntegrityError, StoreError
 from rfpipe.provenance import versions
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
+from rfpipe.store.files import digest_of
 
-__all__ = ["standing", "write_bundle"]
+FILES = "files.json"
+"""Name of the manifest of a report's files."""
 
 _log = logging.getLogger(__name__)
 
@@ -74,3 +76,11 @@ def write_bundle(
     made = {"fingerprint": made_from, "versions": versions()}
     write_arrays(store, arrays, {"facts": facts, **made, **more})
     write_manifest(manifest, {**facts, **open_arrays(store).entry(), **made})
+
+
+def write_files(manifest: Path, files: Iterable[Path]) -> None:
+    """Write a manifest with the digests of files that lie beside it or below."""
+    digests = {
+        path.relative_to(manifest.parent).as_posix(): digest_of(path.read_bytes()) for path in files
+    }
+    write_manifest(manifest, {"files": digests})

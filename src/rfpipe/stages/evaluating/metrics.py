@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["colour_difference", "psnr", "relative_rms", "unlit_rms"]
-
 Image = NDArray[Any]
 
 
@@ -27,8 +25,7 @@ def relative_rms(image: Image, truth: Image, where: NDArray[np.bool_] | None = N
     Returns
     -------
     float
-        0 for equal images; NaN where there is nothing to compare with: no pixel, or no light in
-        the truth.
+        0 for equal images; NaN where there is no pixel, or no light in the truth.
 
     Raises
     ------
@@ -43,20 +40,10 @@ def relative_rms(image: Image, truth: Image, where: NDArray[np.bool_] | None = N
 
 
 def unlit_rms(image: Image, truth: Image, pattern: Image) -> float:
-    """Return `relative_rms` over the pixels that the projector leaves dark.
+    """Return `relative_rms` over the pixels where `pattern` (*camera_shape) is 0.
 
-    With a coaxial rig these pixels show indirect light alone.
-
-    Parameters
-    ----------
-    image, truth : ndarray of float, shape (*camera_shape, C)
-    pattern : ndarray, shape (*camera_shape)
-        What was projected; a pixel is unlit where it is 0.
-
-    Returns
-    -------
-    float
-        NaN when the pattern lights every pixel, or when the unlit ones get no light.
+    With a coaxial rig these pixels show indirect light alone. NaN where there are none, or they
+    get no light.
     """
     return relative_rms(image, truth, np.asarray(pattern) == 0)
 
@@ -64,15 +51,7 @@ def unlit_rms(image: Image, truth: Image, pattern: Image) -> float:
 def psnr(image: Image, truth: Image) -> float:
     """Return the peak signal-to-noise ratio in dB; the peak is the truth's maximum.
 
-    Returns
-    -------
-    float
-        Infinite for equal images, NaN when the truth is black.
-
-    Raises
-    ------
-    InputError
-        When the shapes differ.
+    Infinite for equal images, NaN when the truth is black.
     """
     image, truth = _checked(image, truth)
     peak = float(truth.max(initial=0.0))

@@ -5,7 +5,7 @@ def every_verification(wildcards):
     )
 
 
-rule verify:
+rule verification:
     """A scene's transport beside pictures that no method saw, taken by the same rig."""
     input:
         "results/{scene}/{method}/transport.json",
@@ -30,7 +30,7 @@ rule verify:
         by=lambda wildcards: rig(wildcards.scene)["by"],
         rig=lambda wildcards: rig(wildcards.scene)["rig"],
     script:
-        "../scripts/verify.py"
+        "../scripts/verification.py"
 
 
 rule bound:

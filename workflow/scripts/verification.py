@@ -1,8 +1,8 @@
+from rfpipe.stages import verification
 from rfpipe.stages.stage_job import stage_job
-from rfpipe.stages.unseen import verify
 
 with stage_job(snakemake) as job:
-    verify.run(
+    verification.run(
         job.folder,
         job.capture,
         pictures=job.params.pictures,
