@@ -281,7 +281,7 @@ def test_a_published_folder_is_checked_by_its_list(intact: Path, tmp_path: Path)
     content[largest.header_offset + 30 + len(largest.filename) + largest.compress_size // 2] ^= 1
     archive.write_bytes(content)
     (finding,) = check(archive).findings
-    assert finding.path.name == Path(largest.filename).name
+    assert str(finding.path).endswith(Path(largest.filename).name)
     files[0].write_bytes(b"something else")
     files[1].unlink()
     (crate / "more.txt").write_text("?")
