@@ -288,7 +288,10 @@ def _rig_facts(folder: AcquisitionFolder) -> dict[str, Any]:
     largest residual in standard deviations; each None where nothing looked. ``alarms``: where the
     rig moved, or wasn't aligned; ``saturated`` of ``samples``; ``devices``: counts.
     """
-    drift, moved, errors, deviations = ([], [], [], [])  # type: tuple[list[float], ...]
+    drift: list[float] = []
+    moved: list[float] = []
+    errors: list[float] = []
+    deviations: list[float] = []
     alarms: list[str] = []
     devices: dict[str, int] = {}
     saturated = samples = 0
@@ -324,7 +327,8 @@ def _levels(folder: AcquisitionFolder) -> Iterator[tuple[str, dict[str, Any], di
     levels = sorted(int(path.parent.name[1:]) for path in folder.path.glob("L[0-9]*/merge.json"))
     for level in [*levels, VERIFICATION]:
         try:
-            manifests = [folder.read_manifest(level, stage) for stage in ("merge", "capture")]
+            merged = folder.read_manifest(level, "merge")
+            captured = folder.read_manifest(level, "capture")
         except StoreError:
             continue
-        yield name_of(level), *manifests
+        yield name_of(level), merged, captured

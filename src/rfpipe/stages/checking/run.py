@@ -168,8 +168,6 @@ def _check_manifest(path: Path, checked: Checked) -> None:
             damage.append(f"holds other patterns than {path.name} says")
         for what in damage:
             checked.wrong(store, what, _mend(path, store))
-    if facts.get("stage") == "merge":
-        _read(path.with_suffix(".zarr") / "manifest.json", checked, _mend(path))
     for name, digest in facts.get("files", {}).items():
         file = path.parent / name
         checked.files += 1
@@ -247,8 +245,8 @@ def _strangers(
     references = manifests.get(folder / "L00" / "merge.json", {}).get(REFERENCES)
     if references and references["digest"] != facts["made_of"]["references"]:
         yield transport, "was made with another floodlit image than stands there"
-    for path, of in manifests.items():
-        if path.parent == folder and of.get("transport", facts["digest"]) != facts["digest"]:
+    for path, about in manifests.items():
+        if path.parent == folder and about.get("transport", facts["digest"]) != facts["digest"]:
             yield path, "is of another transport than stands beside it"
 
 
