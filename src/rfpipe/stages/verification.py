@@ -245,23 +245,26 @@ def _schedule(folder: AcquisitionFolder, pictures: int) -> None:
         write_schedule(folder, made_from, schedule, names=names)
 
 
-def _compare(folder: AcquisitionFolder, code: str) -> None:
-    acquired = read_manifest(folder.path / "transport.json")
-    merged = folder.read_manifest(VERIFICATION, "merge")
-    transport = open_transport(folder.path / "transport.zarr")
+def compared(folder: AcquisitionFolder, transport: Transport) -> Verification:
+    """Compare the merged pictures that verify a transport with what it makes of them."""
     weights = read_schedule(folder, VERIFICATION).weights
     assert weights is not None
     names = folder.read_manifest(VERIFICATION, "schedule")["names"]
     with folder.frames(VERIFICATION, "merge") as frames:
         images = frames.read(0, len(weights))
-    gain = np.mean(merged[DRIFT]["gain"], axis=0)
-    result = compare(
-        names, weights, (images[:, 0], images[:, 1]), transport.relight_batch(weights), gain
-    )
+    gain = np.mean(folder.read_manifest(VERIFICATION, "merge")[DRIFT]["gain"], axis=0)
+    relit = transport.relight_batch(weights)
+    return compare(names, weights, (images[:, 0], images[:, 1]), relit, gain)
+
+
+def _compare(folder: AcquisitionFolder, code: str) -> None:
+    acquired = read_manifest(folder.path / "transport.json")
+    merged = folder.read_manifest(VERIFICATION, "merge")
+    result = compared(folder, open_transport(folder.path / "transport.zarr"))
     _log.info(
         "%s: %d pictures that no method saw are relit to %.2f %% on average, '%s' to %.2f %% "
         "(noise floor of the pictures %.2f %%)",
-        folder.path, len(names), 100 * result.mean_error, result.worst.name,
+        folder.path, len(result.table), 100 * result.mean_error, result.worst.name,
         100 * result.worst.error, 100 * result.table["noise"].mean(),
     )  # fmt: skip
     write_bundle(
