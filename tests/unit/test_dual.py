@@ -174,24 +174,6 @@ def test_noise_is_not_subdivided(wedge: np.ndarray) -> None:
     assert relative_error(run, wedge, np.ones((32, 32))) < 0.1
 
 
-def test_what_is_within_noise_is_dropped() -> None:
-    matrix = np.zeros((64, 64))
-    matrix[:4] = np.eye(64)[:4]
-    run = acquire_matrix(Dual(), matrix, (8, 8), (8, 8), sigma=0.05)
-    stored = sum(len(pairs) for pairs in run.transport.pair_sets)
-    # Three standard deviations: about one in 700 zeros passes for light.
-    assert stored <= 4 + 4 * 64 * 0.01
-    np.testing.assert_allclose(dense(run.transport)[0, :4, :4], np.eye(4), atol=0.25)
-
-
-def test_a_single_ray_is_not_lit_again() -> None:
-    """Rays of the shorter halves of an odd length are measured a level before the others."""
-    run = acquire_matrix(Dual(), np.eye(5), (1, 5), (1, 5))
-    lit = [(schedule.pattern_of_ray >= 0).tolist()[0] for schedule in run.schedules]
-    assert lit[2:] == [[True] * 5, [True, True, False, False, False]]
-    assert [schedule.complete for schedule in run.schedules] == [True, True, True, False]
-
-
 def test_culled_blocks_leave_a_level_complete_and_stored_ones_do_not() -> None:
     matrix = np.eye(16)
     matrix[:, [10, 11, 14, 15]] = 0  # the lower right block sends no light to any pixel

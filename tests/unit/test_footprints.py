@@ -118,29 +118,6 @@ def test_footprints_of_a_warp_are_found(camera: Any, projector: Any) -> None:
     assert relative_rms(kept.matrix(*direct.shape).toarray()[shining], direct[shining]) < 0.02
 
 
-def test_a_precision_is_the_inverse_covariance_of_unknown_weights() -> None:
-    random = np.random.default_rng(0)
-    lit = (random.random((6, 9)) < 0.5).astype(np.float32)
-    seen, variance = random.random((4, 9)), random.uniform(0.5, 2, (4, 9))
-    series = Series(lit, seen.astype(np.float32), variance.astype(np.float32))
-    keys = np.array([0, 2, 5, 6 + 1, 3 * 6 + 0, 3 * 6 + 4])
-    spread = random.uniform(0.5, 2, 6).astype(np.float32)
-    found = candidates.Candidates(keys, spread, np.zeros(6, np.float32))
-    precision = candidates.Precision.of(series, found)
-    for pixel in range(4):
-        own = keys // 6 == pixel
-        rows = lit[keys[own] % 6].astype(np.float64)
-        known = np.diag(1 / series.certainty()[pixel].astype(np.float64))
-        expected = np.linalg.inv(known + rows.T @ (spread[own, None] * rows))
-        applied = np.zeros((4, 9), np.float32)
-        applied[pixel] = seen[pixel]
-        np.testing.assert_allclose(
-            precision.applied(applied)[pixel], expected @ applied[pixel], rtol=1e-3, atol=1e-4
-        )
-        assert precision.trace[pixel] == pytest.approx(np.trace(expected), rel=1e-3)
-    assert precision.sizes.tolist() == [3, 1, 0, 2]
-
-
 # --- acquisitions
 
 

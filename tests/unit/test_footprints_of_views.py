@@ -19,12 +19,11 @@ from rfpipe.methods.adaptive.footprints.both_ways import (
     with_other_way,
 )
 from rfpipe.methods.adaptive.footprints.candidates import Candidates as Found
-from rfpipe.methods.adaptive.footprints.chart import Chart, chart_of
+from rfpipe.methods.adaptive.footprints.chart import chart_of
 from rfpipe.methods.adaptive.footprints.method import Footprints, in_round, most_of
 from rfpipe.scenes import room_scene
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
-from rfpipe.transport.multiscale.basis import MultiscaleBasis, cells, functions_over
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
@@ -80,22 +79,6 @@ def test_parts_and_both_ways_are_those_of_matrices(seed: int) -> None:
     np.testing.assert_array_equal(
         averaged(found, views * rays).weights, ((weights + weights.T) / 2)[either]
     )
-
-
-def test_functions_on_a_chart_are_those_of_an_image_where_rays_are_its_pixels() -> None:
-    shape = (12, 20)
-    functions = np.concatenate(
-        [functions_over(scale, np.ones(cells(shape, scale), bool)) for scale in (4, 2, 1)]
-    )
-    row, column = np.indices(shape).reshape(2, -1) + 0.5
-    chart = Chart(shape, np.stack([row, column], axis=1)).basis(functions)
-    own = MultiscaleBasis(shape, functions)
-    assert abs(chart.weights - own.weights).max() < 1e-6
-    for scale in (1, 2, 4):
-        np.testing.assert_array_equal(
-            Chart(shape, np.stack([row, column], axis=1)).cell_of(scale),
-            Chart(shape).cell_of(scale),
-        )
 
 
 def test_rays_that_see_nothing_of_the_middle_lie_beside_their_neighbours() -> None:

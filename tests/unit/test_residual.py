@@ -143,26 +143,6 @@ def test_the_solution_is_the_mean_of_the_posterior() -> None:
     np.testing.assert_allclose(posterior.direct, expected[len(first) :], atol=2e-3 * scale)
 
 
-def test_variances_are_learned_from_pictures() -> None:
-    """Light between two places alone: theirs grow, the others' shrink."""
-    haar = Haar((1, 12, 12))
-    matrix = np.zeros((12, 12, 12, 12))
-    matrix[:4, :4, 8:, 8:] = matrix[8:, 8:, :4, :4] = 0.01
-    posterior, _ = posterior_of(haar, matrix.reshape(144, 144), 40, 1e-4)
-    found = posterior.guessed()
-    for _ in range(4):
-        posterior.prepare(found)
-        posterior.solve(posterior.observed, 30)
-        found = posterior.relearned()
-    np.testing.assert_array_equal(found, found.T)
-    assert (found > 0).all()
-    coarse = haar.groups[-1]
-    assert coarse.grid == (1, 3, 3)
-    one, other, far = coarse.start, coarse.start + 8, coarse.start + 2
-    assert found[one, other] > 0.3 * (0.01 * 4 * 4) ** 2
-    assert found[one, far] < 0.1 * found[one, other]
-
-
 # --- the estimate
 
 

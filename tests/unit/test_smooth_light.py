@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from rfpipe.methods.adaptive.patterns import probe_patterns
 from rfpipe.methods.adaptive.pictures import Pictures
 from rfpipe.methods.adaptive.smooth import as_transport, fit
-from rfpipe.methods.adaptive.smooth_fit import Evidence, Observations, Patches, Prior, solve
+from rfpipe.methods.adaptive.smooth_fit import Evidence, Observations, Patches, solve
 from rfpipe.methods.conjugate_gradients import conjugate_gradients
 from rfpipe.scenes import reference_scene
 from rfpipe.transport.multiscale.basis import MultiscaleBasis, cells, functions_over
@@ -95,30 +93,6 @@ def test_channels_are_found_from_what_all_of_them_told_and_dark_ones_stay_dark()
     image = transport.forward(np.broadcast_to(pattern, (1, 3, 576)), range(3))[0]
     for found, expected in zip(image[:2], (matrix @ pattern)[:2], strict=True):
         assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)
-
-
-def test_without_evidence_the_cores_are_nought() -> None:
-    basis = MultiscaleBasis((5, 6), functions_over(1, np.ones((1, 5, 6), np.bool_)))
-    pictures = made_up_frames(30, 4)
-    direct = pictures.lit[:, None] * pictures.floodlit
-    seen = observed(basis, replace(pictures, radiance=direct))
-    prior = Prior.of(basis, seen)
-    assert not solve(seen, prior.deviations, 1e-4, 100).any()
-    assert not prior.learned(np.zeros(len(basis.first), np.float32)).any()
-
-
-def test_a_priori_light_falls_with_distance_and_is_then_learned_by_groups() -> None:
-    basis = MultiscaleBasis((9, 9), functions_over(1, np.ones((1, 9, 9), np.bool_)))
-    prior = Prior.of(basis, observed(basis, made_up_frames(81, 4)))
-    order = np.argsort(basis.distances(), kind="stable")
-    assert (np.diff(prior.deviations[order]) <= 0).all()
-    assert (prior.deviations > 0).all()
-    cores = np.random.default_rng(2).standard_normal(len(basis.first)).astype(np.float32)
-    learned = prior.learned(cores)
-    for group in np.unique(prior.group):
-        own = prior.group == group
-        expected = np.sqrt(np.mean(np.square(cores[own])))
-        np.testing.assert_allclose(learned[own], expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize("weighed", [True, False])
