@@ -26,15 +26,8 @@ MEMORY_BYTES = 2**32
 """Memory that refining a level may take where nothing else is said: 4 GiB."""
 
 
-class LevelState(Protocol):
-    """What the states of all methods have in common."""
-
-    @property
-    def rows(self) -> Sequence[Mapping[str, Any]]:
-        """The table of levels so far, as `Transport.level_rows` will have it."""
-
-
-State = TypeVar("State", bound=LevelState)
+State = TypeVar("State")
+"""A method's states; their ``rows`` are the table of levels so far, see `Transport.level_rows`."""
 
 
 class Options(MethodSettings):
@@ -182,13 +175,7 @@ class Method(ABC, Generic[State]):
         return self.needs_coaxial_rig
 
     def on_rig(self, coaxial: bool) -> Method[Any]:
-        """Return the method that goes on where it is known; most are themselves.
-
-        Parameters
-        ----------
-        coaxial : bool
-            Whether camera and projector share their rays, as was found out, or as their shapes say.
-        """
+        """Return the method that goes on where camera and projector share their rays, or don't."""
         return self
 
     @abstractmethod
@@ -213,20 +200,7 @@ class Method(ABC, Generic[State]):
 
     @abstractmethod
     def start(self, camera: RayDomain, projector: RayDomain, channels: int, options: Any) -> State:
-        """Return the state before the first level.
-
-        Parameters
-        ----------
-        camera, projector : RayDomain
-        channels : int
-        options : Options
-            The method's own.
-
-        Raises
-        ------
-        InputError
-            If the method can't take so many rays.
-        """
+        """Return the state before the first level; InputError for more rays than it can take."""
 
     @abstractmethod
     def schedule(self, state: State) -> Schedule:
@@ -240,13 +214,8 @@ class Method(ABC, Generic[State]):
     def refine(self, state: State, images: LevelImages, memory_bytes: int = MEMORY_BYTES) -> State:
         """Return the state after a level's images.
 
-        Parameters
-        ----------
-        state
-        images : LevelImages
-        memory_bytes : int
-            Memory, in bytes, that the work may take beside the state itself, about. The result
-            does not depend on it.
+        `memory_bytes` is about what the work may take beside the state itself; the result does not
+        depend on it.
         """
 
     @abstractmethod

@@ -8,12 +8,12 @@ from typing import Any
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.footprints.method import Footprints
 from rfpipe.methods.adaptive.near_far import NearFar
-from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, LevelState, Method, Pack
+from rfpipe.methods.base import MEMORY_BYTES, ErrorOptions, LevelImages, Method, Pack
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 
 
-class Auto(Method[LevelState]):
+class Auto(Method[Any]):
     """Near/far acquisition where the rig is coaxial, else, and of views, footprint acquisition.
 
     Either finds out while it goes whether light is smooth, or sparse and mirrored: that is for
