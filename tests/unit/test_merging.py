@@ -13,13 +13,11 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import CaptureError
-from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions, Response, counts
+from rfpipe.photometry import CameraModel, ExactSensor, MergeOptions, Response, counts
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
-from rfpipe.stages import merger as merging
-from rfpipe.stages.capture import reference_patterns
 from rfpipe.stages.jobs.workers import Resources, Workers
-from rfpipe.stages.merger import LevelSum, Merger, runs
+from rfpipe.stages.merger import Merger
 
 CAMERA = CameraModel()
 IMAGE = (11, 13, 3)
@@ -96,35 +94,6 @@ def ways(merge: Any, frames: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> lis
     for _ in range(3):
         merge(frames)
     return used
-
-
-def test_a_level_sum_is_added_image_by_image() -> None:
-    images = generator(1).standard_normal((5, *IMAGE)).astype(np.float32)
-    merged = [Merged(part, 2 * part, 0) for part in (images[:1], images[1:4], images[4:])]
-    total = LevelSum.zero(IMAGE)
-    for part in merged:
-        total.add(part)
-    np.testing.assert_array_equal(total.radiance, images.astype(np.float64).cumsum(axis=0)[-1])
-    np.testing.assert_array_equal(total.variance, 2 * total.radiance)
-
-
-def test_runs_are_whole_files_whatever_their_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(merging, "_CHUNK_BYTES", 3 * 2 * 4 * 429)
-    assert runs(50, IMAGE) == [(0, 24), (24, 48), (48, 50)]
-    assert runs(0, IMAGE) == []
-    monkeypatch.setattr(merging, "_CHUNK_BYTES", 1)
-    assert runs(9, IMAGE) == [(0, 8), (8, 9)]
-
-
-def test_reference_patterns_are_all_off_then_all_on() -> None:
-    patterns, keys = reference_patterns((2, 3), 3, 0, 5)
-    assert patterns.max(axis=(1, 2)).tolist() == patterns.min(axis=(1, 2)).tolist()
-    assert patterns[:, 0, 0].tolist() == [0, 0, 0, 1, 1]
-    for first, last in ((0, 2), (1, 4), (3, 5), (5, 5)):
-        part, part_keys = reference_patterns((2, 3), 3, first, last)
-        np.testing.assert_array_equal(part, patterns[first:last])
-        assert part_keys == keys[first:last]
-    assert len(set(keys)) == 5
 
 
 @pytest.mark.parametrize("camera", [CAMERA, replace(CAMERA, bayer="GRBG"), ExactSensor()])

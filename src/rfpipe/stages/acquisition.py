@@ -35,14 +35,12 @@ def run(
 
     Parameters
     ----------
-    plan : Plan
     folder : AcquisitionFolder
         Locked by the caller.
     capture : callable
         See `rfpipe.stages.captures`.
     stages : mapping
         Settings of each stage by its name: keyword arguments, as plain data.
-    resources : Resources
 
     Raises
     ------

@@ -31,8 +31,6 @@ def run(
 
     Parameters
     ----------
-    plan : Plan
-    folder : AcquisitionFolder
     scene : str
         Name, kept with the transport.
     number_format : {"float32", "uint16", "uint8"}

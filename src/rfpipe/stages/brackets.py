@@ -54,8 +54,6 @@ class Brackets:
 
     Parameters
     ----------
-    rig : Rig
-    folder : AcquisitionFolder
     path : Path
         Of the store.
     name : str
@@ -105,8 +103,6 @@ class Brackets:
         ----------
         batch : int
             Patterns shown, then stored, at a time.
-        watch : Watch, optional
-        progress : bool
 
         Raises
         ------
@@ -284,10 +280,8 @@ def take_shared(
     share : {"none", "black", "all"}
         "black": the all-off brackets, of all acquisitions by the same rig; "all": the all-on ones
         of the same scene as well.
-    folder : AcquisitionFolder
     references : Brackets
         The acquisition's: `black` brackets all off, then those all on.
-    black : int
     batch : int
         Patterns shown, then stored, at a time.
 

@@ -56,8 +56,6 @@ def run(
 
     Parameters
     ----------
-    rig : Rig
-    folder : AcquisitionFolder
     level : int
         Level 0 begins with the reference brackets.
     references : (int, int)
@@ -77,7 +75,6 @@ def run(
         "mode", "looks" and "mutual_error" of `rfpipe.stages.watch.watching_level`.
     share : {"none", "black", "all"}
         Reference brackets to share, see `rfpipe.stages.brackets.take_shared`.
-    progress : bool
     resources : Resources, optional
         Memory for the patterns in hand. What the rig itself takes comes on top.
 
@@ -155,9 +152,6 @@ def brackets_of(
 
     Parameters
     ----------
-    rig : Rig
-    folder : AcquisitionFolder
-    level : int
     references, symmetry_frames
         As of `run`.
     """

@@ -57,7 +57,6 @@ def by_simulation(
     ----------
     scene, camera : mapping
         Settings of the scene, and of the camera; None for exact radiance.
-    threads : int
     **rig
         Of `rfpipe.rigs.SimulatedRig`.
     """
@@ -123,13 +122,8 @@ def by_server(
     ----------
     rays : mapping
         ``camera_shape``, ``projector_shape`` and ``channels``, which must be the rig's.
-    folder : AcquisitionFolder
-    level : int
-    url : str
     token_file : str or None
         None takes the token from the environment.
-    patience_seconds : float
-    placing : Placing, optional
     **options
         Of `rfpipe.stages.capture.run`.
 

@@ -40,7 +40,6 @@ def check_disk(name: str, need: int, folder: Path, present: int = 0) -> None:
         Of the level.
     need, present : int
         Bytes that it takes at most, and those of them that stand in the folder and are replaced.
-    folder : Path
 
     Raises
     ------

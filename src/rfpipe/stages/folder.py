@@ -113,8 +113,6 @@ class AcquisitionFolder:
 
         Parameters
         ----------
-        level : int
-        stage : str
         part : str, optional
             A second store that the stage's manifest describes under this key.
 

@@ -19,10 +19,6 @@ if TYPE_CHECKING:
 def forecast(settings: Config) -> pd.DataFrame:
     """Return a row for each acquisition of a run; nothing is shown or written.
 
-    Parameters
-    ----------
-    settings : Config
-
     Returns
     -------
     pandas.DataFrame

@@ -54,7 +54,6 @@ def run(
 
     Parameters
     ----------
-    folder : AcquisitionFolder
     level : int
         Level 0 also learns the black level, the defects and the floodlit image, and whether the
         rig is coaxial, where random patterns were taken for that.
@@ -72,7 +71,6 @@ def run(
         code made are kept.
     sensor : Sensor, optional
         The one that took the frames; by default as its capture left it.
-    progress : bool
     resources : Resources, optional
         Memory and threads; nothing that is written depends on them.
 

@@ -131,7 +131,6 @@ class Merger:
 
         Parameters
         ----------
-        sensor : Sensor
         black_frames : iterable of ndarray, shape (B, E, ...)
             Brackets of the all-off pattern, a few at a time; used up before the others.
         floodlit_frames : iterable of ndarray, shape (B, E, ...)

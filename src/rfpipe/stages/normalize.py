@@ -31,11 +31,9 @@ class NormalizedImages:
 
     Parameters
     ----------
-    schedule : Schedule
     frames : object
         ``read(first, last)`` returns radiance and variance, (B, 2, *camera_shape, C); None for a
         level without patterns.
-    normalization : Normalization
     """
 
     schedule: Schedule
@@ -86,14 +84,12 @@ def normalize_level(
 
     Parameters
     ----------
-    schedule : Schedule
     level_sum : LevelSum
         Sum of the level's images and of their variance.
     floodlit : tuple of two ndarrays of float32, shape (*camera_shape, C)
         The floodlit image and its variance.
     known : ndarray of float32, shape (*camera_shape, C), or None
         Light of the rays that the level does not light, see `known_light`.
-    mode : {"none", "per_channel", "total_energy"}
     significance : float
         Standard deviations that make a sum significant.
     """
@@ -118,10 +114,6 @@ def run(plan: Plan, folder: AcquisitionFolder, level: int, *, mode: Mode, code: 
 
     Parameters
     ----------
-    plan : Plan
-    folder : AcquisitionFolder
-    level : int
-    mode : {"none", "per_channel", "total_energy"}
     code : str
         Digest of the code behind the stage.
     """

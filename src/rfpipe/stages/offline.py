@@ -56,14 +56,13 @@ class OfflineAcquisition:
             )
         self._level, self._options = 0, dict[str, Any]()
 
-    def advance(self, rig: OfflineRig, resources: Resources | None = None) -> int | None:
+    def advance(self, rig: OfflineRig) -> int | None:
         """Do all that can be done with a rig's pictures.
 
         Parameters
         ----------
         rig : OfflineRig
             As `rig`; with pictures, or without.
-        resources : Resources, optional
 
         Returns
         -------
@@ -82,7 +81,7 @@ class OfflineAcquisition:
 
         plan = Plan(**plan_of(self.settings, self.scene, self.name))
         stages = stages_of(self.settings, self.scene, self.name)
-        resources = resources or Resources(self.settings.resources.memory_gib)
+        resources = Resources(self.settings.resources.memory_gib)
         try:
             with StoreLock(self.folder):
                 acquisition.run(plan, self._files, captured, stages, resources)
@@ -108,7 +107,6 @@ class OfflineAcquisition:
 
         Parameters
         ----------
-        rig : OfflineRig
         folder : Path
             Of all sheets; this one has a folder in it.
         settings_file, results : Path

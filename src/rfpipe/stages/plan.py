@@ -82,7 +82,6 @@ class Plan:
 
         Parameters
         ----------
-        folder : AcquisitionFolder
         aloud : bool
             Whether to log what the rig was found to be.
 
@@ -178,7 +177,6 @@ def stages_of(config: Config, scene: str, name: str) -> dict[str, dict[str, Any]
 
     Parameters
     ----------
-    config : Config
     scene, name : str
         The acquisition: a scene and a method's section.
 

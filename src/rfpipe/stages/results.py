@@ -32,7 +32,6 @@ def standing(manifest: Path, made_from: str) -> dict[str, Any] | None:
 
     Parameters
     ----------
-    manifest : Path
     made_from : str
         Fingerprint of all that the stage would make its store from.
     """
@@ -63,10 +62,8 @@ def write_bundle(
 
     Parameters
     ----------
-    manifest : Path
     made_from : str
         Fingerprint of all that it is made from.
-    arrays : mapping of str to ndarray
     facts : dict
         Plain data for the manifest: stage, level, units, counts.
     **more

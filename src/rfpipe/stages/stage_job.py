@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from rfpipe.errors import DamagedStageError
-from rfpipe.stages import captures
 from rfpipe.stages.folder import AcquisitionFolder, clear
 from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.workers import Resources
@@ -48,7 +47,9 @@ class StageJob:
 
     @cached_property
     def capture(self) -> Callable[..., None]:
-        """The capture stage with its rig."""
+        """The capture stage with its rig, which alone loads what rigs need."""
+        from rfpipe.stages import captures
+
         return captures.of_job(self)
 
     def do(self, rule: str) -> None:

@@ -95,7 +95,6 @@ def watching_level(
     ----------
     of_level : Brackets
         Of the level's patterns; their store, if there is one, is that of this capture.
-    level : int
     drift_patterns : int
         Patterns from one look at the lamp to the next, 0 for none.
     mode : {"off", "warn", "refuse"}

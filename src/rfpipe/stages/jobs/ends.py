@@ -39,7 +39,6 @@ def notify(command: str | None, status: Literal["done", "failed"], log: str) -> 
     command : str or None
         A program and its arguments, quoted as for a shell, which isn't used. It finds
         ``RFPIPE_STATUS`` and ``RFPIPE_LOG`` in its environment and has a minute. None does nothing.
-    status : {"done", "failed"}
     log : str
         Snakemake's log file.
     """

@@ -36,7 +36,6 @@ class Progress:
         What is counted, if no patterns; its plural has an s.
     quick : bool
         Whether it goes unsaid that it ended where it took seconds.
-    shown : bool
     """
 
     def __init__(
