@@ -78,7 +78,7 @@ def _of_each(title: str, settings: type[Described]) -> str:
         for row in _rows(own):
             having.setdefault(row, []).append(f"`{name}`")
     rows = sorted(having.items(), key=lambda each: (-len(each[1]), each[1]))
-    return _table(title, ((*row, ", ".join(names)) for row, names in rows))
+    return _table(title, ((*row, _some(names)) for row, names in rows))
 
 
 def _table(title: str, rows: Iterable[tuple[str, ...]], said: str = "") -> str:
@@ -93,3 +93,9 @@ def _table(title: str, rows: Iterable[tuple[str, ...]], said: str = "") -> str:
 
 def _line(cells: Iterable[str]) -> str:
     return " | ".join(["", *(cell.replace("|", "\\|") for cell in cells), ""]).strip()
+
+
+def _some(names: list[str]) -> str:
+    """Name some, and count those beyond four."""
+    more = len(names) - 4
+    return ", ".join(names) if more < 1 else f"{', '.join(names[:4])} and {more} more"
