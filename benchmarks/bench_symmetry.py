@@ -21,9 +21,13 @@ from scipy.ndimage import gaussian_filter
 import rfpipe
 from benchmarks.harness import errors, write
 from benchmarks.localise_errors import recorded
-from rfpipe.calibration.symmetry import take_symmetry
+from rfpipe.calibration.symmetry import (
+    measure_symmetry,
+    merged_pictures,
+    symmetry_patterns,
+    worst_of,
+)
 from rfpipe.photometry import CameraModel
-from rfpipe.photometry.symmetry import measure_symmetry
 from rfpipe.scenes import planes_scene
 from rfpipe.scenes.relighting import relighting_patterns
 
@@ -92,8 +96,10 @@ RIGS: dict[str, tuple[Callable[[Array], Array], float]] = {
 
 def predicted(rig: rfpipe.OperatorRig, count: int, seed: int) -> float:
     """Return the error that `count` random patterns of single rays predict."""
-    floodlit, variance, pictures = take_symmetry(rig, count, _FLOODLIT, seed)
-    return measure_symmetry(floodlit, variance, pictures[:1]).worst.predicted
+    groups = list(symmetry_patterns((SIDE, SIDE), count, _FLOODLIT, seed))[:3]
+    lit = np.concatenate([signs > 0 for _, signs in groups]).astype(np.float32)
+    frames = rig.capture(lit, [(0, index) for index in range(len(lit))])
+    return worst_of(measure_symmetry(*merged_pictures(frames, rig.sensor, groups))).predicted
 
 
 def rows() -> Iterator[dict[str, Any]]:

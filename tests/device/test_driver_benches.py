@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from rfpipe import acquire
-from rfpipe.calibration import load
-from rfpipe.calibration.job import calibrate_rig
+from rfpipe.calibration.folder import calibrate_rig
 from rfpipe.config import parse_rig_config
 from rfpipe.errors import ConfigError, InputError
 from rfpipe.rigs.bench import software_bench
 from rfpipe.rigs.build import rig_from_config
+from rfpipe.rigs.calibrated import load_calibration
 from rfpipe.scenes import scene_from_config
 from rfpipe.scenes.relighting import relighting_patterns
 from rfpipe.testing import RigContract
@@ -113,7 +113,7 @@ class TestWebcamBench(RigContract):
 def test_calibrated_it_acquires_and_relights_the_scene(kind: Kind, tmp_path: Path) -> None:
     folder = tmp_path / "calibration"
     calibrate_rig(parse_rig_config(settings(kind), "rig.yaml"), folder)
-    found = load(folder)
+    found = load_calibration(folder)
     true = {**kind.sensor, **(kind.true or {})}
     assert found.camera["black_level_counts"] == pytest.approx(true["black_level_counts"], abs=0.5)
     assert found.camera["full_well_electrons"] == pytest.approx(20_000, rel=0.05)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import CaptureError
-from rfpipe.photometry import CameraModel, ExactSensor, MergeOptions, Response, counts
+from rfpipe.photometry import CameraModel, ExactSensor, MergeOptions
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
 from rfpipe.stages.jobs.workers import Resources, Workers
@@ -31,69 +30,6 @@ def captured(camera: CameraModel, count: int = 3) -> tuple[np.ndarray, np.ndarra
     off = np.mean([camera.expose(dark, 1, (9, index)) for index in range(4)], axis=0)
     frames[:, :, 2, 3], off[:, 2, 3] = camera.white_level, camera.white_level
     return frames, off.astype(np.float32)
-
-
-CURVE = Response(np.linspace(0, 1, 5), np.linspace(0, 1, 5) ** 1.8)
-
-
-@pytest.mark.parametrize(
-    ("camera", "response"),
-    [
-        (CAMERA, None),
-        (replace(CAMERA, response_gamma=2.2), None),
-        (CAMERA, CURVE),
-        (replace(CAMERA, bayer="RGGB"), None),
-        (replace(CAMERA, exposures=(0.01,), bits=8, black_level_counts=4), None),
-        (replace(CAMERA, bits=16, black_level_counts=600), None),
-    ],
-    ids=["linear", "bent", "recovered", "mosaic", "one exposure", "16 bits"],
-)
-@pytest.mark.parametrize("fraction", [0.98, 1.0])
-def test_the_compiled_merge_gives_the_bits_of_the_plain_one(
-    monkeypatch: pytest.MonkeyPatch, camera: CameraModel, response: Response | None, fraction: float
-) -> None:
-    """So that the merge may stand twice, and when which one runs changes no result.
-
-    NumPy's is the reference, and soon done where there is little to merge; the compiled one passes
-    over each sample once, but takes a second or so to load, see `counts.COMPILED_AFTER`.
-    """
-    frames, off = captured(camera)
-    options = MergeOptions(4, fraction, response)
-    plain = camera.merge(frames, off, options)
-    monkeypatch.setattr(counts, "COMPILED_AFTER", 0)
-    compiled = camera.merge(frames, off, options)
-    assert compiled.saturated == plain.saturated > 0
-    np.testing.assert_array_equal(compiled.radiance, plain.radiance)
-    np.testing.assert_array_equal(compiled.variance, plain.variance)
-
-
-def test_the_merge_is_compiled_once_it_has_enough_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    frames, off = captured(CAMERA)
-    monkeypatch.setattr(counts, "COMPILED_AFTER", frames.size)
-    assert ways(CAMERA.merging(off), frames, monkeypatch) == [PLAIN, COMPILED, COMPILED]
-    known = CAMERA.merging(off, MergeOptions(brackets=3))
-    assert ways(known, frames, monkeypatch) == [COMPILED] * 3
-    known = CAMERA.merging(off, MergeOptions(brackets=2))
-    assert ways(known, frames, monkeypatch) == [PLAIN, COMPILED, COMPILED]
-
-
-PLAIN, COMPILED = "_by_numpy", "_by_kernel"
-
-
-def ways(merge: Any, frames: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """How three batches are merged."""
-    used: list[str] = []
-    for name in (PLAIN, COMPILED):
-        method: Callable[..., Any] = getattr(merge, name)
-
-        def said(*given: Any, name: str = name, method: Callable[..., Any] = method) -> Any:
-            used.append(name)
-            return method(*given)
-
-        monkeypatch.setattr(merge, name, said)
-    for _ in range(3):
-        merge(frames)
-    return used
 
 
 @pytest.mark.parametrize("camera", [CAMERA, replace(CAMERA, bayer="GRBG"), ExactSensor()])

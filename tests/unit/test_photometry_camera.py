@@ -9,8 +9,8 @@ import pytest
 from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel, ExactSensor, sensor_from_config
+from rfpipe.photometry.camera import apply_optics
 from rfpipe.photometry.demosaic import mosaic
-from rfpipe.photometry.optics import apply_optics
 from rfpipe.provenance import fingerprint
 
 QUIET = CameraModel(read_noise_electrons=0.0, dark_current_electrons=0.0)

@@ -7,8 +7,7 @@ import pytest
 
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, ExactSensor, MergeOptions, Sensor
-from rfpipe.photometry.checks import check_floodlit
-from rfpipe.photometry.defects import DarkFrames, DefectMap, find_defects
+from rfpipe.photometry.defects import DarkFrames, DefectMap, check_floodlit, find_defects
 
 CAMERA = CameraModel()
 

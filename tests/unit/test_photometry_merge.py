@@ -8,7 +8,7 @@ import pytest
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry import CameraModel, ExactSensor, Merged, MergeOptions
 from rfpipe.photometry.demosaic import demosaic, mosaic
-from rfpipe.photometry.hdr import UNKNOWN_DEVIATION, merge_bracket
+from rfpipe.photometry.merge import UNKNOWN_DEVIATION, merge_bracket
 
 CAMERA = CameraModel()
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import InputError
+from rfpipe.photometry.camera import apply_optics
 from rfpipe.photometry.demosaic import demosaic, mosaic
 from rfpipe.photometry.normalize import MAXIMUM_GAIN, Mode, Normalization, apply, level_gain
-from rfpipe.photometry.optics import apply_optics
 
 SHAPE = (8, 10, 3)
 NONE = np.zeros(SHAPE)

@@ -16,7 +16,7 @@ from rfpipe.photometry import (
     Resampling,
     sensor_from_description,
 )
-from rfpipe.photometry.checks import check_floodlit
+from rfpipe.photometry.defects import check_floodlit
 from rfpipe.photometry.demosaic import BAYER_PATTERNS, demosaic, filled_in
 from rfpipe.photometry.resampling import applied, normalised
 from rfpipe.stages.merger import Merger

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from rfpipe import open_transport
-from rfpipe.calibration.mapping import fit_map
+from rfpipe.calibration.correspondence import fit_map
 from rfpipe.config import load_rig_config
 from rfpipe.rigs.bench import optical_path
 from rfpipe.rigs.geometry import pixel_middles

@@ -17,8 +17,8 @@ from tests.workflow.harness import TINY, Workflow
 from tests.workflow.stagewise import CAMERA, SHAPE, FaultyRig, damage, left, matrix_rig
 from tests.workflow.stagewise import acquire as acquire_matrix
 
-from rfpipe.calibration import CalibrationFolder
-from rfpipe.calibration.base import Findings, Verdict
+from rfpipe.calibration.folder import CalibrationFolder
+from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.errors import IntegrityError
 from rfpipe.stages.brackets import Brackets
 from rfpipe.stages.checking.run import check, command_for

@@ -2,8 +2,8 @@
 
 if SETTINGS.rig_file is not None:
 
-    from rfpipe.calibration import steps_of
-    from rfpipe.calibration.job import settings_of_step
+    from rfpipe.calibration.folder import settings_of_step
+    from rfpipe.calibration.steps import steps_of
     from rfpipe.config import load_rig_config
 
     RIG = load_rig_config(SETTINGS.rig_file)

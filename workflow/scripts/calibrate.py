@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from rfpipe.calibration import CalibrationFolder, finish
+from rfpipe.calibration.folder import CalibrationFolder, finish
 from rfpipe.config import CalibrationConfig
 from rfpipe.report.calibration import build_calibration_report
 from rfpipe.stages.jobs.job import start

@@ -1,6 +1,6 @@
 from pathlib import Path
 
-from rfpipe.calibration.job import calibrate_rig
+from rfpipe.calibration.folder import calibrate_rig
 from rfpipe.config import RigConfig
 from rfpipe.stages.jobs.job import start
 from rfpipe.stages.jobs.progress import Progress

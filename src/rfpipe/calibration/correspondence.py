@@ -1,186 +1,372 @@
-"""Which point of the projector each camera pixel looks at."""
+"""Which point of the projector each camera pixel looks at, the smooth map behind it, and blur."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.base import Findings, Measured, Verdict, take
-from rfpipe.calibration.codes import AxisCode
-from rfpipe.calibration.dark import Dark
-from rfpipe.photometry import CameraModel, MergeOptions
-from rfpipe.rigs.devices import Camera, Projector
-
-__all__ = [
-    "Correspondence",
-    "correspondence_findings",
-    "measure_correspondence",
-    "structured_light",
-    "take_radiance",
-]
+from rfpipe.calibration.verdicts import Findings
+from rfpipe.errors import CaptureError
+from rfpipe.photometry.defects import MAD_TO_DEVIATION
+from rfpipe.rigs.geometry import apply_homography, pixel_middles
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-LEAST_PIXELS = 100
-LEAST_DECODED = 0.7
-"""Share of the lit pixels to be decoded; at the outline, and on what is black, none are."""
+LEAST_POINTS = 30
+"""Points of correspondence that a map is fitted to, at least."""
 
-WANTED = 0.1
-"""Standard error in projector pixels up to which single camera pixels are sharp."""
+_CELLS = 4
+# Cells of the Gray code a period: half a cell and one misread neighbour are still less than the
+# half period up to which the phase is unwrapped rightly.
 
-
-@dataclass(frozen=True, eq=False)
-class Correspondence(Measured):
-    """Where on the projector each camera pixel looks; pixels from its upper left corner.
-
-    Attributes
-    ----------
-    x, y : ndarray of float32, shape (Hc, Wc)
-        To the right and downwards; a projector pixel's middle lies at halves. Means nothing where
-        not valid.
-    error : ndarray of float32, shape (Hc, Wc)
-        Standard error by the noise, the larger of both axes.
-    modulation : ndarray of float32, shape (Hc, Wc)
-        The sinusoids' amplitude over its noise, the smaller of both axes.
-    contrast : ndarray of float32, shape (2, Hc, Wc)
-        Of stripes of one period over those of two, along x and along y; see `Decoded`.
-    valid : ndarray of bool, shape (Hc, Wc)
-    projector_shape : (int, int)
-    period_pixels : int
-        Of the stripes, in projector pixels.
-    """
-
-    x: Float
-    y: Float
-    error: Float
-    modulation: Float
-    contrast: Float
-    valid: NDArray[np.bool_]
-    projector_shape: tuple[int, int]
-    period_pixels: int
-
-    @property
-    def points(self) -> Double:
-        """Where the pixels look, as (x, y), float64 (Hc, Wc, 2)."""
-        return np.stack([self.x, self.y], axis=-1, dtype=np.float64)
+_COARSER = 2  # period of the second sinusoids over that of the first; both tell the blur
+_WEAK = 3.0  # standard deviations below which a bit is not told from its inverse
+_INLIER = 4.0  # robust deviations up to which a point belongs to the map
 
 
-def structured_light(shape: tuple[int, int], period: int, steps: int) -> Iterator[Float]:
-    """Yield the pictures: those that tell x, then those that tell y.
+@dataclass(frozen=True)
+class AxisCode:
+    """The pictures that tell one coordinate of the projector: Gray code, and sinusoids.
+
+    A coordinate counts pixels from the picture's edge: a pixel's middle lies at a half.
 
     Parameters
     ----------
-    shape : (int, int)
-        Height and width of the projector in pixels.
-    period, steps : int
-        See `AxisCode`.
+    extent : int
+        Pixels along the axis.
+    period : int
+        Pixels of a sinusoid's period, a multiple of 4, at least 8.
+    steps : int
+        Sinusoids, 3 or more; with n of them, harmonics up to n - 2 don't bend the phase.
     """
-    for axis, extent in ((1, shape[1]), (0, shape[0])):
-        for line in AxisCode(extent, period, steps).lines():
-            yield np.broadcast_to(np.expand_dims(line, 1 - axis), shape).astype(np.float32)
+
+    extent: int
+    period: int = 16
+    steps: int = 6
+
+    @property
+    def bits(self) -> int:
+        """Bits of the Gray code, whose cells are a quarter of a period."""
+        return max(1, (-(-self.extent // (self.period // _CELLS)) - 1).bit_length())
+
+    def lines(self) -> list[Float]:
+        """Return the weights along the axis of each picture: bits, each inverted; sinusoids."""
+        pixel = np.arange(self.extent)
+        cell = pixel // (self.period // _CELLS)
+        lines = []
+        for bit in reversed(range(self.bits)):
+            code = ((cell ^ (cell >> 1)) >> bit & 1).astype(np.float32)
+            lines += [code, 1 - code]
+        for period in (self.period, _COARSER * self.period):
+            for step in range(self.steps):
+                phase = 2 * np.pi * ((pixel + 0.5) / period - step / self.steps)
+                lines.append((0.5 + 0.5 * np.cos(phase)).astype(np.float32))
+        return lines
+
+    def decode(self, images: Double, variance: Double) -> dict[str, NDArray[Any]]:
+        """Return arrays (...) over the camera's pixels, for images under `lines`.
+
+        Parameters
+        ----------
+        images, variance : ndarray of float64, shape (pictures, ...)
+            Radiance and its variance.
+
+        Returns
+        -------
+        dict
+            ``coordinate``; ``error``, its standard error by the noise; ``modulation``, amplitude
+            of the sinusoids over its error; ``contrast``, amplitude over that of twice the period,
+            1 where neither blur nor the pixel's extent takes any (indirect light is smooth, and has
+            no share in either); ``valid``, where the sinusoids rise above the noise of as many
+            pixels, at most one bit is weak and the coordinate lies on the projector.
+        """
+        split = 2 * self.bits
+        bright, inverse = images[:split:2], images[1:split:2]
+        spread = np.sqrt(variance[:split:2] + variance[1:split:2])
+        weak = (np.abs(bright - inverse) <= _WEAK * spread).sum(axis=0)
+        binary = np.logical_xor.accumulate(bright > inverse, axis=0)
+        cell = np.tensordot(1 << np.arange(self.bits)[::-1], binary, 1)
+        coarse = (cell + 0.5) * (self.period // _CELLS)
+        amplitude, phase = self._wave(images[split : split + self.steps])
+        smooth, _ = self._wave(images[split + self.steps :])
+        noise = np.sqrt(variance[split:].mean(axis=0) * 2 / self.steps)
+        fine = self.period * phase / (2 * np.pi)
+        coordinate = fine + self.period * np.round((coarse - fine) / self.period)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            modulation = np.where(noise > 0, amplitude / noise, np.inf)
+            contrast = np.where(smooth > _WEAK * noise, amplitude / smooth, 0)
+        # an error of more than a period means nothing
+        error = self.period / np.maximum(2 * np.pi * modulation, 1)
+        # noise alone gives amplitudes up to about sqrt(2 log n)
+        least = _WEAK + np.sqrt(2 * np.log(max(amplitude.size, 2)))
+        valid = (modulation > least) & (amplitude > 0) & (weak <= 1)
+        valid &= (coordinate >= 0) & (coordinate <= self.extent)
+        return {
+            "coordinate": coordinate, "error": error, "modulation": modulation,
+            "contrast": contrast, "valid": valid,
+        }  # fmt: skip
+
+    def _wave(self, images: Double) -> tuple[Double, Double]:
+        """Return amplitude and phase of sinusoids shifted step by step, (steps, ...)."""
+        turn = np.exp(2j * np.pi * np.arange(self.steps) / self.steps)
+        wave = np.tensordot(turn, images, 1) * 2 / self.steps
+        return np.abs(wave), np.angle(wave)
 
 
-def take_radiance(
-    projector: Projector,
-    camera: Camera,
-    model: CameraModel,
-    dark: Dark,
-    pictures: Iterable[Float],
-) -> Iterator[tuple[Float, Float]]:
-    """Show pictures; yield merged radiance and variance of each, (Hc, Wc, C)."""
-    merge = model.merging(dark.black, MergeOptions(dark.frames))
-    for frames in take(projector, camera, pictures):
-        merged = merge(frames[None])
-        yield merged.radiance[0], merged.variance[0]
+def structured_light(shape: tuple[int, int], period: int, steps: int) -> list[Float]:
+    """Return the pictures of a projector (H, W): those that tell x, then those that tell y."""
+    return [
+        np.broadcast_to(np.expand_dims(line, axis), shape)
+        for axis, extent in ((0, shape[1]), (1, shape[0]))
+        for line in AxisCode(extent, period, steps).lines()
+    ]
 
 
 def measure_correspondence(
-    images: Iterable[tuple[Float, Float]], shape: tuple[int, int], period: int, steps: int
-) -> Correspondence:
+    images: Iterable[tuple[Double, Double]],
+    shape: tuple[int, int],
+    period: int,
+    steps: int,
+    lit: Mask | None = None,
+) -> Findings:
     """Decode structured light.
 
     Parameters
     ----------
-    images : iterable of (radiance, variance), each float32 (Hc, Wc, C)
+    images : iterable of (radiance, variance), each (Hc, Wc)
         Under the pictures of `structured_light`.
     shape : (int, int)
         Of the projector.
     period, steps : int
         As the pictures were made with.
+    lit : ndarray of bool, shape (Hc, Wc), optional
+        Where the projector's own light falls; most of it should be decoded.
+
+    Returns
+    -------
+    Findings
+        Arrays (Hc, Wc): ``x`` and ``y``, projector pixels from its upper left corner;
+        ``error`` and ``modulation``, those of the worse axis; ``contrast`` (2, Hc, Wc); ``valid``.
     """
-    remaining = iter(images)
-    decoded = []
-    for extent in (shape[1], shape[0]):
-        code = AxisCode(extent, period, steps)
-        # channels together: the light is white
-        grey = [
-            (radiance.sum(axis=-1, dtype=np.float64), variance.sum(axis=-1, dtype=np.float64))
-            for _, (radiance, variance) in zip(range(code.count), remaining, strict=False)
-        ]
-        decoded.append(code.decode(*(np.stack(part) for part in zip(*grey, strict=True))))
-    x, y = decoded
-    error, modulation = np.maximum(x.error, y.error), np.minimum(x.modulation, y.modulation)
-    return Correspondence(
-        x.coordinate.astype(np.float32),
-        y.coordinate.astype(np.float32),
-        error.astype(np.float32),
-        modulation.astype(np.float32),
-        np.stack([x.contrast, y.contrast], dtype=np.float32, casting="same_kind"),
-        x.valid & y.valid,
-        shape,
-        period,
+    taken = list(images)
+    half = len(AxisCode(shape[1], period, steps).lines())
+    x, y = (
+        AxisCode(extent, period, steps).decode(
+            *(np.stack(part) for part in zip(*axis, strict=True))
+        )
+        for extent, axis in ((shape[1], taken[:half]), (shape[0], taken[half:]))
     )
+    valid = x["valid"] & y["valid"]
+    count, is_few = int(valid.sum()), valid.sum() < 100
+    error = np.maximum(x["error"], y["error"]).astype(np.float32)
+    of_lit = None if is_few or lit is None or not lit.any() else float(valid[lit].mean())
+    is_sparse = is_few or (of_lit is not None and of_lit < 0.7)
+    facts = {
+        "projector_shape": list(shape),
+        "period_pixels": period,
+        "valid_pixels": count,
+        "valid_share": float(valid.mean()),
+        "decoded_of_lit": of_lit,
+        "median_error_pixels": None if is_sparse else float(np.median(error[valid])),
+    }
+    arrays = {
+        "x": x["coordinate"].astype(np.float32),
+        "y": y["coordinate"].astype(np.float32),
+        "error": error,
+        "modulation": np.minimum(x["modulation"], y["modulation"]).astype(np.float32),
+        "contrast": np.stack([x["contrast"], y["contrast"]]).astype(np.float32),
+        "valid": valid,
+    }
+    return Findings.of("correspondence", facts, arrays)
 
 
-def correspondence_findings(
-    correspondence: Correspondence, lit: NDArray[np.bool_] | None = None
-) -> Findings:
-    """Return the step's findings, with a verdict on how many pixels are valid, and how sharp.
+def points_of(correspondence: Findings) -> Double:
+    """Return the projector points (Hc, Wc, 2), as (x, y), of a measured correspondence."""
+    return np.stack([correspondence["x"], correspondence["y"]], axis=-1, dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothMap:
+    """A homography from camera to projector, and the lens distortion that it leaves.
+
+    Both take points (x, y) in pixels from a picture's upper left corner.
+
+    Attributes
+    ----------
+    homography : ndarray of float64, shape (3, 3)
+    distortion : ndarray of float64, shape (10, 2), or None
+        Coefficients of a polynomial of degree 3 in normalised camera coordinates, added to it.
+    centre, scale : ndarray of float64, shape (2,); float
+        Of these coordinates.
+    points, inliers : int
+        Points fitted to, and those of them that belong to the map.
+    rms : float
+        Distance of a measured inlier from the map, in projector pixels: noise, texture and what
+        the map can't describe.
+    error : float
+        Mean standard error of the map itself at its points, in projector pixels.
+    """
+
+    homography: Double
+    distortion: Double | None
+    centre: Double
+    scale: float
+    points: int
+    inliers: int
+    rms: float
+    error: float
+
+    def __call__(self, points: Double) -> Double:
+        """Return the projector's points (..., 2) of camera points (..., 2)."""
+        mapped = apply_homography(self.homography, points)
+        if self.distortion is None:
+            return mapped
+        return mapped + _terms((points - self.centre) / self.scale) @ self.distortion
+
+    def facts(self) -> dict[str, Any]:
+        """Plain data for reports."""
+        return {
+            "homography": self.homography.tolist(),
+            "distortion": None if self.distortion is None else self.distortion.tolist(),
+            "centre": self.centre.tolist(),
+            "scale": self.scale,
+            "points": self.points,
+            "inliers": self.inliers,
+            "rms_pixels": self.rms,
+            "error_pixels": self.error,
+        }
+
+
+def map_of_pixels(correspondence: Findings, inside: Mask) -> SmoothMap:
+    """Fit the map from camera to projector to some of the camera's pixels."""
+    from scipy.ndimage import binary_erosion, binary_fill_holes
+
+    # at the edge of what is lit blur moves the light's centre inwards, which looks like distortion;
+    # holes are no edges
+    filled = binary_fill_holes(inside)
+    margins = (inside & binary_erosion(filled, iterations=margin) for margin in range(6, 0, -1))
+    least = max(4 * LEAST_POINTS, 0.25 * inside.sum())
+    inner = next((one for one in margins if one.sum() >= least), inside)
+    here, there = pixel_middles(inside.shape), points_of(correspondence)
+    return fit_map(here[inside], there[inside], inner[inside])
+
+
+def fit_map(camera: Double, projector: Double, trusted: Mask | None = None) -> SmoothMap:
+    """Fit a smooth map to points, robust against up to half of them being wrong.
 
     Parameters
     ----------
-    correspondence : Correspondence
-    lit : ndarray of bool, shape (Hc, Wc), optional
-        Where the projector's own light falls; most of it should be decoded.
+    camera, projector : ndarray of float64, shape (n, 2)
+        Points that belong together, n at least `LEAST_POINTS`.
+    trusted : ndarray of bool, shape (n,), optional
+        Points that distortion is judged by; None for all.
+
+    Raises
+    ------
+    CaptureError
+        When there are too few points, or they span no plane.
+
+    Notes
+    -----
+    Camera and projector of a coaxial rig share their centre: whatever the scene's depth, a
+    homography joins their pictures, up to the lenses' distortion. A polynomial is added where it
+    predicts points that it wasn't fitted to.
     """
-    valid = correspondence.valid
-    of_lit = 1.0 if lit is None or not lit.any() else float(valid[lit].mean())
-    share = float(valid.mean())
-    error = float(np.median(correspondence.error[valid])) if valid.any() else None
-    if valid.sum() < LEAST_PIXELS or error is None:
-        verdict = Verdict(
-            "poor",
-            f"Only {int(valid.sum())} camera pixels see the projector's stripes. Check focus, that "
-            "the camera sees what the projector lights, and the exposures; or make the stripes "
-            f"wider than {correspondence.period_pixels} pixels a period.",
+    import cv2
+
+    if len(camera) < LEAST_POINTS:
+        raise CaptureError(
+            f"{len(camera)} points of correspondence; a map needs {LEAST_POINTS} or more"
         )
-    elif of_lit < LEAST_DECODED:
-        verdict = Verdict(
-            "poor",
-            f"Only {of_lit:.0%} of the camera's pixels that the projector lights are decoded; "
-            f"{LEAST_DECODED:.0%} are wanted. They are saturated, too dark or out of focus: mend "
-            "exposures and focus first.",
-        )
-    elif error > WANTED:
-        verdict = Verdict(
-            "poor",
-            f"{share:.0%} of the camera's pixels are decoded, but their noise is {error:.2f} "
-            f"projector pixels, above {WANTED}: use longer exposures.",
-        )
-    else:
-        verdict = Verdict(
-            "good",
-            f"{share:.0%} of the camera's pixels are decoded, with a noise of {error:.3f} "
-            "projector pixels.",
-        )
-    return correspondence.findings(
-        verdict,
-        valid_pixels=int(valid.sum()),
-        valid_share=share,
-        decoded_of_lit=of_lit,
-        median_error_pixels=error,
-    )
+    matrix, _ = cv2.findHomography(camera, projector, cv2.LMEDS)
+    if matrix is None:
+        raise CaptureError("the points of correspondence span no plane; check the structured light")
+    inlier = _inliers(projector - apply_homography(np.asarray(matrix), camera))
+    homography = np.asarray(cv2.findHomography(camera[inlier], projector[inlier], 0)[0], np.float64)
+    centre = camera.mean(axis=0)
+    scale = float(np.abs(camera - centre).max())
+    rest = projector - apply_homography(homography, camera)
+    # lenses bend lines by far more than the noise of a pixel: look at all but gross errors
+    near = np.flatnonzero(_inliers(rest, 3 * _INLIER) & (True if trusted is None else trusted))
+    terms, distortion = _terms((camera - centre) / scale), None
+    halves = near[::2], near[1::2]
+    if len(near) > 10 * terms.shape[1]:
+        left = [
+            rest[test] - terms[test] @ np.linalg.lstsq(terms[train], rest[train])[0]
+            for train, test in (halves, halves[::-1])
+        ]
+        # a gain of a fifth is more than chance
+        if np.square(np.concatenate(left)).mean() < 0.8**2 * np.square(rest[near]).mean():
+            distortion = np.asarray(np.linalg.lstsq(terms[near], rest[near])[0], np.float64)
+            rest = rest - terms @ distortion
+            inlier = _inliers(rest)
+    rms = float(np.sqrt(np.square(rest[inlier]).sum(axis=1).mean()))
+    parameters, count = 8 + (0 if distortion is None else distortion.size), int(inlier.sum())
+    # the mean over the fitted points of the fit's own variance is rms^2 parameters / (2 n)
+    error = rms * float(np.sqrt(parameters / (2 * count)))
+    return SmoothMap(homography, distortion, centre, scale, len(camera), count, rms, error)
+
+
+def fit_blur(correspondence: Findings, maps: Sequence[SmoothMap]) -> tuple[float, float]:
+    """Measure the blur of lens and projector as that of a Gaussian, the same all over the picture.
+
+    Parameters
+    ----------
+    correspondence : Findings
+    maps : sequence of SmoothMap
+        Of each view.
+
+    Returns
+    -------
+    blur, error : float
+        Standard deviation in camera pixels, 0 where it isn't significant; standard error of its
+        square.
+
+    Notes
+    -----
+    A Gaussian of deviation s takes ``exp(-2 pi^2 s^2 / P^2)`` of the amplitude of stripes of period
+    P, a pixel's extent a ``sinc(a / P)``. The amplitude at P over that at 2 P needs neither the
+    surface's albedo nor the indirect light, which stripes don't modulate.
+    """
+    measured, valid = points_of(correspondence), correspondence["valid"]
+    period = float(correspondence["period_pixels"])
+    points, squares = pixel_middles(valid.shape), []
+    for to_projector in maps:
+        right, down = np.array([0.5, 0]), np.array([0, 0.5])
+        ahead = to_projector(points + right) - to_projector(points - right)
+        below = to_projector(points + down) - to_projector(points - down)
+        step = np.sqrt(np.square(ahead) + np.square(below))
+        off = np.linalg.norm(measured - to_projector(points), axis=-1)
+        own = valid & (off < step.max(axis=-1))
+        for axis, contrast in enumerate(correspondence["contrast"]):
+            chosen = own & (contrast > 0)
+            extents = np.stack([ahead[chosen, axis], below[chosen, axis], np.ones(chosen.sum())])
+            sharp, coarse = (np.sinc(extents / p).prod(axis=0) for p in (period, _COARSER * period))
+            lost = np.log(sharp / coarse / contrast[chosen])
+            factor = 2 * np.pi**2 * (1 - _COARSER**-2) / period**2
+            squares.append(lost / factor / np.square(step[chosen, axis]))
+    values = np.concatenate(squares)
+    if not values.size:
+        return 0.0, float("inf")
+    square = float(np.median(values))
+    spread = MAD_TO_DEVIATION * float(np.median(np.abs(values - square)))
+    error = 1.2533 * spread / float(np.sqrt(values.size))
+    return (float(np.sqrt(square)) if square > 3 * error else 0.0), error
+
+
+def _inliers(residual: Double, deviations: float = _INLIER) -> Mask:
+    distance = np.hypot(*residual.T)
+    typical = MAD_TO_DEVIATION * float(np.median(distance))
+    return np.asarray(distance <= max(deviations * typical, 1e-9))
+
+
+def _terms(points: Double) -> Double:
+    """Return the polynomial's terms at points (..., 2): (..., 10)."""
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=-1)

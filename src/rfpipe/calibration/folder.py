@@ -3,34 +3,32 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping
-from contextlib import nullcontext
+from collections.abc import Iterable
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
-from rfpipe.calibration.base import Findings, Verdict
-from rfpipe.calibration.steps import STEPS, Bench, Step, camera_numbers, steps_of
-from rfpipe.calibration.watched import Progress, WatchedCamera, WatchedProjector
-from rfpipe.config import CalibrationConfig
+from rfpipe.calibration.bench import Bench, DeviceError, Progress, camera_numbers
+from rfpipe.calibration.steps import STEPS, Step, steps_of
+from rfpipe.calibration.verdicts import Findings, Verdict
+from rfpipe.config import CalibrationConfig, RigConfig
 from rfpipe.errors import InputError, IntegrityError, RfpipeError, StoreError
 from rfpipe.photometry import Resampling
 from rfpipe.provenance import fingerprint
+from rfpipe.rigs.build import devices_from_config
 from rfpipe.rigs.calibrated import Calibration, write_calibration
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.rigs.layout import ProjectorLayout
 from rfpipe.store import StoreLock, open_arrays, read_manifest, write_arrays, write_manifest
-
-__all__ = ["CalibrationFolder", "calibrate", "finish"]
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class CalibrationFolder:
-    """Where a calibration lies: a manifest and a store for each step, and its result.
+    """A calibration's folder: a manifest and a store for each step, and its result.
 
     Parameters
     ----------
@@ -52,7 +50,7 @@ class CalibrationFolder:
         return self.manifest(step).is_file()
 
     def read(self, step: str) -> Findings:
-        """Read what a step found.
+        """Read the findings of a step.
 
         Raises
         ------
@@ -77,23 +75,12 @@ class CalibrationFolder:
         verdict = Verdict(manifest["standing"], manifest["verdict"])
         return Findings(verdict, manifest["facts"], arrays)
 
-    def is_all(self, settings: CalibrationConfig, standings: Iterable[str]) -> bool:
-        """Whether all steps of a rig are done, and what each found stands so."""
-        names = [step.name for step in steps_of(settings)]
-        return all(map(self.is_done, names)) and {
-            self.read(name).verdict.standing for name in names
-        } <= set(standings)
-
     def verdicts(self) -> dict[str, dict[str, str]]:
         """Return title, standing and verdict of the steps that are done."""
-        found = {name: read_manifest(self.manifest(name)) for name in STEPS if self.is_done(name)}
+        done = {name: read_manifest(self.manifest(name)) for name in STEPS if self.is_done(name)}
         return {
-            name: {
-                "title": STEPS[name].title,
-                "standing": str(manifest["standing"]),
-                "verdict": str(manifest["verdict"]),
-            }
-            for name, manifest in found.items()
+            name: {"title": STEPS[name].title, **{k: str(one[k]) for k in ("standing", "verdict")}}
+            for name, one in done.items()
         }
 
     def made_for(self, step: str) -> str | None:
@@ -101,7 +88,7 @@ class CalibrationFolder:
         return str(read_manifest(self.manifest(step))["made_for"]) if self.is_done(step) else None
 
     def write(self, step: str, findings: Findings, made_for: str) -> None:
-        """Write what a step found; its manifest last."""
+        """Write the findings of a step; its manifest last."""
         self.path.joinpath("steps").mkdir(parents=True, exist_ok=True)
         self.manifest(step).unlink(missing_ok=True)
         digest = write_arrays(self.store(step), findings.arrays, {})
@@ -118,6 +105,50 @@ class CalibrationFolder:
         )
 
 
+def uncalibrated(config: RigConfig) -> RigConfig:
+    """Return the settings without what an earlier calibration, or a file, knows of the devices."""
+    projector = config.projector
+    if "response" in type(projector.options).model_fields:
+        options = projector.options.model_copy(update={"response": None})
+        projector = projector.model_copy(update={"options": options})
+    return config.model_copy(update={"calibration": None, "projector": projector})
+
+
+def settings_of_step(config: RigConfig, step: Step) -> dict[str, Any]:
+    """Return a rig's settings as plain data, with those of the calibration that shape a step."""
+    shaping = config.calibrate.model_dump(mode="json", include={"coaxial", *step.settings})
+    elsewhere = {"calibrate", "calibration", "seconds_per_pattern"}
+    return {**config.model_dump(mode="json", exclude=elsewhere), "calibrate": shaping}
+
+
+def calibrate_rig(
+    config: RigConfig,
+    folder: Path,
+    only: Iterable[str] | None = None,
+    progress: Progress | None = None,
+    *,
+    again: bool = False,
+) -> CalibrationFolder:
+    """Open the devices of a rig, do the steps of its calibration, and give the devices back.
+
+    Parameters as `calibrate`.
+
+    Raises
+    ------
+    ConfigError
+        When the rig is a simulated one, which has no devices.
+    CaptureError
+        When a device fails; steps that are done stay.
+    """
+    place = CalibrationFolder(folder)
+    projector, camera = devices_from_config(uncalibrated(config))
+    with closing(projector), closing(camera):
+        calibrate(
+            projector, camera, place, config.calibrate, config.rays, only, progress, again=again
+        )
+    return place
+
+
 def calibrate(
     projector: Projector,
     camera: Camera,
@@ -131,12 +162,12 @@ def calibrate(
 ) -> None:
     """Do the steps that aren't done yet for these devices and settings.
 
-    A step is done anew where a device, its settings or a step that it needs changed; what it found
-    before is replaced only when the new measurement is complete. Once all are done, and one found
-    a fault, all are done anew: who mends a fault moves the rig.
+    A step is done anew where a device, its settings or a step that it needs changed; its previous
+    findings are replaced only when the new measurement is complete. Once all are done, and one is
+    not good, all are done anew: who mends a fault moves the rig.
 
     A step that can't be measured, as there is no light, has failed, and so have those that need it:
-    that is what they found. A device that fails raises.
+    that is a finding. A device that fails raises.
 
     Parameters
     ----------
@@ -172,19 +203,35 @@ def calibrate(
         )
     folder.path.mkdir(parents=True, exist_ok=True)
     devices = {"projector": projector.describe(), "camera": camera.describe()}
-    bench = Bench(projector, camera, settings, rays, {})
     with StoreLock(folder.path / "steps"):
-        if only is None and folder.is_all(settings, ("good", "unknown", "poor", "failed")):
-            again = again or not folder.is_all(settings, ("good", "unknown"))
-        for name, step in steps.items():
-            if name in wanted:
-                _do(step, bench, folder, devices, progress, again=again)
+        if only is None and all(map(folder.is_done, steps)):
+            standings = {folder.read(name).verdict.standing for name in steps}
+            again = again or not standings <= {"good", "unknown"}
+        for step in (step for name, step in steps.items() if name in wanted):
+            needs = {name: folder.read(name) for name in step.needs}
+            made_for = fingerprint(
+                {
+                    "devices": devices,
+                    "settings": settings.model_dump(mode="json", include=set(step.settings)),
+                    "rays": rays if step.is_coaxial else None,
+                    "needs": {n: fingerprint(read_manifest(folder.manifest(n))) for n in needs},
+                }
+            )
+            if folder.made_for(step.name) == made_for and not again:
+                _log.info("%s: done before", step.title)
+                continue
+            count = partial(progress, step.title) if progress else lambda _: nullcontext()
+            bench = Bench(projector, camera, settings, rays, needs, count)
+            findings = _measured(step, bench, folder)
+            folder.write(step.name, findings, made_for)
+            level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
+            _log.log(level, "%s: %s. %s", step.title, *findings.verdict)
         if only is None:
             finish(folder, settings)
 
 
 def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> Calibration:
-    """Write the calibration that the steps make up; what failed steps would tell is missing.
+    """Write the calibration that the steps make up; numbers of failed steps are missing.
 
     Raises
     ------
@@ -194,90 +241,42 @@ def finish(folder: CalibrationFolder, settings: CalibrationConfig) -> Calibratio
     every = {step.name: folder.read(step.name) for step in steps_of(settings)}
     found = {name: one for name, one in every.items() if one.verdict.standing != "failed"}
     rays = found["rays"].arrays if "rays" in found else None
-
-    def array(step: str, name: str) -> NDArray[Any] | None:
-        return found[step].arrays[name] if step in found else None
-
+    verdicts = folder.verdicts()
     calibration = Calibration(
         None if rays is None else ProjectorLayout.from_arrays(rays),
         None if rays is None else Resampling.from_arrays(rays),
         camera_numbers(found),
-        array("light", "light"),
-        array("dark", "black"),
-        array("dark", "hot"),
-        {
-            name: {
-                "title": STEPS[name].title,
-                "standing": findings.verdict.standing,
-                "verdict": findings.verdict.text,
-                **findings.facts,
-            }
-            for name, findings in every.items()
-        },
+        found["light"]["light"] if "light" in found else None,
+        found["dark"]["black"] if "dark" in found else None,
+        found["dark"]["hot"] if "dark" in found else None,
+        {name: {**verdicts[name], **findings.facts} for name, findings in every.items()},
     )
     write_calibration(folder.path, calibration)
     return calibration
 
 
-def _do(
-    step: Step,
-    bench: Bench,
-    folder: CalibrationFolder,
-    devices: Mapping[str, Any],
-    progress: Progress | None,
-    *,
-    again: bool,
-) -> None:
-    needs = {name: folder.read(name) for name in step.needs}
-    failed = [name for name, found in needs.items() if found.verdict.standing == "failed"]
-    made_for = fingerprint(
-        {
-            "devices": devices,
-            "settings": bench.settings.model_dump(mode="json", include=set(step.settings)),
-            "rays": bench.rays if step.name in ("rays", "symmetry") else None,
-            "needs": {name: fingerprint(read_manifest(folder.manifest(name))) for name in needs},
-        }
-    )
-    if folder.made_for(step.name) == made_for and not again:
-        _log.info("%s: done before", step.title)
-        return
-    if folder.is_done(step.name):
-        _log.info("%s: measured anew", step.title)
+def _measured(step: Step, bench: Bench, folder: CalibrationFolder) -> Findings:
+    """Measure a step; where that can't be done though the devices work, that is the finding."""
+    poor = [name for name in ("scene", "dark", "rays") if _is_poor(folder, name)]
+    failed = [name for name, one in bench.found.items() if one.verdict.standing == "failed"]
     if failed:
-        findings = Findings(
-            Verdict("failed", f"Not measured, as this failed: {STEPS[failed[0]].title.lower()}.")
+        text = f"Not measured, as this failed: {STEPS[failed[0]].title.lower()}."
+        return Findings(Verdict("failed", text))
+    try:
+        findings = step.measure(bench)
+    except DeviceError as failure:
+        raise failure.args[0] from None
+    except RfpipeError as error:
+        why = [f" {STEPS[name].title}: {folder.read(name).verdict.text}" for name in poor[:1]]
+        return Findings(Verdict("failed", f"Could not be measured: {error}.{''.join(why)}"))
+    standing, text = findings.verdict
+    follows = [name for name in poor if name != "dark" and name in _below(step)]
+    if follows and standing != "good" and step.name != "dark":  # which names its own cause
+        text += (
+            f" This may follow from another step that is not good: "
+            f"{STEPS[follows[0]].title.lower()}; mend that first."
         )
-    else:
-        findings = _measured(step, replace(bench, found=needs), folder, progress)
-    folder.write(step.name, findings, made_for)
-    level = logging.INFO if findings.verdict.standing == "good" else logging.WARNING
-    _log.log(level, "%s: %s. %s", step.title, findings.verdict.standing, findings.verdict.text)
-
-
-def _measured(
-    step: Step, bench: Bench, folder: CalibrationFolder, progress: Progress | None
-) -> Findings:
-    """Measure a step; where that can't be done though the devices work, that is what is found."""
-    with (
-        nullcontext() if progress is None else progress(step.title, step.pictures(bench)) as counts
-    ):
-        projector = WatchedProjector(bench.projector, counts)
-        camera = WatchedCamera(bench.camera)
-        try:
-            found = step.measure(replace(bench, projector=projector, camera=camera))
-        except RfpipeError as error:
-            if projector.failed or camera.failed:
-                raise
-            return Findings(Verdict("failed", f"Could not be measured: {error}.{_why(folder)}"))
-    below = _below(step) if step.name != "dark" else set()  # which names its own cause
-    first = next((n for n in ("scene", "rays") if n in below and _is_poor(folder, n)), None)
-    if first is not None and found.verdict.standing != "good":
-        text = (
-            f"{found.verdict.text} This may follow from another step that is not good: "
-            f"{STEPS[first].title.lower()}; mend that first."
-        )
-        found = replace(found, verdict=Verdict(found.verdict.standing, text))
-    return found
+    return replace(findings, verdict=Verdict(standing, text))
 
 
 def _below(step: Step) -> set[str]:
@@ -287,11 +286,3 @@ def _below(step: Step) -> set[str]:
 
 def _is_poor(folder: CalibrationFolder, step: str) -> bool:
     return folder.is_done(step) and folder.read(step).verdict.standing == "poor"
-
-
-def _why(folder: CalibrationFolder) -> str:
-    """Say what earlier steps found that keeps later ones from being measured."""
-    for name in ("scene", "dark"):
-        if _is_poor(folder, name):
-            return f" {STEPS[name].title} tells why: {folder.read(name).verdict.text}"
-    return ""

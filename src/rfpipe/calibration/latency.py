@@ -5,232 +5,145 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.base import Findings, Float, Measured, Verdict, uniform
+from rfpipe.calibration.bench import driving, uniform
+from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
 from rfpipe.provenance import generator
 from rfpipe.rigs.devices import Camera, Projector
 
-__all__ = ["PICTURES", "Latency", "latency_findings", "measure_latency"]
-
 Double = NDArray[np.float64]
-
-SETTLED_SECONDS = 0.2
-"""Wait for the pictures that others are compared with; doubles until they are alike."""
 
 LONGEST_SECONDS = 4.0
 """Longest delay that is looked for."""
 
-FIRST_WAIT_SECONDS = 1 / 128
-
-TRIALS = 4
-"""Pictures after each wait, black and white by turns, at any time of the display's period."""
-
-PICTURES = 4 + TRIALS
+PICTURES = 8
 """Pictures shown where no wait is needed."""
 
-RESOLUTION_SECONDS = 0.002
-RELATIVE_RESOLUTION = 0.1
-
-PERIOD_SECONDS = 0.02
-"""A display's period, about: trials begin anywhere in it, and it is added to what is proposed."""
-
-MARGIN = 0.25
-"""Of the delay, added too."""
-
-CELLS = 8
-"""Cells along either side of the picture: a display that is drawn row by row is late in some."""
-
-LIT = 0.1
-"""Of the brightest cell's contrast: darker ones tell too little."""
-
-OFF = 0.05
-"""Share of the step that a cell may still lack."""
-
-SIGNIFICANCE = 6.0
+_TRIALS = 4  # pictures after each wait, black and white by turns
+_PERIOD_SECONDS = 0.02  # of a display: trials begin anywhere in it, and it is added to a proposal
+_OFF = 0.05  # share of the step that a cell may still lack
+_CELLS = 8  # along either side: a display that is drawn row by row is late in some
 
 
 @dataclass(frozen=True)
-class Latency(Measured):
-    """What was seen after each wait.
+class _Look:
+    """Means of the first exposure's cells, and their noise, under a settled picture."""
 
-    Attributes
+    mean: Double
+    noise: float
+
+    def step_from(self, before: _Look, seen: Double) -> float:
+        """Return the least share of the step to this picture, 1 where all is within noise."""
+        step = self.mean - before.mean
+        lit = np.abs(step) >= 0.1 * np.abs(step).max()
+        share = (seen - before.mean)[lit] / step[lit]
+        allowed = _OFF + 6 * max(self.noise, before.noise) / np.abs(step[lit])
+        return 1.0 if (share >= 1 - allowed).all() else min(float(share.min()), 1 - _OFF)
+
+
+def measure_latency(
+    projector: Projector, camera: Camera, advance: Callable[[int], None] = lambda _: None
+) -> Findings:
+    """Switch between black and white, and find the wait after which the first exposure is right.
+
+    Parameters
     ----------
-    delay_seconds : float or None
-        Least wait after which all pictures were right; None where none was long enough.
-    wrong_seconds : float or None
-        Longest wait after which one was not; None where there was none.
-    settle_seconds : float or None
-        What the projector waits by its settings; None where that isn't known.
-    waits : ndarray of float64, shape (n,)
-        In seconds.
-    worst : ndarray of float64, shape (n,)
-        Of the trials and cells after each wait, the least share of the step that was seen: 1 for
-        the new picture, 0 for the one before.
-    """
+    projector : Projector
+    camera : Camera
+    advance : callable, optional
+        Counts pictures, of which there are `PICTURES` or more.
 
-    delay_seconds: float | None
-    wrong_seconds: float | None
-    settle_seconds: float | None
-    waits: Double
-    worst: Double
-
-    @property
-    def proposed_seconds(self) -> float | None:
-        """What settle_seconds should be."""
-        if self.delay_seconds is None:
-            return None
-        return round((1 + MARGIN) * self.delay_seconds + PERIOD_SECONDS, 3)
-
-
-def measure_latency(projector: Projector, camera: Camera) -> Latency:
-    """Switch between black and white, and see after which wait the first exposure is right.
+    Returns
+    -------
+    Findings
+        Arrays: ``waits`` in seconds, and ``worst`` after each, of trials and cells the least share
+        of the step that was seen, 1 for the new picture and 0 for the one before.
 
     Raises
     ------
     CaptureError
-        When a device fails, or white isn't told from black.
+        When white isn't told from black.
     """
-    show: Callable[[Float], None] = getattr(projector, "show_now", projector.show)
-    black, white = _settled(show, projector, camera)
-    random = generator(0)
-    found: dict[float, float] = {}
-    is_white = False
+    show = getattr(projector, "show_now", projector.show)
 
-    def worst_after(wait: float) -> float:
-        nonlocal is_white
-        worst = 1.0
-        for _ in range(TRIALS):
-            is_white = not is_white
-            time.sleep(PERIOD_SECONDS * random.random())
-            show(uniform(projector, float(is_white)))
-            time.sleep(wait)
-            seen = _cells(camera)
-            here, before = (white, black) if is_white else (black, white)
-            worst = min(worst, here.step_from(before, seen))
-            time.sleep(white.settled_seconds)
-        found[wait] = worst
-        return worst
-
-    right, wrong = 0.0, None
-    while worst_after(right) < 1:
-        wrong, right = right, max(FIRST_WAIT_SECONDS, 2 * right)
-        if right > LONGEST_SECONDS:
-            return _latency(None, wrong, projector, found)
-    while wrong is not None and right - wrong > max(
-        RESOLUTION_SECONDS, RELATIVE_RESOLUTION * right
-    ):
-        middle = (right + wrong) / 2
-        right, wrong = (middle, wrong) if worst_after(middle) == 1 else (right, middle)
-    return _latency(right, wrong, projector, found)
-
-
-def latency_findings(latency: Latency, seconds_per_bracket: float) -> Findings:
-    """Judge the settings' wait by the delay.
-
-    Parameters
-    ----------
-    latency : Latency
-    seconds_per_bracket : float
-        Sum of the exposures, to tell what a shorter wait would save.
-    """
-    delay, settle, proposed = (
-        latency.delay_seconds,
-        latency.settle_seconds,
-        latency.proposed_seconds,
-    )
-    facts = {"proposed_settle_seconds": proposed}
-    if delay is None or proposed is None:
-        text = (
-            f"Even {latency.wrong_seconds:g} s after a picture was drawn, the camera didn't see it "
-            "wholly. Does the lamp flicker, or change with the picture (dynamic contrast, eco "
-            "mode)? Switch that off, and calibrate again."
-        )
-        return latency.findings(Verdict("poor", text), **facts)
-    until = f"{1000 * delay:.0f} ms after it was drawn" if delay else "at once"
-    seen = f"A picture is seen {until}, in all of {TRIALS * len(latency.waits)} trials"
-    if settle is None:
-        if delay == 0:
-            text = f"{seen}: the projector returns when its light has settled."
-            return latency.findings(Verdict("good", text), **facts)
-        text = (
-            f"{seen}. The projector's driver returns before its light has settled: let its `show` "
-            f"wait for {proposed:g} s more."
-        )
-        return latency.findings(Verdict("poor", text), **facts)
-    if settle < delay:
-        text = (
-            f"{seen}, but projector.options.settle_seconds is {settle:g}: frames are taken of the "
-            f"picture before. Set it to {proposed:g}, and calibrate again."
-        )
-        return latency.findings(Verdict("poor", text), **facts)
-    text = f"{seen}; projector.options.settle_seconds is {settle:g}."
-    if settle < proposed:
-        text += f" {proposed:g} would leave room for a display that is slower at times."
-    elif settle > 2 * proposed:
-        share = (settle - proposed) / (settle + seconds_per_bracket)
-        text += f" {proposed:g} would do, and save about {share:.0%} of a capture's time."
-    return latency.findings(Verdict("good", text), **facts)
-
-
-@dataclass(frozen=True)
-class _Seen:
-    """What the first exposure's cells show of a picture that has settled."""
-
-    mean: Double
-    deviation: Double
-    settled_seconds: float
-
-    def step_from(self, before: _Seen, seen: Double) -> float:
-        """Return the least share of the step towards this picture, 1 where all is within noise."""
-        step = self.mean - before.mean
-        lit = np.abs(step) >= LIT * np.abs(step).max()
-        share = (seen - before.mean)[lit] / step[lit]
-        noise = SIGNIFICANCE * np.maximum(self.deviation, before.deviation)[lit] / np.abs(step[lit])
-        least = float(share.min())
-        return 1.0 if (share >= 1 - OFF - noise).all() else min(least, 1 - OFF)
-
-
-def _settled(
-    show: Callable[[Float], None], projector: Projector, camera: Camera
-) -> tuple[_Seen, _Seen]:
-    """Return what black and white look like, each seen twice alike."""
-    wait = SETTLED_SECONDS
-    while wait <= LONGEST_SECONDS:
-        seen = []
-        for weight in (0.0, 1.0, 1.0, 0.0):  # however late, it isn't the same
+    def look(weight: float, wait: float) -> Double:
+        with driving():
             show(uniform(projector, weight))
             time.sleep(wait)
-            seen.append(_cells(camera))
-        pairs = np.stack([seen[0], seen[3]]), np.stack([seen[1], seen[2]])
-        black, white = (pair.mean(axis=0) for pair in pairs)
-        apart = [np.ptp(pair, axis=0) for pair in pairs]
-        if max(float(each.max()) for each in apart) < OFF * np.abs(white - black).max():
-            noise = (np.full_like(each, each.mean()) for each in apart)
-            return _Seen(black, next(noise), wait), _Seen(white, next(noise), wait)
+            frame = np.asarray(camera.expose())[0].astype(np.float64)
+        advance(1)
+        rows, columns = (np.array_split(np.arange(n), min(n, _CELLS)) for n in frame.shape[:2])
+        return np.array([frame[np.ix_(row, column)].mean() for row in rows for column in columns])
+
+    settled, settle_wait = _settled(look)
+    random, found, weight = generator(0), {}, 0
+
+    def is_right(wait: float) -> bool:
+        nonlocal weight
+        worst = 1.0
+        for _ in range(_TRIALS):
+            weight = 1 - weight
+            time.sleep(_PERIOD_SECONDS * random.random())
+            seen = look(weight, wait)
+            worst = min(worst, settled[weight].step_from(settled[1 - weight], seen))
+            time.sleep(settle_wait)
+        found[wait] = worst
+        return worst == 1
+
+    right, wrong = 0.0, 0.0
+    while not is_right(right):
+        wrong, right = right, max(1 / 128, 2 * right)
+        if right > LONGEST_SECONDS:
+            break
+    while wrong < right <= LONGEST_SECONDS and right - wrong > max(0.002, 0.1 * right):
+        middle = (right + wrong) / 2
+        right, wrong = (middle, wrong) if is_right(middle) else (right, middle)
+    waits = sorted(found)
+    worst = np.array([found[wait] for wait in waits])
+    arrays = {"waits": np.array(waits), "worst": worst}
+    bracket = sum(camera.sensor.exposures)
+    facts = _facts(right, wrong, getattr(projector, "settle_seconds", None), bracket)
+    return Findings.of("latency", {**facts, "trials": _TRIALS * len(waits)}, arrays)
+
+
+def _facts(right: float, wrong: float, settle: float | None, bracket: float) -> dict[str, Any]:
+    """Compare the least right wait with the settings'; all in seconds."""
+    if right > LONGEST_SECONDS:
+        none = "delay_seconds", "delay_ms", "proposed_settle_seconds"
+        others = "early_seconds", "short_seconds", "spared_share"
+        facts: dict[str, Any] = dict.fromkeys([*none, *others])
+        return {**facts, "unsettled_seconds": wrong, "settle_seconds": settle}
+    proposed = round(1.25 * right + _PERIOD_SECONDS, 3)
+    is_long = settle is not None and settle > 2 * proposed
+    return {
+        "delay_seconds": right,
+        "delay_ms": 1000 * right,
+        "settle_seconds": settle,
+        "proposed_settle_seconds": proposed,
+        "unsettled_seconds": None,
+        "early_seconds": right if settle is None else None,
+        "short_seconds": None if settle is None else right - settle,
+        "spared_share": (settle - proposed) / (settle + bracket) if settle and is_long else None,
+    }
+
+
+def _settled(look: Callable[[float, float], Double]) -> tuple[tuple[_Look, _Look], float]:
+    """Return black and white, each seen twice alike, and the wait that it took."""
+    wait = 0.2
+    while wait <= LONGEST_SECONDS:
+        off, on, on_again, off_again = (look(weight, wait) for weight in (0, 1, 1, 0))
+        black, white = (off + off_again) / 2, (on + on_again) / 2
+        apart = np.abs(off - off_again), np.abs(on - on_again)
+        if max(one.max() for one in apart) < _OFF * np.abs(white - black).max():
+            looks = (_Look(black, float(apart[0].mean())), _Look(white, float(apart[1].mean())))
+            return looks, wait
         wait *= 2
     raise CaptureError(
         "the camera's shortest exposure doesn't tell a white picture from a black one. Is the lens "
         "open, does the projector light the scene, and is the exposure long enough?"
     )
-
-
-def _cells(camera: Camera) -> Double:
-    """Take a bracket; return the means of its first exposure over cells, (CELLS * CELLS,)."""
-    frame = np.asarray(camera.expose())[0].astype(np.float64)
-    rows, columns = (
-        np.array_split(np.arange(extent), min(extent, CELLS)) for extent in frame.shape[:2]
-    )
-    return np.array([frame[np.ix_(row, column)].mean() for row in rows for column in columns])
-
-
-def _latency(
-    delay: float | None, wrong: float | None, projector: Projector, found: dict[float, float]
-) -> Latency:
-    waits = sorted(found)
-    settle = getattr(projector, "settle_seconds", None)
-    worst = np.array([found[wait] for wait in waits])
-    return Latency(delay, wrong, settle, np.array(waits), worst)

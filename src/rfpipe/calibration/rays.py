@@ -1,4 +1,4 @@
-"""Resampling a coaxial camera onto the projector's rays."""
+"""The rays of a coaxial rig: where they lie on the projector, and which camera pixels make them."""
 
 from __future__ import annotations
 
@@ -11,40 +11,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.calibration.blur import blurring
-from rfpipe.calibration.mapping import SmoothMap
+from rfpipe.calibration.correspondence import (
+    LEAST_POINTS,
+    SmoothMap,
+    fit_blur,
+    map_of_pixels,
+    points_of,
+)
+from rfpipe.calibration.verdicts import Findings
+from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.resampling import Resampling, normalised
+from rfpipe.rigs.geometry import Quadrilateral, apply_homography, homography
 from rfpipe.rigs.layout import DARK, ProjectorLayout
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["RayFit", "coverage", "fit_rays"]
-
 Double = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
-LEAST_SEEN = 0.5
-"""Share of a ray's projector pixels that the camera must see."""
+_DOUBT = 0.02
+# Mixing of a camera pixel, as the share of it that looks at other rays, at which its error by an
+# imperfect map equals that of pixels that look at one ray.
 
-LEAST_SHARE = 1e-3
-"""Of a camera pixel that rays must have for it to be looked at."""
-
-DOUBT = 0.02
-"""Mixing of a camera pixel, as the share of it that looks at other rays, at which its error by an
-imperfect map equals that of pixels that look at one ray."""
-
-RADIUS = 2
-BLURRED_RADIUS = 3
-"""Rays on each side that a ray's weights are solved together with, without and with blur."""
-
-RIDGE = 1e-4
-"""Of the mean diagonal; keeps what rays can't be told apart from amplifying noise without end."""
-
-LEAST_WEIGHT = 1e-4
-"""Of a ray's largest weight; smaller ones are dropped."""
-
-CHUNK = 4096
+_RIDGE = 1e-4  # of the mean diagonal: what rays can't be told apart from is not amplified for ever
+_LEAST_SHARE = 1e-3  # of a camera pixel that rays must have for it to be looked at
+_CHUNK = 4096  # patches solved at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +65,98 @@ class RayFit:
     pixels: Double
 
 
+def measure_rays(
+    correspondence: Findings,
+    settings: CalibrationConfig,
+    display: tuple[int, int],
+    rays: tuple[int, int] | None = None,
+) -> Findings:
+    """Find the rays of a rig.
+
+    Parameters
+    ----------
+    correspondence : Findings
+    settings : CalibrationConfig
+        Its views and corners, and the tolerance: half of it is for light that leaks.
+    display : (int, int)
+        Of the projector in pixels.
+    rays : (int, int), optional
+        Ray domain, or that of each view; None: each projector pixel is a ray.
+
+    Returns
+    -------
+    Findings
+        Arrays of layout and resampling; ``leak``, ``noise`` and ``pixels`` over the rays.
+    """
+    valid, corners = correspondence["valid"], settings.corners
+    if settings.views is not None and corners is None:
+        corners = tuple(find_views(correspondence, settings.views))  # type: ignore[arg-type]
+    if corners is None:
+        layout = ProjectorLayout.grid(display, rays or display)
+        maps = [map_of_pixels(correspondence, valid)]
+    else:
+        # as many rays a view as the smallest view has projector pixels a side
+        sides = np.linalg.norm(np.roll(corners, -1, axis=1) - np.array(corners), axis=-1)
+        wide, tall = np.maximum(sides.reshape(-1, 2).min(axis=0).astype(int), 1)
+        layout = layout_of_views(corners, rays or (int(tall), int(wide)), display)
+        maps = maps_of_views(correspondence, corners)
+    blur, blur_error = fit_blur(correspondence, maps)
+    fit = fit_rays(maps, layout, valid.shape, blur)
+    sharp = fit_rays(maps, layout, valid.shape) if blur else fit
+    arrays = {
+        **fit.layout.arrays(),
+        **fit.resampling.arrays(),
+        **{name: getattr(fit, name).reshape(layout.shape) for name in ("leak", "noise", "pixels")},
+    }
+    facts = {
+        "shape": list(layout.shape),
+        "corners": None if corners is None else [list(map(list, quad)) for quad in corners],
+        "blur_error": blur_error,
+        "maps": [one.facts() for one in maps],
+        "map_rms_pixels": max(one.rms for one in maps),
+        "map_error_pixels": max(one.error for one in maps),
+        **_judged(fit, sharp, blur, settings.tolerance),
+    }
+    return Findings.of("rays", facts, arrays)
+
+
+def _judged(fit: RayFit, sharp: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
+    """Return how rays are seen and mixed; `sharp` is the fit without the blur of so many pixels."""
+
+    def mixing(one: RayFit) -> float:
+        # a ray that few pixels see alone has up to twice a pixel's noise; four times is too much
+        return max(float(np.percentile(one.leak, 99)) / (tolerance / 2), float(one.noise.max()) / 4)
+
+    seen, mixed = fit.resampling.seen, mixing(fit)
+    pixels = float(np.median(fit.pixels[seen.ravel()]))
+    by_blur = blur > 0 and mixing(sharp) <= max(1.0, mixed / 2)
+    of_ray = blur / float(np.sqrt(pixels))
+    rows, columns = np.nonzero((~seen).reshape(-1, *seen.shape[-2:]).any(axis=0))
+    words = []
+    if rows.size:
+        down, across = (rows.mean() + 0.5) / seen.shape[-2], (columns.mean() + 0.5) / seen.shape[-1]
+        for at, less, more in ((down, "upper", "lower"), (across, "left", "right")):
+            words += [less] if at < 0.4 else [more] if at > 0.6 else []
+    return {
+        "count": seen.size,
+        "unseen_rays": int((~seen).sum()),
+        "unseen_share": float((~seen).mean()),
+        "whereabouts": f"most of them on the {' '.join(words)} side" if words else "all over",
+        "pixels_a_ray": pixels,
+        "blur_pixels": blur,
+        "blur_of_ray": of_ray,
+        "larger_rays": max(
+            1.5, 4 * of_ray
+        ),  # a quarter of a ray's side is undone with little noise
+        "leak": float(np.percentile(fit.leak, 99)),
+        "leak_if_sharp": float(np.percentile(sharp.leak, 99)),
+        "mean_leak": float(fit.leak.mean()),
+        "largest_noise": float(fit.noise.max()),
+        "mixed_by_blur": mixed if by_blur else None,
+        "mixed_by_pixels": None if by_blur else mixed,
+    }
+
+
 def coverage(
     maps: Sequence[SmoothMap], layout: ProjectorLayout, camera_shape: tuple[int, int]
 ) -> tuple[csr_array[Any], Double]:
@@ -93,28 +178,87 @@ def coverage(
     """
     from scipy.sparse import coo_array
 
-    from rfpipe.calibration.kernels import overlaps
-
-    height, width = camera_shape
-    y, x = np.mgrid[: height + 1, : width + 1].astype(np.float64)
-    domain = RayDomain(layout.shape)
+    domain, count = RayDomain(layout.shape), prod(layout.shape)
     if len(maps) != domain.views:
         raise CaptureError(
             f"{len(maps)} maps for a layout of {domain.views} views; expected one each"
         )
+    y, x = np.mgrid[: camera_shape[0] + 1, : camera_shape[1] + 1].astype(np.float64)
     rays = layout.ray_of_pixel.ravel()
-    found: list[list[NDArray[Any]]] = []
+    found = []
     for view, to_projector in enumerate(maps):
         corners = to_projector(np.stack([x, y], axis=-1))
-        chosen = _near(corners, domain.view_of(layout.ray_of_pixel) == view)
-        pixel, target, *areas = overlaps(corners, chosen, *layout.display_shape)
-        ray = rays[target.astype(np.int64)]
-        own = (ray != DARK) & (domain.view_of(ray) == view)
-        found.append([part[own] for part in (pixel.astype(np.int64), ray, *areas)])
+        for row in range(camera_shape[0]):
+            # around the pixel: upper left, upper right, lower right, lower left
+            above, below = corners[row], corners[row + 1]
+            outlines = np.stack([above[:-1], above[1:], below[1:], below[:-1]], axis=1)
+            column, target, share, area = overlaps(outlines, layout.display_shape)
+            ray = rays[target]
+            own = (ray != DARK) & (domain.view_of(ray) == view)
+            pixel = row * camera_shape[1] + column
+            found.append([part[own] for part in (pixel, ray, share, area)])
     pixel, ray, share, area = (np.concatenate(part) for part in zip(*found, strict=True))
-    count = prod(layout.shape)
-    shares = coo_array((share, (pixel, ray)), shape=(height * width, count)).tocsr()
+    shape = (prod(camera_shape), count)
+    shares = coo_array((share, (pixel, ray)), shape=shape).tocsr()
     return shares, np.asarray(np.bincount(ray, area, count), np.float64)
+
+
+def overlaps(
+    outlines: Double, shape: tuple[int, int]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Double, Double]:
+    """Cut outlines on a picture by its pixels.
+
+    Parameters
+    ----------
+    outlines : ndarray of float64, shape (n, 4, 2)
+        (x, y) of corners, in turn; those that aren't finite are left out.
+    shape : (int, int)
+        Height and width of the picture.
+
+    Returns
+    -------
+    outline, pixel : ndarray of int64, shape (m,)
+        Indices of outlines and pixels that overlap.
+    share, area : ndarray of float64, shape (m,)
+        Of the overlap, over the outline's area, and in pixels.
+
+    Notes
+    -----
+    The area left of u and above v is the integral of ``min(y, v) dx`` along the outline up to
+    ``x = u``, by its sides; that of a pixel is made of those at its four corners.
+    """
+    inside = np.isfinite(outlines).all(axis=(1, 2))
+    low, high = outlines.min(axis=1), outlines.max(axis=1)
+    inside &= ((high > 0) & (low < shape[::-1])).all(axis=1)
+    chosen = np.flatnonzero(inside)
+    if not chosen.size:
+        none = np.zeros(0, np.int64)
+        return none, none, np.zeros(0), np.zeros(0)
+    first = np.maximum(np.floor(low[chosen]), 0).astype(np.int64)
+    last = np.minimum(np.ceil(high[chosen]), shape[::-1]).astype(np.int64)
+    wide, tall = (last - first).max(axis=0)
+    left = first[:, 0, None, None] + np.arange(wide + 1)[None, None]
+    top = first[:, 1, None, None] + np.arange(tall + 1)[None, :, None]
+    sums = np.zeros((len(chosen), tall + 1, wide + 1))
+    for side in range(4):
+        (x0, y0), (x1, y1) = (
+            outlines[chosen, at % 4].T[..., None, None] for at in (side, side + 1)
+        )
+        run = np.where(x1 == x0, 1, x1 - x0)
+        begin, end = np.minimum(x0, left), np.minimum(x1, left)
+        a, b = (y0 + (x - x0) * (y1 - y0) / run - top for x in (begin, end))
+        under, over = np.minimum(a, 0), np.minimum(b, 0)
+        # of the way from a to b, the part below zero
+        part = np.divide(over - under, b - a, out=np.ones_like(a), where=b != a)
+        sums += (end - begin) * (top + part * (under + over) / 2)
+    areas = np.abs(np.diff(np.diff(sums, axis=1), axis=2))
+    (x, y), (u, v) = outlines[chosen].T, np.roll(outlines[chosen], -1, axis=1).T
+    whole = np.abs((x * v - u * y).sum(axis=0)) / 2
+    within = (left[..., :-1] < last[:, 0, None, None]) & (top[:, :-1] < last[:, 1, None, None])
+    index, row, column = np.nonzero(within & (areas > 1e-9 * whole[:, None, None]))
+    area = areas[index, row, column]
+    pixel = (first[index, 1] + row) * shape[1] + first[index, 0] + column
+    return chosen[index], pixel, area / whole[index], area
 
 
 def fit_rays(
@@ -131,10 +275,6 @@ def fit_rays(
         As for `coverage`.
     blur : float
         Standard deviation of the picture's blur in camera pixels, at least 0.
-
-    Returns
-    -------
-    RayFit
 
     Raises
     ------
@@ -154,7 +294,7 @@ def fit_rays(
     from scipy.sparse import csr_array, diags_array
 
     shares, area = coverage(maps, layout, camera_shape)
-    seen = area > LEAST_SEEN * np.maximum(layout.pixels_of_ray, 1)
+    seen = area > 0.5 * np.maximum(layout.pixels_of_ray, 1)
     if not seen.any():
         raise CaptureError(
             "the camera sees none of the rays; check their place on the projector, and the "
@@ -164,14 +304,16 @@ def fit_rays(
         shares = csr_array(blurring(camera_shape, blur) @ shares)
     used, past_of_ray = _with_past(shares)
     largest = used.max(axis=1).toarray().ravel()
-    weight = np.where(largest > 0, DOUBT**2 / (1 - np.minimum(largest, 1) + DOUBT) ** 2, 0)
+    weight = np.where(largest > 0, _DOUBT**2 / (1 - np.minimum(largest, 1) + _DOUBT) ** 2, 0)
     weighted = csr_array(used.T @ diags_array(weight))
-    radius = BLURRED_RADIUS if blur > 0 else RADIUS
-    patches = _patches(layout.shape, seen, radius)
+    patches = _patches(layout.shape, seen, 3 if blur > 0 else 2)
     inverse = _local_inverse(csr_array(weighted @ used), patches, past_of_ray)
-    matrix = _pruned(csr_array(inverse @ weighted))
-    unseen = ~seen.reshape(layout.shape)
-    dark = np.append(unseen.ravel(), True)[layout.ray_of_pixel]
+    matrix = csr_array(inverse @ weighted)
+    # a ten-thousandth of a row's largest weight is none
+    least = 1e-4 * np.repeat(abs(matrix).max(axis=1).toarray().ravel(), np.diff(matrix.indptr))
+    matrix.data[np.abs(matrix.data) < least] = 0
+    matrix = normalised(matrix)
+    dark = np.append(~seen, True)[layout.ray_of_pixel]
     ray_of_pixel = np.where(dark, DARK, layout.ray_of_pixel).astype(np.int32)
     mixing = csr_array(matrix @ shares)
     own = mixing.diagonal()
@@ -185,16 +327,18 @@ def fit_rays(
     )
 
 
-def _near(corners: Double, region: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Choose the camera pixels whose outline touches the bounding box of a region."""
-    rows, columns = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
-    if not rows.size:
-        return np.zeros((corners.shape[0] - 1, corners.shape[1] - 1), bool)
-    low = np.array([columns[0], rows[0]])
-    high = np.array([columns[-1] + 1, rows[-1] + 1])
-    with np.errstate(invalid="ignore"):
-        inside = np.asarray(((corners > low - 1) & (corners < high + 1)).all(axis=-1))
-    return np.asarray(inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:])
+def blurring(shape: tuple[int, int], blur: float) -> csr_array[Any]:
+    """Return a Gaussian blur of a picture as a matrix (H W, H W); past its edge all is dark."""
+    from scipy.linalg import toeplitz
+    from scipy.sparse import csr_array, kron
+    from scipy.special import ive
+
+    reach = 1 + int(np.ceil(4 * blur))
+    # Lindeberg's discrete Gaussian: its variance is exact, where sampled ones' is less
+    weights = ive(np.arange(reach + 1), blur**2)
+    weights /= 2 * weights.sum() - weights[0]
+    rows, columns = (toeplitz(np.pad(weights, (0, extent))[:extent]) for extent in shape)
+    return csr_array(kron(csr_array(rows), csr_array(columns), format="csr"))
 
 
 def _with_past(shares: csr_array[Any]) -> tuple[csr_array[Any], NDArray[np.int64]]:
@@ -213,9 +357,9 @@ def _with_past(shares: csr_array[Any]) -> tuple[csr_array[Any], NDArray[np.int64
     from scipy.sparse import coo_array, csr_array, diags_array, hstack
 
     total = np.asarray(shares.sum(axis=1))
-    looking = total > LEAST_SHARE
+    looking = total > _LEAST_SHARE
     kept = csr_array(diags_array(looking.astype(np.float64)) @ shares)
-    mixed = np.flatnonzero(looking & (total < 1 - LEAST_SHARE))
+    mixed = np.flatnonzero(looking & (total < 1 - _LEAST_SHARE))
     nearest = np.asarray(kept[mixed].argmax(axis=1)).ravel()
     edge, column = np.unique(nearest, return_inverse=True)
     past = coo_array((1 - total[mixed], (mixed, column)), shape=(len(total), len(edge)))
@@ -224,15 +368,13 @@ def _with_past(shares: csr_array[Any]) -> tuple[csr_array[Any], NDArray[np.int64
     return csr_array(hstack([kept, past.tocsr()], format="csr")), of_ray
 
 
-def _patches(shape: tuple[int, ...], seen: NDArray[np.bool_], radius: int) -> NDArray[np.int64]:
+def _patches(shape: tuple[int, ...], seen: Mask, radius: int) -> NDArray[np.int64]:
     """Return the rays around each seen one, itself first; -1 past the edge or where not seen."""
     index = np.where(seen, np.arange(seen.size), -1).reshape(RayDomain(shape).stack_shape)
     padded = np.pad(index, ((0, 0), (radius, radius), (radius, radius)), constant_values=-1)
     side = 2 * radius + 1
     windows = np.lib.stride_tricks.sliding_window_view(padded, (side, side), axis=(1, 2))
-    around = windows.reshape(-1, side * side)[seen]
-    middle = side * side // 2
-    return np.roll(around, -middle, axis=1)
+    return np.roll(windows.reshape(-1, side * side)[seen], -(side * side // 2), axis=1)
 
 
 def _local_inverse(
@@ -241,39 +383,122 @@ def _local_inverse(
     """Return the rays' rows of the inverse of ``A^T W A``, each solved on a patch of rays."""
     from scipy.sparse import coo_array
 
-    count = len(past_of_ray) - 1
-    ridge = RIDGE * float(normal.diagonal()[patches[:, 0]].mean())
+    ridge = _RIDGE * float(normal.diagonal()[patches[:, 0]].mean())
     past = past_of_ray[patches]
     at_edge = (past >= 0).any(axis=1)
     rows, columns, values = [], [], []
     for group in (patches[~at_edge], np.hstack([patches, past])[at_edge]):
-        for first in range(0, len(group), CHUNK):
-            patch = group[first : first + CHUNK]
-            there = patch >= 0
-            solved = np.linalg.solve(_local(normal, patch, ridge), np.eye(patch.shape[1])[:, :1])
+        for patch in np.array_split(group, 1 + len(group) // _CHUNK):
+            there, size = patch >= 0, patch.shape[1]
+            both = there[:, :, None] & there[:, None, :]
+            row, column = np.broadcast_arrays(patch[:, :, None], patch[:, None, :])
+            local = np.zeros(both.shape)
+            local[both] = np.asarray(normal[row[both], column[both]]).ravel()
+            local[:, range(size), range(size)] += np.where(there, ridge, 1.0)
+            solved = np.linalg.solve(local, np.eye(size)[:, :1])
             rows.append(np.broadcast_to(patch[:, :1], patch.shape)[there])
             columns.append(patch[there])
             values.append(solved[..., 0][there])
     at = np.concatenate(rows), np.concatenate(columns)
-    shape = (count, normal.shape[1])
+    shape = (len(past_of_ray) - 1, normal.shape[1])
     return coo_array((np.concatenate(values), at), shape=shape).tocsr()
 
 
-def _local(normal: csr_array[Any], patch: NDArray[np.int64], ridge: float) -> Double:
-    """Return the part of a matrix that each patch (n, P) sees, (n, P, P), made regular."""
-    there = patch >= 0
-    both = there[:, :, None] & there[:, None, :]
-    row, column = np.broadcast_arrays(patch[:, :, None], patch[:, None, :])
-    local = np.zeros(both.shape)
-    local[both] = np.asarray(normal[row[both], column[both]]).ravel()
-    diagonal = np.arange(patch.shape[1])
-    local[:, diagonal, diagonal] += np.where(there, ridge, 1.0)
-    return local
+def find_views(correspondence: Findings, views: tuple[int, int]) -> list[Quadrilateral]:
+    """Find the quadrilaterals that views light, as mirrors cut the camera's picture.
+
+    Parameters
+    ----------
+    correspondence : Findings
+    views : (int, int)
+        Rows and columns of the array, as they lie on the projector.
+
+    Returns
+    -------
+    list of Quadrilateral
+        Row by row: (x, y) of the upper left, upper right, lower right and lower left corner, in
+        projector pixels. Each is what the camera sees of a view, a little less.
+
+    Raises
+    ------
+    CaptureError
+        When fewer views are found.
+    """
+    from scipy.ndimage import label
+
+    points, count = points_of(correspondence), views[0] * views[1]
+    parts, found = label(_connected(points, correspondence["valid"]))
+    sizes = np.bincount(parts.ravel(), minlength=found + 1)[1:]
+    large = np.count_nonzero(sizes >= LEAST_POINTS)
+    if large < count:
+        raise CaptureError(
+            f"{large} views are told apart in the camera's picture; expected {views[0]} x "
+            f"{views[1]}. Leave dark gaps between the mirrors' pictures, or give the views' "
+            "corners in the settings"
+        )
+    quads = [_corners(points[parts == part]) for part in np.argsort(sizes)[::-1][:count] + 1]
+    middle = np.mean(quads, axis=1)
+    rows = np.argsort(middle[:, 1], kind="stable").reshape(views)
+    ordered = np.concatenate([row[np.argsort(middle[row, 0], kind="stable")] for row in rows])
+    return [[(float(x), float(y)) for x, y in quads[index]] for index in ordered]
 
 
-def _pruned(matrix: csr_array[Any]) -> csr_array[Any]:
-    """Drop a row's smallest weights, and scale the others to sum to 1."""
-    largest = abs(matrix).max(axis=1).toarray().ravel()
-    least = LEAST_WEIGHT * np.repeat(largest, np.diff(matrix.indptr))
-    matrix.data[np.abs(matrix.data) < least] = 0
-    return normalised(matrix)
+def layout_of_views(
+    corners: Sequence[Quadrilateral], shape: tuple[int, int], display_shape: tuple[int, int]
+) -> ProjectorLayout:
+    """Return the layout (V, H, W) of rectified views of `shape` rays.
+
+    Raises
+    ------
+    CaptureError
+        When a ray has no projector pixel.
+    """
+    layout = ProjectorLayout.within(corners, (len(corners), *shape), display_shape)
+    unlit = np.count_nonzero(layout.pixels_of_ray == 0)
+    if unlit:
+        raise CaptureError(
+            f"{unlit} of {layout.pixels_of_ray.size} rays have no projector pixel; {shape} rays a "
+            "view are too many for its place on the projector"
+        )
+    return layout
+
+
+def maps_of_views(correspondence: Findings, corners: Sequence[Quadrilateral]) -> list[SmoothMap]:
+    """Fit the map from camera to projector of each view, to the pixels that look into it."""
+    maps = []
+    for quad in corners:
+        to_unit = np.linalg.inv(homography((1, 1), quad))
+        place = apply_homography(to_unit, points_of(correspondence))
+        inside = correspondence["valid"] & ((place >= 0) & (place <= 1)).all(axis=-1)
+        maps.append(map_of_pixels(correspondence, inside))
+    return maps
+
+
+def _connected(points: Double, valid: Mask) -> Mask:
+    """Return the valid pixels but those next to a jump of the projector's coordinates."""
+    inside = valid.copy()
+    for axis in (0, 1):
+        there = np.moveaxis(points, axis, 0)
+        known, kept = np.moveaxis(valid, axis, 0), np.moveaxis(inside, axis, 0)
+        step = np.linalg.norm(np.diff(there, axis=0), axis=-1)
+        both = known[1:] & known[:-1]
+        if both.any():
+            jump = both & (step > 6 * max(float(np.median(step[both])), 1e-6))
+            kept[1:] &= ~jump
+            kept[:-1] &= ~jump
+    return inside
+
+
+def _corners(points: Double) -> Double:
+    """Return the corners (4, 2) of the quadrilateral that points (n, 2) fill, moved inwards.
+
+    The corners are the points farthest out along the diagonals of the bounding box, stray ones
+    left out.
+    """
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    margin = 0.02 * (high - low)
+    points = points[((points >= low - margin) & (points <= high + margin)).all(axis=1)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    towards = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    corners = points[np.argmax((points - low) / (high - low) @ towards.T, axis=0)]
+    return np.asarray(corners + 0.02 * (corners.mean(axis=0) - corners))  # off the mirror's edge

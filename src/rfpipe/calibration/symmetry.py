@@ -1,117 +1,229 @@
-"""Whether a coaxial rig's light transport is symmetric enough for symmetric photography."""
+"""How far a rig is from coaxial: whether light goes from camera to projector as it comes (2.10)."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from math import prod
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.calibration.asymmetry import Causes
-from rfpipe.calibration.base import Findings, Verdict
-from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY
-from rfpipe.photometry import MergeOptions
-from rfpipe.photometry.symmetry import CONFIDENCE, Pictures, Symmetry, random_signs
-from rfpipe.rigs import Rig
+from rfpipe.calibration.verdicts import Findings
+from rfpipe.errors import CaptureError
+from rfpipe.photometry.resampling import Resampling
+from rfpipe.photometry.sensor import MergeOptions, Sensor
+from rfpipe.provenance import generator
 
-__all__ = ["symmetry_findings", "symmetry_pictures", "take_symmetry"]
-
+Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 
-SCALES = (1, 4, 16)
-"""Sides, in rays, of the patches that random patterns are made of."""
+CONFIDENCE = 2.0
+"""Standard errors that a verdict leaves to chance."""
+
+_LEAST = float(np.finfo(np.float64).tiny)  # where there is no light at all
+_UNKNOWN = 0.5  # squared error that unknown pixels may seem to make, for their share
+_WITNESSES = 24  # pictures that each new one is held against: chance has no say in so many
 
 
-def take_symmetry(
-    rig: Rig, count: int, black_count: int, seed: int = 0
-) -> tuple[Double, Double, list[Pictures]]:
-    """Take what `measure_symmetry` needs.
+class Pictures(NamedTuple):
+    """Pictures under random patterns, 1 where a sign is positive and else 0.
 
-    Returns
-    -------
-    floodlit, variance : ndarray of float64, shape (N, C)
-    pictures : list
-        For each side of patches, from single rays on.
+    Attributes
+    ----------
+    side : int
+        Rays a side of the patches that share a sign.
+    signs : ndarray of float64, shape (count, N)
+    radiance, variance : ndarray of float64, shape (count, N, C)
     """
-    shape = rig.projector_shape
 
-    def merged(patterns: NDArray[np.float32], level: int) -> tuple[Double, Double]:
-        found: list[tuple[Any, Any]] = []
-        for index, pattern in enumerate(patterns):
-            result = merge(rig.capture(pattern[None], [(level, index)]), index)
-            found.append((result.radiance[0], result.variance[0]))
-        radiance, variance = (
-            np.stack(part).astype(np.float64) for part in zip(*found, strict=True)
-        )
-        flat = (len(patterns), -1, rig.channels)
-        return radiance.reshape(flat), variance.reshape(flat)
-
-    total = 0.0
-    off = np.zeros((1, *shape), np.float32)
-    for index in range(black_count):
-        total = total + rig.capture(off, [(BLACK_LEVEL_KEY, index)])[0].astype(np.float64)
-    black = np.asarray(total / black_count, np.float32)
-    merge = rig.sensor.merging(black, MergeOptions(black_count))
-    on, noise = merged(np.ones((black_count, *shape), np.float32), FLOODLIT_KEY)
-    floodlit, variance = on.mean(axis=0), noise.mean(axis=0) / black_count
-    pictures = []
-    for side in _sides(shape):
-        signs = random_signs(shape, side, count, seed)
-        taken = merged((signs > 0).astype(np.float32), side)
-        pictures.append(Pictures.of(signs, taken, (floodlit, variance), side))
-    return floodlit, variance, pictures
+    side: int
+    signs: Double
+    radiance: Double
+    variance: Double
 
 
-def symmetry_pictures(shape: tuple[int, ...], count: int, black_count: int) -> int:
-    """Count the pictures that `take_symmetry` shows on a domain of rays."""
-    return 2 * black_count + count * len(_sides(shape))
+class Scale(NamedTuple):
+    """Asymmetry for patterns of patches of one size.
+
+    Attributes
+    ----------
+    side : int
+        Rays a side of the patches.
+    forward, backward, error : ndarray of float64, shape (pairs,)
+        ``p2^T T p1`` and ``p1^T T p2`` over their RMS, p1 of such patches and p2 of single rays;
+        the standard error of their difference by the noise.
+    predicted, predicted_error : float
+        Relative error that asymmetry brings to a picture relit under such patterns; standard error.
+    """
+
+    side: int
+    forward: Double
+    backward: Double
+    error: Double
+    predicted: float
+    predicted_error: float
 
 
-def _sides(shape: tuple[int, ...]) -> list[int]:
-    """Return the sides of the patches of random patterns: two must fit."""
-    return [side for side in SCALES if side == 1 or side * 2 <= max(RayDomain(shape).image_shape)]
+def random_signs(shape: tuple[int, ...], side: int, count: int, seed: int) -> Double:
+    """Return patterns of patches of random sign, (count, *shape), values -1 and 1."""
+    views, height, width = RayDomain(shape).stack_shape
+    patches = (count, views, -(-height // side), -(-width // side))
+    coarse = generator(seed, side).integers(0, 2, patches) * 2.0 - 1
+    fine = coarse.repeat(side, axis=-2).repeat(side, axis=-1)
+    return np.asarray(fine[..., :height, :width]).reshape(count, *shape)
 
 
-def symmetry_findings(
-    symmetry: Symmetry, tolerance: float, causes: Causes | None = None
-) -> Findings:
-    """Return the step's findings, with a verdict whether the predicted error is accepted.
+def worst_of(scales: Iterable[Scale]) -> Scale:
+    """Return the scale of the largest predicted error."""
+    return max(scales, key=lambda scale: scale.predicted)
+
+
+def measure_symmetry(floodlit: Double, variance: Double, pictures: list[Pictures]) -> list[Scale]:
+    """Measure asymmetry from pictures under random patterns.
 
     Parameters
     ----------
-    symmetry : Symmetry
+    floodlit, variance : ndarray of float64, shape (N, C)
+    pictures : list of Pictures
+        For each side of patches, from single rays on.
+
+    Raises
+    ------
+    CaptureError
+        When there are fewer than three patterns of a scale.
+
+    Notes
+    -----
+    With signs s and pictures ``c(s) = T s = 2 T p - T 1``, each pair gives
+    ``s2^T T s1 - s1^T T s2 = s2^T K s1`` with ``K = T - T^T``. With independent signs for each ray
+    in s2 its mean square is ``||K s1||^2``, whatever s1: of patches, or all ones. Symmetric
+    photography stores ``T - K / 2``, so that a picture under ``p = (1 + s1) / 2`` is off by
+    ``K p / 2``. The noise's own share of the mean squares is subtracted.
+    """
+    if min(len(one.signs) for one in pictures) < 3:
+        raise CaptureError(
+            "fewer than three patterns of patches of a size make no two pairs; expected 3 or more"
+        )
+    signed = [(one, 2 * one.radiance - floodlit, 4 * one.variance + variance) for one in pictures]
+    fine, images, noise = signed[0]
+    ahead = np.einsum("in,nc->ic", fine.signs, floodlit) - images.sum(axis=1)
+    of_ones = _mean_square(ahead, noise.sum(axis=1) + variance.sum(axis=0), len(fine.signs))
+    scales = []
+    for coarse, coarse_images, coarse_noise in signed:
+        forward = np.einsum("jn,inc->ijc", fine.signs, coarse_images)
+        backward = np.einsum("in,jnc->ijc", coarse.signs, images)
+        spread = coarse_noise.sum(axis=1)[:, None] + noise.sum(axis=1)[None]
+        once = np.ones(forward.shape[:2], bool)
+        if coarse is fine:
+            once = np.triu(once, 1)
+        forward, backward, spread = forward[once], backward[once], spread[once]
+        of_signs = _mean_square(forward - backward, spread, len(coarse.signs))
+        light = np.square(coarse.radiance).sum(axis=1) - coarse.variance.sum(axis=1)
+        unit = max(16 * float(light.sum(axis=1).mean()), _LEAST)
+        square = (of_ones[0] + of_signs[0]) / unit
+        error = float(np.hypot(of_ones[1], of_signs[1])) / unit
+        # a square below zero is noise; far from zero half the relative error of the square, near
+        # it what the error alone would be the square of
+        predicted = float(np.sqrt(max(square, 0.0)))
+        predicted_error = min(np.sqrt(error), error / max(2 * predicted, _LEAST))
+        size = max(float(np.sqrt(np.square(forward).sum(axis=1).mean())), _LEAST)
+        both = forward.sum(axis=1) / size, backward.sum(axis=1) / size
+        by_noise = np.sqrt(spread.sum(axis=1)) / size
+        scales.append(Scale(coarse.side, *both, by_noise, predicted, predicted_error))
+    return scales
+
+
+def _mean_square(difference: Double, noise: Double, count: int) -> tuple[float, float]:
+    """Return the mean square of pairs (n, C) without the noise's share, and its standard error.
+
+    `count` independent patterns made the pairs.
+    """
+    squares = (difference**2 - noise).sum(axis=1)
+    # where nothing but noise is left, its squares spread by twice their variance
+    least = np.sqrt(2 * np.square(noise).sum(axis=1).mean())
+    spread = max(float(squares.std(ddof=1)), float(least))
+    return float(squares.mean()), spread / float(np.sqrt(min(len(squares), count)))
+
+
+def symmetry_patterns(
+    shape: tuple[int, ...], count: int, references: int, seed: int = 0
+) -> Iterator[tuple[int, Double]]:
+    """Yield the side and the signs (n, *shape) of patterns: all off, all on, and random ones.
+
+    The sides of the former two are 0. Of random patterns, patches of 4 and 16 rays a side follow
+    single rays where two fit.
+    """
+    ones = np.ones((references, *shape))
+    yield from ((0, -ones), (0, ones))
+    for side in (1, 4, 16):
+        if side == 1 or side * 2 <= max(RayDomain(shape).image_shape):
+            yield side, random_signs(shape, side, count, seed)
+
+
+def merged_pictures(
+    brackets: Iterable[NDArray[Any]],
+    sensor: Sensor,
+    patterns: Iterable[tuple[int, Double]],
+) -> tuple[Double, Double, list[Pictures]]:
+    """Merge what `measure_symmetry` needs.
+
+    Parameters
+    ----------
+    brackets : iterable of ndarray, shape (E, ...)
+        Under the patterns of `symmetry_patterns`.
+    sensor : Sensor
+    patterns : iterable of (int, ndarray)
+        These.
+    """
+    remaining = iter(brackets)
+    (_, off), (_, on), *random = patterns
+    black = np.mean([next(remaining) for _ in off], axis=0).astype(np.float32)
+    merge = sensor.merging(black, MergeOptions(len(off)))
+
+    def merged(count: int) -> tuple[Double, Double]:
+        found = [merge(next(remaining)[None]) for _ in range(count)]
+        images = ([one.radiance[0] for one in found], [one.variance[0] for one in found])
+        channels = found[0].radiance.shape[-1]
+        radiance, variance = (np.stack(part).astype(np.float64) for part in images)
+        return radiance.reshape(count, -1, channels), variance.reshape(count, -1, channels)
+
+    lit, noise = merged(len(on))
+    pictures = [
+        Pictures(side, signs.reshape(len(signs), -1), *merged(len(signs))) for side, signs in random
+    ]
+    return lit.mean(axis=0), noise.mean(axis=0) / len(on), pictures
+
+
+def symmetry_findings(
+    taken: tuple[Double, Double, list[Pictures]],
+    tolerance: float,
+    resampling: Resampling | None = None,
+) -> Findings:
+    """Predict the error that asymmetry makes, and name its causes.
+
+    Parameters
+    ----------
+    taken : tuple
+        What `merged_pictures` returns.
     tolerance : float
         Relative error of a relit picture that the rig is to stay below.
-    causes : Causes, optional
-        What makes the asymmetry.
+    resampling : Resampling, optional
+        That the pictures came through: tells where in the camera's picture rays lie.
     """
-    worst = symmetry.worst
-    low = worst.least
-    high = worst.predicted + CONFIDENCE * worst.predicted_error
-    rays = "single rays" if worst.side == 1 else f"patches of {worst.side} x {worst.side} rays"
-    found = (
-        f"asymmetry alone makes errors of {worst.predicted:.2%} +- {worst.predicted_error:.2%} in "
-        f"pictures relit with {rays}, {tolerance:.1%} accepted"
-    )
-    why = "" if causes is None else _told(causes)
-    if high <= tolerance:
-        verdict = Verdict("good", f"Good enough for symmetric photography: {found}.{why}")
-    elif low > tolerance:
-        verdict = Verdict(
-            "poor",
-            f"Not good enough for symmetric photography: {found}."
-            + (why or " Its cause isn't known. Largest at one ray: align the two devices' centres, "
-               "or focus. At patches of many rays: flare, or unequal vignetting.")
-            + " Dual photography doesn't need symmetry.",
-        )  # fmt: skip
-    else:
-        verdict = Verdict(
-            "unknown",
-            f"The noise can't tell: {found}.{why} Use more patterns, or longer exposures.",
-        )
+    scales = measure_symmetry(*taken)
+    worst = worst_of(scales)
+    error, margin = worst.predicted, CONFIDENCE * worst.predicted_error
+    causes = find_causes(*taken, resampling, scales)
     facts = {
         "tolerance": tolerance,
+        "error": error,
+        "standard_error": worst.predicted_error,
+        "side_rays": worst.side,
+        "least_error": error - margin,
+        "most_error": error + margin,
         "scales": [
             {
                 "side_rays": scale.side,
@@ -119,41 +231,234 @@ def symmetry_findings(
                 "predicted_error": scale.predicted,
                 "standard_error": scale.predicted_error,
             }
-            for scale in symmetry.scales
+            for scale in scales
         ],
+        **causes,
     }
-    if causes is not None:
-        names = "flare", "flare_error", "vignetting", "vignetting_error"
-        facts |= {name: getattr(causes, name) for name in names}
     arrays = {
         f"{name}_{scale.side}": getattr(scale, name)
-        for scale in symmetry.scales
+        for scale in scales
         for name in ("forward", "backward", "error")
     }
-    return Findings(verdict, facts, arrays)
+    return Findings.of("symmetry", facts, arrays)
 
 
-def _told(causes: Causes) -> str:
-    """Say what makes the asymmetry, how large it is, the error that follows, and what to do."""
-    text = ""
-    if causes.has_flare:
-        text += (
-            f" Flare: the lens spreads {causes.flare:.1%} +- {causes.flare_error:.1%} of the light "
-            f"over the picture, which makes an error of {causes.flare_makes:.1%}: clean and shade "
-            "the lens, and cover what is bright beside the scene."
-        )
-    if causes.has_vignetting:
-        text += (
-            f" Vignetting: the camera loses {causes.vignetting:.0%} +- "
-            f"{causes.vignetting_error:.0%} more light in its corners than the projector does, "
-            f"which makes an error of {causes.vignetting_makes:.1%}: close the aperture, or take a "
-            "longer lens."
-        )
-    if text:
-        rest = causes.rest.worst
-        them = "them" if causes.has_flare and causes.has_vignetting else "it"
-        text += (
-            f" Without {them} {rest.predicted:.1%} +- "
-            f"{rest.predicted_error:.1%} would be left, of misalignment, blur or noise."
-        )
-    return text
+def find_causes(
+    floodlit: Double,
+    variance: Double,
+    pictures: list[Pictures],
+    resampling: Resampling | None,
+    scales: list[Scale],
+) -> dict[str, float | None]:
+    """Fit flare and vignetting to the asymmetry of pictures under random patterns.
+
+    Parameters as `symmetry_findings`; `scales` as measured with whatever is in the pictures.
+
+    Returns
+    -------
+    dict
+        ``flare``, light that the lens spreads evenly over the picture; ``vignetting``, light that
+        the camera loses in its corners beyond what the projector loses in its own; the relative
+        error in relit pictures that each ``makes``, None where it isn't significant; and the
+        ``unexplained_error``.
+
+    Notes
+    -----
+    With flare f and a falloff 1 / (1 + b r^2), r from the picture's middle, the camera shows
+    ``c' = c / (1 + b r^2) + f mean(c)`` for each picture c. Reciprocity of c, for signs s1 and s2,
+    makes ``s2 c1' - s1 c2' = f (1 s2 mean(c1) - 1 s1 mean(c2)) - b (r^2 s2 c1' - r^2 s1 c2')``
+    to first order: linear in both, and all else is known from the pictures. Patterns of single
+    rays are left out where there are coarser ones: blur and misalignment bend those most.
+    """
+    if resampling is None:
+        none = dict.fromkeys(("flare_makes", "vignetting_makes"))
+        return {**none, "unexplained_error": worst_of(scales).predicted}
+    radius, share = _squared_radius(resampling)
+    coarse = [one for one in pictures if one.side > 1] or pictures
+    signs = np.concatenate([np.ones((1, len(radius))), *(one.signs for one in coarse)])
+    images = np.concatenate([floodlit[None], *(2 * one.radiance - floodlit for one in coarse)])
+    noise = np.concatenate([variance[None], *(4 * one.variance + variance for one in coarse)])
+    i, j = np.triu_indices(len(signs), 1)
+
+    def apart(weight: Double) -> Double:
+        """Return the difference of each pair, its rays weighed, (pairs * C,)."""
+        there = np.einsum("jn,inc->jic", signs * weight, images)
+        return np.asarray(there[j, i] - there[i, j]).ravel()
+
+    def spread(weight: Double) -> Double:
+        of_each = np.einsum("inc,n->ic", noise, weight)
+        return np.asarray(of_each[i] + of_each[j]).ravel()
+
+    sums, means = signs.sum(axis=1)[:, None], share * images.mean(axis=1)
+    even = (sums[j] * means[i] - sums[i] * means[j]).ravel()
+    y, falling = apart(np.ones_like(radius)), -apart(radius)
+    weight = 1 / np.maximum(spread(np.ones_like(radius)), _LEAST)
+    x = np.stack([even, falling], axis=1)
+    normal = x.T @ (weight[:, None] * x)
+    # `falling` is made of the same noisy pictures as y: the noise's share of the sums is taken out
+    normal[1, 1] = max(normal[1, 1] - float(weight @ spread(radius**2)), 1e-3 * normal[1, 1])
+    inverse = np.linalg.pinv(normal)
+    flare, slope = inverse @ (x.T @ (weight * y) + [0.0, float(weight @ spread(radius))])
+    rest = y - x @ [flare, slope]
+    excess = max(1.0, float(weight @ rest**2) / max(len(y) - 2, 1))
+    flare_error, slope_error = np.sqrt(np.maximum(np.diag(inverse), 0) * excess)
+    vignetting = slope / (1 + max(slope, 0.0))
+
+    def is_cause(value: float, error: float) -> bool:
+        # a few thousandths aren't worth a word; more than 0.6 is another thing that grows outwards
+        return bool(max(3 * error, 0.003) < value < 0.6)
+
+    f = flare if is_cause(flare, flare_error) else 0.0
+    b = slope if is_cause(vignetting, slope_error) else 0.0
+
+    def without(f: float, b: float) -> list[Scale]:
+        factor = 1 + b * radius[:, None]
+
+        def mended(images: Double) -> Double:
+            return np.asarray((images - f * share * images.mean(axis=-2, keepdims=True)) * factor)
+
+        parts = [
+            one._replace(radiance=mended(one.radiance), variance=one.variance * factor**2)
+            for one in pictures
+        ]
+        return measure_symmetry(mended(floodlit), variance * factor**2, parts)
+
+    left = without(f, b) if f or b else scales
+
+    def makes(other: list[Scale]) -> float:
+        pairs = zip(other, left, strict=True)
+        return max(float(np.sqrt(max(a.predicted**2 - b.predicted**2, 0))) for a, b in pairs)
+
+    return {
+        "flare": float(flare),
+        "flare_error": float(flare_error),
+        "vignetting": float(vignetting),
+        "vignetting_error": float(slope_error),
+        "flare_makes": makes(without(0.0, b)) if f else None,
+        "vignetting_makes": makes(without(f, 0.0)) if b else None,
+        "unexplained_error": worst_of(left).predicted,
+    }
+
+
+def _squared_radius(resampling: Resampling) -> tuple[Double, float]:
+    """Return each ray's squared distance (N,) from the middle, and the rays' share of the picture.
+
+    The distance is 1 in the corners of the camera's picture.
+    """
+    height, width = resampling.camera_shape
+    y, x = np.arange(height) - (height - 1) / 2, np.arange(width) - (width - 1) / 2
+    radius = np.square(y)[:, None] + np.square(x)[None]
+    of_rays = np.asarray(resampling.matrix @ (radius / max(radius[0, 0], 1)).ravel())
+    looking = np.count_nonzero(np.asarray(abs(resampling.matrix).sum(axis=0)) > 0)
+    return of_rays, looking / prod(resampling.camera_shape)
+
+
+@dataclass(frozen=True)
+class Residual:
+    """How one picture agrees with the previous ones.
+
+    Attributes
+    ----------
+    deviations : float
+        RMS of ``p' c_q - q' c_p`` over its standard deviation by the noise: 1 on a right rig, 0
+        where there is nothing to be held against.
+    error : float
+        What taking T for symmetric makes wrong in this picture, relative to its norm: at least so
+        much, as far as the previous patterns tell.
+    """
+
+    deviations: float
+    error: float
+
+    def is_wrong(self, worth_a_word: float, significance: float = 6.0) -> bool:
+        """Whether it is more than noise, and more than is worth a word."""
+        return self.deviations > significance and self.error > worth_a_word
+
+
+class Reciprocity:
+    """Holds each picture of a coaxial rig against previous ones of the acquisition.
+
+    Parameters
+    ----------
+    floodlit, variance : ndarray of float32, shape (*camera_shape, C)
+        The floodlit image and its variance: the first witness. Infinite variance: not known.
+
+    Notes
+    -----
+    With ``T = T'``, light from where pattern q is lit to where p is lit is what goes from p to q:
+    ``p' c_q = q' c_p``. Of picture q and the witnesses p the residual is ``r_p = p' c_q g - q'
+    c_p``, with one gain g for each channel, found by least squares, so that a lamp that drifts is
+    no asymmetry. ``r = W K q`` of ``K = T - T'`` is the projection of ``K q`` on the witnesses, the
+    rows of W: ``r' (W W')^+ r <= |K q|^2``, and a picture under q is wrong by ``K q / 2``. The
+    noise's share of both is known and is taken off.
+    """
+
+    def __init__(self, floodlit: Float, variance: Float) -> None:
+        known = np.isfinite(variance)
+        rays, channels = known[..., 0].size, floodlit.shape[-1]
+        self._unseen = _UNKNOWN * (1 - float(known.mean()))
+        self._patterns = np.empty((_WITNESSES, rays), np.float32)
+        self._images, self._noise = np.empty((2, _WITNESSES, rays, channels), np.float32)
+        self._gram = np.zeros((_WITNESSES, _WITNESSES))
+        self._count = 0
+        self._keep(np.ones(rays, np.float32), *_flat(floodlit, variance))
+
+    def judge(self, pattern: Float, radiance: Float, variance: Float) -> Residual:
+        """Hold a picture against the previous ones, and keep it as a witness.
+
+        Parameters
+        ----------
+        pattern : ndarray of float32, shape (*projector_shape)
+        radiance, variance : ndarray of float32, shape (*camera_shape, C)
+        """
+        q = np.asarray(pattern, np.float32).reshape(-1)
+        image, noise = _flat(radiance, variance)
+        held = min(self._count, _WITNESSES)
+        patterns, images = self._patterns[:held], self._images[:held]
+        back = np.tensordot(q, images, (0, 1)).astype(np.float64)  # q' c_p, (P, C)
+        ahead = (patterns @ image).astype(np.float64)  # p' c_q
+        spread = np.tensordot(q * q, self._noise[:held], (0, 1)).astype(np.float64)
+        spread += (patterns * patterns) @ noise
+        spread = np.maximum(spread, np.finfo(np.float32).eps ** 2 * np.maximum(ahead, back) ** 2)
+        sure = np.divide(1, spread, out=np.zeros_like(spread), where=spread > 0)
+        over, above = (sure * ahead * ahead).sum(axis=0), (sure * ahead * back).sum(axis=0)
+        gain = np.divide(above, over, out=np.ones_like(over), where=over > 0)
+        image, noise = (part.astype(np.float32) for part in (image * gain, noise * gain**2))
+        found = self._residual(ahead * gain - back, spread, image, noise)
+        self._keep(q, image, noise)
+        return found
+
+    def _residual(self, residual: Double, spread: Double, image: Float, noise: Float) -> Residual:
+        held, channels = residual.shape
+        light = float((np.square(image) - noise).sum(dtype=np.float64))
+        if held < 2 or light <= 0:
+            return Residual(0.0, 0.0)
+        squares = np.divide(residual**2, spread, out=np.zeros_like(spread), where=spread > 0)
+        deviations = float(np.sqrt(squares.sum() / ((held - 1) * channels)))
+        values, vectors = np.linalg.eigh(self._gram[:held, :held])
+        # directions of pattern space that the witnesses hardly span are all noise
+        chosen = values > 0.05 * np.diag(self._gram)[:held].min()
+        ways = vectors[:, chosen]
+        along = (ways.T @ residual) ** 2 - (ways**2).T @ spread
+        error = float((along.sum(axis=1) / values[chosen]).sum()) / (4 * light) - self._unseen
+        return Residual(deviations, float(np.sqrt(max(error, 0.0))))
+
+    def _keep(self, pattern: Float, image: Float, noise: Float) -> None:
+        """Keep a witness; the floodlit image stays, the others make way in turn."""
+        if not pattern.any():
+            return
+        at = self._count
+        if at >= _WITNESSES:
+            at = 1 + (at - _WITNESSES) % (_WITNESSES - 1)
+        self._count += 1
+        self._patterns[at], self._images[at], self._noise[at] = pattern, image, noise
+        held = min(self._count, _WITNESSES)
+        self._gram[at, :held] = self._gram[:held, at] = self._patterns[:held] @ pattern
+
+
+def _flat(radiance: Float, variance: Float) -> tuple[Float, Float]:
+    """Return an image and its variance as (N, C); pixels that aren't known are 0 in both."""
+    known = np.isfinite(variance)
+    flat = (np.where(known, image, 0) for image in (radiance, variance))
+    image, noise = (each.reshape(-1, radiance.shape[-1]).astype(np.float32) for each in flat)
+    return image, noise

@@ -2,98 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.calibration.base import Findings, Verdict, take, uniform
-from rfpipe.calibration.dark import Dark
-from rfpipe.calibration.noise_fit import Bins, NoiseFit, fit_noise
+from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
-from rfpipe.photometry.defects import MAD_TO_DEVIATION
-from rfpipe.photometry.response import Response
-from rfpipe.rigs.devices import Camera, Projector
-
-__all__ = [
-    "Transfer",
-    "levels_of",
-    "measure_transfer",
-    "take_levels",
-    "transfer_facts",
-    "transfer_verdict",
-]
 
 Double = NDArray[np.float64]
 
-RATIO = 1.12
-"""Width of a bin: its upper edge over its lower one."""
+_DITHERED = 0.35
+# Variance in squared steps of the converter from which on noise itself evens out rounding, which
+# then adds a twelfth.
 
-LEAST_WIDTH = 2.0
-"""Counts that a bin is wide at least: then rounding meets all fractions of a count in it."""
-
-LEAST_PAIRS = 10
-"""Pairs of photosites in a bin that is used."""
-
-HIDDEN = 0.4
-"""Variance in counts squared, rounding included, below which rounding hides noise."""
-
-PHASES = 8
-"""Fractions of a count that rounding is averaged over, each with the same weight."""
-
-FINER = 10.0
-"""A signal is known finer than rounding where all exposures together are this many times longer."""
-
-ABOVE_DARK = 4.0
-"""Deviations of noise that a bin's signal lies above darkness."""
-
-SAFE = 0.9
-"""Fraction of full scale up to which an exposure tells the signal of the others."""
-
-MOST_IN_DARK = 0.1
-"""Fraction of full scale that dark frames may have: of more, some photosites are saturated."""
-
-CLIP = 6.0
-"""Standard deviations from which on a difference is no noise (a cosmic ray, a moving thing)."""
-
-WANTED = 0.1
-"""Relative error of the noise, bright or dark, that the merge's weights and tests bear."""
+_RATIO = 1.12  # width of a bin: its upper edge over its lower one
+_CLIP = 6.0  # standard deviations from which on a difference is no noise
 
 
-@dataclass(frozen=True, eq=False)
-class Transfer:
-    """What pairs of pictures tell of the camera.
+class NoiseFit(NamedTuple):
+    """Noise of a camera.
 
     Attributes
     ----------
-    fit : NoiseFit
-        Gain and read noise, with their standard errors.
-    bins : Bins
-        The curve: mean signal and variance between the two pictures of a pair, in counts.
-    used : ndarray of bool
-        Bins that the fit used; the others are near saturation or hold too few pairs.
-    saturation : float
-        Counts above which the camera gives none, or full scale where that wasn't reached.
-    saturated : bool
-        Whether saturation was reached.
-    span : float
-        Counts from black level to full scale.
+    gain, gain_error : float
+        Electrons a count.
+    read, read_error : float
+        Variance of the read noise in counts squared.
+    misfit : float
+        RMS of the relative difference between measured and fitted variances, beyond the noise.
     """
 
-    fit: NoiseFit
-    bins: Bins
-    used: NDArray[np.bool_]
-    saturation: float
-    saturated: bool
-    span: float
-
-    @property
-    def full_well(self) -> float:
-        """Electrons at full scale."""
-        return self.fit.gain * self.span
+    gain: float
+    gain_error: float
+    read: float
+    read_error: float
+    misfit: float
 
 
 def levels_of(count: int) -> list[float]:
@@ -101,22 +46,13 @@ def levels_of(count: int) -> list[float]:
     return np.geomspace(1 / 256, 1, count).tolist() if count > 1 else [1.0]
 
 
-def take_levels(
-    projector: Projector, camera: Camera, levels: Sequence[float], repeats: int
-) -> Iterator[NDArray[Any]]:
-    """Take each level's pictures, yielded together: (repeats, E, ...)."""
-    for level in levels:
-        pictures = (uniform(projector, level) for _ in range(repeats))
-        yield np.stack(list(take(projector, camera, pictures)))
-
-
 def measure_transfer(
     levels: Iterable[NDArray[Any]],
-    dark: Dark,
+    dark: Findings,
     exposures: Sequence[float],
     white_level: int,
-    response: Response | None = None,
-) -> Transfer:
+    gamma: float = 1.0,
+) -> Findings:
     """Measure gain and read noise.
 
     Parameters
@@ -124,17 +60,19 @@ def measure_transfer(
     levels : iterable of ndarray of uint16, shape (K, E, ...)
         K pictures each, two or more, of the same light; what is seen need not be flat, for fixed
         differences between photosites cancel in a pair's difference.
-    dark : Dark
+    dark : Findings
     exposures : sequence of float
         Seconds.
     white_level : int
         Full scale in counts.
-    response : Response, optional
-        Of a camera that isn't linear: the curve is that of linearised counts.
+    gamma : float
+        Exponent of the camera's response: the curve is that of linearised counts.
 
     Returns
     -------
-    Transfer
+    Findings
+        Numbers for the camera model; arrays of bins: ``signal``, ``variance``, ``error`` and the
+        ``model``'s variance in counts, and which bins the fit ``used``.
 
     Raises
     ------
@@ -145,211 +83,162 @@ def measure_transfer(
     -----
     The variance of a pair's difference is twice that of one picture [EMVA 1288]. Photosites of all
     exposures and levels are sorted by their mean signal into bins; the mean difference of a bin is
-    subtracted, so that a lamp that flickers between the two pictures adds no noise.
+    subtracted, so that a lamp that flickers between the two pictures adds no noise. Bins where
+    rounding hides the noise are left out: where darkness is such a bin, the read noise is known
+    by the curve's foot alone, and hardly matters.
     """
-    span = white_level - dark.black_level_counts
-    times = np.asarray(exposures, float)
-    edges = _edges(span)
-    total = Bins.none(len(edges) - 1)
-    fine = Bins.none(PHASES * total.pairs.size)
+    black, good = dark["black_level_counts"], ~dark["hot"]
+    span = white_level - black
+    edges = [1.25]
+    while edges[-1] < span:
+        # two counts wide at least, a quarter above whole ones: rounding meets all fractions in it
+        edges.append(np.floor(max(edges[-1] * _RATIO, edges[-1] + 2)) + 0.25)
+    sums = np.zeros((4, len(edges) - 1))
     counts = np.zeros(white_level + 1, np.int64)
-    current = dark.current_counts_per_s * times
-    good = ~dark.hot
     for frames in levels:
         if len(frames) < 2:
             raise CaptureError(f"a level holds {len(frames)} picture; expected pairs, 2 or more")
-        counts += np.bincount(frames[:, :, good].ravel(), minlength=len(counts))[: len(counts)]
-        for first in range(0, len(frames) - 1, 2):
-            raw = frames[first : first + 2][:, :, good]
-            pair = _linear(raw, dark, good, response, span)
-            light, finer = _pooled(pair, raw < SAFE * white_level, times)
-            for k in range(len(times)):
-                # a photosite's own, fixed differences between them averaging to zero; what a
-                # response was undone of has it in it
-                glow = dark.black[k][good] - dark.black_level_counts
-                if response is not None:
-                    glow = np.zeros_like(glow)
-                # by all light: what the all-off picture all but saturates has no noise to show
-                signal = pair[:, k].mean(axis=0) + glow
-                total = total.plus(
-                    _binned(pair[:, k], signal, _bin_of(signal, edges), len(total.pairs))
-                )
-                known = finer[k]
-                signal = times[k] * light[known]
-                phase = (signal + dark.black[k][good][known]) % 1
-                signal = signal + glow[known]
-                at = PHASES * _bin_of(signal, edges) + (PHASES * phase).astype(int)
-                finely = _binned(pair[:, k][:, known], signal, at, len(fine.pairs))
-                fine = fine.plus(finely)
-    saturation, saturated = _saturation(counts, white_level)
-    # where rounding hides noise, the two pictures' own mean tells whether they differ: there,
-    # longer exposures have to tell the signal
-    total = total.replaced_by(fine.averaged(PHASES), total.variance < HIDDEN)
-    total = replace(total, steps=_steps(total.signal, response, span))
-    used = _usable(total, _limit(saturation, dark.black_level_counts, response, span))
+        raw = frames[:, :, good]
+        counts += np.bincount(raw.ravel(), minlength=len(counts))[: len(counts)]
+        light = _linear(raw - black, span, gamma)
+        for one, two in zip(light[::2], light[1::2], strict=False):
+            for first, second in zip(one, two, strict=True):
+                sums += _binned(first, second, np.array(edges))
+    pairs, signals, squares, fourths = sums
+    filled = np.maximum(pairs, 1)
+    signal, variance = signals / filled, squares / filled
+    error = np.sqrt(np.maximum(fourths / filled - variance**2, 0) / filled)
+    step = _steps(signal, span, gamma)
+    top, saturated = _saturation(counts, white_level)
+    limit = float(_linear(np.array(top - black), span, gamma))
+    noise = np.sqrt(variance)
+    # darker photosites that noise lifted into a bin have less noise than its signal says
+    used = (pairs >= 10) & (signal > 4 * noise) & (signal * _RATIO + _CLIP * noise < limit)
+    used &= variance > _DITHERED * step**2
     if used.sum() < 2:
         raise CaptureError(
             "the flat pictures hold no light between darkness and saturation; check projector and "
             "lens, or choose other exposures"
         )
-    of_dark = _dark_bins(dark, current, span) if response is None else None
-    fit = fit_noise(total.chosen(used), of_dark)
-    return Transfer(fit, total, used, saturation, saturated, span)
-
-
-def transfer_facts(transfer: Transfer, dark: Dark) -> Findings:
-    """Return the step's findings: numbers for the camera model, curve and verdict."""
-    fit, bins = transfer.fit, transfer.bins
+    bins = [values[used] for values in (signal, variance, pairs, step)]
+    if gamma == 1:
+        # dark frames, but those that light fills
+        current = dark["current_counts_per_s"] * np.asarray(exposures, float)
+        spread = np.asarray(dark["variance_counts2"])
+        bare = (current < 0.1 * span) & (spread > _DITHERED)
+        weight = np.full(len(current), float((dark["frames"] - 1) * good.sum()))
+        added = current, spread, weight, np.ones(len(current))
+        bins = [np.append(old, new[bare]) for old, new in zip(bins, added, strict=True)]
+    fit = fit_noise(*bins)
+    read_noise = fit.gain * np.sqrt(fit.read)
+    read_error = fit.gain * fit.read_error / (2 * np.sqrt(max(fit.read, fit.read_error)))
+    # what counts is the noise of darkness, to which the converter's steps belong
+    of_darkness = fit.read_error / (2 * (fit.read + 1 / 12))
+    numbers = (
+        f"{fit.gain:.3g} +- {fit.gain_error:.2g} electrons a count, read noise {read_noise:.3g} +- "
+        f"{read_error:.2g} electrons"
+    )
     facts = {
         "electrons_per_count": fit.gain,
         "electrons_per_count_error": fit.gain_error,
-        "read_noise_electrons": fit.read_noise,
-        "read_noise_error": fit.read_noise_error,
-        "full_well_electrons": transfer.full_well,
-        "dark_current_electrons": max(0.0, dark.current_counts_per_s * fit.gain),
-        "dark_current_error": dark.current_error * fit.gain,
-        "saturation_counts": transfer.saturation,
-        "saturated": transfer.saturated,
+        "read_noise_electrons": read_noise,
+        "read_noise_error": read_error,
+        "full_well_electrons": fit.gain * span,
+        "dark_current_electrons": max(0.0, dark["current_counts_per_s"] * fit.gain),
+        "dark_current_error": dark["current_error"] * fit.gain,
+        "saturation_counts": top,
+        "saturated": saturated,
         "misfit": fit.misfit,
-        "pairs": int(bins.pairs.sum()),
+        "known_within": 2 * max(fit.gain_error / fit.gain, of_darkness),
+        "pairs": int(pairs.sum()),
+        "numbers": numbers,
     }
+    model = fit.read + signal / fit.gain + step**2 / 12
     arrays = {
-        "ptc_signal": bins.signal,
-        "ptc_variance": bins.variance,
-        "ptc_error": bins.error,
-        "ptc_model": fit.predicted(bins),
-        "ptc_used": transfer.used,
-    }
-    return Findings(transfer_verdict(transfer), facts, arrays)
+        "signal": signal, "variance": variance, "error": error, "model": model, "used": used
+    }  # fmt: skip
+    return Findings.of("transfer", facts, arrays)
 
 
-def transfer_verdict(transfer: Transfer) -> Verdict:
-    """Say whether the numbers are known to `WANTED`, and whether the curve is one of photons."""
-    fit = transfer.fit
-    gain_error = fit.gain_error / fit.gain
-    # what counts is the noise of darkness, to which the converter's steps belong
-    darkness = fit.read_noise**2 + fit.gain**2 / 12
-    read_error = fit.read_noise * fit.read_noise_error / darkness
-    numbers = (
-        f"{fit.gain:.3g} +- {fit.gain_error:.2g} electrons a count, read noise "
-        f"{fit.read_noise:.3g} +- {fit.read_noise_error:.2g} electrons"
-    )
-    if fit.misfit > WANTED:
-        return Verdict(
-            "poor",
-            f"The variance misses that of photons by {fit.misfit:.0%}; {numbers}. Is the camera "
-            "linear, its gamma and noise reduction off, the light steady?",
+def fit_noise(signal: Double, variance: Double, pairs: Double, step: Double) -> NoiseFit:
+    """Fit gain and read noise: variance = read noise^2 + signal / gain + step^2 / 12.
+
+    Parameters
+    ----------
+    signal, variance : ndarray of float64, shape (n,)
+        Of bins, n at least 2, in counts.
+    pairs : ndarray of float64, shape (n,)
+        Differences that each variance is of.
+    step : ndarray of float64, shape (n,)
+        The converter's step: 1, or more or less where a response was linearised.
+
+    Notes
+    -----
+    Least squares, each bin weighted with its expected spread: the measured one goes with the
+    measured variance, and would pull the fit down. Errors grow with the misfit where it is more
+    than noise.
+    """
+    model = variance
+    for _ in range(20):
+        expected = model * np.sqrt(2 / pairs)
+        (slope, read), covariance = np.polyfit(
+            signal, variance - step**2 / 12, 1, w=1 / expected, cov="unscaled"
         )
-    if 2 * max(gain_error, read_error) > WANTED:
-        return Verdict(
-            "unknown",
-            f"Too few pairs to know the noise within {WANTED:.0%}: {numbers}. Take more pictures a "
-            "level, or more levels.",
-        )
-    return Verdict("good", f"Known well enough for the merge: {numbers}.")
+        if read < 0:  # the best without any
+            weight = signal / expected**2
+            slope, read = float(weight @ (variance - step**2 / 12) / (weight @ signal)), 0.0
+        slope = max(slope, 1e-9)
+        model = read + slope * signal + step**2 / 12
+    chi = np.square((variance - model) / expected)
+    covariance *= max(1.0, float(chi.sum()) / max(1, len(chi) - 2))
+    relative = np.square(variance / model - 1) - 2 / pairs
+    misfit = np.sqrt(max(0.0, np.average(relative, weights=pairs)))
+    slope_error, read_error = np.sqrt(np.diag(covariance))
+    return NoiseFit(1 / slope, slope_error / slope**2, read, read_error, float(misfit))
 
 
-def _edges(span: float) -> Double:
-    """Return edges of the bins, a quarter above whole counts: first that of darkness."""
-    edges = [-np.inf, 1.25]
-    while edges[-1] < span:
-        edges.append(np.floor(max(edges[-1] * RATIO, edges[-1] + LEAST_WIDTH)) + 0.25)
-    return np.array(edges)
+def _linear(counts: Double, span: float, gamma: float) -> Double:
+    """Return the signal of counts above black, in linear counts."""
+    if gamma == 1:
+        return counts
+    return np.asarray(span * np.copysign(np.abs(counts / span) ** gamma, counts))
 
 
-def _linear(
-    raw: NDArray[Any],
-    dark: Dark,
-    good: NDArray[np.bool_],
-    response: Response | None,
-    span: float,
-) -> Double:
-    """Return the signal of counts (2, E, n), in linear counts."""
-    if response is None:
-        return np.asarray(raw - dark.black[:, good].astype(np.float64))
-    return np.asarray(span * response.linearise((raw - dark.black_level_counts) / span))
+def _steps(signal: Double, span: float, gamma: float) -> Double:
+    """Return the converter's step at a signal, in linear counts."""
+    return gamma * np.maximum(signal / span, 1e-9) ** (1 - 1 / gamma)
 
 
-def _pooled(
-    pair: Double, usable: NDArray[np.bool_], times: Double
-) -> tuple[Double, NDArray[np.bool_]]:
-    """Return the signal a second (n,) by all usable exposures, and where that is finer (E, n)."""
-    both = usable.all(axis=0)
-    length = (both * times[:, None]).sum(axis=0)
-    light = (pair.mean(axis=0) * both).sum(axis=0) / np.maximum(length, times[0])
-    return light, both & (length >= FINER * times[:, None])
+def _binned(first: Double, second: Double, edges: Double) -> Double:
+    """Gather a pair of pictures (n,) in bins of its mean.
 
-
-def _bin_of(signal: Double, edges: Double) -> NDArray[np.intp]:
-    """Return the bin of each signal."""
-    return np.clip(np.searchsorted(edges, signal) - 1, 0, len(edges) - 2)
-
-
-def _binned(pair: Double, signal: Double, at: NDArray[np.intp], count: int) -> Bins:
-    """Gather a pair of pictures (2, n) in bins, by the bin (n,) of each photosite."""
-    order = np.argsort(at, kind="stable")
-    difference, signal = (pair[1] - pair[0])[order], signal[order]
-    bounds = np.searchsorted(at[order], np.arange(count + 1))
-    result = Bins.none(count)
-    for index, (first, last) in enumerate(pairwise(bounds)):
-        if last - first < 2:
-            continue
-        part = difference[first:last]
-        centre = np.median(part)
-        deviation = MAD_TO_DEVIATION * np.median(np.abs(part - centre))
-        kept = np.abs(part - centre) <= CLIP * max(deviation, 1.0)
-        if kept.sum() < 2:
-            continue
-        part = part[kept]
-        # the mean difference takes one of the pairs' degrees of freedom
-        squares = (part - part.mean()) ** 2 / 2 * (len(part) / (len(part) - 1))
-        result.pairs[index] = len(part)
-        result.signals[index] = signal[first:last][kept].sum()
-        result.squares[index] = squares.sum()
-        result.fourths[index] = (squares**2).sum()
-    return result
+    Returns
+    -------
+    ndarray of float64, shape (4, bins)
+        Number of pairs; sums of the signal, of half the squared difference, and of its square.
+    """
+    bins, signal = len(edges) - 1, (first + second) / 2
+    at = np.searchsorted(edges, signal) - 1
+    kept = (at >= 0) & (at < bins)
+    at, signal, rest = at[kept], signal[kept], (second - first)[kept]
+    for _ in range(2):
+        pairs = np.bincount(at, minlength=bins)
+        rest = rest - (np.bincount(at, rest, bins) / np.maximum(pairs, 1))[at]
+        noise = np.sqrt(np.bincount(at, rest**2, bins) / np.maximum(pairs, 1))
+        kept = np.abs(rest) <= _CLIP * noise[at]
+        at, signal, rest = at[kept], signal[kept], rest[kept]
+    pairs = np.bincount(at, minlength=bins).astype(np.float64)
+    # the mean difference takes one of the pairs' degrees of freedom
+    squares = rest**2 / 2 * (pairs / np.maximum(pairs - 1, 1))[at]
+    sums = (np.bincount(at, values, bins) for values in (signal, squares, squares**2))
+    return np.stack([pairs, *sums]) * (pairs > 1)
 
 
 def _saturation(counts: NDArray[np.int64], white_level: int) -> tuple[float, bool]:
-    """Return the count at which photosites pile up, and whether they do."""
+    """Return the count at which photosites pile up, or full scale, and whether they do."""
     top = int(np.flatnonzero(counts)[-1])
     below = counts[max(0, top - 40) : max(1, top - 8)]
     piled = int(counts[max(0, top - 8) :].sum())
     if top >= white_level or piled > 10 * max(1.0, 8 * float(below.mean())):
         return float(top), True
     return float(white_level), False
-
-
-def _limit(saturation: float, black: float, response: Response | None, span: float) -> float:
-    """Return the signal, in linear counts, that saturates."""
-    level = (saturation - black) / span
-    return span * (level if response is None else float(response.linearise(np.array(level))))
-
-
-def _steps(signal: Double, response: Response | None, span: float) -> Double:
-    """Return the converter's step at a signal, in linear counts: 1 for a linear camera."""
-    if response is None:
-        return np.ones_like(signal)
-    level = np.linspace(0, 1, int(span) + 1)
-    light = span * response.linearise(level)
-    return np.interp(signal, light, np.gradient(light))
-
-
-def _usable(bins: Bins, limit: float) -> NDArray[np.bool_]:
-    """Choose bins with enough pairs, above darkness, and too low to be cut off by saturation."""
-    enough = bins.pairs >= LEAST_PAIRS
-    enough[0] = False
-    # darker photosites that noise lifted into a bin have less noise than its signal says
-    above = bins.signal > ABOVE_DARK * np.sqrt(bins.variance)
-    spread = np.sqrt(np.maximum.accumulate(np.where(enough, bins.variance, 0)))
-    return np.asarray(enough & above & (bins.signal * RATIO + CLIP * spread < limit))
-
-
-def _dark_bins(dark: Dark, current: Double, span: float) -> Bins:
-    """Return the dark frames as bins of next to no signal, those that light fills left out."""
-    bare = current < MOST_IN_DARK * span
-    current, variance = current[bare], np.maximum(dark.variance, 0)[bare]
-    pairs = np.full(len(current), float((dark.frames - 1) * (~dark.hot).sum()))
-    return Bins(
-        pairs, pairs * current, pairs * variance, pairs * 3 * variance**2, np.ones_like(pairs)
-    )

@@ -23,7 +23,7 @@ def aim(
     """
     import logging
 
-    from rfpipe.calibration.job import uncalibrated
+    from rfpipe.calibration.folder import uncalibrated
     from rfpipe.config import load_rig_config
     from rfpipe.rigs.build import devices_from_config
     from rfpipe.server.aim import aim as run

@@ -32,8 +32,7 @@ def calibrate(
     import logging
     from contextlib import suppress
 
-    from rfpipe.calibration import CalibrationFolder
-    from rfpipe.calibration.job import calibrate_rig
+    from rfpipe.calibration.folder import CalibrationFolder, calibrate_rig
     from rfpipe.config import load_rig_config
     from rfpipe.errors import StoreError
     from rfpipe.report.calibration import build_calibration_report

@@ -13,24 +13,11 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.response import Response
 from rfpipe.units import RADIANCE, SATURATION_FRACTION
 
-__all__ = [
-    "BracketMerge",
-    "ExactSensor",
-    "MergeOptions",
-    "Merged",
-    "Sensor",
-    "check_black",
-    "check_frames",
-    "check_light",
-    "check_shape",
-    "place",
-]
-
 Float = NDArray[np.float32]
 
-NEGATIVE_TOLERANCE = 1e-3
-"""Negative light up to this fraction of the image's maximum counts as a compressed operator's
-rounding and is set to zero; below that the operator is wrong."""
+_NEGATIVE_TOLERANCE = 1e-3
+# Negative light up to this fraction of the image's maximum counts as a compressed operator's
+# rounding and is set to zero; below that the operator is wrong.
 
 
 @dataclass(frozen=True)
@@ -66,14 +53,11 @@ class MergeOptions:
         Counts at or above this fraction of full scale are saturated and not used, in (0, 1].
     response : Response, optional
         A recovered response, used in place of the camera's nominal one.
-    brackets : int
-        Brackets to come, where that is known: for many, a compiled merge is loaded at once.
     """
 
     black_count: int = 1
     saturation_fraction: float = SATURATION_FRACTION
     response: Response | None = None
-    brackets: int = 0
 
     def __post_init__(self) -> None:
         if self.black_count < 1:
@@ -223,7 +207,7 @@ def check_shape(frames: NDArray[Any], bracket: tuple[int, ...], first_index: int
 def check_light(radiance: NDArray[Any], key: tuple[int, ...]) -> Float:
     """Return radiance as float32 without negative rounding, or raise CaptureError."""
     light = np.asarray(radiance, RADIANCE)
-    largest = _check_values(light, f"pattern {key}", NEGATIVE_TOLERANCE)
+    largest = _check_values(light, f"pattern {key}", _NEGATIVE_TOLERANCE)
     return np.maximum(light, 0, dtype=RADIANCE) if largest else np.zeros_like(light)
 
 

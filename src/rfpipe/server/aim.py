@@ -18,9 +18,8 @@ from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 from numpy.typing import NDArray
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-from rfpipe.calibration.base import camera_model
-from rfpipe.calibration.sight import SATURATED, measure_sight, sight_findings, sight_pictures
-from rfpipe.calibration.sight_picture import sight_picture
+from rfpipe.calibration.bench import camera_model
+from rfpipe.calibration.sight import SATURATED, measure_sight, sight_picture, sight_pictures
 from rfpipe.errors import RfpipeError
 from rfpipe.rigs.devices import Camera, Projector, bracket_of
 from rfpipe.server.run import bound_socket
@@ -207,16 +206,16 @@ class Watch:
         times, white_level = model.exposures, model.white_level
         if mode == "measure":
             sight = measure_sight(taken, times, white_level, self._period)
-            found = sight_findings(sight, times, white_level)
-            picture = sight_picture(sight.white, sight.saturated, sight.dark, sight.lit)
-            proposal = ", ".join(f"{one:g}" for one in found.facts["proposed_exposures_s"])
+            lit, dark = sight["lit"], sight["dark"]
+            picture = sight_picture(sight["white"], sight["saturated"], dark, lit)
+            proposal = ", ".join(f"{one:g}" for one in sight["proposed_exposures_s"])
             facts = {
-                "standing": found.verdict.standing,
-                "verdict": found.verdict.text,
-                "saturated": found.facts["saturated_share"],
-                "dark": float(sight.dark.sum() / max(sight.lit.sum(), 1)),
-                "lit": found.facts["lit_share"],
-                "focus": found.facts["focus_contrast"],
+                "standing": sight.verdict.standing,
+                "verdict": sight.verdict.text,
+                "saturated": sight["saturated_share"],
+                "dark": float(dark.sum() / max(lit.sum(), 1)),
+                "lit": sight["lit_share"],
+                "focus": sight["focus_contrast"],
                 "exposures": list(times),
                 "proposal": f"sensor:\n  exposures: [{proposal}]",
             }

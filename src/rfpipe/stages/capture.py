@@ -13,9 +13,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.calibration.symmetry import random_signs
 from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY, WARM_UP_KEY
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
-from rfpipe.photometry.symmetry import random_signs
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import sequence_patterns
 from rfpipe.stages.brackets import Brackets, Keys, Shared, take_shared

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -182,7 +182,6 @@ def _merge(
         pieces = runs(count, image_shape)
         # a run is a shard, so that no two workers ever write the same one
         run_chunks = max(-(-(last - first) // chunk) for first, last in pieces or [(0, 1)])
-        merger = replace(merger, options=replace(merger.options, brackets=count))
         shape = (count, 2, *image_shape)
         with (
             folder.merging(level, shape, facts["fingerprint"], (chunk, run_chunks)) as (

@@ -14,8 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import CaptureError
-from rfpipe.photometry.checks import check_floodlit, warn_if_dim
-from rfpipe.photometry.defects import DarkFrames, DefectMap, find_defects
+from rfpipe.photometry.defects import (
+    DarkFrames,
+    DefectMap,
+    check_floodlit,
+    find_defects,
+    warn_if_dim,
+)
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, MergeOptions, Sensor
 from rfpipe.stages.folder import REFERENCE, AcquisitionFolder

@@ -15,8 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.calibration.symmetry import (
+    CONFIDENCE,
+    Pictures,
+    measure_symmetry,
+    random_signs,
+    worst_of,
+)
 from rfpipe.errors import CaptureError
-from rfpipe.photometry.symmetry import CONFIDENCE, Pictures, measure_symmetry, random_signs
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.merger import Merger
 
@@ -120,7 +126,8 @@ def measure(merger: Merger, frames: Iterable[NDArray[Any]], count: int) -> Asymm
     taken = _flat(np.concatenate(radiance)), _flat(np.concatenate(variance))
     floodlit = _flat(merger.floodlit[None])[0], _flat(merger.floodlit_variance[None])[0]
     signs = random_signs(shape[:-1], 1, count, seed=0)
-    worst = measure_symmetry(*floodlit, [Pictures.of(signs, taken, floodlit, 1)]).worst
+    pictures = Pictures(1, signs.reshape(count, -1), *taken)
+    worst = worst_of(measure_symmetry(*floodlit, [pictures]))
     # Light from pixels that aren't known is seen one way alone: at most so much, if indirect.
     unseen = _MASKED * float(np.mean(~np.isfinite(merger.floodlit_variance)))
     return Asymmetry(float(np.sqrt(max(worst.predicted**2 - unseen, 0))), worst.predicted_error)

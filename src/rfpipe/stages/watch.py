@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.calibration.symmetry import Reciprocity, random_signs
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.keys import DRIFT_KEY, LOOK_KEY
-from rfpipe.photometry.reciprocity import Reciprocity
 from rfpipe.photometry.sensor import Merged
-from rfpipe.photometry.symmetry import random_signs
 from rfpipe.stages.brackets import Brackets, Keys
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of
 from rfpipe.stages.merger import Merger, read_merger

@@ -1,0 +1,154 @@
+"""What a step of a calibration has at hand: the devices, and the findings of earlier steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.calibration.verdicts import Findings
+from rfpipe.config import CalibrationConfig
+from rfpipe.errors import CaptureError, RfpipeError
+from rfpipe.photometry import CameraModel, MergeOptions
+from rfpipe.rigs.devices import Camera, Projector, bracket_of
+from rfpipe.rigs.window import STEPS as WEIGHTS
+from rfpipe.rigs.window import code_table
+
+Float = NDArray[np.float32]
+
+
+class Counts(Protocol):
+    """Something that counts pictures."""
+
+    def advance(self, patterns: int) -> None:
+        """Count so many more."""
+
+
+Progress = Callable[[str, int], AbstractContextManager[Counts]]
+"""Makes one for a title and a number, such as `rfpipe.stages.jobs.progress.Progress`."""
+
+
+class DeviceError(Exception):
+    """Carries the error of a device past those who take errors for findings."""
+
+
+@contextmanager
+def driving() -> Iterator[None]:
+    """Tell errors of devices from those of what is measured."""
+    try:
+        yield
+    except RfpipeError as error:
+        raise DeviceError(error) from error
+
+
+def uniform(projector: Projector, weight: float) -> Float:
+    """Return a picture of one weight everywhere."""
+    return np.broadcast_to(np.float32(weight), projector.shape)
+
+
+def camera_model(camera: Camera) -> CameraModel:
+    """Return the camera's own model.
+
+    Raises
+    ------
+    CaptureError
+        When the camera has no noise model that could be calibrated.
+    """
+    if not isinstance(camera.sensor, CameraModel):
+        raise CaptureError(
+            f"a camera with a {type(camera.sensor).__name__} has no noise to calibrate; expected "
+            "counts of a CameraModel"
+        )
+    return camera.sensor
+
+
+def camera_numbers(found: Mapping[str, Findings]) -> dict[str, Any]:
+    """Return the parameters of `CameraModel` that were measured."""
+    numbers: dict[str, Any] = {}
+    if "dark" in found:
+        numbers["black_level_counts"] = max(0, round(found["dark"]["black_level_counts"]))
+    if "linearity" in found:
+        numbers["response_gamma"] = found["linearity"]["response_gamma"]
+    if "transfer" in found:
+        names = "full_well_electrons", "read_noise_electrons", "dark_current_electrons"
+        numbers |= {name: found["transfer"][name] for name in names}
+    return numbers
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What a step has at hand.
+
+    Attributes
+    ----------
+    projector : Projector
+        Shows codes: weight times 255, without a response of its own.
+    camera : Camera
+    settings : CalibrationConfig
+    rays : (int, int) or None
+        Ray domain, or that of each view; None: each projector pixel is a ray.
+    found : mapping of str to Findings
+        Of the steps that this one needs.
+    progress : callable
+        Makes what counts so many pictures.
+    """
+
+    projector: Projector
+    camera: Camera
+    settings: CalibrationConfig
+    rays: tuple[int, int] | None
+    found: Mapping[str, Findings]
+    progress: Callable[[int], AbstractContextManager[Counts | None]]
+
+    @property
+    def model(self) -> CameraModel:
+        """The camera with the numbers measured so far."""
+        return replace(camera_model(self.camera), **camera_numbers(self.found))
+
+    def take(
+        self, pictures: Iterable[Float], count: int | None = None, *, linear: bool = False
+    ) -> Iterator[NDArray[Any]]:
+        """Show pictures one by one; yield the bracket of each, shape (E, Hc, Wc[, C]).
+
+        Parameters
+        ----------
+        pictures : iterable of ndarray of float32, shape (H, W)
+            Weights in [0, 1]: codes, or light.
+        count : int, optional
+            Their number, where they have no length.
+        linear : bool
+            Whether the weights are light, looked up in the projector's measured response.
+        """
+        codes = code_table(self.found["light"]["light"]) if linear else None
+        total = len(pictures) if isinstance(pictures, Sequence) else count or 0
+        with self.progress(total) as counts:
+            for index, picture in enumerate(pictures):
+                shown, name = picture, f"calibration picture {index}"
+                if codes is not None:
+                    at = np.rint(np.clip(picture, 0, 1) * WEIGHTS).astype(np.int64)
+                    shown = (codes[at] / np.float32(255)).astype(np.float32)
+                with driving():
+                    frames = bracket_of(self.projector, self.camera, shown, name)
+                if counts is not None:
+                    counts.advance(1)
+                yield frames
+
+    def radiance(
+        self, pictures: Sequence[Float], *, linear: bool = False
+    ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Show pictures; yield merged radiance and variance of each, (Hc, Wc).
+
+        Channels are added up: the light is white.
+        """
+        dark = self.found["dark"]
+        merge = self.model.merging(dark["black"], MergeOptions(dark["frames"]))
+        for frames in self.take(pictures, linear=linear):
+            merged = merge(frames[None])
+            yield (
+                merged.radiance[0].sum(axis=-1, dtype=np.float64),
+                merged.variance[0].sum(axis=-1, dtype=np.float64),
+            )

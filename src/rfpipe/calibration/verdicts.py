@@ -1,0 +1,210 @@
+"""Verdicts on a rig: what each number may be, and what to do where it isn't."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Standing = Literal["good", "poor", "unknown", "failed"]
+Facts = Mapping[str, Any]
+
+
+class Verdict(NamedTuple):
+    """Whether a step's measurement is good enough.
+
+    Attributes
+    ----------
+    standing : {"good", "poor", "unknown", "failed"}
+        unknown: the noise is larger than what is judged. failed: there is no measurement.
+    text : str
+        The numbers, the reason and the remedy.
+    """
+
+    standing: Standing
+    text: str
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Result of a step.
+
+    Attributes
+    ----------
+    verdict : Verdict
+    facts : mapping
+        Plain data: numbers with their standard errors.
+    arrays : mapping of str to ndarray
+        What the rig, later steps and the report's pictures need.
+    """
+
+    verdict: Verdict
+    facts: Facts = field(default_factory=dict)
+    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, step: str, facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
+    ) -> Findings:
+        """Judge what a step measured."""
+        plain = {
+            name: value.item() if isinstance(value, np.generic) else value
+            for name, value in facts.items()
+        }
+        return cls(verdict_of(step, plain), plain, arrays)
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the array or the fact of a name."""
+        return self.arrays[name] if name in self.arrays else self.facts[name]
+
+
+# A row: step, standing and, but for the sentence of a good step, the fact with its limit, a number
+# or another fact. A fact that is None is not judged. A note is added to whatever the verdict is.
+_TABLE = """
+latency good: A picture is seen {delay_ms:.0f} ms after it was drawn, in all of {trials} trials.
+latency poor unsettled_seconds > 0: Even {unsettled_seconds:g} s after a picture was drawn, the
+    camera didn't see it wholly. Does the lamp flicker, or change with the picture (dynamic
+    contrast, eco mode)? Switch that off, and calibrate again.
+latency poor early_seconds > 0: A picture is seen {delay_ms:.0f} ms after it was drawn. The
+    projector's driver returns before its light has settled: let its `show` wait for
+    {proposed_settle_seconds:g} s more.
+latency poor short_seconds > 0: A picture is seen {delay_ms:.0f} ms after it was drawn, but
+    projector.options.settle_seconds is {settle_seconds:g}: frames are taken of the picture before.
+    Set it to {proposed_settle_seconds:g}, and calibrate again.
+latency note spared_share > 0: projector.options.settle_seconds is {settle_seconds:g};
+    {proposed_settle_seconds:g} would do, and save about {spared_share:.0%} of a capture's time.
+scene good: The projector lights {lit_share:.0%} of the picture; white would reach
+    {brighter_level:.2g} times full scale at the longest exposure. Stripes of {stripes_pixels}
+    projector pixels keep {focus_contrast:.0%} of their contrast.
+scene poor black_saturated_share > 0.01: The all-off picture itself saturates
+    {black_saturated_share:.0%} of the camera's pixels at the shortest exposure, {shortest_s:.3g} s:
+    darken the room, or the projector is not black when it is off.
+scene poor overexposed_share > 0.01: {saturated_share:.1%} of the pixels that the projector lights
+    are saturated even at the shortest exposure, {shortest_s:.3g} s: the brightest are about
+    {times_too_bright:.2g} times too bright. Add shorter exposures, as sensor.exposures:
+    {proposed_exposures_s}, close the aperture, or dim the projector.
+scene poor brighter_level < 0.1: Too dark: at the longest exposure, {longest_s:.3g} s, white reaches
+    {brighter_level:.1%} of full scale where it is bright; {limit:.0%} or more are wanted. Take
+    longer exposures, as sensor.exposures: {proposed_exposures_s}, or open the aperture.
+scene poor is_unlit > 0: Too dark: at the longest exposure, {longest_s:.3g} s, the projector's white
+    shows nothing above the noise. Is the lamp on, the lens cap off, does the camera see what the
+    projector lights? Then take much longer exposures, or open the aperture.
+scene poor is_stripeless > 0: The camera sees light, but no stripes of the projector: focus both,
+    and turn the camera to what the projector lights.
+scene note veil > 0.01: Beyond the projector's outline there is {veil:.1%} of white's mean light:
+    flare of the lens, which every picture has, or what the scene reflects.
+scene note edges_left > 0: It leaves the camera's view at the {edges} edge.
+dark good: Black level {black_level_counts:.2f} counts; {hot_photosites} hot photosites
+    ({hot_share:.3%}), which are left out.
+dark poor headroom_deviations < 4: The black level, {black_level_counts:.1f} counts, is less than
+    four times the noise ({noise_counts:.2f}) above zero: darkness is cut off and biased. Raise the
+    camera's black level.
+dark poor hot_share > 0.001: {hot_share:.2%} of the photosites are hot, more than {limit:.1%}: cool
+    the camera or use shorter exposures.
+dark poor filled_share > 0.05: The all-off picture isn't dark: at {longest_s:.3g} s it takes
+    {filled_share:.0%} of the camera's range; exposures up to {bearable_s:.2g} s would bear it.
+dark note projector_black > 0: Projector black: {projector_black:.2%} of its full light, in the
+    shape of its picture.
+dark note black_fills > 0: Lower the projector's brightness setting, close its iris, or take one of
+    more contrast.
+dark note room_fills > 0: Stray light of the room: {room_fills:.3g} counts a second, more than a
+    sensor's dark current. Black out the room.
+dark note current_fills > 0: Dark current: {current_fills:.3g} counts a second, the same all over
+    the picture, or as much stray light that falls evenly. This rig can't shut its lens, which alone
+    tells them apart: put the cap on, and run rfpipe calibrate with --step dark --again. If it
+    stays, cool the camera; if not, black out the room.
+linearity good: {kind}: exposures agree within {deviation:.2%} beyond noise, {tolerance:.1%}
+    allowed.
+linearity unknown compared_levels < 1: Exposures could not be compared: it takes two or more, a few
+    times apart, of light between black and saturated.
+linearity poor bent_deviation > tolerance: Not linear: exposures of the same light differ by up to
+    {worst_deviation:.1%}, and no power law describes them, the nearest by {bent_deviation:.1%};
+    switch the camera's gamma off.
+linearity poor unsteady_deviation > tolerance: Exposures of the same light differ by up to
+    {worst_deviation:.1%}, though the camera's response is next to a straight line: is the light
+    steady, are gain and exposure not automatic, and are the exposure times true?
+light good: {usable_codes} steps of light; half the light is code {code_of_half_light:.0f}; the lamp
+    drifted by {drift:+.2%}.
+light poor over_noise < 30: Too dark: full light is {over_noise:.0f} times a pixel's noise, of the
+    pixels where it shows at all; {limit:.0f} times or more are wanted, as else the choice of lit
+    pixels darkens the others. Take longer exposures, or open the aperture.
+light poor drift_beyond_noise > tolerance: The light changed by {drift:+.2%} while the codes were
+    shown, more than {tolerance:.1%}: let the lamp warm up, and calibrate again.
+light poor falls_at_code > 0: Light falls at code {falls_at_code}: switch off the projector's
+    dynamic contrast and colour modes.
+light poor usable_codes < 64: Only {usable_codes} of 256 codes differ in light: reset brightness,
+    contrast.
+transfer good: Known well enough for the merge: {numbers}.
+transfer poor misfit > 0.1: The variance misses that of photons by {misfit:.0%}; {numbers}. Is the
+    camera linear, its gamma and noise reduction off, the light steady?
+transfer unknown known_within > 0.1: Too few pairs to know the noise within {limit:.0%}: {numbers}.
+    Take more pictures a level, or more levels.
+correspondence good: {valid_share:.0%} of the camera's pixels are decoded, with a noise of
+    {median_error_pixels:.3f} projector pixels.
+correspondence poor valid_pixels < 100: Only {valid_pixels} camera pixels see the projector's
+    stripes. Check focus, that the camera sees what the projector lights, and the exposures; or make
+    the stripes wider than {period_pixels} pixels a period.
+correspondence poor decoded_of_lit < 0.7: Only {decoded_of_lit:.0%} of the camera's pixels that the
+    projector lights are decoded; {limit:.0%} are wanted. They are saturated, too dark or out of
+    focus: mend exposures and focus first.
+correspondence poor median_error_pixels > 0.1: {valid_share:.0%} of the camera's pixels are decoded,
+    but their noise is {median_error_pixels:.2f} projector pixels, above {limit}: use longer
+    exposures.
+rays good: {pixels_a_ray:.1f} camera pixels a ray, a leak of {leak:.2%}; the map fits within
+    {map_rms_pixels:.2f} projector pixels a camera pixel, its own error is {map_error_pixels:.3f}.
+    The picture is blurred by {blur_pixels:.2f} camera pixels. {unseen_rays} rays are not seen, and
+    stay dark.
+rays poor unseen_share > 0.02: {unseen_rays:,} of {count:,} rays are not seen ({unseen_share:.0%}),
+    {whereabouts}; {limit:.0%} are allowed. Turn the camera or its zoom until all of the projector's
+    picture is in its view, or light less of it.
+rays poor mixed_by_blur > 1: Blur: the picture is blurred by {blur_pixels:.2f} camera pixels
+    (standard deviation), {blur_of_ray:.0%} of a ray's side: {leak:.1%} of other rays' light leaks
+    into rays, and noise grows up to {largest_noise:.1f} times. Focus camera and projector, close
+    the aperture, or take rays {larger_rays:.1f} times as large.
+rays poor mixed_by_pixels > 1: Rays share camera pixels: {leak:.1%} of other rays' light leaks into
+    rays, and noise grows up to {largest_noise:.1f} times. There are {pixels_a_ray:.1f} camera
+    pixels a ray; 4 or more are wanted: use larger rays, or a longer lens.
+rays poor map_error_pixels > 0.1: The map from camera to projector is known to
+    {map_error_pixels:.2f} projector pixels only, above {limit}: it is no smooth one, or blur drowns
+    the stripes. Is the rig coaxial, and in focus?
+symmetry good: Good enough for symmetric photography.
+symmetry poor least_error > tolerance: Not good enough for symmetric photography; dual photography
+    doesn't need symmetry.
+symmetry unknown most_error > tolerance: The noise can't tell: use more patterns, or longer
+    exposures.
+symmetry note error > -1: Asymmetry alone makes errors of {error:.2%} +- {standard_error:.2%} in
+    pictures relit with patches of {side_rays} x {side_rays} rays, {tolerance:.1%} accepted.
+symmetry note flare_makes > 0: Flare: the lens spreads {flare:.1%} +- {flare_error:.1%} of the light
+    over the picture, which makes an error of {flare_makes:.1%}: clean and shade the lens, and cover
+    what is bright beside the scene.
+symmetry note vignetting_makes > 0: Vignetting: the camera loses {vignetting:.0%} +-
+    {vignetting_error:.0%} more light in its corners than the projector does, which makes an error
+    of {vignetting_makes:.1%}: close the aperture, or take a longer lens.
+symmetry note unexplained_error > tolerance: An error of {unexplained_error:.1%} has another cause.
+    Largest at single rays: align the two devices' centres, or focus. At patches of many rays:
+    flare, or unequal vignetting.
+"""
+
+
+def verdict_of(step: str, facts: Facts) -> Verdict:
+    """Judge the facts of a step by the table's rows."""
+    said: dict[str, list[tuple[str, float]]] = {"poor": [], "unknown": [], "good": [], "note": []}
+    for row in re.split(r"\n(?=\S)", _TABLE.strip()):
+        head, _, text = row.partition(": ")
+        name, standing, *rule = head.split()
+        if name != step:
+            continue
+        limit = 0.0
+        if rule:
+            fact, sign, bound = rule
+            value, limit = facts[fact], facts[bound] if bound in facts else float(bound)
+            if value is None or not (value > limit if sign == ">" else value < limit):
+                continue
+        said[standing].append((" ".join(text.split()), limit))
+    result: Standing = "poor" if said["poor"] else "unknown" if said["unknown"] else "good"
+    sentences = said[result] + said["note"]
+    return Verdict(result, " ".join(t.format_map({**facts, "limit": x}) for t, x in sentences))
