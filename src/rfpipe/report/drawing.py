@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,30 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
-
-__all__ = [
-    "UNLIT_GAIN",
-    "Drawing",
-    "chunks",
-    "colour_bar",
-    "draw_method",
-    "head",
-    "image_png",
-    "label_below",
-    "label_left",
-    "logarithmic",
-    "logarithmic_limits",
-    "new_figure",
-    "new_panels",
-    "number_axis",
-    "panel_ratio",
-    "png",
-    "scene_curves",
-    "shared_legend",
-    "show_image",
-    "show_panels",
-    "unlit_gain",
-]
 
 UNLIT_GAIN = 4
 """Factor on the radiance of the pixels that a pattern leaves dark, to show them."""
@@ -292,10 +267,9 @@ def label_below(axis: Axes, text: str) -> None:
     axis.set_xlabel(text, fontsize=_SMALL, labelpad=3)
 
 
-def chunks(items: Sequence[Any], longest: int) -> list[Sequence[Any]]:
-    """Cut a sequence into runs of at most `longest`, as even as can be."""
-    if not items:
-        return []
+def parts(items: Sequence[Any], longest: int = _ABREAST) -> Iterator[tuple[list[Any], str]]:
+    """Cut what stands abreast into figures, as even as can be; yield items and a file's suffix."""
     count = -(-len(items) // longest)
-    bounds = np.linspace(0, len(items), count + 1).round().astype(int)
-    return [items[a:b] for a, b in pairwise(bounds)]
+    for index, part in enumerate(np.array_split(np.arange(len(items)), count or 1)):
+        if len(part):
+            yield [items[n] for n in part], f"_{index + 1}" if count > 1 else ""

@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.report import methods, tables
-from rfpipe.report.blocks import Gallery, Picture, Section, Tabulation
+from rfpipe.report import methods
+from rfpipe.report.blocks import Column, Gallery, Picture, Section, Table, Tabulation, table_of
 from rfpipe.report.drawing import UNLIT_GAIN, unlit_gain
 from rfpipe.report.inputs import Inputs, Run
-from rfpipe.report.text import number, percent, words
+from rfpipe.report.text import fixed, number, percent, words
 from rfpipe.stages.evaluating.metrics import relative_rms
 
 if TYPE_CHECKING:
     import pandas as pd
-
-__all__ = ["glance_section"]
 
 _SHOWN = "horizontal_bar"  # crosses the edge of two planes, where indirect light shows best
 
 
 def glance_section(inputs: Inputs) -> Section:
     """A picture of each scene, and every run on one line."""
-    numbers = tables.results(inputs)
+    numbers = results(inputs)
     pictures = [scene_picture(inputs.of_scene(scene)[0]) for scene in inputs.scenes]
     if inputs.has_truth:
         about = (
@@ -42,7 +41,7 @@ def glance_section(inputs: Inputs) -> Section:
         f"Patterns shown; minutes of capture, at {per_pattern:g} s a pattern, and processing"
         f"{inputs.without_references}; bytes on disk, 1 MB = 10⁶ bytes. {about}"
     )
-    table = tables.results_table(inputs, numbers)
+    table = _table(inputs, numbers)
     return Section(
         "glance",
         "At a glance",
@@ -81,6 +80,84 @@ def _range(values: Any, shown: Any) -> str:
     """Return the least and the largest of some numbers; one of them where they look the same."""
     low, high = shown(values.min()), shown(values.max())
     return low if low == high else f"{low} to {high}"
+
+
+def results(inputs: Inputs) -> pd.DataFrame:
+    """Return what each run cost and how far off its relit pictures are.
+
+    Returns
+    -------
+    DataFrame
+        For each run ``scene``, ``method``, ``views``, ``height``, ``width``, ``channels``;
+        ``rays``: patterns of brute force; ``patterns``; ``megabytes`` (10^6 bytes on disk) and
+        ``dense_terabytes`` of T as float32; ``capture_s`` at the rig's stated seconds a pattern,
+        ``capture_jobs_s`` and ``processing_s``: wall seconds of the capture's and of all other
+        jobs, NaN where they left none; ``minutes`` of capture and processing;
+        ``verified_error``, ``verified_worst_error``: of pictures that no method saw. Over the
+        relighting patterns ``mean_error`` and ``worst_error`` in total, ``unlit_error``: the mean
+        on the unlit pixels, ``psnr_db``: the least, ``ciede2000``: the largest; NaN where the
+        truth isn't known.
+    """
+    import pandas as pd
+
+    errors = inputs.errors.groupby(["scene", "method"], sort=False).agg(
+        mean_error=("rms_total", "mean"),
+        worst_error=("rms_total", "max"),
+        unlit_error=("rms_unlit", "mean"),
+        psnr_db=("psnr_db", "min"),
+        ciede2000=("ciede2000", "max"),
+    )
+    costs = pd.DataFrame([_cost(inputs, run) for run in inputs.runs])
+    return costs.merge(errors, how="left", on=["scene", "method"])
+
+
+def _cost(inputs: Inputs, run: Run) -> dict[str, Any]:
+    settings, jobs = run.settings, run.own(inputs.times)
+    capture = run.patterns * inputs.config.capture.seconds_per_pattern
+    is_capture = jobs["stage"] == "capture"
+    processing = jobs["seconds"][~is_capture].sum(min_count=1)
+    entries = run.rays * math.prod(settings.camera_ray_shape) * settings.channels
+    return {
+        "scene": run.scene,
+        "method": run.method,
+        "views": math.prod(settings.view_grid),
+        "height": settings.shape[0],
+        "width": settings.shape[1],
+        "channels": settings.channels,
+        "rays": run.rays,
+        "patterns": run.patterns,
+        "megabytes": run.facts["bytes"] / 1e6,
+        "dense_terabytes": 4 * entries / 1e12,
+        "capture_s": capture,
+        "capture_jobs_s": jobs["seconds"][is_capture].sum(min_count=1),
+        "verified_error": run.verified.get("mean_error"),
+        "verified_worst_error": run.verified.get("worst_error"),
+        "processing_s": processing,
+        "minutes": (capture + (0.0 if math.isnan(processing) else processing)) / 60,
+    }
+
+
+def _table(inputs: Inputs, found: pd.DataFrame) -> Table:
+    """Return patterns, minutes, bytes and errors of each run, as `results` found, on one line."""
+    columns: list[Column] = [
+        ("patterns", "patterns", number),
+        ("brute force", "rays", number),
+        ("time, min", "minutes", fixed(1)),
+        ("stored, MB", "megabytes", fixed(2)),
+        ("mean", "mean_error", percent),
+        ("largest", "worst_error", percent),
+        ("mean on unlit pixels", "unlit_error", percent),
+    ]
+    groups = [("", 2), ("cost", 4), ("error of relit pictures, %", 3)]
+    if not inputs.has_truth:
+        columns, groups = columns[:4], []
+        if any(run.verified for run in inputs.runs):
+            groups = [("", 2), ("cost", 4), ("error of pictures that no method saw, %", 2)]
+            columns += [
+                ("mean", "verified_error", percent),
+                ("largest", "verified_worst_error", percent),
+            ]
+    return table_of(found, inputs.labels, columns, groups, csv="results.csv")
 
 
 def scene_picture(run: Run) -> Picture:

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.report import tables
+from rfpipe.report import glance
 from rfpipe.report.inputs import Inputs, Run
 
 RESULTS_NAME = "results.json"
@@ -15,7 +15,7 @@ RESULTS_NAME = "results.json"
 def provenance_of(inputs: Inputs) -> dict[str, Any]:
     """Return plain data that tells a report's origin."""
     shaping = inputs.config.shaping()
-    costs = zip(inputs.runs, tables.costs(inputs), strict=True)
+    costs = zip(inputs.runs, glance.results(inputs).to_dict("records"), strict=True)
     return {
         "versions": versions(),
         "seed": inputs.config.seed,
@@ -25,7 +25,7 @@ def provenance_of(inputs: Inputs) -> dict[str, Any]:
     }
 
 
-def _acquisition(run: Run, cost: dict[str, Any]) -> dict[str, Any]:
+def _acquisition(run: Run, cost: dict[Any, Any]) -> dict[str, Any]:
     names = ("rays", "patterns", "megabytes", "capture_s", "capture_jobs_s", "processing_s")
     numbers = {name: float(cost[name]) for name in names}
     verified = {name: run.verified[name] for name in ("mean_error", "worst_error") if run.verified}

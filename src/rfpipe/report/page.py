@@ -11,11 +11,16 @@ from typing import Any
 from rfpipe.config import Config
 from rfpipe.errors import StoreError
 from rfpipe.report import (
-    background,
+    errors as errors_,
+)
+from rfpipe.report import (
     estimates,
     glance,
+    leaves,
     methods,
-    sections,
+    pictures,
+    setup,
+    times,
     verdicts,
     verification,
 )
@@ -26,8 +31,6 @@ from rfpipe.report.placing import place
 from rfpipe.report.text import ray_size
 from rfpipe.stages.results import FILES, write_files
 from rfpipe.store.files import write_atomically
-
-__all__ = ["build_report", "make_sections", "write_page"]
 
 
 def build_report(
@@ -107,25 +110,24 @@ def write_page(
 def make_sections(inputs: Inputs) -> list[Section]:
     """Return the sections that there is something to show in."""
     if inputs.has_truth:
-        pictures = [
-            sections.methods_section(inputs),
-            sections.errors_section(inputs),
-            sections.matrices_section(inputs),
-            sections.levels_section(inputs),
+        shown = [
+            pictures.methods_section(inputs),
+            errors_.errors_section(inputs),
+            pictures.matrices_section(inputs),
+            pictures.levels_section(inputs),
         ]
     else:
-        pictures = [sections.captured_section(inputs)]
+        shown = [pictures.captured_section(inputs)]
     candidates = [
         glance.glance_section(inputs),
         verification.verification_section(inputs),
-        sections.speed_section(inputs),
-        *pictures,
+        errors_.speed_section(inputs),
+        *shown,
         verdicts.verdicts_section(inputs),
-        sections.cost_section(inputs),
         estimates.estimates_section(inputs),
-        sections.leaves_section(inputs),
-        background.times_section(inputs),
-        background.setup_section(inputs),
+        leaves.leaves_section(inputs),
+        times.times_section(inputs),
+        setup.setup_section(inputs),
     ]
     return [section for section in candidates if section is not None and section.blocks]
 

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.report import methods
+from rfpipe.report.blocks import Block, Illustration, Section
 from rfpipe.report.drawing import (
+    UNLIT_GAIN,
     Drawing,
     colour_bar,
     head,
@@ -18,11 +20,12 @@ from rfpipe.report.drawing import (
     new_figure,
     new_panels,
     panel_ratio,
+    parts,
     show_image,
     show_panels,
     unlit_gain,
 )
-from rfpipe.report.inputs import Run
+from rfpipe.report.inputs import Inputs, Run
 from rfpipe.report.light import Light
 from rfpipe.report.text import TIMES, words
 from rfpipe.stages.evaluating.metrics import relative_rms, unlit_rms
@@ -30,15 +33,6 @@ from rfpipe.stages.relight import NO_LEAF, right_half
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-__all__ = [
-    "DECADES",
-    "amplification",
-    "captured_figure",
-    "levels_figure",
-    "matrices_figure",
-    "methods_figure",
-]
 
 DECADES = 7
 """Decades of the matrix' entries that are shown, from the largest of a scene down."""
@@ -50,6 +44,120 @@ _COLUMN = 2.25  # of the transport matrices
 _EMPTY_COLOUR = "#d3e3f3"
 _CAPTURED_ABREAST = 4
 _BRIGHT = 0.7  # of white: where the dark half's brightest light is amplified to
+
+
+def methods_section(inputs: Inputs) -> Section | None:
+    """Fig. 5.9, for scenes with indirect light acquired with several methods."""
+    scenes = [inputs.of_scene(scene) for scene in inputs.scenes]
+    scenes = [runs for runs in scenes if len(runs) > 1 and runs[0].has_indirect_light]
+    if not scenes:
+        return None
+    caption = (
+        "The right half of each scene is lit. The left half shows indirect light alone, light "
+        "that came by way of another surface, and is amplified by the factor given, the same in a "
+        "row. Relative RMS error on the left half; below each picture its difference from the "
+        "truth, amplified as the pictures are."
+    )
+    return Section(
+        "methods",
+        "The methods side by side (Fig. 5.9)",
+        [
+            Illustration(
+                "Fig. 5.9",
+                caption,
+                f"fig_5_9{suffix}",
+                methods_figure(part),
+            )
+            for part, suffix in parts(scenes)
+        ],
+    )
+
+
+def captured_section(inputs: Inputs) -> Section:
+    """The scene under floodlight and under the relighting patterns, for each method."""
+    caption = (
+        "The scene under floodlight, as the rig captured it and as relit from what was acquired, "
+        "with their relative RMS difference, and the scene relit with each of the relighting "
+        "patterns. The difference tells whether the levels add up, not whether each pixel's light "
+        "comes from the right place."
+    )
+    if inputs.light_fields:
+        caption += " Of the views the middle one is shown."
+    return Section(
+        "captured",
+        "The scene relit",
+        [
+            Illustration(
+                f"{run.title}, {run.method_title.lower()}",
+                caption,
+                f"captured_{run.scene}_{run.method}",
+                captured_figure(run),
+            )
+            for run in inputs.runs
+        ],
+    )
+
+
+def matrices_section(inputs: Inputs) -> Section:
+    """Fig. 2.1 for each method."""
+    blocks: list[Block] = []
+    for method in inputs.methods:
+        images = [run for run in inputs.of_method(method) if not run.settings.is_light_field]
+        for runs, suffix in parts(images):
+            leaves = (
+                "(d) Level of the leaf that holds each entry: white the root, black single rays, "
+                "pale blue empty. "
+                if all(run.has_leaf_levels for run in runs)
+                else ""
+            )
+            unlit = (
+                f", unlit pixels {UNLIT_GAIN} times brighter"
+                if any(run.is_coaxial for run in runs)
+                else ""
+            )
+            caption = (
+                "T is the light transport matrix: how much light each projector ray, a column, "
+                "sends into each camera ray, a row. (a) Albedo of the scene. (b) The scene under "
+                "floodlight, rendered from the acquired T; the line marks the rays of (c) and "
+                "(d). (c) Entries of T between the rays of that line, camera rays down and "
+                "projector rays across, acquired and true: mean of the channels, logarithmic over "
+                f"{DECADES} decades. On a coaxial rig the diagonal is direct light, the "
+                "off-diagonal quarters light from one plane to the other, the diagonal quarters "
+                f"third bounces. {leaves}(e) Relit with a vertical bar{unlit}; below it the truth, "
+                "and relit minus true as it shows here."
+            )
+            blocks.append(
+                Illustration(
+                    f"Fig. 2.1, {methods.listed([method])}",
+                    caption,
+                    f"fig_2_1_{method}{suffix}",
+                    matrices_figure(runs),
+                    is_folded=method != inputs.methods[0],
+                )
+            )
+    return Section("matrices", "The transport matrices (Fig. 2.1)", blocks)
+
+
+def levels_section(inputs: Inputs) -> Section | None:
+    """Fig. 5.7, for the last scene, with indirect light if there is one."""
+    with_levels = [run for run in inputs.runs if run.knows_levels]
+    if not with_levels:
+        return None
+    indirect = [run for run in with_levels if run.has_indirect_light]
+    images = [run for run in with_levels if not run.settings.is_light_field]
+    last = (indirect or images or with_levels)[-1]
+    runs = [run for run in with_levels if run.scene == last.scene]
+    where = ", the middle view," if last.settings.is_light_field else ""
+    caption = (
+        f"{last.title}{where} relit with the vertical bar, as if the acquisition had stopped at "
+        "each level of its subdivision into smaller blocks; patterns shown up to there, the "
+        "relative RMS error in total, and below the difference from the truth. Where blocks are "
+        "stored as products of two images, a picture has full resolution at every level, but the "
+        "light of a lit pixel is spread over its whole block. Methods that fit all their pictures "
+        "together are left out: they don't tell what they knew at an earlier level."
+    )
+    figure = Illustration("Fig. 5.7", caption, "fig_5_7", levels_figure(runs))
+    return Section("levels", "Stopping at a level (Fig. 5.7)", [figure])
 
 
 def amplification(run: Run) -> float:

@@ -1,4 +1,4 @@
-"""The sections on processing time and on the set-up."""
+"""The section on camera, scenes and versions."""
 
 from __future__ import annotations
 
@@ -7,31 +7,9 @@ from typing import Any
 import numpy as np
 
 from rfpipe.provenance import versions
-from rfpipe.report import charts, tables
-from rfpipe.report.blocks import Block, Illustration, Section, Table, Tabulation
+from rfpipe.report.blocks import Block, Section, Table, Tabulation
 from rfpipe.report.inputs import Inputs
 from rfpipe.report.text import ray_size, words
-
-__all__ = ["setup_section", "times_section"]
-
-
-def times_section(inputs: Inputs) -> Section:
-    """Where the time goes."""
-    blocks: list[Block] = []
-    if len(inputs.times):
-        caption = (
-            "Wall-clock seconds of each stage, added over the levels of an acquisition. A stage's "
-            "first level includes loading its code, some tenths of a second that dominate at this "
-            "size; acquisitions may run side by side."
-        )
-        figure = charts.times_figure(inputs.times, inputs.capture_named)
-        blocks.append(Illustration("Time by stage", caption, "processing_time", figure))
-    about = (
-        f"Processing (everything but the {inputs.capture_named}) of each run, and for each HDR "
-        "image."
-    )
-    blocks.append(Tabulation("Processing time", about, tables.processing_table(inputs)))
-    return Section("time", "Where the processing time goes", blocks)
 
 
 def setup_section(inputs: Inputs) -> Section:
@@ -49,7 +27,7 @@ def setup_section(inputs: Inputs) -> Section:
         [],
         ["scene", "kind", "rays", "channels", "options"],
         [
-            [name, scene.kind, ray_size(scene), str(scene.channels), _told(scene.own_options())]
+            [name, scene.kind, ray_size(scene), str(scene.channels), _listed(scene.own_options())]
             for name, scene in config.scenes.items()
         ],
         text_columns=2,
@@ -100,7 +78,7 @@ _UNITS = {
 }
 
 
-def _told(options: dict[str, Any]) -> str:
+def _listed(options: dict[str, Any]) -> str:
     """Show options in a line, without those that are empty."""
     told = []
     for name, value in options.items():
