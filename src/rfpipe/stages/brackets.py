@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,19 +33,6 @@ _SHOWN_DIFFERENCES = 6
 _POLL_SECONDS = 0.2
 
 _log = logging.getLogger(__name__)
-
-
-class Watch(Protocol):
-    """Looks at the rig between the patterns of a level, and at the pictures of these."""
-
-    def due(self, first: int, last: int) -> Sequence[int]:
-        """Return positions after `first` and before `last` at which a look is to be taken."""
-
-    def before(self, position: int) -> None:
-        """Take what is due before the pattern at `position`, or after the last one."""
-
-    def after(self, first: int, brackets: NDArray[Any]) -> None:
-        """Look at captured brackets, from pattern `first` on."""
 
 
 @dataclass(frozen=True)
@@ -94,15 +81,15 @@ class Brackets:
         """Open the store for writing; make it where there is none. A context manager."""
         return self.folder.recording(self.path, *self._layout, self.made_for, self.shown)
 
-    def capture(
-        self, batch: int, watch: Watch | None = None, *, progress: bool = True
-    ) -> dict[str, Any]:
+    def capture(self, batch: int, watch: Any = None, *, progress: bool = True) -> dict[str, Any]:
         """Capture the brackets that are missing; return the store's entry for the manifest.
 
         Parameters
         ----------
         batch : int
             Patterns shown, then stored, at a time.
+        watch : Watcher, optional
+            Takes looks between the patterns, see `rfpipe.stages.watch`.
 
         Raises
         ------
@@ -361,7 +348,7 @@ def _flat(value: Any, name: str = "") -> dict[str, str]:
     return {name: str(list(value) if isinstance(value, tuple) else value)}
 
 
-def _cut(runs: Iterable[tuple[int, int]], watch: Watch | None) -> Iterator[tuple[int, int]]:
+def _cut(runs: Iterable[tuple[int, int]], watch: Any) -> Iterator[tuple[int, int]]:
     """Cut runs of items where looks are to be taken between them."""
     for first, last in runs:
         due = watch.due(first, last) if watch else ()
