@@ -17,20 +17,17 @@ from distributed import Client, LocalCluster, Security
 from tests.waiting import wait_until
 from tests.workflow.clusters import address_of, kept_workers
 from tests.workflow.harness import TINY, Workflow, undo
-from tests.workflow.pieces import SHAPE, Dying, fails, identity, slow
+from tests.workflow.pieces import Dying, fails, identity, slow
 from tests.workflow.stagewise import CAMERA, Acquisition, contents, damage, matrix_rig
 from tests.workflow.stagewise import SHAPE as STAGED
 
-from rfpipe import OperatorRig, acquire
 from rfpipe.errors import ClusterError, ConfigError, DamagedStageError, IntegrityError
-from rfpipe.provenance import generator
 from rfpipe.stages import merger as merging
 from rfpipe.stages.jobs import cluster as cluster_module
 from rfpipe.stages.jobs.cluster import connected
 from rfpipe.stages.jobs.job import stage_log
-from rfpipe.stages.jobs.workers import Resources, Workers
+from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan
-from rfpipe.transport import save_transport
 
 PIECES = [(index, index + 1) for index in range(6)]
 
@@ -52,30 +49,6 @@ def address(cluster: LocalCluster) -> str:
 @pytest.fixture
 def elsewhere(address: str) -> Resources:
     return Resources(threads=2, where=address)
-
-
-def all_ways(address: str) -> list[Resources]:
-    places = [(1, "threads"), (2, "threads"), (2, address)]
-    return [Resources(threads=count, where=where) for count, where in places]
-
-
-def dying_once(monkeypatch: pytest.MonkeyPatch, at: int, flag: Path) -> None:
-    """Let whoever comes to a piece first die there."""
-    really = Workers.results
-
-    def dying(self: Workers, work: Any, pieces: Any) -> Any:
-        return really(self, Dying(work, at, flag), pieces)
-
-    monkeypatch.setattr(Workers, "results", dying)
-
-
-@pytest.fixture(scope="module")
-def transport(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    matrix = generator(3).random((80, 80))
-    rig = OperatorRig(matrix + matrix.T, camera_shape=SHAPE, projector_shape=SHAPE)
-    path = tmp_path_factory.mktemp("transport") / "transport.zarr"
-    save_transport(acquire(rig, "symmetric", progress=False).transport, path, "uint8")
-    return path
 
 
 @pytest.fixture
