@@ -98,7 +98,8 @@ def test_blocks_that_would_take_more_than_a_hierarchy_are_followed_by_one(
 def test_the_first_estimate_ends_it_where_nothing_is_indirect(after_a_round: NearFarState) -> None:
     """It knows neither strip nor spots."""
     target = after_a_round.options.target_error
-    shapes = replace(after_a_round, held=after_a_round.held[:1])
+    held = Held(after_a_round.held.lit[:2], after_a_round.held.radiance[:2])
+    shapes = replace(after_a_round, held=held)
     for indirect, expected in ((0.9 * target, "done"), (1.1 * target, "model")):
         found = Estimate(*[0.9 * target] * 3, 0.0, indirect)
         assert METHOD.decided(replace(shapes, estimates=(found,))).following == expected
@@ -127,8 +128,8 @@ def stalled(error: float, before: float = 1.01) -> AdaptiveState:
         level=4,
         rows=tuple(level_row(level, count) for level, count in enumerate((1, 30, 26, 36))),
         estimates=tuple(Estimate(e, e, e) for e in (2 * error, before * error, error)),
-        held=(Held(lit, light), Held(lit, light)),
-        taken=(Pictures(lit, light, 1e-6 * light),),
+        held=Held(np.repeat(lit, 6, 0), np.repeat(light, 6, 0)),
+        taken=Pictures(lit, light, 1e-6 * light),
     )
 
 

@@ -67,7 +67,7 @@ def last_estimate(transport: Transport) -> float:
 
 def held_out_error(run: MethodRun, matrix: NDArray[Any]) -> float:
     """Error of the held-out pictures: half shapes, a quarter the strip, a quarter spots."""
-    lit = np.concatenate([held.lit for held in run.states[-1].held])[::2].astype(np.float32)
+    lit = run.states[-1].held.lit[::2].astype(np.float32)
     relit = run.transport.forward(lit[:, None].repeat(len(matrix), 1), range(len(matrix)))
     truth = np.einsum("cmn,pn->pcm", matrix, lit)
     errors = [relative_rms(*pair) for pair in zip(relit, truth, strict=True)]

@@ -34,12 +34,17 @@ def grown(kind: type) -> Any:
     return field(default=(), kw_only=True, metadata={"kind": kind, "grows": True})
 
 
+def lengthened(kind: type) -> Any:
+    """Return a state's field for a dataclass of arrays, or None; levels add rows to its arrays."""
+    return field(default=None, kw_only=True, metadata={"kind": kind, "lengthens": True})
+
+
 @dataclass(frozen=True)
 class MethodState:
     """What the states of rfpipe's own methods have in common.
 
-    Fields are plain data, arrays, or dataclasses of both (`kept`, `grown`). What a level changes,
-    by `after` and `changed`, is packed and restored by its name.
+    Fields are plain data, arrays, or dataclasses of both (`kept`, `grown`, `lengthened`). What a
+    level changes, by `after` and `changed`, is packed and restored by its name.
 
     Attributes
     ----------
@@ -53,7 +58,7 @@ class MethodState:
     rows : tuple of dict
         The table of levels so far.
     news : mapping of str to int
-        Fields that the last level changed; how many sets it added to those that grow.
+        Fields that the last level changed; how many sets or rows it added to those that grow.
     """
 
     camera: RayDomain
@@ -70,14 +75,19 @@ class MethodState:
         return following.changed(**new)
 
     def changed(self, **new: Any) -> Self:
-        """Return the state with other fields; of those that grow, with more sets."""
+        """Return the state with other fields; of those that grow, with more sets or rows."""
         news = dict(self.news)
         for each in fields(self):
-            if each.name in new:
-                grows = "grows" in each.metadata
-                news[each.name] = news.get(each.name, 0) + (len(new[each.name]) if grows else 1)
-                if grows:
-                    new[each.name] = (*getattr(self, each.name), *new[each.name])
+            name, count = each.name, 1
+            if name not in new:
+                continue
+            before, more = getattr(self, name), new[name]
+            if "grows" in each.metadata:
+                count, new[name] = len(more), (*before, *more)
+            elif "lengthens" in each.metadata:
+                count = len(next(iter(_values(more).values())))
+                new[name] = more if before is None else joined([before, more], axis=0)
+            news[name] = news.get(name, 0) + count
         return replace(self, **new, news=news)
 
 
@@ -100,6 +110,11 @@ class PackingMethod(Method[State]):
                     _split(one, f"{name}_{number:03d}_", arrays)
                     for number, one in enumerate(value[first:], first)
                 ]
+            elif "lengthens" in each.metadata:
+                rows = {
+                    n: array[len(array) - state.news[name] :] for n, array in _values(value).items()
+                }
+                plain[name] = _split(rows, f"{name}_", arrays)
             elif "kind" in each.metadata and value is not None:
                 plain[name] = _split(value, f"{name}_", arrays)
             else:
@@ -124,6 +139,9 @@ class PackingMethod(Method[State]):
                 sets = [(pack, plain) for pack in own for plain in pack.attributes[name]]
                 numbered = [(f"{name}_{n:03d}_", *one) for n, one in enumerate(sets)]
                 found[name] = SetsOnDemand(numbered, partial(_whole, kind), keep=True)
+            elif "lengthens" in each.metadata:
+                parts = [_whole(kind, (f"{name}_", pack, pack.attributes[name])) for pack in own]
+                found[name] = joined(parts, axis=0)
             elif name in own[-1].arrays:
                 found[name] = _array(own[-1], name)
             elif kind is not None and value is not None:

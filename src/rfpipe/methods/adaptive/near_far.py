@@ -128,9 +128,8 @@ class NearFar(Adaptive):
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Take the floodlit image; unknown pixels are as bright as their neighbours."""
         after = super()._begun(state, images)
-        [floodlit] = after.taken
-        completed = floodlit.completed(state.projector.shape)
-        return state.after(after.rows[-1], taken=[completed])
+        completed = after.pictures.completed(state.projector.shape)
+        return state.after(after.rows[-1], taken=completed)
 
     def _fitted(self, state: AdaptiveState, images: LevelImages, first: int) -> AdaptiveState:
         """Fit smooth light, or what the better model leaves of all pictures."""
@@ -138,12 +137,12 @@ class NearFar(Adaptive):
         if self._slot(state, level) == "model":
             count = images.schedule.count
             more = Pictures.read(images, state.channels, state.projector.size, first, count)
-            state = state.changed(taken=[more])
+            state = state.changed(taken=more)
             model = fit(shape, state.pictures)
             state = state.counted(nodes=len(model.basis.first)).changed(model=model, residual=None)
             return state.changed(residual=self._if_it_helps(state)) if level > 1 else state
         canvas = Canvas.of(shape, state.pictures)
-        state = state.changed(others=[canvas.read(images, first)])
+        state = state.changed(others=canvas.read(images, first))
         bases = self._bases(state)
         of_hierarchy, base = min(bases, key=lambda each: self._estimate(state, each[1]).error)
         left = self._left_by(state, base, canvas)
@@ -171,11 +170,14 @@ class NearFar(Adaptive):
     def _left_by(self, state: AdaptiveState, base: Transport, canvas: Canvas) -> Residual:
         """Find what a model leaves of all pictures."""
         own = state.pictures
-        pictures = [canvas.taken(own.lit, own.radiance, own.variance), *state.others]
-        return residual_of(canvas, joined(pictures, axis=0), base)
+        pictures = canvas.taken(own.lit, own.radiance, own.variance)
+        if state.others is not None:
+            pictures = joined([pictures, state.others], axis=0)
+        return residual_of(canvas, pictures, base)
 
     def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
-        return np.asarray(~state.held[0].lit[0])
+        assert state.held is not None
+        return np.asarray(~state.held.lit[0])
 
     def _candidates(self, state: AdaptiveState) -> Iterator[Transport]:
         """Yield the models there are, and what is returned with what one of them leaves."""
@@ -204,7 +206,7 @@ class NearFar(Adaptive):
     ) -> AdaptiveState:
         """Let symmetric photography refine a level; its pictures serve later rounds, too."""
         if images.schedule.count:
-            new["others"] = [Canvas.of(state.projector.shape, state.pictures).read(images)]
+            new["others"] = Canvas.of(state.projector.shape, state.pictures).read(images)
         if self._slot(state, state.level + 1) == "residual":
             new["following"] = "residual"
         return super()._descend(state, images, memory_bytes, **new)

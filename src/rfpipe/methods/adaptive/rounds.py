@@ -10,7 +10,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -28,8 +27,8 @@ from rfpipe.methods.states import (
     MethodState,
     PackingMethod,
     grown,
-    joined,
     kept,
+    lengthened,
     level_row,
     unprefixed,
 )
@@ -46,11 +45,11 @@ class AdaptiveState(MethodState):
     following : str
         What the next level that shows patterns is for: ``model``, ``residual``, ``hierarchy``,
         ``held`` (held-out pictures alone) or ``done``.
-    taken : sequence of Pictures
+    taken : Pictures, optional
         Pictures of the model's rounds, the floodlit one first.
-    others : sequence of CellPictures
+    others : CellPictures, optional
         Those of all other levels, which are looked at in cells alone.
-    held : sequence of Held
+    held : Held, optional
     estimates : sequence of Estimate
         After each level that had images, of what is returned from then on.
     model : object, optional
@@ -69,9 +68,9 @@ class AdaptiveState(MethodState):
 
     options: Any
     following: str = "model"
-    taken: Sequence[Pictures] = grown(Pictures)
-    others: Sequence[CellPictures] = grown(CellPictures)
-    held: Sequence[Held] = grown(Held)
+    taken: Pictures | None = lengthened(Pictures)
+    others: CellPictures | None = lengthened(CellPictures)
+    held: Held | None = lengthened(Held)
     estimates: Sequence[Estimate] = grown(Estimate)
     model: Any = None
     residual: Residual | None = kept(Residual)
@@ -81,18 +80,18 @@ class AdaptiveState(MethodState):
     tolerance: float = 0.0
     descended: tuple[int, ...] = ()
 
-    @cached_property
+    @property
     def pictures(self) -> Pictures:
         """All pictures of the model's rounds; before any, a dark floodlit one."""
-        if self.taken:
-            return joined(list(self.taken), axis=0)
+        if self.taken is not None:
+            return self.taken
         dark = np.zeros((1, self.channels, self.camera.size), np.float32)
         return Pictures(np.ones((1, self.projector.size), np.bool_), dark, dark)
 
     @property
     def known(self) -> NDArray[np.bool_]:
         """Camera pixels that the pictures show, (M,)."""
-        return self.taken[0].known
+        return self.pictures.known
 
     @property
     def shown(self) -> int:
@@ -102,7 +101,7 @@ class AdaptiveState(MethodState):
     @property
     def all_held(self) -> bool:
         """Whether all held-out pictures are there."""
-        return len(self.held) > 1
+        return self.held is not None and len(self.held.lit) > HELD_OUT
 
     @property
     def reached(self) -> bool:
@@ -239,7 +238,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
         first, _ = self._asked(state)
         if first:
             held = Pictures.read(images, state.channels, state.camera.size, 0, first)
-            after = after.changed(held=[Held(held.lit, held.radiance)])
+            after = after.changed(held=Held(held.lit, held.radiance))
         if count > first:
             after = self._fitted(after, images, first)
         return self.decided(self._judged(after))
@@ -247,7 +246,7 @@ class Adaptive(PackingMethod[AdaptiveState]):
     def _begun(self, state: AdaptiveState, images: LevelImages) -> AdaptiveState:
         """Take the floodlit image."""
         floodlit = Pictures.read(images, state.channels, state.camera.size, 0, 1)
-        return state.after(self._row(state, 1, scalar=state.camera.size), taken=[floodlit])
+        return state.after(self._row(state, 1, scalar=state.camera.size), taken=floodlit)
 
     def _row(self, state: AdaptiveState, patterns: int, **counts: int) -> dict[str, Any]:
         """Return the next level's row of the table."""
@@ -290,7 +289,8 @@ class Adaptive(PackingMethod[AdaptiveState]):
 
     def _estimate(self, state: AdaptiveState, transport: Transport) -> Estimate:
         """Compare a transport's pictures with the held-out ones, where pixels are known."""
-        return error_of(transport, joined(list(state.held), 0), state.known, self._dark(state))
+        assert state.held is not None
+        return error_of(transport, state.held, state.known, self._dark(state))
 
     def _best(self, state: AdaptiveState) -> tuple[Transport, Estimate]:
         """Return what predicts the held-out pictures best, and how well."""

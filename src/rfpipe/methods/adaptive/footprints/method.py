@@ -148,7 +148,7 @@ class Footprints(Adaptive):
         assert isinstance(state, FootprintState)
         count, channels = images.schedule.count, state.channels
         more = Pictures.read(images, channels, state.camera.size, first, count)
-        state = state.changed(taken=[more])
+        state = state.changed(taken=more)
         pictures, views = state.pictures, state.projector.views
         unit = unit_of(pictures)
         grey = series_of(pictures.grey() if channels > 1 else pictures, unit, views)
@@ -168,7 +168,8 @@ class Footprints(Adaptive):
 
     def _dark(self, state: AdaptiveState) -> NDArray[np.bool_]:
         """Return the camera pixels with at most a 50th of their direct light."""
-        lit = state.held[0].lit[0]
+        assert state.held is not None
+        lit = state.held.lit[0]
         both = np.stack([lit, np.ones_like(lit)]).astype(np.float32)[:, None]
         light = np.broadcast_to(both, (2, state.channels, lit.size))
         direct = _model_of(state).direct().forward(light, range(state.channels))
