@@ -56,11 +56,6 @@ def pack(folder: Path, files: Iterable[Path], output: Path) -> Sizes:
         In `folder`.
     output : Path
         A new folder, or one to go on with.
-
-    Raises
-    ------
-    StoreError
-        When a file can't be read, or the disk is full.
     """
     index: dict[str, list[Any]] = {}
     sizes: dict[str, int] = {}
@@ -85,15 +80,7 @@ def pack(folder: Path, files: Iterable[Path], output: Path) -> Sizes:
 
 
 def unpack(place: PackedPlace, output: Path) -> Sizes:
-    """Write the files of a packed folder as they were, each checked against its digest.
-
-    Raises
-    ------
-    IntegrityError
-        When one is damaged.
-    StoreError
-        When the disk is full, or another file stands in the way.
-    """
+    """Write the files of a packed folder as they were, each checked against its digest."""
 
     def write(name: str) -> None:
         target = output / name
@@ -113,13 +100,7 @@ def unpack(place: PackedPlace, output: Path) -> Sizes:
 
 
 def packed_in(base: Path | Place) -> PackedPlace | None:
-    """Open a packed folder where it lies, None where something else does.
-
-    Raises
-    ------
-    IntegrityError
-        When its index is damaged, or names files outside of the folder.
-    """
+    """Open a packed folder where it lies, None where something else does."""
     content = content_of(base / INDEX)
     if content is None:
         return None

@@ -226,11 +226,6 @@ def settings_of(run: Run, config: Path | None) -> bytes | None:
     """Return the settings that shaped a run's results, as a file of settings.
 
     What shapes no result (a server's address, a token's place, a command to notify) isn't in it.
-
-    Raises
-    ------
-    InputError
-        When the settings that are given aren't those of the run.
     """
     shaping = run.settings
     if config is not None:

@@ -86,13 +86,6 @@ def writing(output: Path, needed_bytes: int) -> Iterator[Writer]:
 
     It is written beside its place and renamed at the end, so that an interrupted publication
     leaves nothing there, or the one before; the next one begins anew.
-
-    Raises
-    ------
-    LockedError
-        When another process writes it.
-    StoreError
-        When the disk is full or the folder isn't writable.
     """
     new = hidden_sibling(output, "new")
     with StoreLock(output), storage_errors(output, "publishing", needed_bytes):

@@ -69,15 +69,7 @@ def small_layout(dtype: np.dtype[Any]) -> Layout:
 
 
 def read_attributes(path: Path | Place, kind: str) -> dict[str, Any]:
-    """Return the attributes of a store, whose attribute ``"kind"`` is to be `kind`.
-
-    Raises
-    ------
-    StoreError
-        When there is no store, or one of another kind.
-    IntegrityError
-        When its metadata are damaged.
-    """
+    """Return the attributes of a store, whose attribute ``"kind"`` is to be `kind`."""
     with storage_errors(path, "reading"):
         content = content_of(path / METADATA)
     if content is None:
@@ -124,11 +116,6 @@ class ChunkedArray:
         Chunks are compressed, and read, as a whole.
     items_per_file : int
         As many, unless files are shards of several chunks. Files are written as a whole.
-
-    Raises
-    ------
-    IntegrityError
-        When the metadata are missing, damaged, or of another layout.
     """
 
     def __init__(self, path: Path | Place, *, exactly: bool = False) -> None:
@@ -217,12 +204,6 @@ class ChunkedArray:
         ------
         callable
             Takes the items of the next chunk; a short last one is filled up.
-
-        Raises
-        ------
-        OSError
-        ValueError
-            When there were more or fewer chunks than the file has.
         """
         place: Path = self.file(first)
         partial = hidden_sibling(place, f"{os.getpid()}.partial")

@@ -39,13 +39,7 @@ def digest_of(*parts: bytes | NDArray[Any]) -> str:
 
 
 def canonical_json(value: Any, where: str, *, indent: int | None = None) -> bytes:
-    """JSON with sorted keys, the same bytes for the same value.
-
-    Raises
-    ------
-    InputError
-        When `value` isn't plain data or holds NaN or infinity; `where` names it.
-    """
+    """JSON with sorted keys, the same bytes for the same value."""
     separators = (",", ": ") if indent else (",", ":")
     try:
         text = json.dumps(
@@ -57,13 +51,7 @@ def canonical_json(value: Any, where: str, *, indent: int | None = None) -> byte
 
 
 def plain(value: dict[str, Any], where: str) -> dict[str, Any]:
-    """Give plain data as a file will give it back: sorted keys, tuples as lists.
-
-    Raises
-    ------
-    InputError
-        When `value` isn't plain data or holds NaN or infinity; `where` names it.
-    """
+    """Give plain data as a file will give it back: sorted keys, tuples as lists."""
     return dict(json.loads(canonical_json(value, where)))
 
 
@@ -83,11 +71,6 @@ def storage_errors(
         Size of the data before compression; 0 when it doesn't matter.
     resumes
         Whether a second run goes on where this one stopped.
-
-    Raises
-    ------
-    StoreError
-        With path, bytes needed and free, and advice.
     """
     try:
         yield
@@ -110,13 +93,7 @@ def storage_errors(
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a small file so that it is whole or unchanged, also after a power cut.
-
-    Raises
-    ------
-    StoreError
-        When the disk is full or the folder isn't writable.
-    """
+    """Write a small file so that it is whole or unchanged, also after a power cut."""
     partial = hidden_sibling(path, "partial")
     with storage_errors(path, "writing", len(content)):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -171,13 +148,7 @@ def remove_tree(path: Path) -> None:
 
 
 def to_disk(path: Path) -> None:
-    """Bring all files in a folder to the disk, so that a power cut can't take them.
-
-    Raises
-    ------
-    StoreError
-        When the disk fails.
-    """
+    """Bring all files in a folder to the disk, so that a power cut can't take them."""
     with storage_errors(path, "bringing it to the disk"):
         for place in [*path.rglob("*"), path]:
             descriptor = os.open(place, os.O_RDONLY)

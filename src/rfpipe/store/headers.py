@@ -24,13 +24,7 @@ _SAMPLE = 16  # frames that are read to tell whether a header fits
 
 
 def keep_header(path: Path) -> None:
-    """Keep a copy of the header of a store that is known to be right.
-
-    Raises
-    ------
-    StoreError
-        When the disk is full or the folder isn't writable.
-    """
+    """Keep a copy of the header of a store that is known to be right."""
     header = _header(path)
     if header is not None and _copy(path) != header:
         write_manifest(path / _COPY, {_TEXT: header})
@@ -43,15 +37,7 @@ def header_is_whole(path: Path) -> bool:
 
 
 def restore_header(path: Path) -> bool:
-    """Write a damaged or missing header again, from its copy; tell whether it had to be written.
-
-    Raises
-    ------
-    LockedError
-        When another process writes the store.
-    StoreError
-        When the disk is full or the folder isn't writable.
-    """
+    """Write a damaged or missing header again, from its copy; tell whether it had to be written."""
     copy = _copy(path)
     if copy is None or copy == _header(path):
         return False
@@ -76,13 +62,6 @@ def rebuild_header(path: Path, make: Callable[[Path], FrameStore]) -> bool:
     bool
         Whether the header was written; False where the journal names no frames, or none of the
         first of them is what it says.
-
-    Raises
-    ------
-    LockedError
-        When another process writes the store.
-    StoreError
-        When the disk is full or the folder isn't writable.
     """
     new = hidden_sibling(path, "expected")
     remove_tree(new)

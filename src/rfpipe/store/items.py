@@ -30,15 +30,7 @@ class ItemArray(ChunkedArray):
     """An array whose first axis counts items; threads may share it."""
 
     def write_items(self, start: int, block: NDArray[Any]) -> list[str]:
-        """Store the items from `start` on, in whole files; return their digests.
-
-        Raises
-        ------
-        InputError
-            When the block doesn't fit, or isn't of whole files.
-        StoreError
-            When the disk is full.
-        """
+        """Store the items from `start` on, in whole files; return their digests."""
         stop, step = start + len(block), self.items_per_file
         if start % step or (stop % step and stop != self.shape[0]):
             raise InputError(
@@ -68,13 +60,6 @@ class ItemArray(ChunkedArray):
         ------
         callable
             Takes the items of the next chunk, and returns their digests.
-
-        Raises
-        ------
-        InputError
-            When a block doesn't fit.
-        StoreError
-            When the disk is full.
         """
         needed = self.items_per_file * self.dtype.itemsize * int(np.prod(self.shape[1:]))
         action = f"writing the items from {start} on"
@@ -140,15 +125,6 @@ class ItemWriter(ItemArray):
         The store's folder.
     fingerprint
         What the store must have been made with.
-
-    Raises
-    ------
-    StoreError
-        When there is none.
-    StaleStoreError
-        When it was made with another configuration: by a later run, while this one was cut off.
-    IntegrityError
-        When its metadata are damaged.
     """
 
     def __init__(self, path: Path, fingerprint: str) -> None:
@@ -175,15 +151,7 @@ def make_item_array(
     chunks_per_file: int,
     compression: Compression | None,
 ) -> None:
-    """Make an empty array, complete or absent.
-
-    Raises
-    ------
-    InputError
-        When something that is no array stands there.
-    StoreError
-        When the disk is full or the folder isn't writable.
-    """
+    """Make an empty array, complete or absent."""
     import zarr
 
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):

@@ -31,11 +31,6 @@ def read_journal(path: Path, n_items: int) -> dict[int, str]:
     -------
     dict
         Digest by item, in the order of the lines.
-
-    Raises
-    ------
-    StoreError
-        When the file can't be read.
     """
     with storage_errors(path, "reading"):
         content = path.read_bytes() if path.exists() else b""
@@ -58,11 +53,6 @@ class JournalWriter:
     ----------
     path
         The journal; made when missing. Its last line must be whole (or the next would join it).
-
-    Raises
-    ------
-    StoreError
-        When the disk is full or the file isn't writable.
     """
 
     def __init__(self, path: Path) -> None:

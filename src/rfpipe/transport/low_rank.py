@@ -30,11 +30,6 @@ class LowRankTransport(ArrayTransport):
         ``right``, as ``left`` over projector rays: the images v; left out where T is symmetric,
         v = u. ``diagonal``, float32 ``(channels, rays)``: d, left out where there is none. They
         may be read lazily. Terms cancel, so that no store rounds them.
-
-    Raises
-    ------
-    InputError
-        If a symmetric or diagonal part joins rays of different domains.
     """
 
     kind = "low_rank"

@@ -30,11 +30,6 @@ class SumTransport(Transport):
         The rows of `levels`.
     nbytes : int, optional
         Bytes on disk; by default the sum of the parts'.
-
-    Raises
-    ------
-    InputError
-        If there is no part, or if parts differ in their domains or channels.
     """
 
     kind = "sum"
