@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import prod
 from typing import Any
 
@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.weights import as_weights
-
-__all__ = ["AT_A_TIME", "MEMORY_BUDGET", "MatrixAlgebra", "Rays", "chosen_rays", "gibibytes"]
 
 Float = NDArray[np.float32]
 Index = NDArray[np.int64]
@@ -71,10 +69,9 @@ class MatrixAlgebra(ABC):
             the whole numbers of a picture.
         """
         vectors = self._operand(x, -2, "T @ x", "(N,), (N, K) or (C, N, K), N projector rays")
-        # (N,): one vector; else the columns
-        planar = vectors[None, None] if vectors.ndim == 1 else _planar(vectors.swapaxes(-1, -2))
-        found = self.forward(self._in_channels(planar), range(self.channels))
-        return found[0] if vectors.ndim == 1 else np.moveaxis(found, 0, -1)
+        if vectors.ndim > 1:  # the columns
+            vectors = vectors.swapaxes(-1, -2)
+        return self._product(vectors, self.forward, -1)
 
     def __rmatmul__(self, x: ArrayLike) -> Float:
         """Multiply from the right: ``(M,)``, ``(K, M)`` or ``(C, K, M)``, M camera rays.
@@ -89,9 +86,7 @@ class MatrixAlgebra(ABC):
             As ``T @ x``.
         """
         vectors = self._operand(x, -1, "x @ T", "(M,), (K, M) or (C, K, M), M camera rays")
-        planar = vectors[None, None] if vectors.ndim == 1 else _planar(vectors)
-        found = self.adjoint(self._in_channels(planar), range(self.channels))
-        return found[0] if vectors.ndim == 1 else np.moveaxis(found, 0, -2)
+        return self._product(vectors, self.adjoint, -2)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Return `toarray`, for numpy's functions."""
@@ -198,9 +193,16 @@ class MatrixAlgebra(ABC):
             raise InputError(f"x of {product} holds NaN or infinite values; all must be finite")
         return vectors
 
-    def _in_channels(self, planar: Float) -> Float:
-        """Return planar light for all channels, white light the same memory for each."""
-        return np.broadcast_to(planar, (planar.shape[0], self.channels, planar.shape[-1]))
+    def _product(self, vectors: Float, apply: Callable[..., Float], axis: int) -> Float:
+        """Apply to a vector, or to the rows of ``(K, N)`` or ``(C, K, N)``; K becomes `axis`."""
+        planar = vectors[None, None] if vectors.ndim == 1 else vectors[:, None]
+        if vectors.ndim == 3:
+            planar = vectors.swapaxes(0, 1)
+        # white light is the same memory for each channel
+        shape = (len(planar), self.channels, planar.shape[-1])
+        light = np.broadcast_to(np.ascontiguousarray(planar), shape)
+        found = apply(light, range(self.channels))
+        return found[0] if vectors.ndim == 1 else np.moveaxis(found, 0, axis)
 
 
 def chosen_rays(rays: Rays, shape: tuple[int, ...], name: str) -> Index:
@@ -235,9 +237,3 @@ def chosen_rays(rays: Rays, shape: tuple[int, ...], name: str) -> Index:
 def gibibytes(size: int) -> str:
     """Return a size in memory, for people."""
     return f"{size / 2**30:,.1f} GiB" if size >= 2**30 else f"{size / 2**20:,.1f} MiB"
-
-
-def _planar(vectors: Float) -> Float:
-    """Bring ``(K, N)`` or ``(C, K, N)`` into planar form ``(K, C or 1, N)``."""
-    planar = vectors[:, None] if vectors.ndim == 2 else vectors.swapaxes(0, 1)
-    return np.ascontiguousarray(planar)
