@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
+from rfpipe.pictures.images import light_channels
 from rfpipe.pictures.raw import read_raw
-
-__all__ = ["RAW", "Header", "Picture", "picture_files", "read_header", "read_picture"]
 
 RAW = (
     ".3fr", ".arw", ".cr2", ".cr3", ".dng", ".erf", ".iiq", ".nef", ".nrw", ".orf", ".pef", ".raf",
@@ -126,8 +125,7 @@ def read_picture(path: Path) -> Picture:
         pixels = opened.get_pixels(oiio.UINT8 if is_byte else oiio.UINT16)
     if pixels is None:
         raise InputError(f"{path}: can't be read as a picture: {opened.geterror()}")
-    names = list(spec.channelnames)
-    chosen = [names.index(name) for name in "RGB"] if header.channels == 3 else [_only(names)]
+    chosen = light_channels(path, list(spec.channelnames))
     dtype = np.float32 if header.kind == "light" else np.uint16
     bits = 32 if header.kind == "light" else 8 if is_byte else 16
     return Picture(header, np.ascontiguousarray(pixels[..., chosen].astype(dtype)), bits)
@@ -143,25 +141,13 @@ def _opened(path: Path) -> Any:
 
 
 def _header(path: Path, spec: Any) -> Header:
-    names = list(spec.channelnames)
-    if {"R", "G", "B"} <= set(names):
-        channels = 3
-    elif _only(names) is not None:
-        channels = 1
-    else:
-        raise InputError(f"{path}: has the channels {names}; expected one channel, or R, G and B")
+    channels = len(light_channels(path, list(spec.channelnames)))
     is_light = str(spec.format) in ("float", "half", "double")
     exposure = next(
         (float(value) for name in _EXPOSURE if (value := spec.getattribute(name)) is not None), None
     )
     kind = "light" if is_light else "counts"
     return Header((spec.height, spec.width), channels, kind, exposure or None)
-
-
-def _only(names: list[str]) -> int | None:
-    """Return the one channel of light, None where there are several."""
-    light = [index for index, name in enumerate(names) if name != "A"]
-    return light[0] if len(light) == 1 else None
 
 
 def _raw(path: Path) -> Picture:

@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 
-__all__ = ["png_bytes", "read_image", "resized", "scaled", "srgb", "write_image"]
-
 _SUFFIXES = (".exr", ".png")
-_LARGEST = 32_768
 
 
 def read_image(path: Path) -> NDArray[np.float32]:
@@ -42,12 +39,23 @@ def read_image(path: Path) -> NDArray[np.float32]:
     pixels = picture.get_pixels(oiio.FLOAT) if picture.read() else None
     if pixels is None:
         raise InputError(f"{path}: can't be read as a picture: {picture.geterror()}")
-    names = list(picture.spec().channelnames)
-    if {"R", "G", "B"} <= set(names):  # in a file they stand in any order
-        return pixels[..., [names.index(name) for name in "RGB"]]
+    chosen = light_channels(path, list(picture.spec().channelnames))
+    return pixels[..., chosen if len(chosen) == 3 else chosen[0]]
+
+
+def light_channels(path: Path, names: list[str]) -> list[int]:
+    """Return the places of R, G and B, which stand in any order, or of the one channel of light.
+
+    Raises
+    ------
+    InputError
+        When there are neither; names the file.
+    """
+    if {"R", "G", "B"} <= set(names):
+        return [names.index(name) for name in "RGB"]
     light = [index for index, name in enumerate(names) if name != "A"]
     if len(light) == 1:
-        return pixels[..., light[0]]
+        return light
     raise InputError(f"{path}: has the channels {names}; expected one channel, or R, G and B")
 
 
@@ -120,24 +128,6 @@ def srgb(radiance: NDArray[Any], white: float) -> NDArray[np.float64]:
     return rgb
 
 
-def scaled(image: NDArray[np.float32], factor: float) -> NDArray[np.float32]:
-    """Return a picture (H, W, C) so many times as large; by whole numbers of pixels or smoothly.
-
-    Raises
-    ------
-    InputError
-        When less than a pixel or more than 32,768 a side would be left.
-    """
-    height, width = (round(extent * factor) for extent in image.shape[:2])
-    if min(height, width) < 1 or max(height, width) > _LARGEST:
-        raise InputError(
-            f"--scale {factor:g} makes {height} x {width} pixels; expected 1 to {_LARGEST:,} a side"
-        )
-    if factor == int(factor):
-        return image.repeat(int(factor), axis=0).repeat(int(factor), axis=1)
-    return resized(image, (height, width))
-
-
 def resized(picture: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
     """Return a picture (H, W) or (H, W, C) at another size: pixels averaged, or interpolated.
 
@@ -156,3 +146,27 @@ def resized(picture: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.
         raise InputError(f"a picture can't be resized to {height} x {width}: {found.geterror()}")
     pixels = np.asarray(found.get_pixels(oiio.FLOAT), np.float32)
     return pixels.reshape(height, width, *picture.shape[2:])
+
+
+def write_code_picture(path: Path, light: NDArray[Any], gamma: float = 1.0) -> None:
+    """Write a grey PNG of 8 bits for a projector whose light goes with ``code**gamma``.
+
+    Parameters
+    ----------
+    path : Path
+    light : ndarray, shape (H, W)
+        Weights from 0 to 1.
+    gamma : float
+        Above 0.
+
+    Raises
+    ------
+    InputError
+        When the file can't be written.
+    """
+    import OpenImageIO as oiio
+
+    codes = np.rint(255 * np.clip(light, 0, 1) ** (1 / gamma)).astype(np.uint8)
+    picture = oiio.ImageBuf(np.ascontiguousarray(codes[..., None]))
+    if not picture.write(str(path)):
+        raise InputError(f"{path}: can't be written: {picture.geterror()}")
