@@ -122,17 +122,17 @@ def test_the_rays_of_a_projector_that_stands_aside_are_told(tmp_path: Path) -> N
 def test_what_is_done_isn_t_read_again_until_it_changes(
     listed: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from rfpipe.report.catalogue import items, page
+    from rfpipe.report import catalogue
 
     settings = load_config(listed.parents[2] / "run.yaml")
     results = listed.parents[1]
     read: list[Path] = []
-    monkeypatch.setattr(items, "_read_figures", lambda _, folder: read.append(folder))
-    monkeypatch.setattr(page, "write_thumbnail", lambda *_: pytest.fail("is there"))
+    monkeypatch.setattr(catalogue, "_read_figures", lambda _, folder: read.append(folder))
+    monkeypatch.setattr(catalogue, "write_thumbnail", lambda *_: pytest.fail("is there"))
     write_catalogue(settings, results)
     assert not read
     transport = results / "done/hadamard/transport.json"
     transport.touch()
-    monkeypatch.setattr(page, "write_thumbnail", lambda *_: True)
+    monkeypatch.setattr(catalogue, "write_thumbnail", lambda *_: True)
     write_catalogue(settings, results)
     assert read == [transport.parent]

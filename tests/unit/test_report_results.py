@@ -4,18 +4,16 @@ import json
 
 import colour
 import numpy as np
-import OpenImageIO as oiio
 import pytest
 from matplotlib.figure import Figure
-from tests.reports import BOTH, Page, acquired, benchmarked, tables_of
+from tests.reports import BOTH, Page, acquired, benchmarked, read_exr, tables_of
 
-from rfpipe.errors import InputError
 from rfpipe.pictures.images import srgb
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.report import build_report
 from rfpipe.report.blocks import Illustration, Section
 from rfpipe.report.drawing import Drawing, new_panels
-from rfpipe.report.light import Light, error_map, read_exr, round_limit, write_exr
+from rfpipe.report.light import Light, error_map, round_limit, write_exr
 from rfpipe.report.placing import place
 from rfpipe.store import open_arrays, read_manifest
 
@@ -55,7 +53,7 @@ def test_a_summary_names_what_the_report_was_made_from(built):
 def test_pictures_of_light_lie_beside_the_page_as_they_are(built):
     figures = built / "report" / "figures"
     assert {path.stem for path in figures.glob("*.exr")} == {
-        "scene_flat", "scene_corner", "fig_2_1_symmetric", "fig_2_1_dual", "fig_5_7", "fig_5_9",
+        "scene_flat", "scene_corner",
     }  # fmt: skip
     assert {path.stem for path in figures.glob("*.exr")} < {
         path.stem for path in figures.glob("*.png")
@@ -72,37 +70,20 @@ def test_pictures_of_light_lie_beside_the_page_as_they_are(built):
 
 
 def test_tones_are_those_of_the_standard():
-    """The report's are colour-science's, which takes seconds to load; elsewhere stands a curve."""
-    linear = np.clip(IMAGE / 0.7, 0, 1)
-    expected = colour.cctf_encoding(linear, function="sRGB")
+    expected = colour.cctf_encoding(np.clip(IMAGE / 0.7, 0, 1), function="sRGB")
     np.testing.assert_allclose(srgb(IMAGE, 0.7), expected, rtol=1e-6)
     grey = Light("scene", "grey", IMAGE[..., :1], 1.0)
-    np.testing.assert_allclose(grey.shown, srgb(IMAGE[..., :1], 1.0), rtol=1e-6)
     assert grey.shown.shape == (5, 7, 3)
 
 
-def test_light_keeps_its_parts_channels_and_shapes(tmp_path):
-    grey = Light("a", "grey", RANDOM.random((3, 4, 1)).astype(np.float32), 2.0)
+def test_light_keeps_its_parts_and_channels(tmp_path):
+    grey = Light("a", "grey", RANDOM.random((5, 7, 1)).astype(np.float32), 2.0)
     colours = Light("b", "relit", IMAGE - 0.5, 1.5, gain=4.0)
-    write_exr(tmp_path / "x.exr", [grey, colours, grey])
+    write_exr(tmp_path / "x.exr", [grey, colours])
     parts = read_exr(tmp_path / "x.exr")
     assert list(parts) == ["a, grey", "b, relit"]
     np.testing.assert_array_equal(parts["a, grey"], grey.radiance)
     np.testing.assert_array_equal(parts["b, relit"], colours.radiance)  # linear, not brightened
-    other = Light("b", "relit", IMAGE, 1.5)
-    with pytest.raises(InputError, match="different pictures of light called 'b, relit'"):
-        write_exr(tmp_path / "x.exr", [colours, other])
-
-
-def test_channels_are_found_by_name(tmp_path):
-    spec = oiio.ImageSpec(7, 5, 3, oiio.FLOAT)
-    spec.channelnames = ("B", "G", "R")
-    output = oiio.ImageOutput.create("x.exr")
-    assert output.open(str(tmp_path / "x.exr"), spec)
-    assert output.write_image(np.ascontiguousarray(IMAGE[..., ::-1]))
-    assert output.close()
-    (read,) = read_exr(tmp_path / "x.exr").values()
-    np.testing.assert_array_equal(read, IMAGE)
 
 
 def test_an_error_map_is_signed_and_brightened_as_its_picture():
@@ -125,8 +106,7 @@ def test_the_one_way_to_add_a_figure(tmp_path):
     drawing.show_errors()
     block = Illustration("Fig. 3.6", "A bottle.", "fig_3_6", drawing)
     (placed,) = place(tmp_path, Section("bottle", "A bottle", [block]))["blocks"]
-    assert (placed["png"], placed["exr"]) == ("figures/fig_3_6.png", "figures/fig_3_6.exr")
-    assert set(read_exr(tmp_path / placed["exr"])) == {"bottle, relit", "bottle, truth"}
+    assert (placed["png"], placed["exr"]) == ("figures/fig_3_6.png", None)
     assert placed["caption"] == "A bottle. Exposure: white is radiance 1; sRGB tones."
     assert third.images[0].get_clim() == (-10, 10)  # per cent of white
 

@@ -63,7 +63,7 @@ class Gallery:
 class Illustration:
     """A figure with its caption: the one way to add a figure to the report.
 
-    Placing it writes ``figures/{slug}.png``, ``figures/{slug}.exr`` where it shows light, the
+    Placing it writes ``figures/{slug}.png``, the
     page's part with its caption, and its entry in ``results.json``.
 
     Attributes

@@ -62,7 +62,7 @@ def _illustration(folder: Path, block: Illustration) -> Placed:
     drawn = block.figure
     figure, light = (drawn.figure, drawn.light) if isinstance(drawn, Drawing) else (drawn, [])
     return {
-        **_figure(folder, block.slug, png(figure), light),
+        **_figure(folder, block.slug, png(figure)),
         "name": block.name,
         "caption": _joined(block.caption, exposure_text(light)),
         "alt": block.alt or f"{block.name}: see the caption.",
@@ -96,8 +96,8 @@ def _picture(folder: Path, picture: Picture) -> Placed:
     }
 
 
-def _figure(folder: Path, slug: str, image: bytes, light: Sequence[Light]) -> Placed:
-    """Write a picture's PNG and, where it shows light, its OpenEXR file."""
+def _figure(folder: Path, slug: str, image: bytes, light: Sequence[Light] = ()) -> Placed:
+    """Write a figure's PNG and, of pictures of a scene, their linear light."""
     file, exr = f"figures/{slug}.png", f"figures/{slug}.exr" if light else None
     write_atomically(folder / file, image)
     if exr:

@@ -1,18 +1,143 @@
-"""What an acquisition's folder tells of it, however far it came."""
+"""The catalogue: every acquisition of a run on one page, with what became of it."""
 
 from __future__ import annotations
 
+import json
 import re
+from collections import Counter
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rfpipe.blocks import RayDomain
 from rfpipe.errors import RfpipeError
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.store import StoreLock, open_arrays, read_manifest
+from rfpipe.store.files import write_atomically
 
-__all__ = ["Item", "item_of", "last_log", "stamp_of"]
+if TYPE_CHECKING:
+    from rfpipe.config import Config, SceneSettings
+
+CATALOGUE = Path("catalogue") / "index.html"
+"""In the folder of results."""
+
+_KNOWN = "items.json"
+_STATES = ("failed", "running", "unknown", "stopped", "waiting", "done")
+
+
+def write_catalogue(settings: Config, results: Path) -> dict[str, int]:
+    """Write the page that lists every acquisition of a run.
+
+    What was read of finished acquisitions is kept beside it, so that a page of a thousand takes
+    seconds once it was written.
+
+    Parameters
+    ----------
+    settings : Config
+    results : Path
+        The run's folder of results; the page is its ``catalogue/index.html``.
+
+    Returns
+    -------
+    dict
+        Acquisitions by state.
+    """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    folder = (results / CATALOGUE).parent
+    kept, known = _known(folder / _KNOWN), {}
+    rows: list[dict[str, Any]] = []
+    for scene, method in settings.acquisitions:
+        name, place = f"{scene}/{method}", results / scene / method
+        stamp, before = stamp_of(place), kept.get(name, {})
+        same = before.get("stamp") == stamp
+        item = item_of(place, before["item"] if same else None)
+        picture = before.get("picture", False) if same else False
+        if not picture and stamp[-1]:
+            picture = write_thumbnail(place, folder / f"{scene}_{method}.png")
+        known[name] = {"stamp": stamp, "item": item.plain(), "picture": picture}
+        rows.append(_row(settings, results, item, picture=picture))
+    counts = Counter(row["item"].state for row in rows)
+    environment = Environment(
+        loader=PackageLoader("rfpipe.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    about = list(dict.fromkeys(key for row in rows for key in row["about"]))
+    page = environment.get_template("catalogue.html.j2").render(
+        title=Path(settings.collection).stem if settings.collection else settings.title,
+        rows=rows,
+        about=about,
+        shown=_told(rows),
+        left=left_over(settings, results),
+        states=[(state, counts[state]) for state in _STATES if counts[state]],
+        written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        seconds=sum(row["item"].seconds or 0 for row in rows),
+        patterns=sum(row["item"].patterns or 0 for row in rows),
+    )
+    write_atomically(results / CATALOGUE, page.encode())
+    write_atomically(folder / _KNOWN, json.dumps(known).encode())
+    return {state: counts[state] for state in _STATES}
+
+
+def left_over(settings: Config, results: Path) -> list[str]:
+    """Return the folders of scenes that the settings don't have any more."""
+    begun = {folder.parents[1].name for folder in results.glob("*/*/L00")}
+    return sorted(begun - {*settings.scenes})
+
+
+def _row(settings: Config, results: Path, item: Item, *, picture: bool) -> dict[str, Any]:
+    scene = settings.scenes[item.scene]
+    view = f"report/view/{item.scene}_{item.method}.html"
+    return {
+        "item": item,
+        "kind": scene.kind,
+        "rays": _rays(scene),
+        "rig": scene.rig or "",
+        "about": scene.about,
+        "picture": f"{item.scene}_{item.method}.png" if picture else None,
+        "view": f"../{view}" if (results / view).exists() else None,
+        "log": _log_of(results, item),
+        "order": _STATES.index(item.state),
+    }
+
+
+def _log_of(results: Path, item: Item) -> str | None:
+    """Return where the last log of an acquisition lies, as seen from the page."""
+    log = last_log(results / item.scene / item.method)
+    return None if log is None else f"../{log.relative_to(results).as_posix()}"
+
+
+def _rays(scene: SceneSettings) -> str:
+    """Say how many rays the camera has, and the projector where it has others."""
+    camera, lit = (" x ".join(map(str, it)) for it in (scene.camera_ray_shape, scene.ray_shape))
+    return camera if camera == lit else f"{camera}, lit by {lit}"
+
+
+def _told(rows: list[dict[str, Any]]) -> dict[str, bool]:
+    """Return which columns have anything to tell."""
+    figures = {
+        name: any(getattr(row["item"], name) is not None for row in rows)
+        for name in ("error", "estimate", "verified")
+    }
+    return {**figures, "rig": any(row["rig"] for row in rows)}
+
+
+def _known(path: Path) -> dict[str, Any]:
+    """Read what was kept; nothing where it can't be read, as after an update."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        fields = set(Item("", "").plain())
+        return {name: it for name, it in found.items() if set(it["item"]) == fields}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+
 
 State = Literal["waiting", "running", "unknown", "stopped", "failed", "done"]
 
@@ -210,3 +335,48 @@ def floodlit_of(folder: Path) -> Any:
         return read_floodlit(AcquisitionFolder(folder))[0]
     except (RfpipeError, KeyError):
         return None
+
+
+_SIDE = 96
+_WHITE_PERCENTILE = 99.5
+
+
+def write_thumbnail(folder: Path, picture: Path) -> bool:
+    """Write the floodlit picture of an acquisition as a small PNG, if it is captured.
+
+    Parameters
+    ----------
+    folder : Path
+        ``results/{scene}/{method}``.
+    picture : Path
+
+    Returns
+    -------
+    bool
+        Whether there is one.
+    """
+    from rfpipe.pictures.images import write_image
+
+    floodlit = floodlit_of(folder)
+    if floodlit is None:
+        return False
+    rays = floodlit.shape[:-1]
+    # of a light field, the view in the middle
+    domain = RayDomain(rays)
+    views = floodlit.reshape(domain.views, *domain.image_shape, floodlit.shape[-1])
+    image = _smaller(views[domain.views // 2])
+    lit = image[np.isfinite(image)]
+    white = float(np.percentile(lit, _WHITE_PERCENTILE)) if lit.size else 1.0
+    picture.parent.mkdir(parents=True, exist_ok=True)
+    write_image(picture, np.nan_to_num(image), white if white > 0 else 1.0)
+    return True
+
+
+def _smaller(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Average a picture (H, W, C) over squares of pixels until it is small enough."""
+    step = -(-max(image.shape[:2]) // _SIDE)
+    height, width = (max(1, side // step) for side in image.shape[:2])
+    cut = image[: height * step, : width * step]
+    blocks = cut.reshape(height, cut.shape[0] // height, width, cut.shape[1] // width, -1)
+    smaller: NDArray[np.float32] = blocks.mean(axis=(1, 3), dtype=np.float32)
+    return smaller
