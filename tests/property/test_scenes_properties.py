@@ -5,8 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rfpipe.scenes import GEOMETRIES, Occluder, planes_scene, surface_points
-from rfpipe.scenes.formfactors import form_factors
-from rfpipe.scenes.occluders import HIDDEN, MIXED, VISIBLE, blocked, classify
+from rfpipe.scenes.radiosity import FormFactors
+from rfpipe.scenes.visibility import HIDDEN, MIXED, VISIBLE, blocked, classify
 
 shapes = st.tuples(st.integers(1, 12), st.integers(1, 12))
 
@@ -45,7 +45,7 @@ def test_transport_is_symmetric_non_negative_and_applied_faithfully(shape, block
 )
 def test_compression_keeps_every_entry(geometry, shape, blockers, seed):
     points = surface_points(shape, GEOMETRIES[geometry])
-    dense, packed = (form_factors(points, blockers, compress=c) for c in (False, True))
+    dense, packed = (FormFactors(points, blockers, compress=c) for c in (False, True))
     columns = np.random.default_rng(seed).random((len(points.surface), 4))
     columns[:, 0] = np.arange(len(columns)) == seed % len(columns)  # a column of G
     expected = dense.apply(columns)

@@ -24,7 +24,7 @@ from rfpipe.config.listing import with_listing
 from rfpipe.errors import ConfigError
 from rfpipe.methods import get_method, method_names
 from rfpipe.scenes import REFERENCE_SCENES
-from rfpipe.scenes.kinds.surfaces import OccluderOptions
+from rfpipe.scenes.rooms import OccluderOptions
 
 FOLDER = Path(__file__).parents[2] / "config"
 RUN = load_config(FOLDER / "config.yaml")
@@ -300,7 +300,7 @@ def test_an_option_that_a_method_does_not_have_is_refused() -> None:
         ({"scenes": {"a": {"kind": "room", "surfaces": ["white"] * 3, "views": [2, 2]}}}, True),
         ({"scenes": {"a": {"kind": "own.py:Own", "width": 2}}}, True),
         ({"scenes": {"a": {"kind": "plane", "surfaces": ["white"], "views": [2, 2]}}}, False),
-        ({"scenes": {"a": {"kind": "plane"}}}, False),
+        ({"scenes": {"a": {"kind": "plane"}}}, True),
         ({"scenes": {"a": {"kind": "plane", "surfaces": ["wihte"]}}}, False),
         ({"scenes": {"a": {"surfaces": ["white"]}}}, False),
         ({"scenes": {"a": {"kind": "wegde", "surfaces": ["white"]}}}, False),

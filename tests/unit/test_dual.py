@@ -10,7 +10,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods import get_method
 from rfpipe.methods.dual import Dual
-from rfpipe.scenes.reference import reference_scene
+from rfpipe.scenes import reference_scene
 from rfpipe.testing import dot_test
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.multilevel.transport import MultilevelTransport

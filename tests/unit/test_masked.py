@@ -13,7 +13,7 @@ from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig
 from rfpipe.photometry.normalize import level_gain
 from rfpipe.rigs import Rig
-from rfpipe.scenes.reference import reference_scene
+from rfpipe.scenes import reference_scene
 from rfpipe.stages.acquire import AcquisitionResult
 from rfpipe.stages.evaluating.metrics import relative_rms
 

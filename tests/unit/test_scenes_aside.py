@@ -11,15 +11,14 @@ from rfpipe.errors import ConfigError, InputError
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import (
     GEOMETRIES,
-    AsideScene,
     Occluder,
     Pinhole,
-    aside_scene,
     planes_scene,
     relighting_patterns,
     scene_from_config,
     surface_points,
 )
+from rfpipe.scenes.aside import aside_scene
 from rfpipe.scenes.geometries import names_of
 from rfpipe.scenes.geometry import sight_of
 from rfpipe.testing import SceneContract
@@ -45,9 +44,13 @@ def grey(positions, surface):
     return np.full((len(positions), 1), 0.5)
 
 
+def lamp_at(geometry, shape):
+    return Pinhole(shape, PLACES[geometry], MIDDLE)
+
+
 def aside(geometry, camera=(15, 18), projector=(12, 14), albedo=waves, **settings):
-    lamp = Pinhole(projector, PLACES[geometry], MIDDLE)
-    return AsideScene(GEOMETRIES[geometry], Pinhole(camera), lamp, albedo, **settings)
+    lamp = lamp_at(geometry, projector)
+    return aside_scene(GEOMETRIES[geometry], Pinhole(camera), lamp, albedo, **settings)
 
 
 def at_right_angles(shape):
@@ -56,14 +59,13 @@ def at_right_angles(shape):
     return Pinhole(shape, tuple(centre + np.array([2.0, -1.0, 0.0])), tuple(centre))
 
 
-class TestAsideScene(SceneContract):
+class TestAside(SceneContract):
     coaxial = False
 
     def make_scene(self):
-        return aside_scene(
-            "wedge_120", ("texture", "white"), (7, 8),
-            Pinhole((5, 9), PLACES["wedge_120"], MIDDLE), occluders=[PLATE],
-        )  # fmt: skip
+        lamp = lamp_at("wedge_120", (5, 9))
+        given = {"projector": lamp, "occluders": [PLATE]}
+        return planes_scene("wedge_120", ("texture", "white"), (7, 8), **given)
 
 
 @pytest.mark.parametrize("bounces", [1, 3])
@@ -72,7 +74,8 @@ class TestAsideScene(SceneContract):
 def test_swapping_camera_and_projector_gives_the_transpose(geometry, occluders, bounces):
     settings = {"occluders": occluders, "bounces": bounces}
     one = aside(geometry, **settings)
-    other = AsideScene(GEOMETRIES[geometry], one.projector, one.camera, waves, **settings)
+    swapped = lamp_at(geometry, (12, 14)), Pinhole((15, 18))
+    other = aside_scene(GEOMETRIES[geometry], *swapped, waves, **settings)
     here, there = one.dense() / one.scale, other.dense() / other.scale
     assert here.shape == (270, 168)
     assert here.min() >= 0
@@ -84,14 +87,14 @@ def test_at_the_camera_s_place_it_is_the_coaxial_matrix(geometry):
     shape = (13, 17)
     surfaces = [kind for _, kind in zip(names_of(geometry), cycle(("texture", "white")))]
     coaxial = planes_scene(geometry, surfaces, shape)
-    same = aside_scene(geometry, surfaces, shape, Pinhole(shape))
+    same = planes_scene(geometry, surfaces, shape, projector=Pinhole(shape))
     np.testing.assert_array_equal(same.albedo, coaxial.albedo)
     # pixels on an edge see parts of two surfaces, of which the coaxial one takes the middle's
     parts = sight_of(Pinhole(shape), GEOMETRIES[geometry], 4).surface.reshape(-1, 16)
     whole = (parts == parts[:, :1]).all(axis=1)
     assert whole.mean() > 0.6
     found = same.dense(1) / same.scale
-    expected = coaxial.dense(1) / (coaxial.light * coaxial.points.mean_area)
+    expected = coaxial.dense(1) / coaxial.scale
     edges = np.diag(np.where(whole, 1, 0)) + 1 - np.eye(len(whole))
     np.testing.assert_allclose(found * edges, expected * edges, atol=1e-12 * expected.max())
     assert np.linalg.norm(found - expected) < 0.1 * np.linalg.norm(expected)
@@ -101,28 +104,23 @@ def test_at_the_camera_s_place_it_is_the_coaxial_matrix(geometry):
 def test_direct_light_falls_off_as_it_should(geometry):
     scene = aside(geometry, (31, 36), (24, 28), grey, bounces=1)
     lit = scene.apply(np.ones((1, 24 * 28)))[0, :, 0] / scene.scale
-    seen = sight_of(scene.camera, scene.surfaces)
-    way = seen.positions - scene.projector.origin
-    distance, ahead = np.linalg.norm(way, axis=1), way @ scene.projector.axes[2]
+    seen, lamp = sight_of(Pinhole((31, 36)), GEOMETRIES[geometry]), lamp_at(geometry, (24, 28))
+    way = seen.positions - lamp.origin
+    distance, ahead = np.linalg.norm(way, axis=1), way @ lamp.axes[2]
     cosine = -(way * seen.normals).sum(1) / distance
     # a pixel's solid angle is pitch^2 (ahead / distance)^3
-    expected = 0.5 * cosine / distance**2 * (distance / ahead) ** 3 / scene.projector.pitch**2
-    place = scene.projector.project(seen.positions)
+    expected = 0.5 * cosine / distance**2 * (distance / ahead) ** 3 / lamp.pitch**2
+    place = lamp.project(seen.positions)
     inside = ((place > 1) & (place < np.array([24, 28]) - 1)).all(axis=1)
     assert inside.mean() > 0.6
     ratio = lit[inside] / expected[inside]
     assert abs(ratio.mean() - 1) < 0.003
     assert np.abs(ratio - 1).max() < 0.06
     assert not lit[((place < -1) | (place > np.array([25, 29]))).any(axis=1)].any()
-
-
-@pytest.mark.parametrize("geometry", ["plane", "wedge_120"])
-def test_all_direct_light_in_view_is_accounted_for(geometry):
-    scene = aside(geometry, (31, 36), (24, 28), grey, bounces=1)
+    # all of it in view is accounted for
     areas = surface_points((31, 36), GEOMETRIES[geometry]).areas
     light = (scene.dense() * areas[:, None]).sum(axis=0) / (0.5 * scene.scale)
-    middle = light.reshape(24, 28)[8:16, 8:20]
-    np.testing.assert_allclose(middle, 1, atol=5e-3)
+    np.testing.assert_allclose(light.reshape(24, 28)[8:16, 8:20], 1, atol=5e-3)
     assert light.max() < 1.1
 
 
@@ -132,7 +130,7 @@ def test_what_stands_between_throws_a_shadow_where_geometry_says():
     lamp = Pinhole((24, 28), PLACES["plane"], MIDDLE)
     camera = Pinhole((31, 36))
     free, shaded = (
-        AsideScene(wall, camera, lamp, grey, bounces=1, occluders=occluders)
+        aside_scene(wall, camera, lamp, grey, bounces=1, occluders=occluders)
         for occluders in ((), (plate,))
     )
     ones = np.ones((1, 24 * 28))
@@ -153,14 +151,17 @@ def test_what_stands_between_throws_a_shadow_where_geometry_says():
 
 def test_a_sphere_is_dark_behind_and_throws_its_shadow():
     sphere = GEOMETRIES["sphere_on_plane"][2]
-    scene = AsideScene(
-        GEOMETRIES["sphere_on_plane"], Pinhole((31, 36)), at_right_angles((24, 28)), grey, bounces=1
+    surfaces, camera, lamp = (
+        GEOMETRIES["sphere_on_plane"],
+        Pinhole((31, 36)),
+        at_right_angles((24, 28)),
     )
+    scene = aside_scene(surfaces, camera, lamp, grey, bounces=1)
     lit = scene.apply(np.ones((1, 24 * 28)))[0, :, 0]
-    seen = sight_of(scene.camera, scene.surfaces)
-    towards = scene.projector.origin - seen.positions
+    seen = sight_of(camera, surfaces)
+    towards = lamp.origin - seen.positions
     cosine = (towards * seen.normals).sum(1) / np.linalg.norm(towards, axis=1)
-    parts = sight_of(scene.camera, scene.surfaces, 4).surface.reshape(-1, 16)
+    parts = sight_of(camera, surfaces, 4).surface.reshape(-1, 16)
     on_sphere, turned_away = (parts == 2).all(axis=1), cosine < -0.3
     assert np.count_nonzero(on_sphere & turned_away) > 5
     assert lit[on_sphere & (cosine > 0.3)].min() > 0
@@ -183,8 +184,8 @@ def test_settings_place_the_projector():
     assert not settings.is_coaxial
     made = scene_from_config(settings)
     assert (made.projector_shape, made.camera_shape) == ((8, 10), (9, 12))
-    lamp = Pinhole((8, 10), PLACES["wedge_120"], MIDDLE)
-    direct = aside_scene("wedge_120", ("texture", "white"), (9, 12), lamp, channels=1)
+    lamp = lamp_at("wedge_120", (8, 10))
+    direct = planes_scene("wedge_120", ("texture", "white"), (9, 12), projector=lamp, channels=1)
     assert made.describe() == direct.describe()
     same = settings.model_copy(update={"projector": None})
     assert same.is_coaxial
@@ -194,28 +195,27 @@ def test_settings_place_the_projector():
 
 
 def test_impossible_places_are_refused():
-    with pytest.raises(InputError, match="stands behind the surface right"):
-        aside_scene("wedge", ("white", "white"), (4, 5), Pinhole((4, 5), (3, 0, 3), MIDDLE))
-    inside = GEOMETRIES["sphere_on_plane"][2].centre
-    with pytest.raises(InputError, match="behind the surface sphere"):
-        aside_scene("sphere_on_plane", ("white",) * 3, (4, 5), Pinhole((4, 5), inside, (9, 0, 9)))
-    *_, face, _, _, _, _, _ = GEOMETRIES["coloured_room"]
-    inside = tuple(np.array(face.centre) - 0.1 * face.plane.unit_normal)
-    with pytest.raises(InputError, match="behind the surface block"):
-        aside_scene("coloured_room", ("white",) * 7, (4, 5), Pinhole((4, 5), inside, (9, 0, 9)))
-    with pytest.raises(InputError, match="another point to look at"):
-        Pinhole((4, 5), (1, 0, 1), (1, 5, 1))
-    with pytest.raises(ValueError, match="look_at should be another point"):
-        SceneSettings.of("plane", surfaces=("white",), projector={"position": (0, 1, 3)})
+    centre = GEOMETRIES["sphere_on_plane"][2].centre
+    face = GEOMETRIES["coloured_room"][5]
+    within = tuple(np.array(face.centre) - 0.1 * face.plane.unit_normal)
+    for geometry, place, name in (
+        ("wedge", (3, 0, 3), "right"),
+        ("sphere_on_plane", centre, "sphere"),
+        ("coloured_room", within, "block"),
+    ):
+        white = ("white",) * len(names_of(geometry))
+        with pytest.raises(InputError, match=f"stands behind the surface {name}"):
+            planes_scene(geometry, white, (4, 5), projector=Pinhole((4, 5), place, (9, 0, 9)))
+    with pytest.raises(ValueError, match="another point to look at"):
+        SceneSettings.of("plane", projector={"position": (0, 1, 3)})
 
 
 def test_dual_photography_at_right_angles():
     """[Fig. 3.10]: the axes of camera and projector meet at right angles on a sphere."""
     lamp = at_right_angles((16, 16))
     assert abs(lamp.axes[2] @ [0, 0, 1]) < 1e-12
-    scene = aside_scene(
-        "sphere_on_plane", ("texture", "white", "white"), (16, 18), lamp, channels=1
-    )
+    surfaces = ("texture", "white", "white")
+    scene = planes_scene("sphere_on_plane", surfaces, (16, 18), projector=lamp, channels=1)
     result = acquire(SimulatedRig(scene), "dual", tolerance=1e-4, progress=False)
     assert result.transport.projector_shape == (16, 16)
     patterns = np.stack(list(relighting_patterns((16, 16)).values()))

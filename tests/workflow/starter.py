@@ -37,7 +37,7 @@ _OF_SNAKEMAKE = (
     "rfpipe.methods.brute_force",
     "rfpipe.methods.dual",
     "rfpipe.methods.symmetric.method",
-    "rfpipe.scenes.kinds.surfaces",
+    "rfpipe.scenes.rooms",
     "rfpipe.stages.jobs.ends",
     "rfpipe.stages.plan",
     "rfpipe.stages.checking.again",

@@ -1,22 +1,12 @@
 """Simulated scenes: the ground-truth transport that a rig of the simulation captures."""
 
-from rfpipe.scenes.aside import AsideScene
-from rfpipe.scenes.base import CoaxialScene, Scene, apply_in_batches
-from rfpipe.scenes.build import scene_from_config
+from rfpipe.scenes.base import CoaxialScene, Scene, apply_in_batches, scene_from_config
 from rfpipe.scenes.geometries import GEOMETRIES
 from rfpipe.scenes.geometry import Plane, surface_points
 from rfpipe.scenes.hard import DenseScene, hard_cases
-from rfpipe.scenes.light_field import LightFieldScene
-from rfpipe.scenes.occluders import Occluder
+from rfpipe.scenes.light_field import room_scene
 from rfpipe.scenes.pinhole import Pinhole
 from rfpipe.scenes.radiosity import RadiosityScene
-from rfpipe.scenes.reference import (
-    REFERENCE_SCENES,
-    aside_scene,
-    planes_scene,
-    reference_scene,
-    room_scene,
-)
 from rfpipe.scenes.relighting import (
     CREASE,
     ONE_VIEW,
@@ -24,6 +14,8 @@ from rfpipe.scenes.relighting import (
     relighting_patterns,
     scene_patterns,
 )
+from rfpipe.scenes.rooms import REFERENCE_SCENES, planes_scene, reference_scene
+from rfpipe.scenes.visibility import Occluder
 
 __all__ = [
     "CREASE",
@@ -31,17 +23,14 @@ __all__ = [
     "ONE_VIEW",
     "REFERENCE_SCENES",
     "RELIGHTING_PATTERNS",
-    "AsideScene",
     "CoaxialScene",
     "DenseScene",
-    "LightFieldScene",
     "Occluder",
     "Pinhole",
     "Plane",
     "RadiosityScene",
     "Scene",
     "apply_in_batches",
-    "aside_scene",
     "hard_cases",
     "planes_scene",
     "reference_scene",

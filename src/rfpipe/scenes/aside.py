@@ -9,44 +9,67 @@ times s, the mean of B and the strength of the light:
   over the K parts into which i is cut, those alone that nothing hides from the projector. By the
   parts of j the same is ``sum over x in j of r(x) [x in i] / (K A_i)``; the mean of the two is
   taken.
-- Indirect light is that of `rfpipe.scenes.diffuse`, from the projector's points j to the camera's
+- Indirect light is that of `rfpipe.scenes.radiosity`, from the projector's points j to the camera's
   i: ``r_i G_ij r_j + r_i (sum over k of G_ik r_k a_k G_kj) r_j``. The points k in between are those
   of both pictures. What both see counts by half in either: ``a_i = A_i (1 - v_i / 2)``, with v_i
   the share of i that the projector sees; likewise ``a_j = B_j (1 - v_j / 2)``.
 
 When the two change places, T becomes ``T^T`` but for s (Helmholtz' reciprocity). Where they stand
-at one place, v is 1, A is B, and T the coaxial matrix of `RadiosityScene`.
+at one place, v is 1, A is B, and T the coaxial matrix.
+
+A part of a pixel stands for a box on the other's picture, as wide as the outline of the piece of
+surface that it covers has there (of the same standard deviation), and is shared out between the
+pixels that the box overlaps. Points in place of boxes would make ripples where the two pictures are
+about as fine. A box knows nothing of outlines: light that falls close beside one reaches over it by
+half a box.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.crossing import is_clear, require_inside, shares
-from rfpipe.scenes.diffuse import DiffuseScene, DiffuseSurfaces
-from rfpipe.scenes.geometry import Points, Surface, least_squared, sight_of
-from rfpipe.scenes.occluders import Occluder
+from rfpipe.errors import InputError
+from rfpipe.scenes.geometry import (
+    Points,
+    Rectangle,
+    Sight,
+    Surface,
+    least_squared,
+    overlaps,
+    sight_of,
+)
 from rfpipe.scenes.pinhole import Pinhole
+from rfpipe.scenes.radiosity import RadiosityScene, Rays
+from rfpipe.scenes.visibility import Occluder, Sphere, blocked
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-__all__ = ["AsideScene"]
 
 Double = NDArray[np.float64]
 Albedo = Callable[[Double, NDArray[np.int64]], Double]
 
 _PARTS = 4  # of a pixel along either side
+_WIDEST = 8  # pixels that a box counts as wide at most, for the memory's sake
+_BOXES_AT_A_TIME = 2**16
 
 
-class AsideScene(DiffuseScene):
-    """Diffuse surfaces, seen by a camera and lit by a projector that stands elsewhere.
+def aside_scene(
+    surfaces: Sequence[Surface],
+    camera: Pinhole,
+    projector: Pinhole,
+    albedo: Albedo,
+    *,
+    occluders: Sequence[Occluder] = (),
+    contrast: float = math.inf,
+    **options: Any,
+) -> RadiosityScene:
+    """Build a scene seen by a camera and lit by a projector that stands elsewhere.
 
     Rays that meet no surface carry no light.
 
@@ -59,101 +82,66 @@ class AsideScene(DiffuseScene):
     albedo
         Albedo in [0, 1), float64 (n, C), of places float64 (n, 3) on surfaces int64 (n,), which
         are numbered as in `surfaces`.
-    bounces
-        Light simulated: 1 is direct light alone, each further one adds an inter-reflection.
     occluders
         Black parallelograms that block light between points, and the view of either pinhole.
-    compress
-        Whether to compress the form factors; None decides by their number.
     contrast
         The light is dimmed so that no pixel of the projector has more of it, per area, than this
         times what one of mean area has at full strength.
-    name
-        What the scene is called in its description.
+    **options
+        The bounces, compress and name of a `RadiosityScene`.
 
     Raises
     ------
     InputError
-        If a pinhole stands behind a plane or within the sphere, or a setting is out of range.
+        If a pinhole stands behind a plane or within the sphere, or an option is out of range.
     """
+    from scipy.sparse import csr_array, eye_array
 
-    def __init__(
-        self,
-        surfaces: Sequence[Surface],
-        camera: Pinhole,
-        projector: Pinhole,
-        albedo: Albedo,
-        *,
-        bounces: int = 3,
-        occluders: Sequence[Occluder] = (),
-        compress: bool | None = None,
-        contrast: float = math.inf,
-        name: str = "aside",
-    ) -> None:
-        self.surfaces, self.occluders = tuple(surfaces), tuple(occluders)
-        seen, lit = (
-            _side(one, other, self.surfaces, self.occluders, albedo)
-            for one, other in ((camera, projector), (projector, camera))
-        )
-        super().__init__(camera.shape, projector.shape, seen.albedo.shape[1])
-        self.name = name
-        self.camera, self.projector = camera, projector
-        self.scale = float(min(lit.seen_areas.mean(), contrast * lit.seen_areas.min()))
-        self._direct = [
-            (forward.multiply(1 / lit.areas) + backward.T.multiply(1 / seen.areas[:, None])).tocsr()
-            * (self.scale / 2)
-            for forward, backward in zip(seen.common, lit.common, strict=True)
-        ]
-        self._surfaces = DiffuseSurfaces(
-            _joined(self.surfaces, seen, lit),
-            np.concatenate([seen.albedo, lit.albedo]),
-            bounces=bounces,
-            occluders=occluders,
-            compress=compress,
-        )
-
-    def _radiance(self, weights: Double) -> Double:
-        """Radiance (M, B, C) of patterns (N, B)."""
-        total = np.stack([np.asarray(direct @ weights) for direct in self._direct], axis=-1)
-        if self._surfaces.bounces > 1:
-            flux = np.concatenate([np.zeros((self._rays, weights.shape[1])), weights])
-            total += self.scale * self._surfaces.radiosity(flux)[: self._rays]
-        return total
-
-    def _matrix(self, channel: int) -> Double:
-        """The whole matrix (M, N) of one channel."""
-        indirect = self._surfaces.dense(channel)[: self._rays, self._rays :]
-        transport: Double = self._direct[channel].toarray() + self.scale * indirect
-        return transport
-
-    def describe(self) -> dict[str, Any]:
-        """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
-        return {
-            **super().describe(),
-            "camera": asdict(self.camera),
-            "projector": asdict(self.projector),
-            "parts": _PARTS,
-            "surfaces": [asdict(surface) for surface in self.surfaces],
-            "occluders": [asdict(occluder) for occluder in self.occluders],
-            "scale": self.scale,
-        }
+    seen, lit = (
+        _side(one, other, tuple(surfaces), tuple(occluders), albedo)
+        for one, other in ((camera, projector), (projector, camera))
+    )
+    mean = float((seen.seen_areas.mean() + lit.seen_areas.mean()) / 2)
+    joined = [np.concatenate(pair) for pair in zip(seen[:4], lit[:4], strict=True)]
+    surface, positions, areas, values = joined
+    points = Points(tuple(surfaces), surface, positions, areas, least_squared(surfaces, mean))
+    scale = float(min(lit.seen_areas.mean(), contrast * lit.seen_areas.min()))
+    direct = [
+        csr_array(there.multiply(1 / lit.areas) + back.T.multiply(1 / seen.areas[:, None]))
+        * (scale / 2)
+        for there, back in zip(seen.common, lit.common, strict=True)
+    ]
+    count, rays = len(points.areas), len(seen.areas)
+    return RadiosityScene(
+        points,
+        values,
+        occluders=occluders,
+        scale=scale,
+        rays=Rays(
+            camera.shape,
+            projector.shape,
+            eye_array(rays, count, format="csr"),
+            eye_array(count, count - rays, k=-rays, format="csr"),
+            direct,
+        ),
+        about={"camera": asdict(camera), "projector": asdict(projector), "parts": _PARTS},
+        **options,
+    )
 
 
-@dataclass(frozen=True)
-class _Side:
+class _Side(NamedTuple):
     """What one pinhole sees of the surfaces, pixel by pixel, n in all.
 
-    `positions` (n, 3), `surface` (n,), -1 of none; `areas` (n,) covered there, 1 of none, and
-    `bounce_areas`, what they count in light that goes on; `albedo` (n, C), 0 of none and of an
-    occluder; `common`, the sums over x in the module's first equation, (n, the other's pixels), one
-    a channel.
+    `surface` (n,), -1 of none; `positions` (n, 3); `bounce_areas`, what they count in light that
+    goes on; `albedo` (n, C), 0 of none and of an occluder; `areas` (n,) covered there, 1 of none;
+    `common`, sums over x in the module's first equation, (n, the other's pixels), one a channel.
     """
 
-    positions: Double
     surface: NDArray[np.int64]
-    areas: Double
+    positions: Double
     bounce_areas: Double
     albedo: Double
+    areas: Double
     common: list[csr_array[np.float64]]
 
     @property
@@ -173,12 +161,12 @@ def _side(
     """Look at the surfaces through one pinhole, and find what it has in common with the other."""
     from scipy.sparse import csr_array, diags_array
 
-    require_inside(one.origin, surfaces)
+    _require_inside(one.origin, surfaces)
     sight, parts = sight_of(one, surfaces), sight_of(one, surfaces, _PARTS)
-    clear = is_clear(one.origin, sight, (), occluders)
-    both = is_clear(one.origin, parts, (), occluders)
-    both &= is_clear(other.origin, parts, surfaces, occluders)
-    shared = shares(parts, other, both)
+    clear = _is_clear(one.origin, sight, (), occluders)
+    both = _is_clear(one.origin, parts, (), occluders)
+    both &= _is_clear(other.origin, parts, surfaces, occluders)
+    shared = _shares(parts, other, both)
     count, each = len(sight.surface), _PARTS**2
     sums = csr_array(
         (np.full(count * each, 1 / each), np.arange(count * each), np.arange(count + 1) * each)
@@ -187,22 +175,62 @@ def _side(
     areas = np.where(sight.surface >= 0, sight.areas, 1)
     visible = np.asarray((sums @ shared).sum(axis=1))
     return _Side(
-        sight.positions,
         sight.surface,
-        areas,
+        sight.positions,
         areas * (1 - visible / 2),
         albedo(sight.positions, sight.surface) * clear[:, None],
+        areas,
         [(sums @ diags_array(r) @ shared).tocsr() for r in reflected.T],
     )
 
 
-def _joined(surfaces: tuple[Surface, ...], seen: _Side, lit: _Side) -> Points:
-    """Put the points of both sides together, the camera's first."""
-    mean = float((seen.seen_areas.mean() + lit.seen_areas.mean()) / 2)
-    return Points(
-        surfaces,
-        np.concatenate([seen.surface, lit.surface]),
-        np.concatenate([seen.positions, lit.positions]),
-        np.concatenate([seen.bounce_areas, lit.bounce_areas]),
-        least_squared(surfaces, mean),
-    )
+def _require_inside(origin: Double, surfaces: Sequence[Surface]) -> None:
+    """Raise InputError where a pinhole stands behind a plane, or within a block or a sphere."""
+    for name in dict.fromkeys(surface.name for surface in surfaces):
+        # of a block it is enough to stand before one face
+        if not any(each.heights(origin) > 0 for each in surfaces if each.name == name):
+            raise InputError(
+                f"projector at ({', '.join(f'{x:g}' for x in origin)}): stands behind the surface "
+                f"{name}; give it a position in the room, on the camera's side"
+            )
+
+
+def _is_clear(
+    origin: Double, sight: Sight, surfaces: Sequence[Surface], occluders: Sequence[Occluder]
+) -> NDArray[np.bool_]:
+    """Tell which points of surfaces a place has in view: their fronts, with nothing before them."""
+    clear: NDArray[np.bool_] = sight.surface >= 0
+    clear &= ((origin - sight.positions) * sight.normals).sum(1) > 0
+    for surface in surfaces:
+        if isinstance(surface, Sphere):
+            clear &= ~surface.hides(origin[None], sight.positions)[0]
+    rectangles = [each.occluder for each in surfaces if isinstance(each, Rectangle)]
+    for occluder in (*rectangles, *occluders):
+        here, there = occluder.coordinates(origin), occluder.coordinates(sight.positions)
+        clear &= ~blocked(here, there)
+    return clear
+
+
+def _shares(sight: Sight, other: Pinhole, clear: NDArray[np.bool_]) -> csr_array[np.float64]:
+    """Share the parts of one pinhole's pixels, n in all, out between the other's pixels.
+
+    Rows add up to 1, to less at the edge of the other's picture, to 0 where it isn't clear.
+    """
+    from scipy.sparse import csr_array
+
+    chosen = np.flatnonzero(clear)
+    place = other.project(sight.positions[chosen])
+    sides = other.project_moves(sight.positions[chosen], sight.moves(chosen))
+    width = np.sqrt((sides**2).sum(axis=1))
+    ahead = np.isfinite(place).all(axis=1)
+    chosen, place, width = chosen[ahead], place[ahead], np.minimum(width[ahead], _WIDEST)
+    height, across = other.shape
+    entries = [(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64))]
+    for first in range(0, len(chosen), _BOXES_AT_A_TIME):
+        some = slice(first, first + _BOXES_AT_A_TIME)
+        box, row, column, share = overlaps(place[some], width[some])
+        within = (row >= 0) & (row < height) & (column >= 0) & (column < across)
+        pixel = row * across + column
+        entries.append((share[within], chosen[some][box[within]], pixel[within]))
+    share, row, pixel = (np.concatenate(each) for each in zip(*entries, strict=True))
+    return csr_array((share, (row, pixel)), shape=(len(clear), height * across))

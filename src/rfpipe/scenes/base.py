@@ -15,16 +15,24 @@ from rfpipe.errors import InputError
 if TYPE_CHECKING:
     from rfpipe.config import SceneSettings
 
-__all__ = ["CoaxialScene", "Scene", "SceneKind", "apply_in_batches"]
-
+# Columns of each matrix product: with more, a pattern of a few takes as long as many.
 _PATTERNS_AT_A_TIME = 16
 
 
-class SceneKind:
-    """A kind of scene, which settings call by a name or a path: its options, and how it is made.
+class Scene(ABC):
+    """Ground-truth transport of a simulated scene: patterns in, radiance out.
 
-    A name is that of an entry point of the group ``rfpipe.scenes``; a path is ``module:Class`` or
-    ``file.py:Class``.
+    A scene is a kind by itself, which settings call by a name, that of an entry point of the group
+    ``rfpipe.scenes``, or by a path, ``module:Class`` or ``file.py:Class``. A scene of your own
+    derives from this class, and is made by ``MyScene(options)``. `rfpipe.testing.SceneContract` has
+    the tests that every scene should pass.
+
+    Parameters
+    ----------
+    camera_shape, projector_shape : tuple of int
+        Shapes of the ray domains, of M and of N rays: (H, W), or (V, H, W) for an array of views.
+    channels : int
+        Colour channels, C: 1 or 3.
 
     Attributes
     ----------
@@ -33,6 +41,13 @@ class SceneKind:
     """
 
     Options: ClassVar[type[SceneSettings]]
+
+    def __init__(
+        self, camera_shape: tuple[int, ...], projector_shape: tuple[int, ...], channels: int
+    ) -> None:
+        self.camera_shape = tuple(camera_shape)
+        self.projector_shape = tuple(projector_shape)
+        self.channels = channels
 
     @classmethod
     def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
@@ -45,31 +60,8 @@ class SceneKind:
         many_patterns : bool
             Whether thousands of patterns are to come, so that a slower preparation pays.
         """
-        make: Any = cls
-        made: Scene = make(options)
+        made: Scene = cls(options)  # type: ignore[call-arg]
         return made
-
-
-class Scene(SceneKind, ABC):
-    """Ground-truth transport of a simulated scene: patterns in, radiance out.
-
-    A scene of your own derives from this class, and is a kind by itself: ``MyScene(options)`` makes
-    it. `rfpipe.testing.SceneContract` has the tests that every scene should pass.
-
-    Parameters
-    ----------
-    camera_shape, projector_shape : tuple of int
-        Shapes of the ray domains, of M and of N rays: (H, W), or (V, H, W) for an array of views.
-    channels : int
-        Colour channels, C: 1 or 3.
-    """
-
-    def __init__(
-        self, camera_shape: tuple[int, ...], projector_shape: tuple[int, ...], channels: int
-    ) -> None:
-        self.camera_shape = tuple(camera_shape)
-        self.projector_shape = tuple(projector_shape)
-        self.channels = channels
 
     @abstractmethod
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
@@ -78,6 +70,11 @@ class Scene(SceneKind, ABC):
     @abstractmethod
     def describe(self) -> dict[str, Any]:
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the ray domain of a coaxial rig."""
+        return self.camera_shape
 
     @property
     def albedo(self) -> NDArray[np.float32]:
@@ -110,10 +107,24 @@ class CoaxialScene(Scene):
     def __init__(self, shape: tuple[int, ...], channels: int) -> None:
         super().__init__(shape, shape, channels)
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Shape of the ray domain."""
-        return self.camera_shape
+
+def scene_from_config(settings: SceneSettings, *, many_patterns: bool = False) -> Scene:
+    """Build the scene that settings describe.
+
+    Parameters
+    ----------
+    settings
+        Of any kind, such as ``SceneSettings.of("wedge", surfaces=("white", "texture"))``.
+    many_patterns
+        Whether thousands of patterns are to come, so that a slower preparation pays.
+
+    Raises
+    ------
+    InputError
+        When it is a captured scene, of which no light transport is known.
+    """
+    made: Scene = settings.subject.make(settings, many_patterns=many_patterns)
+    return made
 
 
 def apply_in_batches(

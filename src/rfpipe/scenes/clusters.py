@@ -11,11 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.geometry import Plane, Sphere, Surface
-from rfpipe.scenes.occluders import HIDDEN, VISIBLE, Occluder, classify
-from rfpipe.scenes.spheres import classify_between, classify_facing
-
-__all__ = ["ClusterPairs", "ClusterTree", "cluster_pairs"]
+from rfpipe.scenes.geometry import Plane, Surface
+from rfpipe.scenes.visibility import HIDDEN, VISIBLE, Occluder, Sphere, classify
 
 _PAIRS_AT_A_TIME = 2**16  # cluster pairs tested against the occluders at once
 
@@ -98,19 +95,14 @@ class ClusterTree:
                 depth += [depth[node] + 1] * 2
             node += 1
         bounds = np.stack([low, high])  # (2, clusters, axes)
-        corners = (
-            np.stack(
-                [
-                    np.stack([bounds[end, :, axis] for axis, end in enumerate(ends)], axis=1) @ axes
-                    for ends in product((0, 1), repeat=len(axes))
-                ],
-                axis=1,
-            )
-            + origin
-        )
-        return cls(
-            order, np.array(start), np.array(stop), np.array(child), np.array(depth), corners
-        )
+        ends = product((0, 1), repeat=len(axes))
+        corners = [
+            np.stack([bounds[end, :, axis] for axis, end in enumerate(corner)], axis=1) @ axes
+            for corner in ends
+        ]
+        bound = np.stack(corners, axis=1) + origin
+        first, last, below = np.array(start), np.array(stop), np.array(child)
+        return cls(order, first, last, below, np.array(depth), bound)
 
 
 @dataclass(frozen=True)
@@ -206,17 +198,17 @@ def _visibility_tests(
         first, second = occluder.coordinates(one.corners), occluder.coordinates(two.corners)
         return lambda a, b: classify(first[a], second[b])
 
-    def behind_sphere(sphere: Sphere) -> _Test:
-        return lambda a, b: classify_between(
-            sphere, one.centre[a], two.centre[b], np.maximum(one.radius[a], two.radius[b])
-        )
-
-    def turned_away(sphere: Sphere) -> _Test:
-        return lambda a, b: classify_facing(sphere, one.centre[a], one.radius[a], two.corners[b])
-
     tests = [behind(occluder) for occluder in occluders]
-    tests += [] if between is None else [behind_sphere(between)]
-    tests += [] if facing is None else [turned_away(facing)]
+    if between is not None:
+        tests.append(
+            lambda a, b: between.classify_between(
+                one.centre[a], two.centre[b], np.maximum(one.radius[a], two.radius[b])
+            )
+        )
+    if facing is not None:
+        tests.append(
+            lambda a, b: facing.classify_facing(one.centre[a], one.radius[a], two.corners[b])
+        )
     return tests
 
 
@@ -225,12 +217,10 @@ def _visibility(
 ) -> NDArray[np.int8]:
     """What clusters are to each other behind all that may hide them: hidden by one is hidden."""
     verdict = np.full(len(a), VISIBLE)
-    for test in tests:
-        for start in range(0, len(a), _PAIRS_AT_A_TIME):
-            part = slice(start, start + _PAIRS_AT_A_TIME)
-            here = test(a[part], b[part])
-            now = verdict[part]
-            verdict[part] = np.where(
-                (now == HIDDEN) | (here == HIDDEN), HIDDEN, np.maximum(now, here)
-            )
+    for start in range(0, len(a), _PAIRS_AT_A_TIME):
+        part = slice(start, start + _PAIRS_AT_A_TIME)
+        for test in tests:
+            now, here = verdict[part], test(a[part], b[part])
+            hidden = (now == HIDDEN) | (here == HIDDEN)
+            verdict[part] = np.where(hidden, HIDDEN, np.maximum(now, here))
     return verdict

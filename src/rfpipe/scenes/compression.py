@@ -14,16 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.scenes.clusters import ClusterTree, cluster_pairs
-from rfpipe.scenes.facing import FacingPair
-from rfpipe.scenes.geometry import Sphere
-from rfpipe.scenes.kernels import apply_blocks, fill_blocks
-from rfpipe.scenes.occluders import END_TOLERANCE
-from rfpipe.scenes.spheres import GRAZING
+from rfpipe.scenes.formfactors import FacingPair
+from rfpipe.scenes.kernels import Sides, apply_blocks, fill_blocks
+from rfpipe.scenes.visibility import GRAZING, Sphere
 
-__all__ = ["TOLERANCE", "CompressedBlock"]
-
-# Relative error (Frobenius) of a smooth block; about what storing factors as float32 costs.
-TOLERANCE = 3e-7
 _LEAF_SIZE = 16  # points; the smaller, the fewer entries along a shadow's border
 _SEPARATION = 0.5  # distance of smooth clusters over the larger one's diameter
 _SHARE_DEPTH = 4  # depth of the trees at which the work is shared out: 16 shares
@@ -37,7 +31,7 @@ class CompressedBlock:
     """
 
     def __init__(self, pair: FacingPair) -> None:
-        one, two = (
+        one, two = trees = tuple(
             ClusterTree.of_surface(surface, positions, _LEAF_SIZE)
             for surface, positions in zip(pair.surfaces, pair.positions, strict=True)
         )
@@ -51,101 +45,68 @@ class CompressedBlock:
             between=pair.between,
             facing=first if isinstance(first := pair.surfaces[0], Sphere) else None,
         )
-        self.ranges = np.stack(
-            [
-                one.start[clusters.first],
-                one.stop[clusters.first],
-                two.start[clusters.second],
-                two.stop[clusters.second],
-            ],
-            axis=1,
-        )
+        chosen = clusters.first, clusters.second
+        ends = [(tree.start[c], tree.stop[c]) for tree, c in zip(trees, chosen, strict=True)]
+        self.ranges = np.stack([*ends[0], *ends[1]], axis=1)
         # Blocks of a share write to rows of their own.
-        self.shares = (
-            one.shares(clusters.first, _SHARE_DEPTH),
-            two.shares(clusters.second, _SHARE_DEPTH),
-        )
-        self._fill(pair, (one.order, two.order), clusters.smooth)
+        self.shares = [tree.shares(c, _SHARE_DEPTH) for tree, c in zip(trees, chosen, strict=True)]
+        self._fill(_sides(pair, (one.order, two.order)), clusters.smooth)
 
     @property
     def nbytes(self) -> int:
         """Bytes of the stored factors and entries."""
         return self.data.nbytes
 
-    def _fill(
-        self,
-        pair: FacingPair,
-        orders: tuple[NDArray[np.int64], NDArray[np.int64]],
-        smooth: NDArray[np.bool_],
-    ) -> None:
+    def _fill(self, sides: Sides, smooth: NDArray[np.bool_]) -> None:
         """Compute the blocks' factors and entries."""
-        positions = [points[order] for points, order in zip(pair.positions, orders, strict=True)]
-        shadows = [
-            np.array([occluder.coordinates(points) for occluder in pair.occluders]).reshape(
-                -1, len(points), 3
-            )
-            for points in positions
-        ]
-        lobes = np.zeros((len(positions[0]), 4))
-        if pair.normals is None:
-            lobes[:, 0] = 1
-        else:
-            lobes[:, 1:] = pair.normals[orders[0]]
-        spheres = np.zeros((0, 4))
-        if pair.between is not None:
-            spheres = np.array([[*pair.between.centre, (1 - GRAZING) * pair.between.radius]])
-        heights = [height[order] for height, order in zip(pair.heights, orders, strict=True)]
-        entries = (self.ranges[:, 1] - self.ranges[:, 0]) * (self.ranges[:, 3] - self.ranges[:, 2])
+        lengths = self.ranges[:, 1::2] - self.ranges[:, ::2]
+        entries = lengths.prod(axis=1)
         self.rank = np.zeros(len(entries), dtype=np.int64)
         chunk = np.cumsum(entries) // _CHUNK_ENTRIES
         bounds = np.flatnonzero(np.diff(chunk, prepend=-1, append=-1)) if len(chunk) else [0]
 
         def fill(start: int, stop: int) -> NDArray[np.float32]:
-            data = np.empty(int(entries[start:stop].sum()), dtype=np.float32)
-            used = fill_blocks(
-                self.ranges[start:stop],
-                smooth[start:stop],
-                positions[0],
-                positions[1],
-                lobes,
-                spheres,
-                shadows[0],
-                shadows[1],
-                heights[0],
-                heights[1],
-                pair.least_squared_distance,
-                END_TOLERANCE,
-                TOLERANCE,
-                self.rank[start:stop],
-                data,
-            )
+            some = slice(start, stop)
+            data = np.empty(int(entries[some].sum()), dtype=np.float32)
+            used = fill_blocks(self.ranges[some], smooth[some], sides, self.rank[some], data)
             return data[:used].copy()
 
         with ThreadPoolExecutor(_threads()) as pool:
             parts = list(pool.map(fill, bounds[:-1], bounds[1:]))
         self.data = np.concatenate(parts) if parts else np.empty(0, dtype=np.float32)
-        sides = (self.ranges[:, 1] - self.ranges[:, 0]) + (self.ranges[:, 3] - self.ranges[:, 2])
-        lengths = np.where(self.rank == 0, entries, sides * self.rank)
-        self.offset = np.cumsum(lengths) - lengths
+        stored = np.where(self.rank == 0, entries, lengths.sum(axis=1) * self.rank)
+        self.offset = np.cumsum(stored) - stored
 
     def add_to(self, out: NDArray[np.float64], columns: NDArray[np.float64]) -> None:
         """Add this block of G, and its transpose, times columns (N, K) to out (N, K)."""
-        for transposed in (False, True):
-            self._add_side(out, columns, transposed)
+        for transposed, shares in enumerate(self.shares):
+            here, there = self.pixels[transposed], self.pixels[1 - transposed]
+            x = columns[there].astype(np.float32)
+            y = np.zeros((len(here), columns.shape[1]))
+            stored = bool(transposed), self.ranges, self.rank, self.offset, self.data, x, y
+            with ThreadPoolExecutor(_threads()) as pool:
+                list(pool.map(lambda chosen, stored=stored: apply_blocks(chosen, *stored), shares))
+            out[here] += y
 
-    def _add_side(
-        self, out: NDArray[np.float64], columns: NDArray[np.float64], transposed: bool
-    ) -> None:
-        here, there = self.pixels[::-1] if transposed else self.pixels
-        x = columns[there].astype(np.float32)
-        y = np.zeros((len(here), columns.shape[1]))
 
-        def multiply(chosen: NDArray[np.int64]) -> None:
-            apply_blocks(chosen, transposed, self.ranges, self.rank, self.offset, self.data, x, y)
-
-        with ThreadPoolExecutor(_threads()) as pool:
-            list(pool.map(multiply, self.shares[transposed]))
-        out[here] += y
+def _sides(pair: FacingPair, orders: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Sides:
+    """Return what the kernels need to know of the points of either surface, in some order."""
+    p, q = (points[order] for points, order in zip(pair.positions, orders, strict=True))
+    height_p, height_q = (each[order] for each, order in zip(pair.heights, orders, strict=True))
+    shadow_p, shadow_q = (
+        np.array([each.coordinates(points) for each in pair.occluders]).reshape(-1, len(points), 3)
+        for points in (p, q)
+    )
+    lobes = np.zeros((len(p), 4))
+    if pair.normals is None:
+        lobes[:, 0] = 1
+    else:
+        lobes[:, 1:] = pair.normals[orders[0]]
+    spheres = np.zeros((0, 4))
+    if pair.between is not None:
+        spheres = np.array([[*pair.between.centre, (1 - GRAZING) * pair.between.radius]])
+    least = pair.least_squared_distance
+    return Sides(p, q, lobes, spheres, shadow_p, shadow_q, height_p, height_q, least)
 
 
 def _threads() -> int:

@@ -5,28 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.scenes.furniture import block
-from rfpipe.scenes.geometry import Plane, Sphere, Surface, Vector
-
-__all__ = ["GEOMETRIES", "TINTS", "names_of"]
+from rfpipe.scenes.geometry import Plane, Surface, block
+from rfpipe.scenes.pinhole import Vector
+from rfpipe.scenes.visibility import Sphere
 
 _FARTHEST = (0.0, 0.0, 3.0)  # point on the axis where the planes of a crease or corner meet
-_CORNER_DIRECTIONS = {
-    "left": 30,
-    "right": 150,
-    "floor": -90,
-}  # of the normals in the image, degrees
-
-# The floor and the wall of the sphere's room meet at right angles in a level crease; the camera
-# looks down on the floor.
-_LOOKING_DOWN = 35  # degrees
-_CREASE = np.array([0.0, -0.5, 3.5])
-_RADIUS = 0.5
-_ASIDE, _BEFORE_WALL = -0.25, 0.35  # of the sphere: from the axis, and its gap to the wall
-
-# The coloured room: its floor and ceiling end at the picture's lower and upper edge, its walls at
-# those of a picture of 96 x 108 pixels, all at half the room's depth or a little more.
-_HALF_WIDTH, _HALF_HEIGHT, _DEPTH = 1.125, 1.0, 3.0
 
 
 def _wedge(opening: float, *, turned: float = 0.0, tipped: float = 0.0) -> tuple[Plane, Plane]:
@@ -45,7 +28,8 @@ def _wedge(opening: float, *, turned: float = 0.0, tipped: float = 0.0) -> tuple
 def _corner() -> tuple[Plane, ...]:
     """Three planes at right angles, seen along the diagonal."""
     planes = []
-    for name, degrees in _CORNER_DIRECTIONS.items():
+    # directions of the normals in the image, degrees
+    for name, degrees in (("left", 30), ("right", 150), ("floor", -90)):
         angle = np.radians(degrees)
         across = np.sqrt(2 / 3) * np.array([np.cos(angle), np.sin(angle), 0])
         planes.append(_plane(name, across - [0, 0, np.sqrt(1 / 3)]))
@@ -53,20 +37,28 @@ def _corner() -> tuple[Plane, ...]:
 
 
 def _sphere_on_plane() -> tuple[Surface, ...]:
-    """A sphere that rests on a floor before a wall."""
-    sine, cosine = (float(f(np.radians(_LOOKING_DOWN))) for f in (np.sin, np.cos))
+    """A sphere that rests on a floor before a wall.
+
+    They meet at right angles in a level crease; the camera looks down on the floor.
+    """
+    sine, cosine = (float(f(np.radians(35))) for f in (np.sin, np.cos))
     up, from_wall = np.array([0, -cosine, -sine]), np.array([0, sine, -cosine])
-    centre = _CREASE + _RADIUS * up + (_BEFORE_WALL + _RADIUS) * from_wall + [_ASIDE, 0, 0]
+    crease, radius, gap = np.array([0.0, -0.5, 3.5]), 0.5, 0.35
+    centre = crease + radius * up + (gap + radius) * from_wall + [-0.25, 0, 0]
     return (
-        Plane("floor", _vector(_CREASE), _vector(up)),
-        Plane("wall", _vector(_CREASE), _vector(from_wall)),
-        Sphere("sphere", _vector(centre), _RADIUS),
+        Plane("floor", _vector(crease), _vector(up)),
+        Plane("wall", _vector(crease), _vector(from_wall)),
+        Sphere("sphere", _vector(centre), radius),
     )
 
 
 def _coloured_room() -> tuple[Surface, ...]:
-    """A room open towards the rig, with a block and a sphere on its floor."""
-    x, y, z = _HALF_WIDTH, _HALF_HEIGHT, _DEPTH
+    """A room open towards the rig, with a block and a sphere on its floor.
+
+    Its floor and ceiling end at the picture's lower and upper edge, its walls at those of a picture
+    of 96 x 108 pixels, all at half the room's depth or a little more.
+    """
+    x, y, z = 1.125, 1.0, 3.0
     return (
         Plane("left wall", (-x, 0, 0), (1, 0, 0)),
         Plane("right wall", (x, 0, 0), (-1, 0, 0)),

@@ -1,8 +1,7 @@
-"""Surfaces in front of a pinhole camera, and the points of them that its pixels see.
+"""Surfaces in front of pinholes, and the points of them that pixels see.
 
-Lengths are in scene units. The camera, which shares its rays with the projector, is a pinhole at
-the origin that looks along +z; its image plane at z = 1 spans -0.5 to 0.5 along the image's short
-side and its pixels are square.
+Lengths are in scene units: x to the right, y down, z ahead of the camera, which is a pinhole at the
+origin.
 """
 
 from __future__ import annotations
@@ -10,28 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.occluders import Occluder
 from rfpipe.scenes.pinhole import Pinhole, Vector
+from rfpipe.scenes.visibility import Occluder, Sphere
 
-__all__ = [
-    "Plane",
-    "Points",
-    "Rectangle",
-    "Sight",
-    "Sphere",
-    "Surface",
-    "SurfacePoints",
-    "Vector",
-    "least_squared",
-    "sight_of",
-    "surface_points",
-]
+Double = NDArray[np.float64]
 
 _PARALLEL = 1e-6  # 1 - cos of the opening below which planes count as facing, not as a crease
 
@@ -55,22 +42,22 @@ class Plane:
     normal: Vector
 
     @property
-    def unit_normal(self) -> NDArray[np.float64]:
+    def unit_normal(self) -> Double:
         """Normal of length 1, float64 (3,)."""
         normal = np.asarray(self.normal, dtype=np.float64)
-        unit: NDArray[np.float64] = normal / np.linalg.norm(normal)
+        unit: Double = normal / np.linalg.norm(normal)
         return unit
 
-    def heights(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def heights(self, points: Double) -> Double:
         """Signed distances of points (..., 3) from the plane, positive on the camera's side."""
-        distance: NDArray[np.float64] = (points - np.asarray(self.point)) @ self.unit_normal
+        distance: Double = (points - np.asarray(self.point)) @ self.unit_normal
         return distance
 
-    def normals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def normals(self, points: Double) -> Double:
         """Unit normals (..., 3) at points (..., 3) of the plane."""
         return np.broadcast_to(self.unit_normal, points.shape)
 
-    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    def depths(self, origin: Double, rays: Double) -> Double:
         """Depths at which rays (N, 3) meet the plane's front, infinite where they don't."""
         depth = np.full(len(rays), np.inf)
         towards = rays @ self.unit_normal  # negative: the ray runs against the front side
@@ -78,7 +65,7 @@ class Plane:
         np.divide(reach, towards, out=depth, where=towards < 0)
         return depth
 
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Double:
         """Two orthogonal unit vectors in the plane, float64 (2, 3)."""
         normal = self.unit_normal
         least = np.eye(3)[np.argmin(np.abs(normal))]
@@ -119,15 +106,15 @@ class Rectangle:
         """What it hides."""
         return Occluder(self.centre, self.edge_u, self.edge_v)
 
-    def heights(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def heights(self, points: Double) -> Double:
         """Signed distances of points (..., 3) from its plane, positive before its front."""
         return self.plane.heights(points)
 
-    def normals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def normals(self, points: Double) -> Double:
         """Unit normals (..., 3) of its front at points (..., 3) of it."""
         return self.plane.normals(points)
 
-    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
+    def depths(self, origin: Double, rays: Double) -> Double:
         """Depths at which rays (N, 3) meet its front or its back, infinite where they don't."""
         here = self.occluder.coordinates(origin)
         sunk, *along = self.occluder.coordinates(np.asarray(self.centre) + rays).T
@@ -138,57 +125,62 @@ class Rectangle:
         return np.where(hit, depth, np.inf)
 
 
-@dataclass(frozen=True)
-class Sphere:
-    """An opaque sphere in the room, seen from outside.
+Surface: TypeAlias = Plane | Rectangle | Sphere
+
+
+def standing(name: str, centre: Vector, half: tuple[float, float], turned: float) -> Rectangle:
+    """Return a rectangle that stands upright.
+
+    Parameters
+    ----------
+    name, centre
+        As of `Rectangle`.
+    half
+        Half its width and height, scene units.
+    turned
+        Where it faces, degrees: 0 is towards -z, 90 to the right.
+    """
+    sine, cosine = _turned(turned)
+    across = (half[0] * cosine, 0.0, half[0] * sine)
+    return Rectangle(name, centre, across, (0.0, half[1], 0.0))
+
+
+def lying(name: str, centre: Vector, half: tuple[float, float], turned: float) -> Rectangle:
+    """Return a rectangle that lies flat and faces up: half its width and depth; as `standing`."""
+    sine, cosine = _turned(turned)
+    across = (half[0] * cosine, 0.0, half[0] * sine)
+    return Rectangle(name, centre, across, (half[1] * sine, 0.0, -half[1] * cosine))
+
+
+def block(
+    name: str, foot: Vector, *, side: float, height: float, turned: float
+) -> tuple[Rectangle, ...]:
+    """Return the four sides and the lid of a block with a square base.
 
     Parameters
     ----------
     name
-        What the sphere is called in descriptions and errors.
-    centre
-        Scene units.
-    radius
-        Scene units, above 0.
+        Of each of them.
+    foot
+        The middle of its base, scene units.
+    side, height
+        Of the base, and of the block, scene units.
+    turned
+        Where one of its sides faces, as of `standing`.
     """
-
-    name: str
-    centre: Vector
-    radius: float
-
-    def normals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit normals (..., 3) at points (..., 3) of the sphere, pointing outwards."""
-        outwards: NDArray[np.float64] = (points - np.asarray(self.centre)) / self.radius
-        return outwards
-
-    def heights(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distances of points (..., 3) from the sphere, negative within it."""
-        distance = np.linalg.norm(points - np.asarray(self.centre), axis=-1)
-        return np.asarray(distance - self.radius)
-
-    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Depths at which rays (N, 3) from outside meet the sphere, infinite where they don't."""
-        centre = np.asarray(self.centre) - origin
-        squared_length, along = (rays**2).sum(1), rays @ centre
-        power = centre @ centre - self.radius**2
-        chord = along**2 - squared_length * power
-        met = (chord > 0) & (along > 0)
-        depth = np.full(len(rays), np.inf)
-        depth[met] = power / (along[met] + np.sqrt(chord[met]))
-        return depth
+    x, y, z = foot
+    half = side / 2
+    sides = []
+    for angle in (turned, turned - 90, turned + 90, turned + 180):
+        sine, cosine = _turned(angle)
+        centre = (x + half * sine, y - height / 2, z - half * cosine)
+        sides.append(standing(name, centre, (half, height / 2), angle))
+    return (*sides, lying(name, (x, y - height, z), (half, half), turned))
 
 
-Surface: TypeAlias = Plane | Rectangle | Sphere
-
-
-class Visible(Protocol):
-    """What rays may meet."""
-
-    def normals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Unit normals (..., 3) at points (..., 3) of it."""
-
-    def depths(self, origin: NDArray[np.float64], rays: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Depths (N,) at which rays (N, 3) from a point meet it, infinite where they don't."""
+def _turned(degrees: float) -> tuple[float, float]:
+    """Sine and cosine of an angle."""
+    return float(np.sin(np.radians(degrees))), float(np.cos(np.radians(degrees)))
 
 
 @dataclass(frozen=True)
@@ -212,8 +204,8 @@ class Points:
 
     surfaces: tuple[Surface, ...]
     surface: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    areas: NDArray[np.float64]
+    positions: Double
+    areas: Double
     least_squared_distance: float
 
     @property
@@ -239,22 +231,6 @@ class Points:
         return float(self.areas.mean())
 
 
-@dataclass(frozen=True)
-class SurfacePoints(Points):
-    """The points that the pixels of a pinhole camera see, in image order.
-
-    A position is where a pixel's central ray meets its plane; an area is what the pixel covers,
-    A = d^2 w / cos(angle), with w the pixel's solid angle seen from the pinhole.
-
-    Parameters
-    ----------
-    shape
-        Height and width of the image, H x W = N pixels.
-    """
-
-    shape: tuple[int, int]
-
-
 def least_squared(surfaces: Sequence[Surface], mean_area: float) -> float:
     """Lower clamp of the squared distance between points that pixels see, scene units squared.
 
@@ -268,7 +244,7 @@ def least_squared(surfaces: Sequence[Surface], mean_area: float) -> float:
     return mean_area / min(acute, 1.0)
 
 
-def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> SurfacePoints:
+def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Points:
     """Find the point, surface and area that every pixel sees.
 
     A pixel whose central ray meets several planes at the same distance (the column x = 0 of a
@@ -284,7 +260,9 @@ def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Surfa
 
     Returns
     -------
-    SurfacePoints
+    Points
+        In image order: a position is where a pixel's central ray meets its surface, an area is what
+        the pixel covers, A = d^2 w / cos(angle), w being its solid angle.
 
     Raises
     ------
@@ -305,13 +283,12 @@ def surface_points(shape: tuple[int, int], surfaces: Sequence[Surface]) -> Surfa
             f"pixel ({row}, {column}) of a {shape[0]} x {shape[1]} image sees none of the surfaces "
             f"{', '.join(surface.name for surface in surfaces)}; close the room with another plane"
         )
-    return SurfacePoints(
+    return Points(
         tuple(surfaces),
         sight.surface,
         sight.positions,
         sight.areas,
         least_squared(surfaces, float(sight.areas.mean())),
-        pinhole.shape,
     )
 
 
@@ -337,13 +314,13 @@ class Sight:
 
     pinhole: Pinhole
     parts: int
-    rays: NDArray[np.float64]
+    rays: Double
     surface: NDArray[np.int64]
-    positions: NDArray[np.float64]
-    normals: NDArray[np.float64]
-    areas: NDArray[np.float64]
+    positions: Double
+    normals: Double
+    areas: Double
 
-    def moves(self, chosen: NDArray[np.bool_ | np.int64]) -> NDArray[np.float64]:
+    def moves(self, chosen: NDArray[np.bool_ | np.int64]) -> Double:
         """How far it is from chosen (k,) places to those of the next parts: float64 (k, 2, 3).
 
         Of the part to the right and the one below, on the tangent plane; scene units.
@@ -353,13 +330,11 @@ class Sight:
         steps = self.pinhole.axes[:2] * self.pinhole.pitch / self.parts  # on the image plane
         # a ray that turns by a step meets the tangent plane so much farther on
         farther = (normals @ steps.T) / (rays * normals).sum(1)[:, None]
-        moved: NDArray[np.float64] = depth[:, None, None] * (
-            steps - farther[..., None] * rays[:, None]
-        )
+        moved: Double = depth[:, None, None] * (steps - farther[..., None] * rays[:, None])
         return moved
 
 
-def sight_of(pinhole: Pinhole, surfaces: Sequence[Visible], parts: int = 1) -> Sight:
+def sight_of(pinhole: Pinhole, surfaces: Sequence[Surface], parts: int = 1) -> Sight:
     """Follow the rays of a pinhole's pixels, cut into `parts` x `parts`, to the nearest surfaces.
 
     Planes bound the pinhole's room: they are seen from the front alone.
@@ -387,3 +362,26 @@ def sight_of(pinhole: Pinhole, surfaces: Sequence[Visible], parts: int = 1) -> S
     cosine[missed] = 1
     areas = solid_angle * squared_length * depth**2 / cosine
     return Sight(pinhole, parts, rays, surface, positions, normals, areas)
+
+
+def overlaps(
+    place: Double, width: Double
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Double]:
+    """Share boxes (n, 2), by their centres and widths, out between cells of side 1 from 0 on.
+
+    Returns
+    -------
+    box, row, column, share
+        Of each cell that a box overlaps; the shares of a box add up to 1.
+    """
+    low, width = place - width / 2, np.maximum(width, 1e-6)
+    first = np.floor(low).astype(np.int64)
+    parts = []
+    for axis in (0, 1):
+        cell = first[:, axis, None] + np.arange(int(np.ceil(width[:, axis].max())) + 1)
+        start, end = low[:, axis, None], (low + width)[:, axis, None]
+        overlap = np.minimum(end, cell + 1) - np.maximum(start, cell)
+        parts.append(np.maximum(overlap, 0) / width[:, axis, None])
+    share = parts[0][:, :, None] * parts[1][:, None]
+    box, down, right = np.nonzero(share > 1e-9)  # a smaller overlap is rounding
+    return box, first[box, 0] + down, first[box, 1] + right, share[box, down, right]

@@ -15,18 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint, generator
 from rfpipe.scenes.base import CoaxialScene, apply_in_batches
-from rfpipe.scenes.occluders import Occluder
-from rfpipe.scenes.radiosity import RadiosityScene
-from rfpipe.scenes.reference import planes_scene, reference_scene
-
-__all__ = [
-    "PLATE",
-    "DenseScene",
-    "hard_cases",
-    "with_flare",
-    "with_misalignment",
-    "with_unequal_gains",
-]
+from rfpipe.scenes.rooms import REFERENCE_SCENES, planes_scene, reference_scene
+from rfpipe.scenes.visibility import Occluder
 
 _SHAPE = (16, 16)
 _SEED = 0
@@ -161,87 +151,83 @@ def hard_cases() -> dict[str, Callable[[], DenseScene]]:
     dict
         Name to maker of a `DenseScene` of at most 377 rays.
     """
+
+    def case(name: str, matrix: Callable[[], ArrayLike]) -> Callable[[], DenseScene]:
+        return lambda: DenseScene(name, matrix(), _SHAPE)
+
     return {
-        "bright_direct": _bright_direct,
-        "photon_starved": _photon_starved,
-        "no_interreflection": lambda: _from(reference_scene("I", _SHAPE, channels=1)),
-        "zero_transport": lambda: DenseScene("zero transport", np.zeros((256, 256)), _SHAPE),
-        "diffuse_cavity": _diffuse_cavity,
-        "mirror": _mirror,
-        "random_permutation": _random_permutation,
-        "random_dense": _random_dense,
-        "occluder": _occluder,
-        "caustics": _caustics,
-        "dark_channel": _dark_channel,
-        "one_row": lambda: _from(reference_scene("IV", (1, 37), channels=1)),
-        "prime_sides": lambda: _from(reference_scene("IV", (13, 29), channels=1)),
-        "one_pixel": lambda: _from(reference_scene("I", (1, 1), channels=1)),
-        "asymmetric_flare": _asymmetric_flare,
-        "asymmetric_alignment": _asymmetric_alignment,
-        "asymmetric_gains": _asymmetric_gains,
+        "bright_direct": case("bright direct light", _bright_direct),
+        # so dark that a camera counts few photons; the noise itself is the rig's
+        "photon_starved": case("photon-starved", lambda: 1e-4 * _wedge()),
+        "no_interreflection": lambda: _reference("I", _SHAPE),
+        "zero_transport": case("zero transport", lambda: np.zeros((256, 256))),
+        "diffuse_cavity": case("diffuse cavity", _diffuse_cavity),
+        "mirror": case("mirror", _mirror),
+        "random_permutation": case("random permutation", _random_permutation),
+        "random_dense": case("random dense", _random_dense),
+        "occluder": lambda: _reference("IV", _SHAPE, [PLATE]),
+        "caustics": case("caustics", _caustics),
+        "dark_channel": case("dark channel", _dark_channel),
+        "one_row": lambda: _reference("IV", (1, 37)),
+        "prime_sides": lambda: _reference("IV", (13, 29)),
+        "one_pixel": lambda: _reference("I", (1, 1)),
+        # a twentieth of the light spread over the image by the camera's lens
+        "asymmetric_flare": case("flare", lambda: with_flare(_wedge(), 0.05)),
+        "asymmetric_alignment": case(
+            "misaligned", lambda: with_misalignment(_wedge(), _SHAPE, 0.5)
+        ),
+        "asymmetric_gains": case(
+            "unequal gains",
+            lambda: with_unequal_gains(_wedge(), generator(_SEED, 4).uniform(0.9, 1.1, 256)),
+        ),
     }
 
 
-def _from(scene: RadiosityScene) -> DenseScene:
-    """A radiosity scene as its matrices."""
-    matrices = np.stack([scene.dense(channel) for channel in range(scene.channels)])
-    return DenseScene(scene.name, matrices, scene.shape)
+def _reference(name: str, shape: tuple[int, int], occluders: Sequence[Occluder] = ()) -> DenseScene:
+    """A grey reference scene as its matrix."""
+    scene = planes_scene(*REFERENCE_SCENES[name], shape, channels=1, occluders=occluders)
+    return DenseScene(scene.name, scene.dense(), shape)
 
 
-def _wedge() -> NDArray[np.float64]:
+def _wedge(bounces: int = 3) -> NDArray[np.float64]:
     """Grey matrix of two textured planes."""
-    return reference_scene("IV", _SHAPE, channels=1).dense()
+    return reference_scene("IV", _SHAPE, channels=1, bounces=bounces).dense()
 
 
-def _bright_direct() -> DenseScene:
+def _bright_direct() -> NDArray[np.float64]:
     """Direct light 10^5 times the indirect, by the maxima of their floodlit images."""
-    total = _wedge()
-    direct = np.diag(np.diag(reference_scene("IV", _SHAPE, channels=1, bounces=1).dense()))
-    indirect = total - direct
-    scale = 1e-5 * direct.sum(1).max() / indirect.sum(1).max()
-    return DenseScene("bright direct light", direct + scale * indirect, _SHAPE)
+    direct = np.diag(np.diag(_wedge(bounces=1)))
+    indirect = _wedge() - direct
+    return np.asarray(direct + 1e-5 * direct.sum(1).max() / indirect.sum(1).max() * indirect)
 
 
-def _photon_starved() -> DenseScene:
-    """A scene so dark that a camera counts few photons; the noise itself is the rig's."""
-    return DenseScene("photon-starved", 1e-4 * _wedge(), _SHAPE)
-
-
-def _diffuse_cavity() -> DenseScene:
+def _diffuse_cavity() -> NDArray[np.float64]:
     """An integrating cavity: whatever is lit, the walls glow alike, each by its albedo."""
     albedo = generator(_SEED, 0).uniform(0.1, 0.9, 256)
-    return DenseScene("diffuse cavity", np.outer(albedo, albedo) / albedo.sum(), _SHAPE)
+    return np.asarray(np.outer(albedo, albedo) / albedo.sum())
 
 
-def _mirror() -> DenseScene:
+def _mirror() -> NDArray[np.float64]:
     """A mirror that sends each ray back along its mirror image, left for right."""
-    height, width = _SHAPE
-    image = np.arange(height * width).reshape(_SHAPE)[:, ::-1].ravel()
-    return DenseScene("mirror", 0.9 * np.eye(height * width)[image], _SHAPE)
+    image = np.arange(256).reshape(_SHAPE)[:, ::-1].ravel()
+    return 0.9 * np.eye(256)[image]
 
 
-def _random_permutation() -> DenseScene:
+def _random_permutation() -> NDArray[np.float64]:
     """Rays that are paired at random, each lit by its partner alone."""
     partners = generator(_SEED, 1).permutation(256).reshape(-1, 2)
     matrix = np.zeros((256, 256))
     matrix[partners[:, 0], partners[:, 1]] = matrix[partners[:, 1], partners[:, 0]] = 0.9
-    return DenseScene("random permutation", matrix, _SHAPE)
+    return matrix
 
 
-def _random_dense() -> DenseScene:
+def _random_dense() -> NDArray[np.float64]:
     """Symmetric, every entry random: nothing to compress."""
     upper = np.triu(generator(_SEED, 2).random((256, 256)))
-    return DenseScene("random dense", upper + np.triu(upper, 1).T, _SHAPE)
+    return upper + np.triu(upper, 1).T
 
 
-def _occluder() -> DenseScene:
-    """Two textured planes with a plate between them."""
-    return _from(
-        planes_scene("wedge", ("texture", "texture"), _SHAPE, channels=1, occluders=[PLATE])
-    )
-
-
-def _caustics() -> DenseScene:
+def _caustics() -> NDArray[np.float64]:
     """Two textured planes, and a few pairs of rays joined by strong focused light."""
     matrix = _wedge()
     random = generator(_SEED, 3)
@@ -249,27 +235,10 @@ def _caustics() -> DenseScene:
     strength = random.uniform(5, 50, len(pairs)) * matrix.diagonal().mean()
     matrix[pairs[:, 0], pairs[:, 1]] += strength
     matrix[pairs[:, 1], pairs[:, 0]] += strength
-    return DenseScene("caustics", matrix, _SHAPE)
+    return matrix
 
 
-def _dark_channel() -> DenseScene:
+def _dark_channel() -> NDArray[np.float64]:
     """Two textured planes that reflect no blue at all."""
     scene = reference_scene("IV", _SHAPE)
-    matrices = [scene.dense(0), scene.dense(1), np.zeros((256, 256))]
-    return DenseScene("dark channel", np.stack(matrices), _SHAPE)
-
-
-def _asymmetric_flare() -> DenseScene:
-    """A twentieth of the light spread over the image by the camera's lens."""
-    return DenseScene("flare", with_flare(_wedge(), 0.05), _SHAPE)
-
-
-def _asymmetric_alignment() -> DenseScene:
-    """Camera and projector half a pixel apart."""
-    return DenseScene("misaligned", with_misalignment(_wedge(), _SHAPE, 0.5), _SHAPE)
-
-
-def _asymmetric_gains() -> DenseScene:
-    """Camera gains that vary by a tenth from pixel to pixel."""
-    gains = generator(_SEED, 4).uniform(0.9, 1.1, 256)
-    return DenseScene("unequal gains", with_unequal_gains(_wedge(), gains), _SHAPE)
+    return np.stack([scene.dense(0), scene.dense(1), np.zeros((256, 256))])

@@ -7,13 +7,48 @@ alone on what it is given and holds no lock, so that several may run in threads.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["apply_blocks", "fill_blocks"]
+from rfpipe.scenes.visibility import END_TOLERANCE
 
 _PANEL = 64  # terms that are added up in float32
 _MAX_RANK = 128  # a block that needs more is stored with all its entries
+# Relative error (Frobenius) of a smooth block; about what storing factors as float32 costs.
+_TOLERANCE = 3e-7
+
+
+class Sides(NamedTuple):
+    """Points p and q of two surfaces, n_1 and n_2, float64.
+
+    Attributes
+    ----------
+    p, q
+        (n_1, 3), (n_2, 3): positions, scene units.
+    lobes
+        (n_1, 4): (1, 0, 0, 0) for points of a plane, (0, normal) for points of a sphere.
+    spheres
+        (spheres, 4): centre and radius of spheres that may stand between them.
+    shadow_p, shadow_q
+        (occluders, n_1, 3), (occluders, n_2, 3): affine coordinates in each occluder.
+    height_p, height_q
+        (n_1,), (n_2,): heights over the other plane, 1 on a side that faces the sphere.
+    least
+        Lower clamp of squared distances.
+    """
+
+    p: NDArray[np.float64]
+    q: NDArray[np.float64]
+    lobes: NDArray[np.float64]
+    spheres: NDArray[np.float64]
+    shadow_p: NDArray[np.float64]
+    shadow_q: NDArray[np.float64]
+    height_p: NDArray[np.float64]
+    height_q: NDArray[np.float64]
+    least: float
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
@@ -31,7 +66,7 @@ def _kernel(p, lobe, q, least):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True, nogil=True, inline="always")
 def _behind_sphere(p, q, sphere):  # type: ignore[no-untyped-def]
-    """As spheres.hidden, for one segment and a sphere (x, y, z, radius)."""
+    """As Sphere.hides, for one segment and a sphere (x, y, z, radius)."""
     length, along = 0.0, 0.0
     for axis in range(3):
         way = q[axis] - p[axis]
@@ -46,10 +81,10 @@ def _behind_sphere(p, q, sphere):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True, inline="always")
-def _blocked(p, q, end_tolerance):  # type: ignore[no-untyped-def]
-    """As occluders.blocked, for one segment."""
+def _blocked(p, q):  # type: ignore[no-untyped-def]
+    """As visibility.blocked, for one segment."""
     span = q[0] - p[0]
-    ends = end_tolerance * abs(span)
+    ends = END_TOLERANCE * abs(span)
     return (
         p[0] * q[0] < 0
         and abs(p[0]) > ends
@@ -60,25 +95,26 @@ def _blocked(p, q, end_tolerance):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, nogil=True)
-def _entries(  # type: ignore[no-untyped-def]
-    p, q, lobes, spheres, shadow_p, shadow_q, height_p, height_q, least, end_tolerance, out
-):
-    """All entries of G between points p and q, row-major."""
-    n = q.shape[0]
-    for i in range(p.shape[0]):
-        for j in range(n):
-            value = height_p[i] * height_q[j] * _kernel(p[i], lobes[i], q[j], least)
-            for sphere in range(spheres.shape[0]):
-                if _behind_sphere(p[i], q[j], spheres[sphere]):
+def _entries(sides, i0, i1, j0, j1, out):  # type: ignore[no-untyped-def]
+    """All entries of G between points p[i0:i1] and q[j0:j1], row-major."""
+    at = 0
+    for i in range(i0, i1):
+        for j in range(j0, j1):
+            p, q = sides.p[i], sides.q[j]
+            value = sides.height_p[i] * sides.height_q[j]
+            value *= _kernel(p, sides.lobes[i], q, sides.least)
+            for sphere in range(sides.spheres.shape[0]):
+                if _behind_sphere(p, q, sides.spheres[sphere]):
                     value = 0.0
-            for occluder in range(shadow_p.shape[0]):
-                if _blocked(shadow_p[occluder, i], shadow_q[occluder, j], end_tolerance):
+            for occluder in range(sides.shadow_p.shape[0]):
+                if _blocked(sides.shadow_p[occluder, i], sides.shadow_q[occluder, j]):
                     value = 0.0
-            out[i * n + j] = value
+            out[at] = value
+            at += 1
 
 
 @numba.njit(cache=True, nogil=True)
-def _cross_approximation(p, q, lobes, least, tolerance, most, left, right):  # type: ignore[no-untyped-def]
+def _cross_approximation(p, q, lobes, least, most, left, right):  # type: ignore[no-untyped-def]
     """Factor the kernel between far points by adaptive cross approximation.
 
     Partial pivoting (Bebendorf, "Approximation of boundary element matrices", 2000): a residual's
@@ -121,29 +157,13 @@ def _cross_approximation(p, q, lobes, least, tolerance, most, left, right):  # t
         for r in range(k):
             squared_norm += 2 * np.dot(left[r], left[k]) * np.dot(right[r], right[k])
         squared_norm += left_norm * right_norm
-        if left_norm * right_norm <= tolerance * tolerance * squared_norm or best < 0:
+        if left_norm * right_norm <= _TOLERANCE * _TOLERANCE * squared_norm or best < 0:
             return k + 1
     return most + 1
 
 
 @numba.njit(cache=True, nogil=True)
-def fill_blocks(  # type: ignore[no-untyped-def]
-    ranges,
-    smooth,
-    p,
-    q,
-    lobes,
-    spheres,
-    shadow_p,
-    shadow_q,
-    height_p,
-    height_q,
-    least,
-    end_tolerance,
-    tolerance,
-    rank,
-    data,
-):
+def fill_blocks(ranges, smooth, sides, rank, data):  # type: ignore[no-untyped-def]
     """Store blocks one after the other, smooth ones as factors where that is shorter.
 
     Parameters
@@ -152,22 +172,7 @@ def fill_blocks(  # type: ignore[no-untyped-def]
         First and last + 1 tree position of either side.
     smooth : bool (blocks,)
         Whether to try factors.
-    p, q : float64 (n_1, 3), (n_2, 3)
-        Positions, scene units.
-    lobes : float64 (n_1, 4)
-        (1, 0, 0, 0) for points of a plane, (0, normal) for points of a sphere.
-    spheres : float64 (spheres, 4)
-        Centre and radius of spheres that may stand between them.
-    shadow_p, shadow_q : float64 (occluders, n_1, 3), (occluders, n_2, 3)
-        Affine coordinates in each occluder.
-    height_p, height_q : float64 (n_1,), (n_2,)
-        Heights over the other plane, 1 on a side that faces the sphere.
-    least : float
-        Lower clamp of squared distances.
-    end_tolerance : float
-        Fraction of a segment at its ends in which it can't be blocked.
-    tolerance : float
-        Relative error (Frobenius) allowed in a smooth block.
+    sides : Sides
     rank : int64 (blocks,)
         Receives the ranks; 0 means all entries.
     data : float32
@@ -186,33 +191,20 @@ def fill_blocks(  # type: ignore[no-untyped-def]
         k = most + 1
         if smooth[b]:
             left, right = np.empty((most, m)), np.empty((most, n))
-            k = _cross_approximation(
-                p[i0:i1], q[j0:j1], lobes[i0:i1], least, tolerance, most, left, right
-            )
+            p, q = sides.p[i0:i1], sides.q[j0:j1]
+            k = _cross_approximation(p, q, sides.lobes[i0:i1], sides.least, most, left, right)
         if k <= most:
             for i in range(m):
                 for r in range(k):
-                    data[used + i * k + r] = left[r, i] * height_p[i0 + i]
+                    data[used + i * k + r] = left[r, i] * sides.height_p[i0 + i]
             used += m * k
             for j in range(n):
                 for r in range(k):
-                    data[used + j * k + r] = right[r, j] * height_q[j0 + j]
+                    data[used + j * k + r] = right[r, j] * sides.height_q[j0 + j]
             used += n * k
             rank[b] = k
         else:
-            _entries(
-                p[i0:i1],
-                q[j0:j1],
-                lobes[i0:i1],
-                spheres,
-                shadow_p[:, i0:i1],
-                shadow_q[:, j0:j1],
-                height_p[i0:i1],
-                height_q[j0:j1],
-                least,
-                end_tolerance,
-                data[used : used + m * n],
-            )
+            _entries(sides, i0, i1, j0, j1, data[used : used + m * n])
             used += m * n
             rank[b] = 0
     return used

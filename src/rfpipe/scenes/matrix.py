@@ -1,23 +1,57 @@
-"""A scene whose light transport is known as a matrix."""
+"""Scenes whose light transport is a given matrix, and real ones, of which nobody knows it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import prod
-from typing import Any
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, PositiveFloat
 
+from rfpipe.config.base import Text
+from rfpipe.config.scenes import AnyRig, SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.scenes.base import Scene
+from rfpipe.transport.matrix_in import RayOrder, read_matrix
 from rfpipe.transport.operators import Transportish, as_pattern_operator
 
-__all__ = ["MatrixScene"]
+
+class MatrixOptions(AnyRig):
+    """What is to be known of a matrix in a file."""
+
+    files: ClassVar[tuple[str, ...]] = ("file",)
+
+    file: Text = Field(
+        description="File of the matrix, relative to where rfpipe runs: .npy, .npz (arrays, or a "
+        "scipy sparse matrix), .mat of any version, .h5 or .hdf5, a zarr folder, or the "
+        "transport.zarr of an acquisition.",
+    )
+    dataset: Text | None = Field(
+        None,
+        description="Name of the dataset in a file that holds several; names with commas between "
+        "them for channels in datasets of their own. null: the only one.",
+    )
+    order: RayOrder = Field(
+        "rows",
+        description="How rays are numbered: rows (row by row, as NumPy does) or columns (column "
+        "by column, as MATLAB's image(:) does).",
+    )
+    brightest: PositiveFloat | None = Field(
+        None,
+        description="Radiance of the brightest camera ray under floodlight, above 0, to which the "
+        "matrix is scaled, so that the camera can see it; null leaves it as it stands.",
+    )
+    negative: Literal["refuse", "zero"] = Field(
+        "refuse",
+        description="What to do with negative entries, as noise leaves them in a matrix that was "
+        "measured: refuse, or zero to take them for dark.",
+    )
 
 
 class MatrixScene(Scene):
-    """Light transport that is given, such as one that another program measured or rendered.
+    """Light transport in a file: NumPy, HDF5, MATLAB or zarr, dense or sparse.
 
     Parameters
     ----------
@@ -34,6 +68,8 @@ class MatrixScene(Scene):
         When the matrix doesn't fit the shapes, holds an entry that is negative or not finite, or
         is black and to be scaled.
     """
+
+    Options: ClassVar[type[SceneSettings]] = MatrixOptions
 
     def __init__(
         self,
@@ -54,6 +90,26 @@ class MatrixScene(Scene):
                     "to null"
                 )
             self._scale = np.float32(brightest / largest)
+
+    @classmethod
+    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
+        """Read the file.
+
+        Raises
+        ------
+        InputError
+            When it can't be read, or holds another shape or number of channels.
+        """
+        camera, projector = options.camera_ray_shape, options.ray_shape
+        matrix = read_matrix(options.file, camera, projector, options.dataset, options.order)
+        if len(matrix) != options.channels:
+            raise InputError(
+                f"{options.file}: holds {len(matrix)} channels; the scene's channels is "
+                f"{options.channels}. Set it to {len(matrix)}"
+            )
+        if options.negative == "zero":
+            matrix = [_lifted(channel) for channel in matrix]
+        return cls(matrix, camera, projector, options.brightest)
 
     def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
         """Radiance float32 (B, M, C) under patterns (B, N) or (B, *projector_shape)."""
@@ -79,3 +135,29 @@ class MatrixScene(Scene):
             "operator": describe() if describe else type(self._operator).__name__,
             "scale": float(self._scale),
         }
+
+
+def _lifted(matrix: Any) -> Any:
+    """Return a matrix whose negative entries are zero; an operator has none that it tells."""
+    if isinstance(matrix, np.ndarray):
+        return np.maximum(matrix, 0)
+    return matrix.maximum(0) if hasattr(matrix, "maximum") else matrix
+
+
+class CapturedOptions(AnyRig):
+    """What is to be known of a real scene's rig."""
+
+    is_captured: ClassVar[bool] = True
+
+
+class Captured(Scene):
+    """A real scene, whose light transport nobody knows."""
+
+    Options: ClassVar[type[SceneSettings]] = CapturedOptions
+
+    @classmethod
+    def make(cls, options: Any, *, many_patterns: bool = False) -> Scene:  # noqa: ARG003
+        """Raise InputError: there is nothing to simulate."""
+        raise InputError(
+            "a scene of kind captured can't be simulated; take plane, wedge or another"
+        )

@@ -1,114 +1,319 @@
-"""Light transport between diffuse surfaces as a coaxial rig sees it [thesis 2.2, Fig. 2.1].
+"""Light that bounces between diffuse surface points, between a camera and a projector.
 
-A projector pixel sends its light onto one surface point and a camera pixel sees one: T is the
-matrix of `DiffuseSurfaces`, times the mean of the pixels' areas and the strength of the light, and
-symmetric as in eq. (2.10).
+With r the albedo, A the points' areas and G the form factors between them, flux f on the points
+leaves them as radiosity ``M f``, ``M = diag(r / A) + diag(r) G diag(r) + diag(r) G diag(r A) G
+diag(r) + ...``: direct light, second bounce, third bounce. M is symmetric.
+
+Of a coaxial rig a projector pixel sends its light onto one point and a camera pixel sees one:
+``T = s M``, symmetric as eq. (2.10) wants it, s being the mean of the areas. Of other rigs a matrix
+P says in what proportion rays see points, and one Q in what proportion rays light them:
+``T = s P M Q``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.scenes.base import CoaxialScene
-from rfpipe.scenes.diffuse import DiffuseScene, DiffuseSurfaces
-from rfpipe.scenes.geometry import SurfacePoints
-from rfpipe.scenes.occluders import Occluder, blocked
+from rfpipe.provenance import fingerprint
+from rfpipe.scenes.base import Scene, apply_in_batches
+from rfpipe.scenes.formfactors import FacingPair, dense_form_factors, facing_pairs
+from rfpipe.scenes.geometry import Points
+from rfpipe.scenes.visibility import Occluder
 
-__all__ = ["RadiosityScene"]
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+    from rfpipe.scenes.compression import CompressedBlock
+
+Double = NDArray[np.float64]
+
+DENSE_LIMIT = 2**25
+"""Entries of G, each unordered pair of points counted once, above which it is compressed: a quarter
+of a gigabyte of float64."""
+
+DENSE_POINTS = 8192  # above which a dense matrix is refused: it would take over half a gigabyte
 
 
-class RadiosityScene(CoaxialScene, DiffuseScene):
-    """Diffuse surfaces, their albedo and black occluders, seen by a coaxial rig.
+class DenseBlock:
+    """A block with every entry stored, float64: exact, for small scenes."""
+
+    def __init__(self, pair: FacingPair) -> None:
+        self.indices, self.entries = pair.indices, pair.block()
+        self.nbytes = self.entries.nbytes
+
+    def add_to(self, out: Double, columns: Double) -> None:
+        """Add this block of G, and its transpose, times columns (N, K) to out (N, K)."""
+        first, second = self.indices
+        out[first] += self.entries @ columns[second]
+        out[second] += self.entries.T @ columns[first]
+
+
+class FormFactors:
+    """The symmetric operator G on columns of surface points.
 
     Parameters
     ----------
     points
-        The surface points behind the pixels.
+        The scene's surface points.
+    occluders
+        What may stand between them.
+    compress
+        Compress (True) or store densely (False) whatever the size; None decides by `DENSE_LIMIT`.
+    """
+
+    def __init__(
+        self, points: Points, occluders: Sequence[Occluder] = (), *, compress: bool | None = None
+    ) -> None:
+        pairs = facing_pairs(points, occluders)
+        stored: type[DenseBlock | CompressedBlock] = DenseBlock
+        if compress or (compress is None and sum(pair.size for pair in pairs) > DENSE_LIMIT):
+            from rfpipe.scenes.compression import CompressedBlock  # brings in numba
+
+            stored = CompressedBlock
+        self.blocks = tuple(stored(pair) for pair in pairs)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that the stored operator takes."""
+        return sum(block.nbytes for block in self.blocks)
+
+    def apply(self, columns: Double) -> Double:
+        """Multiply G with columns (N, K), float64 in and out."""
+        out = np.zeros_like(columns)
+        for block in self.blocks:
+            block.add_to(out, columns)
+        return out
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Where a rig's rays meet the points of a scene.
+
+    Parameters
+    ----------
+    camera_shape, projector_shape
+        Shapes of the ray domains, of M and of N rays.
+    seen
+        Sparse (M, n): how much of each of the n points a camera ray sees.
+    lit
+        Sparse (n, N): how much of a projector ray's light each point gets; None where camera and
+        projector share their rays, so that it is the transpose of `seen`.
+    direct
+        Sparse (M, N), one a channel: light that goes from the projector to the camera besides.
+    """
+
+    camera_shape: tuple[int, ...]
+    projector_shape: tuple[int, ...]
+    seen: csr_array[np.float64]
+    lit: csr_array[np.float64] | None = None
+    direct: Sequence[csr_array[np.float64]] = ()
+
+    @cached_property
+    def spread(self) -> csr_array[np.float64]:
+        """What spreads the projector's light over the points, (n, N)."""
+        return self.seen.T.tocsr() if self.lit is None else self.lit
+
+
+class RadiosityScene(Scene):
+    """Diffuse surfaces, their albedo, and black occluders between them.
+
+    Parameters
+    ----------
+    points
+        The n surface points.
     albedo
-        (H, W, C) in [0, 1): C is 1 (grey) or 3 (RGB). Pixels that see an occluder get 0.
+        In [0, 1), (*camera_shape, C) where rays and points are the same, else (n, C): C is 1 (grey)
+        or 3 (RGB).
     bounces
         Light simulated: 1 is direct light alone, each further one adds an inter-reflection.
     occluders
-        Black parallelograms that block light between points and the rig's own view.
+        Black parallelograms that block light between points.
     compress
         Whether to compress the form factors; None decides by their number.
-    light
-        Strength of the projector's light: 1 gives direct light of albedo x mean(A) / A.
+    scale
+        The factor s; None for the mean of the areas, which gives direct light of
+        albedo x mean(A) / A.
+    rays
+        Where rays meet points; None for a coaxial rig of which each pixel has a point of its own.
+    patches
+        Neighbouring points taken together, each patch as a point, between which the form factors
+        are taken, and the patch int64 (n,) that each point belongs to.
     name
         What the scene is called in its description.
+    about
+        What else shapes it, as plain data.
 
     Raises
     ------
     InputError
-        If albedo, light or bounces are out of range.
+        If albedo or bounces are out of range.
     """
 
     def __init__(
         self,
-        points: SurfacePoints,
+        points: Points,
         albedo: ArrayLike,
         *,
         bounces: int = 3,
         occluders: Sequence[Occluder] = (),
         compress: bool | None = None,
-        light: float = 1.0,
+        scale: float | None = None,
+        rays: Rays | None = None,
+        patches: tuple[Points, NDArray[np.int64]] | None = None,
         name: str = "radiosity",
+        about: Mapping[str, Any] | None = None,
     ) -> None:
         values = np.array(albedo, dtype=np.float64)
-        if values.shape[:2] != points.shape or values.ndim != 3:
+        camera = values.shape[:-1] if rays is None else rays.camera_shape
+        super().__init__(camera, camera if rays is None else rays.projector_shape, values.shape[-1])
+        self._values = values.reshape(-1, self.channels)
+        if len(self._values) != len(points.areas) or values.ndim < 2:
             raise InputError(
-                f"albedo of shape {values.shape}: expected ({', '.join(map(str, points.shape))}, "
-                "channels)"
+                f"albedo of shape {values.shape}: expected one for each of {len(points.areas)} "
+                "points, (height, width, channels)"
             )
-        if not light > 0 or not np.isfinite(light):
-            raise InputError(f"light {light}: expected a finite number above 0")
-        super().__init__(points.shape, values.shape[2])
-        self.points = points
-        self.light = float(light)
-        self.name = name
-        origin = np.zeros(3)
-        for occluder in occluders:
-            seen = blocked(occluder.coordinates(origin), occluder.coordinates(points.positions))
-            values[seen.reshape(points.shape)] = 0
-        self._surfaces = DiffuseSurfaces(
-            points,
-            values.reshape(-1, values.shape[2]),
-            bounces=bounces,
-            occluders=occluders,
-            compress=compress,
-        )
+        if not ((values >= 0) & (values < 1)).all():
+            raise InputError("albedo: every value should be at least 0 and below 1")
+        if bounces < 1:
+            raise InputError(f"bounces {bounces}: expected at least 1, the direct light")
+        self.points, self.bounces, self.occluders = points, bounces, tuple(occluders)
+        self.compress, self.scale = compress, points.mean_area if scale is None else scale
+        self.rays, self._patches = rays, patches
+        self.name, self._about = name, dict(about or {})
 
     @property
-    def occluders(self) -> tuple[Occluder, ...]:
-        """What blocks light between points and the rig's own view."""
-        return self._surfaces.occluders
+    def albedo(self) -> NDArray[np.float32]:
+        """Albedo (*camera_shape, C) in [0, 1) that the camera sees, float32; 0 of an occluder."""
+        seen = self._values if self.rays is None else np.asarray(self.rays.seen @ self._values)
+        return seen.reshape(*self.camera_shape, self.channels).astype(np.float32)
 
-    def _radiance(self, weights: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Radiance (N, B, C) of patterns (N, B)."""
-        total = self._surfaces.radiosity(weights)
-        total *= self.points.mean_area * self.light
+    @cached_property
+    def form_factors(self) -> FormFactors:
+        """The operator G between points, or patches of them, built when it is first used."""
+        points = self.points if self._patches is None else self._patches[0]
+        return FormFactors(points, self.occluders, compress=self.compress)
+
+    def apply(self, patterns: ArrayLike) -> NDArray[np.float32]:
+        """Radiance under projected patterns.
+
+        A pattern's radiance doesn't depend on the patterns beside it, see `apply_in_batches`.
+
+        Parameters
+        ----------
+        patterns
+            (B, N) or (B, *projector_shape): weights of the rays, in image order.
+
+        Returns
+        -------
+        float32 (B, M, C)
+
+        Raises
+        ------
+        InputError
+            If the patterns don't have N rays each.
+        """
+        rays = math.prod(self.camera_shape)
+        return apply_in_batches(self._radiance, patterns, self.projector_shape, self.channels, rays)
+
+    def _radiance(self, weights: Double) -> Double:
+        """Radiance (M, B, C) of patterns (N, B)."""
+        if self.rays is None:
+            light = self._radiosity(weights)
+            light *= self.scale
+            return light
+        light = self._radiosity(np.asarray(self.rays.spread @ weights))
+        light *= self.scale
+        seen = np.asarray(self.rays.seen @ light.reshape(len(light), -1))
+        seen = seen.reshape(-1, *light.shape[1:])
+        for channel, direct in enumerate(self.rays.direct):
+            seen[..., channel] += direct @ weights
+        return seen
+
+    def _radiosity(self, flux: Double) -> Double:
+        """Light that leaves the points under flux (n, B) on them: float64 (n, B, C)."""
+        albedo, areas = self._values[:, None, :], self.points.areas[:, None, None]
+        reflected = flux[..., None] * albedo  # leaves a point, per unit of its area
+        total = reflected / areas
+        for _ in range(1, self.bounces):
+            columns = reflected.reshape(len(flux), -1)
+            received = self._exchanged(columns).reshape(reflected.shape)
+            received *= albedo
+            total += received
+            reflected = received * areas
         return total
 
-    def _matrix(self, channel: int) -> NDArray[np.float64]:
-        """The whole matrix (N, N) of one channel, exact."""
-        transport = self._surfaces.dense(channel)
-        transport *= self.points.mean_area * self.light
-        return transport
+    @cached_property
+    def _sums(self) -> csr_array[np.float64]:
+        """The matrix that adds up the points of each patch."""
+        from scipy.sparse import csr_array
+
+        assert self._patches is not None
+        count = np.arange(len(self._patches[1]))
+        return csr_array((np.ones(len(count)), (self._patches[1], count)))
+
+    def _exchanged(self, columns: Double) -> Double:
+        """G times columns (n, K)."""
+        if self._patches is None:
+            return self.form_factors.apply(columns)
+        return self.form_factors.apply(np.asarray(self._sums @ columns))[self._patches[1]]
+
+    def dense(self, channel: int = 0) -> Double:
+        """The whole matrix (M, N) of one channel; exactly symmetric, of a coaxial scene.
+
+        Raises
+        ------
+        InputError
+            Above `DENSE_POINTS` rays or points of surfaces, or for a channel that doesn't exist.
+        """
+        count = max(math.prod(self.camera_shape), len(self._values))
+        if count > DENSE_POINTS:
+            raise InputError(
+                f"a dense matrix of {count} rays or points would take {8e-9 * count**2:.1f} GB; "
+                f"dense() is for at most {DENSE_POINTS}, apply() for any number"
+            )
+        if not 0 <= channel < self.channels:
+            raise InputError(f"channel {channel}: expected 0 to {self.channels - 1}")
+        matrix, rays = self.scale * self._between_points(channel), self.rays
+        if rays is None:
+            return matrix
+        matrix = np.asarray(rays.spread.T @ np.asarray(rays.seen @ matrix).T).T
+        if rays.lit is None:
+            return (matrix + matrix.T) / 2  # products round
+        return matrix + rays.direct[channel].toarray() if rays.direct else matrix
+
+    def _between_points(self, channel: int) -> Double:
+        """The matrix M (n, n) of one channel, exact and exactly symmetric."""
+        albedo, areas = self._values[:, channel], self.points.areas
+        matrix = np.diag(albedo / areas)
+        if self.bounces > 1:
+            points, patch = self._patches or (self.points, np.arange(len(areas)))
+            geometry = dense_form_factors(points, self.occluders)[np.ix_(patch, patch)]
+            bounce = np.outer(albedo, albedo) * geometry
+            matrix += bounce
+            for _ in range(2, self.bounces):
+                bounce = (albedo[:, None] * geometry * areas) @ bounce
+                matrix += (bounce + bounce.T) / 2  # products round: symmetric by rounding alone
+        return matrix
 
     def describe(self) -> dict[str, Any]:
         """Everything that shapes the transport, as plain data for fingerprints (JSON)."""
-        sphere = self.points.sphere
         return {
-            **super().describe(),
-            "shape": list(self.shape),
-            "planes": [asdict(each) for each in self.points.surfaces if each is not sphere],
+            "scene": self.name,
+            "camera_shape": list(self.camera_shape),
+            "projector_shape": list(self.projector_shape),
+            "surfaces": [asdict(surface) for surface in self.points.surfaces],
             "occluders": [asdict(occluder) for occluder in self.occluders],
-            **({} if sphere is None else {"sphere": asdict(sphere)}),
-            **({} if self.light == 1 else {"light": self.light}),
+            "albedo": fingerprint(self._values),
+            "bounces": self.bounces,
+            "compress": self.compress,
+            "scale": self.scale,
+            **self._about,
         }

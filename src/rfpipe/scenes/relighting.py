@@ -8,10 +8,8 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
 from rfpipe.scenes.base import Scene
-from rfpipe.scenes.geometry import SurfacePoints
+from rfpipe.scenes.geometry import Points
 from rfpipe.scenes.radiosity import RadiosityScene
-
-__all__ = ["CREASE", "ONE_VIEW", "RELIGHTING_PATTERNS", "relighting_patterns", "scene_patterns"]
 
 RELIGHTING_PATTERNS = ("vertical_bar", "horizontal_bar", "noise", "binary", "spot")
 
@@ -81,7 +79,7 @@ def scene_patterns(scene: Scene, seed: int = 0) -> dict[str, NDArray[np.float32]
     Parameters
     ----------
     scene
-        `CREASE` is made of a `RadiosityScene` whose surfaces meet in the image.
+        `CREASE` is made of a coaxial `RadiosityScene` whose surfaces meet in the image.
     seed
         As for `relighting_patterns`.
 
@@ -90,20 +88,20 @@ def scene_patterns(scene: Scene, seed: int = 0) -> dict[str, NDArray[np.float32]
     dict of float32 arrays of the projector's shape, weights in [0, 1]
     """
     patterns = relighting_patterns(scene.projector_shape, seed)
-    if isinstance(scene, RadiosityScene):
-        strip = _crease_strip(scene.points)
+    if isinstance(scene, RadiosityScene) and scene.rays is None:
+        strip = _crease_strip(scene.points, scene.shape)
         if strip.any():
             patterns[CREASE] = strip.astype(np.float32)
     return patterns
 
 
-def _crease_strip(points: SurfacePoints) -> NDArray[np.bool_]:
+def _crease_strip(points: Points, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Pixels close to neighbours on another surface, (H, W)."""
     from scipy.ndimage import binary_dilation
 
-    surface = points.surface.reshape(points.shape)
-    positions = points.positions.reshape(*points.shape, 3)
-    strip = np.zeros(points.shape, dtype=np.bool_)
+    surface = points.surface.reshape(shape)
+    positions = points.positions.reshape(*shape, 3)
+    strip = np.zeros(shape, dtype=np.bool_)
     for axis in (0, 1):
         meet = np.diff(surface, axis=axis) != 0
         squared = (np.diff(positions, axis=axis) ** 2).sum(2)
@@ -111,7 +109,7 @@ def _crease_strip(points: SurfacePoints) -> NDArray[np.bool_]:
         before, after = [(0, 0), (0, 0)], [(0, 0), (0, 0)]
         before[axis], after[axis] = (1, 0), (0, 1)
         strip |= np.pad(meet, before) | np.pad(meet, after)
-    wider = points.shape[1] // _CREASE_SHARE - 1
+    wider = shape[1] // _CREASE_SHARE - 1
     return binary_dilation(strip, np.ones((3, 3), np.bool_), wider) if wider > 0 else strip
 
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.provenance import generator
 
-__all__ = ["INK", "PAPER", "TINTS", "WHITE", "printed_page", "require_kinds", "surface_albedo"]
-
 WHITE = 0.8
 PAPER = 0.85
 INK = 0.15

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from rfpipe.config.base import Text
-from rfpipe.config.scenes import SceneSettings
+from rfpipe.config.scenes import AnyRig, SceneSettings
 from rfpipe.errors import InputError, StoreError
 from rfpipe.provenance import fingerprint
-from rfpipe.scenes.base import Scene, SceneKind
-from rfpipe.scenes.kinds.views import AnyRig
+from rfpipe.scenes.base import Scene
 from rfpipe.stages.capture import read_sensor, symmetry_patterns
 from rfpipe.stages.folder import SYMMETRY, AcquisitionFolder
 from rfpipe.stages.merger import read_floodlit, read_merger
@@ -49,7 +48,7 @@ class RecordedOptions(AnyRig):
         return self.complete
 
 
-class Recorded(SceneKind):
+class Recorded(Scene):
     """A recorded acquisition, whose patterns span those that are asked for."""
 
     Options: ClassVar[type[SceneSettings]] = RecordedOptions

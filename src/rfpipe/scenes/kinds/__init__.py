@@ -1,1 +1,0 @@
-"""The kinds of scenes that rfpipe comes with, each with its options."""
