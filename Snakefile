@@ -52,8 +52,8 @@ else:
     include: "workflow/rules/acquire.smk"
 
 
-include: "workflow/rules/verification.smk"
 include: "workflow/rules/pages.smk"
+include: "workflow/rules/verification.smk"
 include: "workflow/rules/relight.smk"
 include: "workflow/rules/view.smk"
 include: "workflow/rules/report.smk"

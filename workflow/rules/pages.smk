@@ -59,3 +59,10 @@ def list_collection():
         return
     states = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
     print(f"rfpipe: results/catalogue/index.html: {states}")
+
+
+def every_verification(wildcards):
+    """The verification of each scene and method, if there are to be any."""
+    return every_acquisition(
+        "verification.json", lambda scene: of_scene(scene).verification_pictures
+    )

@@ -1,10 +1,3 @@
-def every_verification(wildcards):
-    """The verification of each scene and method, if there are to be any."""
-    return every_acquisition(
-        "verification.json", lambda scene: of_scene(scene).verification_pictures
-    )
-
-
 rule verification:
     """A scene's transport beside pictures that no method saw, taken by the same rig."""
     input:
