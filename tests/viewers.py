@@ -15,7 +15,7 @@ from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import planes_scene
 from rfpipe.transport import open_transport, save_transport
 from rfpipe.transport.base import Transport
-from rfpipe.viewer.packing import Packed
+from rfpipe.viewer.program import Packed
 
 KINDS = (
     "symmetric", "symmetric uint8", "near_far", "dual", "dual of two domains", "footprints",

@@ -12,7 +12,7 @@ from rfpipe.errors import InputError
 from rfpipe.transport.multilevel.transport import MultilevelTransport
 from rfpipe.transport.wavelet.haar import Haar
 from rfpipe.viewer import lower
-from rfpipe.viewer.packing import pack_program
+from rfpipe.viewer.program import pack_program
 from rfpipe.viewer.smooth import haar_matrix
 
 

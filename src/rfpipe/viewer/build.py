@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -16,14 +17,12 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
+from rfpipe.pictures.images import srgb
 from rfpipe.provenance import generator
 from rfpipe.store.files import storage_errors, write_atomically
 from rfpipe.transport.base import Transport
 from rfpipe.viewer.lowering import lower
-from rfpipe.viewer.packing import Packed, pack_array, pack_program
-from rfpipe.viewer.preview import preview_of
-
-__all__ = ["Compared", "View", "Written", "white_of", "write_view"]
+from rfpipe.viewer.program import Packed, pack_array, pack_program
 
 LARGEST = 30 * 10**6
 """Bytes of data, as the page holds them, beyond which a folder is written."""
@@ -33,6 +32,8 @@ _TRIALS = 3
 # A coaxial rig's pictures and dual pictures of the same light differ by less, of their norm.
 _COAXIAL = 0.2
 _BASE64 = 4 / 3
+# Of the preview: the text of the page takes as much, and both come in the first 100 kB.
+_PREVIEW_BYTES = 40_000
 
 
 @dataclass(frozen=True)
@@ -284,7 +285,7 @@ def _render(view: View, manifest: dict[str, Any], embedded: list[tuple[str, byte
         difference="Error" if compared and compared.is_truth else "Difference",
         has_views=RayDomain(view.transport.projector_shape).views > 1,
         connects="data:" if "files" not in manifest else "'self' data:",
-        preview=Markup(preview_of(view.transport, manifest["white"])),
+        preview=Markup(_preview_of(view.transport, manifest["white"])),
         style=Markup(source("style.css")),
         script=Markup(source(*_SCRIPTS)),
         worker=_in_script(source("kernels.js", "worker.js")),
@@ -300,3 +301,37 @@ def _in_script(value: Any) -> Any:
 
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=True)
     return Markup(text.replace("<", "\\u003c"))
+
+
+def _preview_of(transport: Transport, white: float) -> str:
+    """Return the first view under floodlight as the address of a picture, a JPEG of 40 kB at most.
+
+    Parameters
+    ----------
+    transport : Transport
+    white : float
+        Radiance shown as white.
+    """
+    import OpenImageIO as oiio
+
+    domain = RayDomain(transport.camera_shape)
+    floodlit = transport.relight(np.ones(transport.projector_shape, np.float32))
+    view = floodlit.reshape(domain.views, *domain.image_shape, transport.channels)[0]
+    shown = np.ascontiguousarray(srgb(view, white), np.float32)
+    picture = oiio.ImageBuf(shown)
+    found = b""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "preview.jpg"
+        while not found or len(found) > _PREVIEW_BYTES:
+            for quality in (90, 80, 65, 50, 30):
+                picture.specmod().attribute("Compression", f"jpeg:{quality}")
+                picture.write(str(path), "uint8")
+                found = path.read_bytes()
+                if len(found) <= _PREVIEW_BYTES:
+                    break
+            else:
+                half = oiio.ROI(
+                    0, (picture.spec().width + 1) // 2, 0, (picture.spec().height + 1) // 2
+                )
+                picture = oiio.ImageBufAlgo.resize(picture, roi=half)
+    return f"data:image/jpeg;base64,{b64encode(found).decode()}"
