@@ -42,11 +42,6 @@ def test_it_runs_in_the_workflow_beside_rfpipe_s_own(of_ones_own: Workflow) -> N
     np.testing.assert_allclose(relit.relight(spot), expected, atol=5e-3 * expected.max())
 
 
-def test_the_documents_show_it_as_it_is() -> None:
-    shown = (EXAMPLE.parents[2] / "docs" / "scenes.md").read_text(encoding="utf-8")
-    assert EXAMPLE.read_text(encoding="utf-8") in shown
-
-
 def test_it_runs_in_process() -> None:
     result = acquire(SimulatedRig(made()), "symmetric", tolerance=1e-4, progress=False)
     pattern = np.random.default_rng(0).random((6, 8)).astype(np.float32)

@@ -317,6 +317,11 @@ class Config(Settings):
                 "capture.drift_minutes should be null with capture.rig offline, whose pictures say "
                 "nothing of their time"
             )
+        if self.verification.pictures:
+            raise ValueError(
+                "verification.pictures should be 0 or null with capture.rig offline, whose "
+                "pictures are taken level by level by hand"
+            )
         if self.offline.camera_corners is not None and self.camera is None:
             raise ValueError(
                 "camera should be set with offline.camera_corners, not null: exact radiance isn't "
