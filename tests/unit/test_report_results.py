@@ -1,16 +1,19 @@
 """What a report leaves for machines: its origin, and linear light."""
 
 import json
+import shutil
+from pathlib import Path
 
 import colour
 import numpy as np
+import OpenImageIO as oiio
 import pytest
 from matplotlib.figure import Figure
 from tests.reports import BOTH, Page, acquired, benchmarked, read_exr, tables_of
 
 from rfpipe.pictures.images import srgb
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.report import build_report
+from rfpipe.report import build_report, check_page
 from rfpipe.report.blocks import Illustration, Section
 from rfpipe.report.drawing import Drawing, new_panels
 from rfpipe.report.light import Light, error_map, round_limit, write_exr
@@ -67,6 +70,26 @@ def test_pictures_of_light_lie_beside_the_page_as_they_are(built):
     parts = read_exr(figures / "scene_corner.exr")
     np.testing.assert_array_equal(parts["corner, relit"], images.read("relit")[index])
     np.testing.assert_array_equal(parts["corner, truth"], images.read("truth")[index])
+
+
+def image_of_one_colour(path: Path) -> None:
+    assert oiio.ImageBuf(oiio.ImageSpec(8, 6, 3, oiio.UINT8)).write(str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "said"),
+    [
+        ("figures/fig_5_10.png", image_of_one_colour, "fig_5_10.png: blank"),
+        ("tables/errors.csv", Path.unlink, "links tables/errors.csv, which is missing"),
+        ("index.html", lambda it: it.write_text(""), "shows no picture"),
+    ],
+)
+def test_a_page_s_faults_are_told(built, tmp_path, name, damage, said):
+    shutil.copytree(built / "report", tmp_path / "report")
+    page = tmp_path / "report/index.html"
+    assert check_page(page) == []
+    damage(tmp_path / "report" / name)
+    assert any(said in fault for fault in check_page(page))
 
 
 def test_tones_are_those_of_the_standard():

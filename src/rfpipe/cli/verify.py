@@ -68,8 +68,20 @@ def verify(
         again = " && ".join(filter(None, agains))
         typer.echo(f"removed {len(removals)} files and folders; now run: {again}", err=as_json)
         return
-    if checked.findings:
+    pages = [
+        place / "index.html" for place in (folder, folder / "report", folder / "results/report")
+    ]
+    faults = [fault for page in pages if page.is_file() for fault in _page_faults(page)]
+    for fault in faults:
+        typer.echo(fault, err=as_json)
+    if checked.findings or faults:
         raise typer.Exit(1)
+
+
+def _page_faults(page: Path) -> list[str]:
+    from rfpipe.report import check_page
+
+    return check_page(page)
 
 
 def _print(folder: Path, checked: Checked) -> None:
