@@ -47,8 +47,7 @@ class MitsubaOptions(SceneSettings):
     projectors: tuple[View, ...] | None = Field(
         None,
         min_length=1,
-        description="Where the projectors stand; null for the scene's own, and where the cameras "
-        "stand if it has none.",
+        description="Where the projectors stand; null: the scene's own, or with the cameras.",
     )
     light: Literal["recorded", "rendered"] = Field(
         "recorded",
@@ -62,13 +61,12 @@ class MitsubaOptions(SceneSettings):
         None,
         ge=1,
         le=64,
-        description="Surfaces, or scatterings, that a path of light meets at most: 1 is direct "
-        "light alone; null for what the scene needs.",
+        description="Surfaces or scatterings of a path of light at most; null: what the scene "
+        "needs.",
     )
     caustics: bool | None = Field(
         None,
-        description="Whether to follow light that the projector sends by mirrors or lenses: true "
-        "or false; null for what the scene needs.",
+        description="Whether to follow light by mirrors or lenses; null: what the scene needs.",
     )
     seed: int = Field(0, ge=0, description="Seed of textures or paths of light, 0 or more.")
     cache: str = Field(

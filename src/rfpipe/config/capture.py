@@ -47,8 +47,8 @@ class CaptureConfig(Settings):
         2.0,
         gt=0,
         le=3600,
-        description="Time of a pattern's bracket on a real rig, in seconds, for forecasts and "
-        "reports, above 0 and at most 3600.",
+        description="Seconds of a pattern's bracket on a real rig, for forecasts, above 0 and "
+        "at most 3600.",
     )
     black_frames: Batch = Field(
         8, description="Brackets of the all-off pattern, averaged: 1 to 1024."
@@ -60,8 +60,8 @@ class CaptureConfig(Settings):
     )
     share_references: Literal["none", "black", "all"] | None = Field(
         None,
-        description="Brackets taken once for many acquisitions: black ones by a rig, all of a "
-        "scene as well, or none; null: black with a collection.",
+        description="Brackets taken once for many acquisitions: black, all or none; null: "
+        "black with a collection.",
     )
     asymmetry: Fraction = Field(
         0.05,
@@ -137,8 +137,8 @@ class OfflineConfig(Settings):
 
     projector_shape: tuple[Extent, Extent] | None = Field(
         None,
-        description="Height and width of the pictures to show, in pixels, 1 to 4096 each; null: "
-        "the calibration's, or a pixel a ray.",
+        description="Height and width of the pictures to show, 1 to 4096 each; null: the "
+        "calibration's, or a pixel a ray.",
     )
     projector_gamma: Gamma = Field(
         2.2, description="Exponent g of the projector, light ~ code^g, above 0 and at most 5."
@@ -150,8 +150,8 @@ class OfflineConfig(Settings):
     )
     camera_corners: Corners | None = Field(
         None,
-        description="Upper left, upper right, lower right and lower left corner (x, y) of each "
-        "view's rays in the pictures, in pixels; null: the calibration's, or a pixel a ray.",
+        description="Corners of each view's rays in the pictures, in pixels, from the upper "
+        "left one clockwise; null: the calibration's, or a pixel a ray.",
     )
     calibration: Text | None = Field(
         None, description="Folder of a calibration, relative to where rfpipe runs, or null."
@@ -174,6 +174,6 @@ class VerificationConfig(Settings):
     )
     fail_above: Fraction | None = Field(
         None,
-        description="Mean error of these pictures relit, a fraction of their norm, above which the "
-        "run fails at its end; null: it doesn't.",
+        description="Mean error of these pictures, a fraction of their norm, above which the "
+        "run fails; null: never.",
     )

@@ -61,7 +61,7 @@ class StorageConfig(Settings):
     number_format: NumberFormat = Field(
         "uint8",
         description="Numbers of a stored transport: float32 keeps every bit; uint16 and uint8 "
-        "round a leaf's factors by about 1e-5 and 3e-3 of their values.",
+        "round by about 1e-5 and 3e-3.",
     )
     keep_at: str | None = Field(
         None,

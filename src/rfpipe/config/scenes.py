@@ -116,8 +116,8 @@ class Views(SceneSettings):
 
     views: tuple[ViewCount, ViewCount] | None = Field(
         None,
-        description="The rig as a planar array of coaxial projectors and cameras, a light field "
-        "[5.2]: rows and columns, 1 to 16 each; null for a single pair.",
+        description="Rows and columns of an array of coaxial pairs [5.2], 1 to 16 each; null: "
+        "a single pair.",
     )
 
     @property
@@ -136,8 +136,7 @@ class AnyRig(Views):
 
     camera_shape: tuple[Extent, Extent] | None = Field(
         None,
-        description="Height and width of the camera's rays where the rig is not coaxial, 1 to 4096 "
-        "each; null where camera and projector share their rays.",
+        description="Height and width of the camera's rays, 1 to 4096 each; null: a coaxial rig.",
     )
 
     @property

@@ -41,8 +41,8 @@ class Options(MethodSettings):
         3.0,
         ge=0,
         le=100,
-        description="Light counts as measured above this many standard deviations of its noise, "
-        "0 to 100.",
+        description="Standard deviations of its noise above which light counts as measured, 0 "
+        "to 100.",
     )
 
 
@@ -53,8 +53,7 @@ class PatternOptions(Options):
         0,
         ge=0,
         le=1_000_000,
-        description="Patterns to show at most, the floodlit one included, 0 to 1000000; 0 leaves "
-        "it to the method.",
+        description="Patterns to show at most, 0 to 1000000; 0 leaves it to the method.",
     )
 
 
@@ -63,7 +62,7 @@ class ErrorOptions(PatternOptions):
 
     target_error: Fraction = Field(
         0.01,
-        description="Mean error of relit pictures at which to stop, as a fraction of their norm, "
+        description="Mean error of relit pictures at which to stop, a fraction of their norm "
         "between 0 and 1.",
     )
 
@@ -73,10 +72,9 @@ class TargetOptions(Options):
 
     target_error: Fraction | None = Field(
         None,
-        description="Mean error of relit pictures at which to end, as a fraction of their norm, "
-        "between 0 and 1, estimated from six more pictures; the tolerance then follows from it, or "
-        "is the one given, if not the default, where that is smaller. null goes by the tolerance "
-        "alone.",
+        description="Mean error of relit pictures at which to end, a fraction of their norm "
+        "between 0 and 1, estimated from six more pictures; null: by the "
+        "tolerance.",
     )
 
 

@@ -38,13 +38,13 @@ class DualOptions(TargetOptions):
 
     tolerance: Fraction = Field(
         1e-3,
-        description="Response below which a block is not subdivided for a pixel, as a fraction of "
-        "the floodlit image's maximum, between 0 and 1.",
+        description="Response below which a block isn't subdivided, a fraction of the floodlit "
+        "maximum, between 0 and 1.",
     )
     subtract_stored: bool = Field(
         True,
-        description="Take the light stored at coarser levels off finer images [3.2], true or "
-        "false. The pseudocode [C.1] doesn't, and counts some of it twice.",
+        description="Whether light stored at coarser levels is taken off finer images [3.2]; "
+        "the pseudocode [C.1] counts some twice.",
     )
 
 

@@ -24,29 +24,27 @@ class MatrixOptions(AnyRig):
     files: ClassVar[tuple[str, ...]] = ("file",)
 
     file: Text = Field(
-        description="File of the matrix, relative to where rfpipe runs: .npy, .npz (arrays, or a "
-        "scipy sparse matrix), .mat of any version, .h5 or .hdf5, a zarr folder, or the "
-        "transport.zarr of an acquisition.",
+        description="File of the matrix: .npy, .npz, .mat, .h5, .hdf5, a zarr folder, or a "
+        "transport.zarr.",
     )
     dataset: Text | None = Field(
         None,
-        description="Name of the dataset in a file that holds several; names with commas between "
-        "them for channels in datasets of their own. null: the only one.",
+        description="Name of the dataset in a file of several, or names with commas for "
+        "channels; null: the only one.",
     )
     order: RayOrder = Field(
         "rows",
-        description="How rays are numbered: rows (row by row, as NumPy does) or columns (column "
-        "by column, as MATLAB's image(:) does).",
+        description="How rays are numbered: rows (as NumPy does) or columns (as MATLAB's "
+        "image(:) does).",
     )
     brightest: PositiveFloat | None = Field(
         None,
-        description="Radiance of the brightest camera ray under floodlight, above 0, to which the "
-        "matrix is scaled, so that the camera can see it; null leaves it as it stands.",
+        description="Radiance of the brightest camera ray under floodlight, above 0, to which "
+        "the matrix is scaled; null: as it stands.",
     )
     negative: Literal["refuse", "zero"] = Field(
         "refuse",
-        description="What to do with negative entries, as noise leaves them in a matrix that was "
-        "measured: refuse, or zero to take them for dark.",
+        description="Negative entries: refuse, or zero to take them for dark.",
     )
 
 

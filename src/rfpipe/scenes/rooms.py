@@ -150,8 +150,8 @@ class OccluderOptions(Settings):
     """A black parallelogram that blocks light between surface points, and the camera's view."""
 
     centre: Vector = Field(
-        description="Centre (x, y, z) in scene units; the camera is at the origin and looks "
-        "along +z, the scene's surfaces are at z of about 1 to 3."
+        description="Centre (x, y, z) in scene units; the scene's surfaces are at z of about 1 "
+        "to 3."
     )
     edge_u: Vector = Field(
         description="Vector from the centre to the middle of one edge, in scene units."
@@ -175,9 +175,8 @@ class ProjectorOptions(Settings):
     """A projector that stands elsewhere than the camera; its pixels are as wide as the camera's."""
 
     position: Vector = Field(
-        description="Where it stands, (x, y, z) in scene units: the camera is at the origin, x to "
-        "its right, y down, and looks along +z at the middle of the scene, [0, 0, 3]. At [1.72, 0, "
-        "0.54] the projector looks at that from 35 degrees aside."
+        description="Where it stands, (x, y, z) in scene units: the camera is at the origin, x "
+        "to its right, y down, and looks along +z."
     )
     look_at: Vector = Field(
         (0.0, 0.0, 3.0), description="The point (x, y, z) at which it aims, in scene units."
@@ -243,8 +242,8 @@ class SurfacesOptions(Diffuse):
 
     projector: ProjectorOptions | None = Field(
         None,
-        description="The projector where it does not share the camera's rays, such as {position: "
-        "[1.72, 0, 0.54]}, in front of all surfaces; null for a coaxial rig.",
+        description="The projector aside of the camera, such as {position: [1.72, 0, 0.54]}; "
+        "null: a coaxial rig.",
     )
     occluders: tuple[OccluderOptions, ...] = Field(
         (), description="Parallelograms that block light between surfaces."
@@ -278,8 +277,8 @@ class RoomOptions(Views, Diffuse):
 
     span_degrees: tuple[SpanDegrees, SpanDegrees] = Field(
         (37.0, 29.0),
-        description="Angles under which the outermost columns and rows of the array appear from "
-        "the scene's centre, horizontally and vertically, in degrees, 0 to 45 each.",
+        description="Angles between the outermost columns and rows of the array, in degrees, 0 "
+        "to 45 each.",
     )
 
 

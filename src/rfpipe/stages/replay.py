@@ -33,13 +33,12 @@ class RecordedOptions(AnyRig):
     files: ClassVar[tuple[str, ...]] = ("folder",)
 
     folder: Text = Field(
-        description="Folder of the recorded acquisition, such as results/desk/brute_force, "
-        "relative to where rfpipe runs; its shape and channels are this scene's.",
+        description="Folder of the recorded acquisition, such as results/desk/brute_force.",
     )
     complete: bool = Field(
         False,
         description="Whether the recorded patterns span all light, as those of brute_force and "
-        "hadamard do: true or false. Then reports compare with it, too.",
+        "hadamard do.",
     )
 
     @property

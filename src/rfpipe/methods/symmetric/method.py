@@ -50,8 +50,8 @@ class SymmetricOptions(TargetOptions):
 
     tolerance: Fraction = Field(
         1e-3,
-        description="Error allowed in a stored block, as a fraction of the floodlit image's "
-        "maximum, between 0 and 1.",
+        description="Error allowed in a stored block, a fraction of the floodlit maximum, "
+        "between 0 and 1.",
     )
 
 
