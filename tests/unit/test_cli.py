@@ -212,8 +212,8 @@ def test_serve_refuses_before_a_device_is_opened(
 def test_scenes_are_listed_with_their_options() -> None:
     text = run("settings", "scenes")
     assert "wedge_120: Two planes that meet at 120 degrees" in text
-    assert "    surfaces (needed): Left and right plane." in text
-    assert "    projector (null): The projector where it does not share the camera's rays" in text
+    assert "    surfaces ([]): Each white (albedo 0.8) or texture" in text
+    assert "    projector (null): The projector aside of the camera" in text
     assert text.startswith("every kind:\n    shape ([62,70]): Rays of the rig")
     assert text.count("    settings ({}): ") == 1
     assert "Undefined" not in text

@@ -35,7 +35,7 @@ SHAPE = (VIEWS, *IMAGE)
 def room(channels: int = 1) -> np.ndarray:
     """The transport of a room seen by three views side by side, (C, N, N)."""
     scene = room_scene(("texture", "white", "white"), IMAGE, views=(1, VIEWS), channels=channels)
-    matrix = np.stack([scene._matrix(channel) for channel in range(channels)])
+    matrix = np.stack([scene.dense(channel) for channel in range(channels)])
     return matrix / matrix.sum(axis=2).max()
 
 

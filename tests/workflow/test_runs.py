@@ -98,7 +98,7 @@ def test_a_damaged_chunk_is_found_by_the_next_stage_and_can_be_made_again(
     assert f"remove {manifest.relative_to(copy.folder)} and run again" in output
     manifest.unlink()
     output = copy.run(TINY)
-    assert "1 items are damaged and will be written again (1)" in output
+    assert "1 items are damaged and will be written again, from item 1 on" in output
     assert "level 3: 1 patterns in" in output
     assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -89,6 +90,9 @@ class Checked:
         return list(dict.fromkeys(path for each in self.findings for path in each.mend.remove))
 
 
+_FRAMES = re.compile(rb'"kind":\s*"frames"')
+
+
 def check_store(
     path: Path, checked: Checked, stated: str | None = None
 ) -> tuple[list[str], str | None]:
@@ -114,7 +118,7 @@ def check_store(
         return ["is missing"], None
     header = path / METADATA
     is_frames = (path / "journal.jsonl").exists() or (
-        header.is_file() and b'"frames"' in header.read_bytes()[:4096]
+        header.is_file() and _FRAMES.search(header.read_bytes()) is not None
     )
     damage: list[str] = []
     try:
