@@ -10,6 +10,7 @@ __all__ = [
     "RADIANCE",
     "RADIANCE_UNIT",
     "SATURATION_FRACTION",
+    "SYMMETRY_FRAMES",
     "NumberFormat",
 ]
 
@@ -30,3 +31,6 @@ COUNT_UNIT = "count"
 
 SATURATION_FRACTION = 0.98
 """Fraction of full scale from which on a count is saturated, where nothing else is set."""
+
+SYMMETRY_FRAMES = 6  # four say the same within 20 %, eight within 10 %
+"""Random patterns that tell whether a rig is coaxial."""

@@ -9,9 +9,6 @@ from pydantic import Field, field_validator, model_validator
 from rfpipe.config.addresses import check_server
 from rfpipe.config.base import Corners, Extent, Fraction, Gamma, Settings, Text, check_command
 
-SYMMETRY_FRAMES = 6  # four say the same within 20 %, eight within 10 %
-"""Random patterns that tell whether a rig is coaxial."""
-
 Batch = Annotated[int, Field(ge=1, le=1024)]
 
 

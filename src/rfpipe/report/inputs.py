@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from rfpipe.config import Config, SceneSettings
-from rfpipe.config.capture import SYMMETRY_FRAMES
 from rfpipe.report import methods
 from rfpipe.report.blocks import Column
 from rfpipe.report.light import Light
 from rfpipe.stages.relight import right_half
 from rfpipe.stages.verification import MANIFEST as VERIFIED
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
+from rfpipe.units import SYMMETRY_FRAMES
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from rfpipe.config.capture import SYMMETRY_FRAMES
 from rfpipe.photometry import ExactSensor, sensor_from_config
 from rfpipe.stages.disk import disk_bytes
 from rfpipe.stages.plan import Plan, plan_of
 from rfpipe.stages.watch import look_count, looks_every
+from rfpipe.units import SYMMETRY_FRAMES
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.config.capture import SYMMETRY_FRAMES
 from rfpipe.methods import Method, Pack, get_method, options_of
 from rfpipe.methods.states import unprefixed
 from rfpipe.plugins import METHODS, SCENES, sources_of
 from rfpipe.provenance import code_digest
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.symmetry import NOTICED, read_asymmetry
+from rfpipe.units import SYMMETRY_FRAMES
 
 if TYPE_CHECKING:
     from rfpipe.config import Config

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpipe.methods.adaptive.footprints.candidates import Candidates, reweighted
-from rfpipe.methods.adaptive.footprints.kernels import united
 from rfpipe.methods.adaptive.footprints.series import Float, Int64, Series
 
 
@@ -97,6 +96,8 @@ def reconciled(series: tuple[Series, ...], found: Candidates, indirect: list[Flo
 
 
 def _both_ways(found: Candidates, rays: int) -> _Ways:
+    from rfpipe.methods.adaptive.footprints.kernels import united
+
     back = found.keys % rays
     back *= rays
     back += found.keys // rays

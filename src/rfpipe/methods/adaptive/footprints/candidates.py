@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.footprints.kernels import apply_precision, marginal, solve_weights
 from rfpipe.methods.adaptive.footprints.matching import Templates, coarse_light
 from rfpipe.methods.adaptive.footprints.series import Double, Float, Int64, Series, distinct
 
@@ -90,6 +89,8 @@ class Candidates:
         expected: Float | None = None,
     ) -> Candidates:
         """Return them with the non-negative weights that explain what is observed best."""
+        from rfpipe.methods.adaptive.footprints.kernels import solve_weights
+
         rays = len(lit)
         least = np.square(1e-4 * floodlit[self.pixels(rays)])
         # a black pixel's candidate, which only the other way has, has no deviation at all
@@ -121,6 +122,8 @@ class Precision:
     @classmethod
     def of(cls, series: Series, found: Candidates) -> Precision:
         """Marginalise the weights of footprints."""
+        from rfpipe.methods.adaptive.footprints.kernels import marginal
+
         rays, pixels = len(series.lit), len(series.observed)
         starts = found.starts(pixels, rays)
         own = (found.keys % rays).astype(np.int32)
@@ -138,6 +141,8 @@ class Precision:
 
     def applied(self, observed: Float) -> Float:
         """Return the precision times pictures (pixels, P)."""
+        from rfpipe.methods.adaptive.footprints.kernels import apply_precision
+
         pictures = np.ascontiguousarray(observed, np.float32)
         return apply_precision(self.starts, self.factors, self.certainty, pictures)
 

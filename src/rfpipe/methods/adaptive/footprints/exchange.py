@@ -14,12 +14,6 @@ import numpy as np
 
 from rfpipe.methods.adaptive.footprints.candidates import Precision
 from rfpipe.methods.adaptive.footprints.functions import Functions
-from rfpipe.methods.adaptive.footprints.kernels import (
-    correlate,
-    correlate_one_way,
-    couple,
-    couple_one_way,
-)
 from rfpipe.methods.adaptive.footprints.series import Float, Int64, Series
 from rfpipe.methods.adaptive.smooth_fit import learned
 from rfpipe.methods.conjugate_gradients import conjugate_gradients
@@ -208,6 +202,8 @@ class Exchange:
         return np.ascontiguousarray(np.concatenate(light, axis=1), np.float32)
 
     def _forward(self, unknowns: Float, light: Float) -> Float:
+        from rfpipe.methods.adaptive.footprints.kernels import couple, couple_one_way
+
         functions = self.functions
         basis, pairs = functions.camera, len(functions.camera.first)
         received = np.zeros((len(basis), light.shape[1]), np.float32)
@@ -219,6 +215,8 @@ class Exchange:
         return told
 
     def _adjoint(self, observed: Float, light: Float) -> Float:
+        from rfpipe.methods.adaptive.footprints.kernels import correlate, correlate_one_way
+
         functions = self.functions
         basis, pairs = functions.camera, len(functions.camera.first)
         arriving = self._left.T @ (observed * self._looked(self.camera)[:, None])

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.footprints.kernels import match_near
 from rfpipe.methods.adaptive.footprints.series import Double, Float, Int64, distinct
 
 # Pairs of a pixel and a box up to which all are compared: half a minute of 25 pictures.
@@ -130,6 +129,8 @@ class Templates:
         match: neighbours see neighbouring places, or what another neighbour sees. Boxes are those
         of one projector view; `asked` is (camera pixels,).
         """
+        from rfpipe.methods.adaptive.footprints.kernels import match_near
+
         if len(series) <= self.most_pixels:
             return self.match(series, whitener)
         views, height, width = camera.stack_shape
