@@ -20,13 +20,11 @@ from rfpipe.calibration.correspondence import (
 from rfpipe.calibration.rays import (
     RayFit,
     blurring,
-    find_views,
     fit_rays,
-    layout_of_views,
-    maps_of_views,
     measure_rays,
 )
 from rfpipe.calibration.verdicts import Findings
+from rfpipe.calibration.views import find_views, layout_of_views, maps_of_views
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, MergeOptions

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.calibration.symmetry import Reciprocity, random_signs
+from rfpipe.calibration.reciprocity import Reciprocity
+from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.keys import DRIFT_KEY, LOOK_KEY
 from rfpipe.photometry.sensor import Merged
