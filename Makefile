@@ -105,8 +105,8 @@ bench: $(INSTALLED) ## measure, into results/bench/*.csv (benchmarks/README.md)
 benchmark: $(INSTALLED) ## every method on every scene, hours; goes on with docs/benchmark/*.csv
 	@python -m benchmarks.methods $(ARGS)
 
-config: $(INSTALLED) ## write schemas, config/README.md's tables and rigs from their models
-	python -m rfpipe.config config
+config: $(INSTALLED) ## write schemas, rigs and config/all.yaml from the settings' models
+	python -m rfpipe.config.schema
 
 lock: $(INSTALLED) ## resolve pyproject.toml anew into requirements.lock and validators.lock
 	uv pip compile pyproject.toml --extra dev $(LOCK_OPTIONS) --output-file requirements.lock

@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from rfpipe.config import load_config
-from rfpipe.config.processing import ReportConfig
+from rfpipe.config.capture import ReportConfig
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.store.places import METADATA

@@ -295,11 +295,11 @@ def test_a_simulated_rig_has_nothing_to_calibrate(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"repeats": 3}, "repeats should be even"),
+        ({"repeats": 3}, "repeats is 3; it should be a multiple of 2"),
         ({"period_pixels": 10}, "period_pixels is 10"),
         (
             {"views": [1, 2], "corners": [[[0, 0], [1, 0], [1, 1], [0, 1]]]},
-            "four points for each of 2 views",
+            "four corners for each of 2 views",
         ),
     ],
 )

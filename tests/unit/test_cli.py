@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.cli import app, main
-from rfpipe.config import json_schema
+from rfpipe.config import Config
+from rfpipe.config.schema import schema_of
 from rfpipe.errors import InputError
 from rfpipe.pictures.images import read_image, write_image
 from rfpipe.scenes.relighting import RELIGHTING_PATTERNS, relighting_patterns
@@ -68,7 +69,7 @@ def test_validate_names_the_acquisitions() -> None:
 
 
 def test_schema_is_the_model_s() -> None:
-    assert json.loads(run("settings", "schema")) == json_schema()
+    assert json.loads(run("settings", "schema")) == schema_of(Config)
 
 
 def test_info_shows_shape_bytes_and_levels(transport: Path) -> None:

@@ -218,7 +218,7 @@ def test_a_white_level_below_full_scale() -> None:
     assert camera.expose(np.full((4, 5, 1), 1e9), 0, (0,)).max() == 15_300
     assert "white_level_counts" not in CameraModel().describe()  # as before there was one
     for wrong in (600, 2**14):
-        with pytest.raises(InputError, match="white_level_counts is"):
+        with pytest.raises(InputError, match="black_level_counts is"):
             replace(camera, white_level_counts=wrong)
 
 

@@ -22,9 +22,10 @@ def settings(
 ) -> None:
     """List the methods or the kinds of scenes, each with its options; or print the JSON schema."""
     if of == "schema":
-        from rfpipe.config import json_schema
+        from rfpipe.config.model import Config
+        from rfpipe.config.schema import schema_of
 
-        typer.echo(json.dumps(json_schema(), indent=2))
+        typer.echo(json.dumps(schema_of(Config), indent=2))
     elif of == "methods":
         _list_methods()
     else:

@@ -1,4 +1,4 @@
-"""Addresses of servers, in settings and in arguments."""
+"""Addresses of servers, in settings and in arguments: each check returns its address."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ _LABEL = r"(?!-)[\w-]{1,63}(?<!-)"
 _SERVER = re.compile(rf"https?://({_LABEL}(\.{_LABEL})*\.?|\[[\da-f:.]+\])(:\d+)?/?", re.I)
 
 
-def check_bucket(address: str) -> None:
+def check_bucket(address: str) -> str:
     """Raise ValueError where an address is no folder in a bucket."""
     if not _BUCKET.fullmatch(address):
         raise ValueError(
             "should be a bucket, or a folder in one, such as s3://lab/desk; credentials stand in "
             "the environment, not in an address"
         )
+    return address
 
 
-def check_port(address: str) -> None:
+def check_port(address: str) -> str:
     """Raise ValueError where the port of an address is none, or it names a user."""
     try:
         port = urlsplit(address).port
@@ -33,24 +34,25 @@ def check_port(address: str) -> None:
         raise ValueError("should have a port from 1 to 65535")
     if "@" in address:
         raise ValueError("should name no user and no password: nobody asks for them there")
+    return address
 
 
-def check_workers(where: str) -> None:
+def check_workers(where: str) -> str:
     """Raise ValueError where work can't be done."""
     if where == THREADS:
-        return
+        return where
     if not _SCHEDULER.fullmatch(where):
         raise ValueError(
             f"should be {THREADS}, or the address of a dask scheduler, such as tls://host:8786"
         )
-    check_port(where)
+    return check_port(where)
 
 
-def check_server(url: str) -> None:
+def check_server(url: str) -> str:
     """Raise ValueError where a URL can't be that of an acquisition server."""
     if not _SERVER.fullmatch(url):
         raise ValueError(
             "should be the address of an acquisition server, http or https, without a path, user "
             "or password, such as http://127.0.0.1:8750"
         )
-    check_port(url)
+    return check_port(url)

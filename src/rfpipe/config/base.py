@@ -1,10 +1,13 @@
-"""What the settings' models share."""
+"""What the settings' models share: strictness, messages, and sections by name."""
 
 from __future__ import annotations
 
+import difflib
+import re
 import shlex
+import textwrap
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args, get_origin
 
 from pydantic import (
     BaseModel,
@@ -13,11 +16,12 @@ from pydantic import (
     Field,
     ModelWrapValidatorHandler,
     SerializeAsAny,
+    ValidationError,
     ValidationInfo,
     field_validator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from rfpipe import plugins
 from rfpipe.errors import InputError
@@ -35,19 +39,37 @@ Corners = Annotated[tuple[tuple[Point, Point, Point, Point], ...], Field(min_len
 """Upper left, upper right, lower right and lower left corner (x, y) of each view, in pixels."""
 ViewCount = Annotated[int, Field(ge=1, le=16)]
 
+Location = tuple[str | int, ...]
+
+_BETWEEN = re.compile(r"(?<=\d)\s*x\s*(?=\d)|[;,\s]+")
+
+
+_WORDS = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below"}
+
+
+def setting(default: Any, about: str, **limits: Any) -> Any:
+    """Return a field, whose description tells its limits, too."""
+    said = [f"{_WORDS[name]} {value:g}" for name, value in limits.items() if name in _WORDS]
+    if {"ge", "le"} <= limits.keys():
+        said = [f"{limits['ge']:,} to {limits['le']:,}"]
+    what, between, rest = about.removesuffix(".").partition(";")
+    return Field(default, description=f"{', '.join([what, *said])}{between}{rest}.", **limits)
+
+
+def group_of(model: type[Settings]) -> Any:
+    """Return a field that is a group of settings, said by its model's docstring; all defaults."""
+    return Field(default_factory=model, description=str(model.__doc__).partition("\n")[0])
+
 
 def check_command(command: str | None) -> str | None:
     """Return a command as it is; raise ValueError where it is none."""
-    if command is None:
-        return None
     try:
-        words = shlex.split(command)
-    except ValueError as error:  # a quotation mark without its other one
+        if command is not None and not shlex.split(command):
+            raise ValueError("no program is named")
+    except ValueError as error:  # such as a quotation mark without its other one
         raise ValueError(
-            f"should be a program and its arguments, quoted as for a shell: {error}"
+            f"should be a program and its arguments, quoted as for a shell, or null: {error}"
         ) from None
-    if not words:
-        raise ValueError("should name a program, or be null")
     return command
 
 
@@ -59,22 +81,103 @@ class Settings(BaseModel):
 
     @field_validator("*", mode="before")
     @classmethod
-    def _no_truth_value_as_number(cls, value: object, info: ValidationInfo) -> object:
-        # pydantic would read true as 1, and YAML reads a bare yes or on as true
-        name = info.field_name
-        if isinstance(value, bool) and name and not _may_be_true(cls.model_fields[name].annotation):
-            raise ValueError("should not be true or false")
+    def _as_meant(cls, value: object, info: ValidationInfo) -> object:
+        """Refuse a truth value as a number; take a cell of a table, a text, as what it lists."""
+        if not isinstance(value, bool | str) or info.field_name is None:
+            return value
+        kinds = _types(cls.model_fields[info.field_name].annotation)
+        if isinstance(value, bool):
+            # pydantic would read true as 1, and YAML reads a bare yes or on as true
+            if bool not in kinds:
+                raise ValueError("should not be true or false")
+        elif tuple in kinds:
+            return [_number(part) for part in _BETWEEN.split(value) if part]
+        elif str not in kinds:
+            return _number(value)
         return value
 
+    @model_validator(mode="wrap")
+    @classmethod
+    def _explained(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Say each mistake here, where the setting's meaning is known."""
+        try:
+            return handler(data)
+        except ValidationError as error:
+            problems = [mistake(cls._message(it), *it["loc"], of=it) for it in _innermost(error)]
+            raise ValidationError.from_exception_data(cls.__name__, problems) from None
 
-def _may_be_true(annotation: Any) -> bool:
-    """Tell whether a field takes true and false."""
-    return annotation is bool or bool in get_args(annotation)
+    @classmethod
+    def _message(cls, problem: Mapping[str, Any]) -> str:
+        """Say one of pydantic's problems: the value, what was expected, what the setting means."""
+        kind, location = problem["type"], problem["loc"]
+        text = str(problem["msg"]).removeprefix("Value error, ").removesuffix(" after validation")
+        if kind == "extra_forbidden":
+            close = difflib.get_close_matches(str(location[-1]), cls.model_fields, n=1)
+            meant = f"did you mean {close[0]}? " if close else ""
+            return f" is unknown; {meant}Known here: {', '.join(cls.model_fields)}."
+        if kind == "setting" or (kind == "value_error" and not text.startswith("should")):
+            return text  # a rule between settings names them and their values itself
+        field = cls.model_fields.get(str(location[0])) if location else None
+        meaning = f" ({field.description})" if field and field.description else ""
+        if kind == "missing":
+            return f" is missing; add it.{meaning}"
+        if kind in ("model_type", "dict_type"):
+            text = "should be a group of 'key: value' settings"
+        # without "Input", "String", "Tuple"
+        return f" is {shown(problem['input'])}; it {text[text.find('should') :]}.{meaning}"
 
 
-def group_of(model: type[Settings]) -> Any:
-    """Return a field that is a group of settings, said by its model's docstring; all defaults."""
-    return Field(default_factory=model, description=str(model.__doc__).partition("\n")[0])
+def mistake(message: str, *location: str | int, of: Any = None) -> InitErrorDetails:
+    """Return a mistake in settings, whose message is said as it is."""
+    kind = PydanticCustomError("setting", "{message}", {"message": message})
+    return InitErrorDetails(type=kind, loc=location, input=of and of["input"])
+
+
+def located(error: ValidationError) -> list[tuple[Location, str]]:
+    """Return the location and a line for each mistake in settings."""
+    lines = []
+    for problem in _innermost(error):
+        where = tuple(part for part in problem["loc"] if part != "[key]")
+        text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in where)
+        said = Settings._message(problem)
+        between = ": " if text and not said.startswith(" ") else ""
+        lines.append((where, f"{text.removeprefix('.')}{between}{said}"))
+    return lines
+
+
+def explained(error: ValidationError) -> list[str]:
+    """Return a line for each mistake in settings."""
+    return [line for _, line in located(error)]
+
+
+def shown(value: object) -> str:
+    """Show a value as YAML would, short enough for a message."""
+    if value is None:
+        return "null"
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    return textwrap.shorten(text, 80, placeholder=" ...")
+
+
+def _innermost(error: ValidationError) -> list[Any]:
+    """Return pydantic's problems; a list with a wrong item is reported as wrong itself, too."""
+    problems = error.errors(include_url=False)
+    outer = {problem["loc"][:n] for problem in problems for n in range(len(problem["loc"]))}
+    return [problem for problem in problems if problem["loc"] not in outer]
+
+
+def _types(annotation: object) -> set[object]:
+    """Return the types that an annotation consists of."""
+    inner = (_types(each) for each in get_args(annotation))
+    return {annotation, get_origin(annotation)}.union(*inner)
+
+
+def _number(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
 
 
 class Described(Settings):
@@ -95,12 +198,6 @@ class Described(Settings):
     key: ClassVar[str]
 
     @classmethod
-    def name_in(cls, section: object) -> str | None:
-        """Return the name in a section, or None."""
-        name = section.get(cls.key) if isinstance(section, Mapping) else None
-        return name if isinstance(name, str) else None
-
-    @classmethod
     def model_of(cls, name: str) -> type[Self]:
         """Return the model that belongs to a name.
 
@@ -119,8 +216,8 @@ class Described(Settings):
     def _of_its_model(cls, section: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         if Described not in cls.__bases__ or not isinstance(section, Mapping):
             return handler(section)
-        name = cls.name_in(section)
-        if name is None:  # a mistake in the name alone
+        name = section.get(cls.key)
+        if not isinstance(name, str):  # a mistake in the name alone
             return handler({key: section[key] for key in section if key == cls.key})
         return known(lambda: cls.model_of(name)).model_validate(section)
 
@@ -139,7 +236,7 @@ def known(find: Callable[[], _T]) -> _T:
     try:
         return find()
     except InputError as error:
-        raise PydanticCustomError("unknown_name", "{message}", {"message": str(error)}) from None
+        raise PydanticCustomError("setting", "{message}", {"message": str(error)}) from None
 
 
 class MethodSettings(Described):
@@ -148,10 +245,10 @@ class MethodSettings(Described):
     group: ClassVar[str] = plugins.METHODS
     key: ClassVar[str] = "method"
 
-    method: Text | None = Field(
+    method: Text | None = setting(
         None,
-        description="The method's name, or a class of your own as module:Class or file.py:Class; "
-        "by default the section's name.",
+        "The method's name, or a class of your own as module:Class or file.py:Class; by default "
+        "the section's name.",
     )
 
 
@@ -176,3 +273,13 @@ MethodSections = Annotated[
     Field(min_length=1),
 ]
 """Methods by the names of their sections."""
+
+
+def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Put settings over others, group by group; what is no group takes the other's place."""
+    both = {
+        name: merged(base[name], value)
+        for name, value in over.items()
+        if isinstance(base.get(name), Mapping) and isinstance(value, Mapping)
+    }
+    return {**base, **over, **both}

@@ -1,112 +1,93 @@
-"""How a run's pictures are taken: capture, offline rigs, verification."""
+"""A run's pictures, how they are taken and what is made of them: a group of settings each."""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from rfpipe.config.addresses import check_server
-from rfpipe.config.base import Corners, Extent, Fraction, Gamma, Settings, Text, check_command
+from rfpipe.config.addresses import THREADS, check_bucket, check_server, check_workers
+from rfpipe.config.base import (
+    Corners,
+    Extent,
+    Fraction,
+    Gamma,
+    Settings,
+    Text,
+    check_command,
+    setting,
+)
+from rfpipe.units import NumberFormat
 
 Batch = Annotated[int, Field(ge=1, le=1024)]
+Command = Annotated[str, AfterValidator(check_command)]
+Normalization = Literal["none", "per_channel", "total_energy"]
 
 
 class CaptureConfig(Settings):
     """How patterns are shown and pictures taken."""
 
-    rig: Literal["simulated", "remote", "offline"] = Field(
+    rig: Literal["simulated", "remote", "offline"] = setting(
         "simulated",
-        description="The rig: simulated; remote, behind 'rfpipe serve'; or offline, by 'rfpipe "
-        "patterns' and 'rfpipe import'.",
+        "The rig: simulated; remote, behind 'rfpipe serve'; or offline, by 'rfpipe patterns' and "
+        "'rfpipe import'.",
     )
-    url: str = Field(
-        "http://127.0.0.1:8750",
-        description="Address of the acquisition server, such as http://127.0.0.1:8750.",
+    url: Annotated[str, AfterValidator(check_server)] = setting(
+        "http://127.0.0.1:8750", "Address of the acquisition server."
     )
-    token_file: Text | None = Field(
+    token_file: Text | None = setting(
         None,
-        description="File with the server's token, readable by its owner alone; null: the "
-        "environment variable RFPIPE_TOKEN.",
+        "File with the server's token, readable by its owner alone; null: the environment variable "
+        "RFPIPE_TOKEN.",
     )
-    patience_seconds: float = Field(
-        600.0,
-        ge=0,
-        le=604_800,
-        description="Wait for a server or rig that fails, in seconds, 0 to 604800.",
+    patience_seconds: float = setting(
+        600.0, "Wait for a server or rig that fails, in seconds.", ge=0, le=604_800
     )
-    placing: Text | None = Field(
+    placing: Command | None = setting(
         None,
-        description="Command that puts the scene named in RFPIPE_SCENE before the rig; null: it "
-        "stands there.",
+        "Command that puts the scene named in RFPIPE_SCENE before the rig; null: it stands there.",
     )
-    seconds_per_pattern: float = Field(
-        2.0,
-        gt=0,
-        le=3600,
-        description="Seconds of a pattern's bracket on a real rig, for forecasts, above 0 and "
-        "at most 3600.",
+    seconds_per_pattern: float = setting(
+        2.0, "Seconds of a pattern's bracket on a real rig, for forecasts.", gt=0, le=3600
     )
-    black_frames: Batch = Field(
-        8, description="Brackets of the all-off pattern, averaged: 1 to 1024."
-    )
-    floodlit_frames: Batch = Field(
+    black_frames: Batch = setting(8, "Brackets of the all-off pattern, averaged: 1 to 1024.")
+    floodlit_frames: Batch = setting(
         64,
-        description="Brackets of the all-on pattern, averaged, which set the noise of the direct "
-        "light: 1 to 1024.",
+        "Brackets of the all-on pattern, averaged, which set the noise of the direct light: 1 to "
+        "1024.",
     )
-    share_references: Literal["none", "black", "all"] | None = Field(
+    share_references: Literal["none", "black", "all"] | None = setting(
         None,
-        description="Brackets taken once for many acquisitions: black, all or none; null: "
-        "black with a collection.",
+        "Brackets taken once for many acquisitions: black, all or none; null: black with a "
+        "collection.",
     )
-    asymmetry: Fraction = Field(
+    asymmetry: Fraction = setting(
         0.05,
-        description="Error in relit pictures, a fraction of their norm, above which a rig isn't "
-        "taken for a coaxial one.",
+        "Error in relit pictures, a fraction of their norm, above which a rig isn't taken for a "
+        "coaxial one.",
     )
-    watch: Literal["off", "warn", "refuse"] = Field(
+    watch: Literal["off", "warn", "refuse"] = setting(
         "warn",
-        description="When pictures tell that the rig moved or isn't aligned: warn, refuse (end the "
-        "capture) or off (not looked at).",
+        "When pictures tell that the rig moved or isn't aligned: warn, refuse (end the capture) or "
+        "off (not looked at).",
     )
-    batch_patterns: Batch = Field(
-        16, description="Patterns captured and stored at a time, 1 to 1024."
-    )
-    keep_raw: bool = Field(
+    batch_patterns: Batch = setting(16, "Patterns captured and stored at a time, 1 to 1024.")
+    keep_raw: bool = setting(
         True,
-        description="Whether raw exposures stay after their merge; without them, other merge "
-        "settings mean to capture again.",
+        "Whether raw exposures stay after their merge; without them, other merge settings mean to "
+        "capture again.",
     )
-    warm_up_minutes: float = Field(
-        0.0,
-        ge=0,
-        le=240,
-        description="Minutes of white before a capture whose lamp may be cold, 0 to 240.",
+    warm_up_minutes: float = setting(
+        0.0, "Minutes of white before a capture whose lamp may be cold.", ge=0, le=240
     )
-    drift_minutes: float | None = Field(
-        None,
-        gt=0,
-        le=1440,
-        description="Minutes between two looks at the floodlit image, above 0 and at most 1440; "
-        "null: none.",
+    drift_minutes: float | None = setting(
+        None, "Minutes between two looks at the floodlit image; null: none.", gt=0, le=1440
     )
-    when_patterns_change: Literal["recapture", "refuse"] = Field(
+    when_patterns_change: Literal["recapture", "refuse"] = setting(
         "recapture",
-        description="What to do with a level's pictures when other settings change its patterns: "
-        "recapture or refuse.",
+        "What to do with a level's pictures when other settings change its patterns: recapture or "
+        "refuse.",
     )
-
-    @field_validator("url")
-    @classmethod
-    def _is_of_a_server(cls, url: str) -> str:
-        check_server(url)
-        return url
-
-    @field_validator("placing")
-    @classmethod
-    def _places_by_a_command(cls, command: str | None) -> str | None:
-        return check_command(command)
 
     @property
     def rule(self) -> Literal["simulated", "hardware", "offline"]:
@@ -122,7 +103,7 @@ class CaptureConfig(Settings):
     def drift_patterns(self) -> int:
         """Patterns from one look at the floodlit image to the next, 0 for no looks.
 
-        Counted, not timed: a capture that was resumed has the looks of one that ran through.
+        Counted, not timed: a resumed capture has the looks of one that ran through.
         """
         if self.drift_minutes is None:
             return 0
@@ -132,45 +113,105 @@ class CaptureConfig(Settings):
 class OfflineConfig(Settings):
     """A rig whose pictures come and go as files, with capture.rig offline."""
 
-    projector_shape: tuple[Extent, Extent] | None = Field(
+    projector_shape: tuple[Extent, Extent] | None = setting(
         None,
-        description="Height and width of the pictures to show, 1 to 4096 each; null: the "
-        "calibration's, or a pixel a ray.",
+        "Height and width of the pictures to show, 1 to 4096 each; null: the calibration's, or a "
+        "pixel a ray.",
     )
-    projector_gamma: Gamma = Field(
-        2.2, description="Exponent g of the projector, light ~ code^g, above 0 and at most 5."
+    projector_gamma: Gamma = setting(
+        2.2, "Exponent g of the projector, light ~ code^g, above 0 and at most 5."
     )
-    picture_shape: tuple[Extent, Extent] | None = Field(
+    picture_shape: tuple[Extent, Extent] | None = setting(
         None,
-        description="Height and width of the camera's pictures in pixels, 1 to 4096 each, where "
-        "camera_corners are set.",
+        "Height and width of the camera's pictures in pixels, 1 to 4096 each, where camera_corners "
+        "are set.",
     )
-    camera_corners: Corners | None = Field(
+    camera_corners: Corners | None = setting(
         None,
-        description="Corners of each view's rays in the pictures, in pixels, from the upper "
-        "left one clockwise; null: the calibration's, or a pixel a ray.",
+        "Corners of each view's rays in the pictures, in pixels, from the upper left one "
+        "clockwise; null: the calibration's, or a pixel a ray.",
     )
-    calibration: Text | None = Field(
-        None, description="Folder of a calibration, relative to where rfpipe runs, or null."
+    calibration: Text | None = setting(
+        None, "Folder of a calibration, relative to where rfpipe runs, or null."
     )
 
     @model_validator(mode="after")
     def _knows_the_picture(self) -> Self:
         if (self.picture_shape is None) != (self.camera_corners is None):
-            raise ValueError(
-                "picture_shape and camera_corners should be set together, or both be null"
-            )
+            raise ValueError("picture_shape and camera_corners should both be set, or be null")
         return self
 
 
 class VerificationConfig(Settings):
     """Pictures that no method saw, taken after an acquisition to compare the transport with."""
 
-    pictures: Annotated[int, Field(ge=0, le=10)] | None = Field(
-        None, description="How many, 0 to 10; null: 8 by a real rig, none by another."
+    pictures: int | None = setting(
+        None, "How many; null: 8 by a real rig, none by another.", ge=0, le=10
     )
-    fail_above: Fraction | None = Field(
+    fail_above: Fraction | None = setting(
         None,
-        description="Mean error of these pictures, a fraction of their norm, above which the "
-        "run fails; null: never.",
+        "Mean error of these pictures, a fraction of their norm, above which the run fails; null: "
+        "never.",
+    )
+
+
+class MergeConfig(Settings):
+    """How a bracket becomes a radiance image."""
+
+    mask_defects: bool = setting(
+        True, "Whether dead and hot pixels are left out, with an infinite variance."
+    )
+    divide_out_drift: bool = setting(
+        False,
+        "Whether images are divided by the light's brightness at their time, which "
+        "capture.drift_minutes has measured.",
+    )
+
+
+class ResourcesConfig(Settings):
+    """What a job may use; none of it changes a result."""
+
+    memory_gib: float = setting(4.0, "Memory that a job may take, in GiB.", ge=0.5, le=1024)
+    workers: Annotated[str, AfterValidator(check_workers)] = setting(
+        THREADS,
+        "Where work is done: threads, or the workers of a dask scheduler by its address, such as "
+        "tls://host:8786 (docs/parallel.md).",
+    )
+    jobs: Literal["stage", "acquisition"] | None = setting(
+        None,
+        "A job of the workflow: a stage of a level, or a whole acquisition; null: acquisition with "
+        "a collection or capture.placing, else stage.",
+    )
+    captures: Literal["here", "job"] = setting(
+        "here",
+        "Where jobs of a real rig run: here, beside Snakemake, or as jobs of the cluster "
+        "(docs/clusters.md).",
+    )
+
+
+class StorageConfig(Settings):
+    """How the transport is stored."""
+
+    number_format: NumberFormat = setting(
+        "uint8",
+        "Numbers of a stored transport: float32 keeps every bit; uint16 and uint8 round by about "
+        "1e-5 and 3e-3.",
+    )
+    keep_at: Annotated[str, AfterValidator(check_bucket)] | None = setting(
+        None,
+        "Folder in a bucket, of this run alone, into which its results go at its end, such as "
+        "s3://lab/desk (docs/stores.md).",
+    )
+
+
+class ReportConfig(Settings):
+    """What the report shows."""
+
+    page: bool | None = setting(
+        None,
+        "Whether a run ends with the report on each scene; null: unless it has a collection, which "
+        "has a catalogue.",
+    )
+    title: Text | None = setting(
+        None, "The report's title; null: Light transport, of as many scenes as it has."
     )

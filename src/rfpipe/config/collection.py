@@ -10,19 +10,17 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import reduce
 from pathlib import Path
-from typing import Any, get_args, get_origin
+from typing import Any
 
 import yaml
 
-from rfpipe.config.model import Config
-from rfpipe.config.own import OWN_TO_SCENES, merged
-from rfpipe.config.problems import field_at
+from rfpipe.config.base import merged
+from rfpipe.config.model import OWN_TO_SCENES, Config
 from rfpipe.config.reading import parse_yaml, read_yaml
 from rfpipe.errors import ConfigError
 
 _FOLDER = re.compile(r"(?!(con|prn|aux|nul|(com|lpt)[0-9])$)[a-z][a-z0-9_]{0,99}")
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")
-_BETWEEN = re.compile(r"(?<=\d)\s*x\s*(?=\d)|[;,\s]+")
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,7 @@ def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
             continue
         found.places[name] = place
         try:
-            values = row if is_yaml else {key: _value(row[key], key, row) for key in row}
+            values = row if is_yaml else {key: _value(row[key], key) for key in row}
             found.scenes[name] = _scene(values, methods)
         except yaml.YAMLError as error:
             problems.append(f"{place}: {' '.join(str(error).split())}")
@@ -172,41 +170,15 @@ def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _value(text: str, column: str, row: Mapping[str, str]) -> Any:
-    """Return a cell as the setting takes it: a text, a number, a list of some, or YAML."""
-    path = column.split(".")
-    if path[0] == "about":
+def _value(text: str, column: str) -> Any:
+    """Return a cell as the setting takes it: a text, which the model reads, or YAML."""
+    if column.startswith("about."):
         return text
     if text in ("null", "~"):
         return None
     if text[0] in "[{":
         return parse_yaml(text)
-    if column == "methods":
-        return _BETWEEN.split(text)
-    where: tuple[str, ...] = ("scenes", "scene", *path)
-    if path[0] in OWN_TO_SCENES - {"seed"} or path[0] == "settings":
-        where = tuple(path[path[0] == "settings" :])
-    model, _ = field_at(Config, where[:-1], {"scenes": {"scene": row}})
-    known = model.model_fields.get(path[-1])
-    types = _types(known.annotation) if known else set()
-    if tuple in types:
-        return [_number(part) for part in _BETWEEN.split(text) if part]
-    return text if str in types else _number(text)
-
-
-def _types(annotation: object) -> set[object]:
-    """Return the types that an annotation consists of."""
-    inner = (_types(each) for each in get_args(annotation))
-    return {annotation, get_origin(annotation)}.union(*inner)
-
-
-def _number(text: str) -> int | float | str:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
+    return re.split(r"[;,\s]+", text) if column == "methods" else text
 
 
 def _unfit(name: str, places: Mapping[str, str]) -> str | None:

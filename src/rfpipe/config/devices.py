@@ -1,21 +1,80 @@
-"""The settings of a rig: its devices, and the optical bench in software."""
+"""The settings of a rig: its devices, its calibration, and the optical bench in software."""
 
 from __future__ import annotations
 
 import math
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, NonNegativeFloat, SerializeAsAny, model_validator
+from pydantic import Field, SerializeAsAny, model_validator
 
-from rfpipe.config.base import Corners, Extent, Gamma, Settings, Share, Text, group_of
-from rfpipe.config.calibration import CalibrationConfig
+from rfpipe.config.base import (
+    Corners,
+    Extent,
+    Fraction,
+    Gamma,
+    Settings,
+    Share,
+    Text,
+    ViewCount,
+    group_of,
+    setting,
+)
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.drivers import CameraDriver, ProjectorDriver, RigDriver
 from rfpipe.config.scenes import SceneSettings
 
 Pixels = Annotated[int, Field(ge=-4096, le=4096)]
-Knock = tuple[Annotated[int, Field(ge=0)], Pixels, Pixels]
-"""Exposures before it, and pixels down and to the right."""
+Count = Annotated[int, Field(ge=2, le=1000)]
+
+
+class CalibrationConfig(Settings):
+    """How a rig is calibrated: what is shown and taken, and how good the rig is to be."""
+
+    tolerance: Fraction = setting(0.02, "Error of a relit picture that verdicts allow, 0 to 1.")
+    coaxial: bool = setting(
+        True, "Whether camera and projector share their rays; symmetry is then checked."
+    )
+    dark_frames: Count = setting(8, "Brackets of the all-off picture, 2 to 1000.")
+    levels: Count = setting(
+        8, "Flat pictures of the photon-transfer curve, from dark to bright, 2 to 1000."
+    )
+    repeats: Count = setting(
+        2, "Brackets of each of them, taken in pairs, 2 to 1000.", multiple_of=2
+    )
+    codes: int = setting(33, "Codes at which the projector's light is measured.", ge=5, le=256)
+    period_pixels: int = setting(
+        16,
+        "Period of the stripes in projector pixels, a multiple of 4.",
+        ge=8,
+        le=1024,
+        multiple_of=4,
+    )
+    phase_steps: int = setting(6, "Pictures of stripes an axis, beside the Gray code.", ge=3, le=64)
+    views: tuple[ViewCount, ViewCount] | None = setting(
+        None, "Rows and columns of an array of views, 1 to 16 each; null: a single one."
+    )
+    corners: Corners | None = setting(
+        None,
+        "Corners of each view in projector pixels, from the upper left one clockwise; null: "
+        "measured, or the middle of the projector.",
+    )
+    symmetry_patterns: int = setting(
+        12, "Random patterns of each size that symmetry is checked with.", ge=3, le=1000
+    )
+
+    @model_validator(mode="after")
+    def _has_corners_for_each_view(self) -> Self:
+        if self.corners is not None and self.views is not None:
+            _check_corners("corners", self.corners, math.prod(self.views))
+        return self
+
+
+def _check_corners(name: str, corners: Corners, views: int) -> None:
+    """Raise ValueError for other than one quadrilateral a view."""
+    if len(corners) != views:
+        raise ValueError(
+            f"{name} should have four corners for each of {views} views, not for {len(corners)}"
+        )
 
 
 class BenchConfig(Settings):
@@ -31,150 +90,121 @@ class BenchConfig(Settings):
         ),
         description="The scene; 1 channel for a grey camera, 3 for one with a colour mosaic.",
     )
-    display_shape: tuple[Extent, Extent] = Field(
-        (288, 320), description="Height and width of the display in pixels, 1 to 4096 each."
+    display_shape: tuple[Extent, Extent] = setting(
+        (288, 320), "Height and width of the display in pixels, 1 to 4096 each."
     )
-    projector_corners: Corners | None = Field(
+    projector_corners: Corners | None = setting(
         None,
-        description="Corners of each view's rays in the projector's picture, in pixels, from the "
-        "upper left one clockwise; null: in the middle, as large as fits.",
+        "Corners of each view's rays in the projector's picture, in pixels, from the upper left "
+        "one clockwise; null: in the middle, as large as fits.",
     )
-    camera_corners: Corners | None = Field(
+    camera_corners: Corners | None = setting(
+        None, "The same on the camera; null: in the middle, turned and distorted a little."
+    )
+    camera_shape: tuple[Extent, Extent] = setting(
+        (72, 80), "Height and width of the camera's frames in pixels, 1 to 4096 each."
+    )
+    camera: CameraConfig | None = setting(
+        None, "The camera's true numbers, for calibration to measure; null: the sensor's."
+    )
+    projector_gamma: Gamma = setting(
+        2.2, "Exponent g of the projector, light ~ code^g, above 0 and at most 5."
+    )
+    projector_black: Share = setting(0.0, "Light of a pixel at code 0 over that at 255, below 1.")
+    display_delay_seconds: float = setting(
+        0.0, "Time from a picture's drawing to its light, in seconds.", ge=0, le=60
+    )
+    ambient: float = setting(0.0, "Radiance of other light in every camera pixel.", ge=0)
+    knock: tuple[Annotated[int, Field(ge=0)], Pixels, Pixels] | None = setting(
         None,
-        description="The same on the camera; null: in the middle, turned and distorted a little.",
-    )
-    camera_shape: tuple[Extent, Extent] = Field(
-        (72, 80), description="Height and width of the camera's frames in pixels, 1 to 4096 each."
-    )
-    camera: CameraConfig | None = Field(
-        None,
-        description="The camera's true numbers, for calibration to measure; null: the sensor's.",
-    )
-    projector_gamma: Gamma = Field(
-        2.2, description="Exponent g of the projector, light ~ code^g, above 0 and at most 5."
-    )
-    projector_black: Share = Field(
-        0.0,
-        description="Light of a pixel at code 0 as a fraction of that at 255, from 0 to below 1.",
-    )
-    display_delay_seconds: float = Field(
-        0.0,
-        ge=0,
-        le=60,
-        description="Time from a picture's drawing to its light, in seconds, 0 to 60.",
-    )
-    ambient: NonNegativeFloat = Field(
-        0.0, description="Radiance of other light in every camera pixel, at least 0."
-    )
-    knock: Knock | None = Field(
-        None,
-        description="A knock against the projector: exposures before it, and pixels by which the "
-        "picture moves down and to the right, such as [200, 0, 4]; null: none.",
+        "A knock against the projector: exposures before it, and pixels by which the picture moves "
+        "down and to the right, such as [200, 0, 4]; null: none.",
     )
 
     @model_validator(mode="after")
     def _scene_is_coaxial(self) -> Self:
         if not self.scene.is_coaxial:
             raise ValueError("scene should be a coaxial one: a bench has one domain of rays")
-        return self
-
-    @model_validator(mode="after")
-    def _has_a_quadrilateral_for_each_view(self) -> Self:
-        views = math.prod(self.scene.view_grid)
         for name in ("projector_corners", "camera_corners"):
-            corners = getattr(self, name)
-            if corners is not None and len(corners) != views:
-                raise ValueError(
-                    f"{name} should have four corners for each of the scene's {views} views, not "
-                    f"for {len(corners)}"
-                )
+            if (corners := getattr(self, name)) is not None:
+                _check_corners(name, corners, math.prod(self.scene.view_grid))
         return self
 
 
 class RigConfig(Settings):
     """All settings of a rig."""
 
-    kind: Literal["devices", "simulated"] = Field(
+    kind: Literal["devices", "simulated"] = setting(
         "devices",
-        description="devices: a projector and a camera, or the bench; simulated: a scene, "
-        "exactly as in a run's settings.",
+        "devices: a projector and a camera, or the bench; simulated: a scene, exactly as in a "
+        "run's settings.",
     )
     projector: ProjectorDriver = Field(
         default_factory=lambda: ProjectorDriver.model_validate({}),
         description="The projector of a rig of devices.",
     )
-    rays: tuple[Extent, Extent] | None = Field(
+    rays: tuple[Extent, Extent] | None = setting(
         None,
-        description="Height and width of the ray domain without a calibration, in the middle of "
-        "the projector; null: a projector pixel a ray.",
+        "Height and width of the ray domain without a calibration, in the middle of the projector; "
+        "null: a projector pixel a ray.",
     )
     camera: CameraDriver = Field(
         default_factory=lambda: CameraDriver.model_validate({}),
         description="The camera of a rig of devices.",
     )
-    rig: RigDriver | None = Field(
-        None,
-        description="A rig as a whole, in place of projector and camera, or null.",
+    rig: RigDriver | None = setting(
+        None, "A rig as a whole, in place of projector and camera, or null."
     )
     sensor: CameraConfig | None = Field(
         default_factory=CameraConfig,
         description="The sensor: its exposures, and what is known of its noise. A calibration's "
         "numbers take the place of these. null: exact radiance, of a simulated rig only.",
     )
-    calibration: Text | None = Field(
-        None,
-        description="Folder of the rig's calibration, relative to where rfpipe runs, or null.",
+    calibration: Text | None = setting(
+        None, "Folder of the rig's calibration, relative to where rfpipe runs, or null."
     )
     calibrate: CalibrationConfig = group_of(CalibrationConfig)
-    bench: BenchConfig | None = Field(
+    bench: BenchConfig | None = setting(
         None,
-        description="The optical bench in software, in place of display, scene and camera; null "
-        "for real ones.",
+        "The optical bench in software, in place of display, scene and camera; null for real ones.",
     )
-    scene: SerializeAsAny[SceneSettings] | None = Field(
-        None, description="The scene of a simulated rig; null for a rig of devices."
+    scene: SerializeAsAny[SceneSettings] | None = setting(
+        None, "The scene of a simulated rig; null for a rig of devices."
     )
-    seed: int = Field(0, ge=0, description="Seed of the simulated noise, at least 0.")
-    seconds_per_pattern: float = Field(
-        2.0,
-        ge=0,
-        le=3600,
-        description="Time that a bracket takes about, in seconds, 0 to 3600, for estimates.",
+    seed: int = setting(0, "Seed of the simulated noise.", ge=0)
+    seconds_per_pattern: float = setting(
+        2.0, "Time that a bracket takes about, in seconds, for estimates.", ge=0, le=3600
     )
 
     @model_validator(mode="after")
-    def _has_a_scene_where_simulated(self) -> Self:
-        if self.rig is None and (self.scene is None) == (self.kind == "simulated"):
-            expected = "be set" if self.scene is None else "be null"
-            raise ValueError(f"scene should {expected} with kind {self.kind}")
-        if self.bench is not None and self.kind == "simulated":
-            raise ValueError("bench should be null with kind simulated")
-        return self
-
-    @model_validator(mode="after")
-    def _rig_as_a_whole_stands_alone(self) -> Self:
-        if self.rig is not None:
-            for name in ("bench", "scene", "calibration"):
-                if getattr(self, name) is not None:
-                    raise ValueError(f"{name} should be null with a rig as a whole")
+    def _fits_its_kind(self) -> Self:
+        is_simulated, is_whole = self.kind == "simulated", self.rig is not None
+        why = "a rig as a whole" if is_whole else f"kind {self.kind}"
+        if is_simulated and not is_whole and self.scene is None:
+            raise ValueError(f"scene should be set with {why}")
+        if not is_simulated and not is_whole and self.sensor is None:
+            raise ValueError(f"sensor should be set with {why}, not null")
+        for name, is_none in (
+            ("scene", is_whole or not is_simulated),
+            ("bench", is_whole or is_simulated),
+            ("calibration", is_whole),
+        ):
+            if is_none and getattr(self, name) is not None:
+                raise ValueError(f"{name} should be null with {why}")
         return self
 
     @model_validator(mode="after")
     def _sensor_is_that_of_the_camera(self) -> Self:
         if self.kind == "simulated" or self.rig is not None:
             return self
-        if self.sensor is None:
-            raise ValueError("sensor should be set with kind devices, not null")
-        models = {"sensor": self.sensor}
-        if self.bench is not None and self.bench.camera is not None:
-            models["bench.camera"] = self.bench.camera
-        camera = self.camera.options
+        models = {"sensor": self.sensor, "bench.camera": self.bench and self.bench.camera}
         for name, model in models.items():
-            for setting in ("bits", "bayer"):
-                known, expected = getattr(model, setting), getattr(camera, setting, ...)
-                if expected not in (..., known):
+            for option in ("bits", "bayer"):
+                known = getattr(model, option, None)
+                expected = getattr(self.camera.options, option, ...)
+                if model is not None and expected not in (..., known):
                     raise ValueError(
-                        f"{name}.{setting} should be {expected or 'null'} with {self._delivers}, "
+                        f"{name}.{option} should be {expected or 'null'} with {self._delivers}, "
                         f"not {known or 'null'}"
                     )
         return self
@@ -186,27 +216,27 @@ class RigConfig(Settings):
         drivers = self.projector.driver, self.camera.driver
         if drivers[0] != "window" or self.camera.bench is None:
             raise ValueError(
-                f"projector.driver and camera.driver should be window and pylon, or another "
-                f"camera of rfpipe's own, with a bench, which drives them in software, not "
+                "projector.driver and camera.driver should be window and pylon, or another camera "
+                "of rfpipe's own, with a bench, which drives them in software, not "
                 f"{drivers[0]} and {drivers[1]}"
             )
-        window, camera = self.projector.options.model_dump(), self.camera.options.model_dump()
-        channels = getattr(self.camera.options, "channels", self.bench.scene.channels)
+        options = self.camera.options
+        channels = getattr(options, "channels", self.bench.scene.channels)
         if self.bench.scene.channels != channels:
             raise ValueError(
                 f"bench.scene.channels should be {channels} with {self._delivers}, not "
                 f"{self.bench.scene.channels}"
             )
-        if window["display"] is not None:
-            raise ValueError(
-                "projector.options.display should be null with a bench, which has its own display, "
-                f"not {window['display']}"
-            )
-        if camera.get("shape") is not None or tuple(camera.get("offset", (0, 0))) != (0, 0):
-            raise ValueError(
-                "camera.options.shape should be null and camera.options.offset [0, 0] with a "
-                "bench, whose camera_shape says what the camera takes"
-            )
+        for name, device, none in (
+            ("projector.options.display", self.projector.options, None),
+            ("camera.options.shape", options, None),
+            ("camera.options.offset", options, (0, 0)),
+        ):
+            if getattr(device, name.rpartition(".")[2], none) != none:
+                raise ValueError(
+                    f"{name} should be {[*none] if none else 'null'} with a bench, whose "
+                    "display_shape and camera_shape say what is shown and taken"
+                )
         return self
 
     @property

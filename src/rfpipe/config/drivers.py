@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from pydantic import ConfigDict, Field, SerializeAsAny, ValidationInfo, field_validator
 
 from rfpipe import plugins
-from rfpipe.config.base import Settings, Text, known
+from rfpipe.config.base import Settings, Text, known, setting
 from rfpipe.errors import InputError
 
 
@@ -96,11 +96,10 @@ class ProjectorDriver(DeviceDriver):
 
     group: ClassVar[str] = plugins.PROJECTORS
 
-    driver: Text = Field(
+    driver: Text = setting(
         "window",
-        description="window: a full-screen window on a display; dlpc900: a projector with TI's "
-        "DLPC900 controller, over USB; or a driver of your own, as "
-        "module:Class or file.py:Class.",
+        "window: a full-screen window on a display; dlpc900: a projector with TI's DLPC900 "
+        "controller, over USB; or a driver of your own, as module:Class or file.py:Class.",
     )
 
 
@@ -109,11 +108,11 @@ class CameraDriver(DeviceDriver):
 
     group: ClassVar[str] = plugins.CAMERAS
 
-    driver: Text = Field(
+    driver: Text = setting(
         "pylon",
-        description="pylon: a Basler camera; aravis: a GenICam camera of any maker; gphoto2: a "
-        "Canon, Nikon or Sony photo camera; webcam: a V4L2 or OpenCV camera; or a driver of your "
-        "own, as module:Class or file.py:Class.",
+        "pylon: a Basler camera; aravis: a GenICam camera of any maker; gphoto2: a Canon, Nikon or "
+        "Sony photo camera; webcam: a V4L2 or OpenCV camera; or a driver of your own, as "
+        "module:Class or file.py:Class.",
     )
 
     @property

@@ -1,43 +1,21 @@
-"""Settings files: YAML in, commented YAML and JSON schemas out, errors that say what to do."""
+"""Settings files: read, checked, every mistake in them said."""
 
 from __future__ import annotations
 
 import re
-import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
-from rfpipe.config.base import Settings
+from rfpipe.config.base import Location, Settings, located, shown
 from rfpipe.config.collection import Collection, check_files, read_collection
-from rfpipe.config.devices import BenchConfig, RigConfig
-from rfpipe.config.drivers import ProjectorDriver
+from rfpipe.config.devices import RigConfig
 from rfpipe.config.model import DEFAULT_METHODS, Config
-from rfpipe.config.problems import located, shown
 from rfpipe.config.reading import read_yaml
-from rfpipe.config.schema import schema_of
 from rfpipe.errors import ConfigError
 
-__all__ = [
-    "bench_yaml",
-    "flow",
-    "is_rig",
-    "json_schema",
-    "load_config",
-    "load_rig_config",
-    "parse_config",
-    "parse_rig_config",
-    "rig_json_schema",
-    "rig_yaml",
-]
-
-SCHEMA_NAME = "config.schema.json"
-RIG_SCHEMA_NAME = "rig.schema.json"
-
-_WIDTH = 98
 _MOST_LINES = 30
 
 _S = TypeVar("_S", bound=Settings)
@@ -125,43 +103,6 @@ def is_rig(data: object) -> bool:
     return of_rig > sum(key in Config.model_fields for key in data)
 
 
-def json_schema() -> dict[str, Any]:
-    """JSON schema of a settings file, for editors that check and complete YAML."""
-    return schema_of(Config)
-
-
-def rig_json_schema() -> dict[str, Any]:
-    """JSON schema of a rig's settings file."""
-    return schema_of(RigConfig)
-
-
-def rig_yaml() -> str:
-    """Return the default rig, a window and a Basler camera, as commented YAML."""
-    head = (
-        "# A rig: a window on the projector and a Basler camera. Made from the settings' model by",
-        "# `make config`: copy this file, change the copy and serve it with `rfpipe serve <copy>`.",
-    )
-    return _file_of(RigConfig(), head)
-
-
-def bench_yaml() -> str:
-    """Return the optical bench in software with its defaults as commented YAML."""
-    head = (
-        "# The optical bench in software: a rig without hardware, of a window (in memory, where",
-        "# Xvfb isn't installed) and a camera driver. Made from the settings' model by",
-        "# `make config`, as rig.yaml.",
-    )
-    bench = BenchConfig()
-    bench_rig = RigConfig(
-        projector=ProjectorDriver.model_validate({"options": {"settle_seconds": 0}}),
-        bench=bench,
-        rays=bench.scene.shape,
-        calibration="calibration",
-        seconds_per_pattern=0.2,
-    )
-    return _file_of(bench_rig, head)
-
-
 def _parsed(kind: type[_S], data: object, source: str, collection: Collection | None = None) -> _S:
     """Check settings, and say every mistake in them."""
     if not isinstance(data, Mapping):
@@ -174,14 +115,14 @@ def _parsed(kind: type[_S], data: object, source: str, collection: Collection | 
     except ValidationError as error:
         lines = [
             f"{_place(location, line, collection) or source}: {line}"
-            for location, line in located(kind, error, data)
+            for location, line in located(error)
         ]
         if len(lines) > _MOST_LINES:
             lines[_MOST_LINES:] = [f"... and {len(lines) - _MOST_LINES} more mistakes"]
         raise ConfigError("\n".join(lines)) from None
 
 
-def _place(location: Sequence[str | int], line: str, collection: Collection | None) -> str | None:
+def _place(location: Location, line: str, collection: Collection | None) -> str | None:
     """Return where in a collection a mistake is, or None."""
     if collection is None:
         return None
@@ -190,38 +131,3 @@ def _place(location: Sequence[str | int], line: str, collection: Collection | No
         scene = named[1]
     row = collection.places.get(scene)
     return row and f"{collection.file}: {row}"
-
-
-def flow(value: object) -> str:
-    """Write a plain value on one line of YAML."""
-    text = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=10_000)
-    return text.removesuffix("\n").removesuffix("\n...")
-
-
-def _file_of(settings: RigConfig, head: Sequence[str]) -> str:
-    """Write settings as YAML under a head of comments."""
-    lines = [f"# yaml-language-server: $schema={RIG_SCHEMA_NAME}", *head, ""]
-    return "\n".join([*lines, *_yaml_lines(settings, 0)]) + "\n"
-
-
-def _yaml_lines(settings: BaseModel, indent: int) -> list[str]:
-    """Lines of a model's settings, with their descriptions as comments."""
-    margin = " " * indent
-    lines: list[str] = []
-    for name, field in type(settings).model_fields.items():
-        value = getattr(settings, name)
-        lines += textwrap.wrap(
-            str(field.description),
-            _WIDTH,
-            initial_indent=f"{margin}# ",
-            subsequent_indent=f"{margin}# ",
-        )
-        if isinstance(value, BaseModel):
-            lines.append(f"{margin}{name}:")
-            lines += _yaml_lines(value, indent + 2)
-        else:
-            plain = settings.model_dump(mode="json", include={name})[name]
-            lines.append(f"{margin}{name}: {flow(plain)}")
-        if indent == 0:
-            lines.append("")
-    return lines if indent else lines[:-1]

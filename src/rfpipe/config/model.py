@@ -5,19 +5,11 @@ Plain data only: the layers above build cameras, scenes and methods from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cached_property, partial
 from typing import Any, Literal, Self
 
-from pydantic import (
-    ConfigDict,
-    Field,
-    SerializeAsAny,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic import ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
 
 from rfpipe.config.base import (
     MethodSections,
@@ -25,18 +17,22 @@ from rfpipe.config.base import (
     SectionName,
     Settings,
     Text,
-    check_command,
     group_of,
+    merged,
+    mistake,
+    setting,
 )
 from rfpipe.config.camera import CameraConfig
-from rfpipe.config.capture import CaptureConfig, OfflineConfig, VerificationConfig
-from rfpipe.config.own import check_own, merged
-from rfpipe.config.processing import (
+from rfpipe.config.capture import (
+    CaptureConfig,
+    Command,
     MergeConfig,
     Normalization,
+    OfflineConfig,
     ReportConfig,
     ResourcesConfig,
     StorageConfig,
+    VerificationConfig,
 )
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.provenance import fingerprint
@@ -50,6 +46,9 @@ _VERIFICATION_PICTURES = 8
 # Those of a run that names none, in the order of its report.
 DEFAULT_METHODS = ("near_far", "symmetric", "dual")
 
+# Options that no scene has of its own, of the groups that a scene may have of its own.
+_OF_THE_RUN = {"capture": ("rig",), "resources": ("jobs", "captures"), "storage": ("keep_at",)}
+
 
 def _scenes_or_a_collection(schema: dict[str, Any]) -> None:
     """Say in a JSON schema that scenes may stand in a collection, which is read before."""
@@ -62,19 +61,17 @@ class Config(Settings):
 
     model_config = ConfigDict(json_schema_extra=_scenes_or_a_collection)
 
-    seed: int = Field(1, ge=0, description="Seed of the captures' noise, an integer of at least 0.")
+    seed: int = setting(1, "Seed of the captures' noise, an integer.", ge=0)
     scenes: dict[SectionName, SerializeAsAny[SceneSettings]] = Field(
         min_length=1,
         description="The scenes by name: lower-case letters, digits and _.",
     )
-    collection: Text | None = Field(
-        None,
-        description="A CSV or YAML file whose rows are scenes, too (docs/collections.md); or null.",
+    collection: Text | None = setting(
+        None, "A CSV or YAML file whose rows are scenes, too (docs/collections.md); or null."
     )
-    rigs: dict[SectionName, dict[str, Any]] = Field(
-        default_factory=dict,
-        description="Settings that the scenes before one rig share, such as {studio: {camera: "
-        "{bits: 14}}}.",
+    rigs: dict[SectionName, dict[str, Any]] = setting(
+        {},
+        "Settings that the scenes before one rig share, such as {studio: {camera: {bits: 14}}}.",
     )
     methods: MethodSections = Field(
         default_factory=lambda: dict.fromkeys(DEFAULT_METHODS),
@@ -88,23 +85,22 @@ class Config(Settings):
     )
     capture: CaptureConfig = group_of(CaptureConfig)
     merge: MergeConfig = group_of(MergeConfig)
-    normalization: Normalization = Field(
+    normalization: Normalization = setting(
         "per_channel",
-        description="Scaling of a level's images to the floodlit image [B.2]: none, per_channel, "
-        "or total_energy (the thesis' own, for colour mosaics).",
+        "Scaling of a level's images to the floodlit image [B.2]: none, per_channel, or "
+        "total_energy (the thesis' own, for colour mosaics).",
     )
     verification: VerificationConfig = group_of(VerificationConfig)
     offline: OfflineConfig = group_of(OfflineConfig)
-    rig_file: Text | None = Field(
-        None,
-        description="Settings of the rig that 'snakemake calibrate' calibrates, or null.",
+    rig_file: Text | None = setting(
+        None, "Settings of the rig that 'snakemake calibrate' calibrates, or null."
     )
     storage: StorageConfig = group_of(StorageConfig)
     resources: ResourcesConfig = group_of(ResourcesConfig)
-    notify: Text | None = Field(
+    notify: Command | None = setting(
         None,
-        description="Command for the end of a run, which finds RFPIPE_STATUS (done or failed) and "
-        "RFPIPE_LOG in its environment; or null.",
+        "Command for the end of a run, which finds RFPIPE_STATUS (done or failed) and RFPIPE_LOG "
+        "in its environment; or null.",
     )
     report: ReportConfig = group_of(ReportConfig)
 
@@ -124,9 +120,8 @@ class Config(Settings):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy, which finds anew what is derived from the settings."""
         copied = super().model_copy(update=update, deep=deep)
-        for name, derived in vars(Config).items():
-            if isinstance(derived, cached_property):
-                copied.__dict__.pop(name, None)
+        for derived in ("_base", "_by_overrides", "acquisitions"):
+            copied.__dict__.pop(derived, None)
         return copied
 
     def of_scene(self, scene: str) -> Config:
@@ -150,7 +145,19 @@ class Config(Settings):
 
     def _with(self, scene: str, own: Mapping[str, Any]) -> Config:
         """Return settings of one scene, with others put over those of the run."""
-        check_own(own)
+        known = ", ".join(sorted(OWN_TO_SCENES))
+        problems = [
+            mistake(f"can't be set for a scene; expected settings among {known}", name)
+            for name in own
+            if name not in OWN_TO_SCENES
+        ] + [
+            mistake("can't be set for a scene: it holds for a whole run", group, option)
+            for group, options in _OF_THE_RUN.items()
+            for option in options
+            if isinstance(own.get(group), Mapping) and option in own[group]
+        ]
+        if problems:
+            raise ValidationError.from_exception_data("settings", problems)
         alone = self.scenes[scene].model_copy(update={"settings": {}, "rig": None})
         return Config.model_validate(merged({**self._base, "scenes": {scene: alone}}, own))
 
@@ -203,135 +210,94 @@ class Config(Settings):
     @classmethod
     def _scenes_have_methods(cls, settings: Any) -> Any:
         """Put the options of a scene's methods over those of the run's."""
-        if not isinstance(settings, Mapping) or not isinstance(settings.get("scenes"), Mapping):
+        if not isinstance(settings, Mapping):
             return settings
-        run = settings.get("methods")
-        sections = run if isinstance(run, Mapping) else {}
-        scenes = {
-            name: {**scene, "methods": _over(sections, scene["methods"])}
-            if isinstance(scene, Mapping) and isinstance(scene.get("methods"), Mapping)
-            else scene
-            for name, scene in settings["scenes"].items()
-        }
-        return {**settings, "scenes": scenes}
-
-    @field_validator("notify")
-    @classmethod
-    def _notify_is_a_command(cls, command: str | None) -> str | None:
-        return check_command(command)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _collection_is_read(cls, settings: object) -> object:
-        given = settings if isinstance(settings, Mapping) else {}
-        if given.get("collection") and "scenes" not in given:
+        if settings.get("collection") and "scenes" not in settings:
             raise ValueError("collection is read by load_config and parse_config alone")
-        return settings
+        scenes, run = settings.get("scenes"), settings.get("methods")
+        if not isinstance(scenes, Mapping) or not isinstance(run, Mapping):
+            return settings
+        filled = dict(scenes)
+        for name, scene in scenes.items():
+            own = scene.get("methods") if isinstance(scene, Mapping) else None
+            if isinstance(own, Mapping):
+                of_run = {method: run.get(method) or {} for method in own}
+                options = {method: {} if it is None else it for method, it in own.items()}
+                filled[name] = {**scene, "methods": merged(of_run, options)}
+        return {**settings, "scenes": filled}
 
     @model_validator(mode="after")
-    def _scenes_have_folders(self) -> Self:
-        for name in self.scenes:
-            if name in _OTHER_FOLDERS:
-                raise ValueError(
-                    f"scenes.{name} should be called otherwise: results/{name} is the folder of "
-                    "something else"
-                )
+    def _scenes_have_folders_and_rigs(self) -> Self:
         first: dict[str, tuple[str, str]] = {}
         for scene, method in self.acquisitions:
             page = f"{scene}_{method}"
             other, by = first.setdefault(page, (scene, method))
+            rig = self.scenes[scene].rig
+            if scene in _OTHER_FOLDERS:
+                raise ValueError(
+                    f"scenes.{scene} should be called otherwise: results/{scene} is the folder of "
+                    "something else"
+                )
             if other != scene:
                 raise ValueError(
                     f"scenes.{scene} should be called otherwise, or its method: by {method} its "
                     f"page would be {page}, as that of {other} by {by} is"
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _scenes_have_rigs(self) -> Self:
-        for name, scene in self.scenes.items():
-            if scene.rig is not None and scene.rig not in self.rigs:
-                known = ", ".join(self.rigs) or "none"
+            if rig is not None and rig not in self.rigs:
                 raise ValueError(
-                    f"scenes.{name}.rig is {scene.rig!r}; the settings' rigs are: {known}. Add it "
-                    "to rigs, or leave it out"
+                    f"scenes.{scene}.rig is {rig!r}; the settings' rigs are: "
+                    f"{', '.join(self.rigs) or 'none'}. Add it to rigs, or leave it out"
                 )
         return self
 
     @model_validator(mode="after")
     def _own_settings_are_settings(self) -> Self:
-        if not self.rigs and not any(scene.settings for scene in self.scenes.values()):
-            return self
         first = next(iter(self.scenes))
-        _check_each(
-            {("rigs", name): partial(self._with, first, rig) for name, rig in self.rigs.items()}
-        )
-        _check_each(
-            {("scenes", name, "settings"): partial(self.of_scene, name) for name in self.scenes}
-        )
+        rigs = {("rigs", name): partial(self._with, first, rig) for name, rig in self.rigs.items()}
+        scenes = {
+            ("scenes", name, "settings"): partial(self.of_scene, name)
+            for name, scene in self.scenes.items()
+            if scene.rig or scene.settings
+        }
+        for checks in (rigs, scenes):  # a wrong rig's scenes are no further mistakes
+            problems = []
+            for place, check in checks.items():
+                try:
+                    check()
+                except ValidationError as error:
+                    problems += [
+                        mistake(self._message(it), *place, *it["loc"], of=it)
+                        for it in error.errors()
+                    ]
+            if problems:
+                raise ValidationError.from_exception_data("settings", problems)
         return self
 
     @model_validator(mode="after")
-    def _rig_fits_the_scenes(self) -> Self:
-        captured = [name for name, scene in self.scenes.items() if scene.is_captured]
-        if captured and self.capture.rig == "simulated":
+    def _scenes_fit_the_rig(self) -> Self:
+        kind, many = self.capture.rig, len(self.scenes) > 1
+        placed = [name for name in self.scenes if self.of_scene(name).capture.placing]
+        if many and (
+            kind == "offline" or (kind == "remote" and len(placed) < len(self.scenes) - 1)
+        ):
             raise ValueError(
-                f"capture.rig should be remote or offline for scenes.{captured[0]}, which is a "
-                "real scene, not a simulated one"
+                f"scenes should be one with capture.rig {kind}, not {len(self.scenes)}: a rig sees "
+                "one at a time; give each settings of its own, or, with a remote one, set "
+                "capture.placing, a command that puts each in its place"
             )
-        if self.capture.rig != "simulated" and len(self.scenes) > 1:
-            unplaced = [name for name in self.scenes if not self.of_scene(name).capture.placing]
-            if self.capture.rig == "offline" or len(unplaced) > 1:
-                placed = " or set capture.placing, a command that puts each in its place"
-                raise ValueError(
-                    f"scenes should be one with capture.rig {self.capture.rig}, not "
-                    f"{', '.join([*self.scenes][:5])}{' ...' * (len(self.scenes) > 5)}: a rig sees "
-                    "one at a time; give each settings of its own"
-                    f"{placed * (self.capture.rig == 'remote')}"
-                )
-        for name, method in self.acquisitions:
-            scene = self.scenes[name]
-            about = self.methods_of(name)[method].subject
-            if about.needs_coaxial_rig and not scene.is_coaxial:
-                raise ValueError(
-                    f"scenes.{name}.methods should be methods for any rig, such as {{dual: {{}}}}: "
-                    f"{method} needs a coaxial one, whose camera and projector share their rays"
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _verification_has_pictures(self) -> Self:
-        if self.verification.fail_above is not None and not self.verification_pictures:
-            raise ValueError(
-                "verification.pictures should be 1 to 10 with verification.fail_above; this run "
-                "takes none"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _pictures_can_be_taken_elsewhere(self) -> Self:
-        if self.capture.rig != "offline":
-            return self
-        if self.capture.drift_minutes is not None:
-            raise ValueError(
-                "capture.drift_minutes should be null with capture.rig offline, whose pictures say "
-                "nothing of their time"
-            )
-        if self.verification.pictures:
-            raise ValueError(
-                "verification.pictures should be 0 or null with capture.rig offline, whose "
-                "pictures are taken level by level by hand"
-            )
-        if self.offline.camera_corners is not None and self.camera is None:
-            raise ValueError(
-                "camera should be set with offline.camera_corners, not null: exact radiance isn't "
-                "resampled"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _mosaic_has_colour(self) -> Self:
         for name, scene in self.scenes.items():
+            if scene.is_captured and kind == "simulated":
+                raise ValueError(
+                    f"capture.rig should be remote or offline for scenes.{name}, which is a real "
+                    "scene, not a simulated one"
+                )
+            for method, section in self.methods_of(name).items():
+                if section.subject.needs_coaxial_rig and not scene.is_coaxial:
+                    raise ValueError(
+                        f"scenes.{name}.methods should be methods for any rig, such as {{dual: "
+                        f"{{}}}}: {method} needs a coaxial one, whose camera and projector share "
+                        "their rays"
+                    )
             camera = self.of_scene(name).camera
             bayer = None if camera is None else camera.bayer
             if bayer is not None and scene.channels != 3 and not scene.is_captured:
@@ -341,36 +307,29 @@ class Config(Settings):
                 )
         return self
 
-
-def _over(sections: Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a scene's methods with the options that it leaves out as the run has them."""
-    found = {}
-    for name, options in own.items():
-        run = sections.get(name) or {}
-        if isinstance(run, MethodSettings):
-            run = run.model_dump(exclude_unset=True)
-        is_group = isinstance(run, Mapping) and (options is None or isinstance(options, Mapping))
-        found[name] = {**run, **(options or {})} if is_group else options
-    return found
-
-
-def _check_each(checks: Mapping[tuple[str, ...], Callable[[], object]]) -> None:
-    """Check settings at several places; raise ValidationError with all mistakes."""
-    problems: list[InitErrorDetails] = []
-    for place, check in checks.items():
-        try:
-            check()
-        except ValidationError as error:
-            problems += [_placed(problem, place) for problem in error.errors(include_url=False)]
-    if problems:
-        raise ValidationError.from_exception_data("settings", problems)
+    @model_validator(mode="after")
+    def _pictures_can_be_taken(self) -> Self:
+        if self.verification.fail_above is not None and not self.verification_pictures:
+            raise ValueError(
+                "verification.pictures should be 1 to 10 with verification.fail_above; this run "
+                "takes none"
+            )
+        if self.capture.rig != "offline":
+            return self
+        by_hand = "with capture.rig offline, whose pictures are taken by hand, level by level"
+        if self.capture.drift_minutes is not None:
+            raise ValueError(f"capture.drift_minutes should be null {by_hand}")
+        if self.verification.pictures:
+            raise ValueError(f"verification.pictures should be 0 or null {by_hand}")
+        if self.offline.camera_corners is not None and self.camera is None:
+            raise ValueError(
+                "camera should be set with offline.camera_corners, not null: exact radiance isn't "
+                "resampled"
+            )
+        return self
 
 
-def _placed(problem: Any, place: tuple[str, ...]) -> InitErrorDetails:
-    """Return one of pydantic's problems as one of the settings at a place."""
-    kind, location = problem["type"], (*place, *problem["loc"])
-    if kind in ("unknown_name", "value_error"):
-        text = problem["msg"].removeprefix("Value error, ")
-        kind = PydanticCustomError(kind, "{message}", {"message": text})
-    context = problem.get("ctx", {})
-    return InitErrorDetails(type=kind, loc=location, input=problem["input"], ctx=context)
+OWN_TO_SCENES = frozenset(Config.model_fields) - {
+    *("collection", "methods", "notify", "report", "rig_file", "rigs", "scenes")
+}
+"""Groups of a run's settings that a scene may have of its own."""

@@ -8,7 +8,15 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field
 
 from rfpipe import plugins
-from rfpipe.config.base import Described, Extent, MethodSections, SectionName, Text, ViewCount
+from rfpipe.config.base import (
+    Described,
+    Extent,
+    MethodSections,
+    SectionName,
+    Text,
+    ViewCount,
+    setting,
+)
 
 
 class SceneSettings(Described):
@@ -31,29 +39,24 @@ class SceneSettings(Described):
         description="Kind of scene, one that 'rfpipe settings scenes' lists, or a class of your "
         "own as module:Class or file.py:Class.",
     )
-    shape: tuple[Extent, Extent] = Field(
-        (62, 70),
-        description="Rays of the rig, or of each view: height and width, 1 to 4096 each.",
+    shape: tuple[Extent, Extent] = setting(
+        (62, 70), "Rays of the rig, or of each view: height and width, 1 to 4096 each."
     )
-    channels: Literal[1, 3] = Field(3, description="Colour channels: 1 (grey) or 3 (RGB).")
-    methods: MethodSections | None = Field(
+    channels: Literal[1, 3] = setting(3, "Colour channels: 1 (grey) or 3 (RGB).")
+    methods: MethodSections | None = setting(
         None,
-        description="Methods of this scene, with options that differ from the run's, such as "
-        "{symmetric: {tolerance: 2.0e-3}}; null: the run's.",
+        "Methods of this scene, with options that differ from the run's, such as {symmetric: "
+        "{tolerance: 2.0e-3}}; null: the run's.",
     )
-    rig: SectionName | None = Field(
-        None,
-        description="The one of the settings' rigs that it stands before; null: the run's.",
+    rig: SectionName | None = setting(
+        None, "The one of the settings' rigs that it stands before; null: the run's."
     )
-    settings: dict[str, Any] = Field(
-        default_factory=dict,
-        description="Settings of the run, other for this scene, such as {camera: {bits: 10}}; they "
-        "win over its rig's.",
+    settings: dict[str, Any] = setting(
+        {},
+        "Settings of the run, other for this scene, such as {camera: {bits: 10}}; they win over "
+        "its rig's.",
     )
-    about: dict[str, Any] = Field(
-        default_factory=dict,
-        description="Facts for the catalogue, such as {number: 1992.14.3}.",
-    )
+    about: dict[str, Any] = setting({}, "Facts for the catalogue, such as {number: 1992.14.3}.")
 
     @classmethod
     def of(cls, kind: str, **options: Any) -> Self:
@@ -114,29 +117,27 @@ class SceneSettings(Described):
 class Views(SceneSettings):
     """A scene before a planar array of coaxial projectors and cameras, or before a single pair."""
 
-    views: tuple[ViewCount, ViewCount] | None = Field(
+    views: tuple[ViewCount, ViewCount] | None = setting(
         None,
-        description="Rows and columns of an array of coaxial pairs [5.2], 1 to 16 each; null: "
-        "a single pair.",
+        "Rows and columns of an array of coaxial pairs [5.2], 1 to 16 each; null: a single pair.",
     )
 
     @property
     def ray_shape(self) -> tuple[int, ...]:
-        """Shape of the ray domain: (H, W) of a single pair, or (V, H, W)."""
+        """Shape of the ray domain: (H, W), or (V, H, W)."""
         return self.shape if self.views is None else (prod(self.views), *self.shape)
 
     @property
     def view_grid(self) -> tuple[int, int]:
-        """Rows and columns of the array of views, (1, 1) of a single pair."""
+        """Rows and columns of the array of views."""
         return self.views or (1, 1)
 
 
 class AnyRig(Views):
     """A scene before any rig, one whose camera stands aside of the projector, too."""
 
-    camera_shape: tuple[Extent, Extent] | None = Field(
-        None,
-        description="Height and width of the camera's rays, 1 to 4096 each; null: a coaxial rig.",
+    camera_shape: tuple[Extent, Extent] | None = setting(
+        None, "Height and width of the camera's rays, 1 to 4096 each; null: a coaxial rig."
     )
 
     @property

@@ -1,14 +1,24 @@
-"""JSON schemas of settings, for editors that check and complete YAML."""
+"""JSON schemas of settings, for editors, and all settings as commented YAML.
+
+``python -m rfpipe.config.schema`` writes what is made of the models into the folder ``config``.
+"""
 
 from __future__ import annotations
 
 import json
+import textwrap
 from collections import Counter
+from pathlib import Path
 from typing import Any
+
+import yaml
+from pydantic import BaseModel
 
 from rfpipe import plugins
 from rfpipe.config.base import Described, MethodSettings, Settings
-from rfpipe.config.drivers import DeviceDriver
+from rfpipe.config.devices import BenchConfig, RigConfig
+from rfpipe.config.drivers import DeviceDriver, ProjectorDriver
+from rfpipe.config.model import Config
 
 _REFERENCE = "#/$defs/{model}"
 
@@ -109,3 +119,74 @@ def _describe_drivers(
     node["properties"]["options"] = {"type": "object", "description": "The driver's options."}
     if rules:
         node["allOf"] = rules
+
+
+def generated() -> dict[str, str]:
+    """Return the files that are made of the models, by name."""
+    bench = BenchConfig()
+    rig_of_bench = RigConfig(
+        projector=ProjectorDriver.model_validate({"options": {"settle_seconds": 0}}),
+        bench=bench,
+        rays=bench.scene.shape,
+        calibration="calibration",
+        seconds_per_pattern=0.2,
+    )
+    made = "Made from the settings' models by `make config`"
+    run, schema = Config.model_validate({"scenes": {"one": {"kind": "plane"}}}), "rig.schema.json"
+    return {
+        "config.schema.json": json.dumps(schema_of(Config), indent=2) + "\n",
+        schema: json.dumps(schema_of(RigConfig), indent=2) + "\n",
+        "all.yaml": _file_of(
+            run,
+            "config.schema.json",
+            f"All settings of a run, at their defaults, with one plain scene. {made}; 'rfpipe "
+            "settings scenes' and 'rfpipe settings methods' list those of each kind of scene and "
+            "of each method.",
+        ),
+        "rig.yaml": _file_of(
+            RigConfig(),
+            schema,
+            f"A rig: a window on the projector and a Basler camera. {made}: copy this file, change "
+            "the copy and serve it with `rfpipe serve <copy>`.",
+        ),
+        "bench.yaml": _file_of(
+            rig_of_bench,
+            schema,
+            "The optical bench in software: a rig without hardware, of a window (in memory, where "
+            f"Xvfb isn't installed) and a camera driver. {made}, as rig.yaml.",
+        ),
+    }
+
+
+def _file_of(settings: Settings, schema: str, head: str) -> str:
+    """Return settings as YAML under a head of comments."""
+    lines = [f"# yaml-language-server: $schema={schema}", _comment(head, ""), ""]
+    return "\n".join([*lines, *_yaml_lines(settings, "")])
+
+
+def _comment(text: object, margin: str) -> str:
+    return textwrap.fill(
+        str(text), 98, initial_indent=f"{margin}# ", subsequent_indent=f"{margin}# "
+    )
+
+
+def _yaml_lines(settings: BaseModel, margin: str) -> list[str]:
+    """Lines of a model's settings, with their descriptions as comments."""
+    lines: list[str] = []
+    for name, field in type(settings).model_fields.items():
+        value = getattr(settings, name)
+        lines.append(_comment(field.description, margin))
+        if isinstance(value, BaseModel):
+            lines += [f"{margin}{name}:", *_yaml_lines(value, margin + "  ")]
+        else:
+            plain = settings.model_dump(mode="json", include={name})[name]
+            text = yaml.safe_dump(plain, default_flow_style=True, sort_keys=False, width=10_000)
+            lines.append(f"{margin}{name}: " + text.removesuffix("\n").removesuffix("\n..."))
+        if not margin:
+            lines.append("")
+    return lines
+
+
+if __name__ == "__main__":
+    for _name, _text in generated().items():
+        Path("config", _name).write_text(_text, encoding="utf-8")

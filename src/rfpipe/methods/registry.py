@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from rfpipe import plugins
-from rfpipe.config.problems import explained
+from rfpipe.config.base import explained
 from rfpipe.errors import InputError
 from rfpipe.methods.base import Method, Options
 
@@ -60,5 +60,5 @@ def options_of(method: Method[Any], **options: Any) -> Options:
     try:
         return method.Options.model_validate(options)
     except ValidationError as error:
-        lines = explained(method.Options, error, options)
+        lines = explained(error)
         raise InputError("\n".join(f"{method.name}: {line}" for line in lines)) from None

@@ -9,8 +9,7 @@ from typing import Any, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from rfpipe.config.base import Settings
-from rfpipe.config.problems import explained
+from rfpipe.config.base import Settings, explained
 from rfpipe.errors import ConfigError
 
 
@@ -69,7 +68,7 @@ class ServerSettings(Settings):
         try:
             super().__init__(**settings)
         except ValidationError as error:
-            lines = [f"server: {line}" for line in explained(type(self), error, settings)]
+            lines = [f"server: {line}" for line in explained(error)]
             raise ConfigError("\n".join(lines)) from None
 
     @model_validator(mode="after")
