@@ -16,8 +16,7 @@ acquisition, a single job takes an acquisition through the same stages, to the s
 import os
 from pathlib import Path
 
-from rfpipe.stages.jobs.ends import FailedJobs, check_groups, notify
-from rfpipe.stages.checking.again import write_run
+from rfpipe.stages.jobs.ends import FailedJobs, notify, write_run
 from snakemake.logging import logger
 from snakemake.utils import min_version
 
@@ -72,7 +71,6 @@ rule all:
 
 onstart:
     if workflow.non_local_exec:
-        check_groups(workflow.group_settings.group_components, workflow.cores)
         logger.addHandler(FailedJobs(logger.error))
     write_run(
         Path("results"),

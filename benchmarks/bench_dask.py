@@ -27,9 +27,8 @@ import psutil
 from rfpipe.provenance import generator
 from rfpipe.stages import merge
 from rfpipe.stages.evaluating.evaluate import errors_table
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.stages.jobs.workers import Resources
-from rfpipe.stages.results import write_bundle
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.store import FrameStore, read_manifest
 

@@ -1,4 +1,4 @@
-"""Where Snakemake runs: groups that no node can run, jobs that failed elsewhere, a run's end."""
+"""Where Snakemake runs: jobs that failed elsewhere, and a run's end."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 from snakemake_interface_logger_plugins.common import LogEvent
 
-from rfpipe.errors import ConfigError
 from rfpipe.stages.jobs import ends
-from rfpipe.stages.jobs.ends import FailedJobs, check_groups, notify
+from rfpipe.stages.jobs.ends import FailedJobs, notify
 
 LOG = """
 rule acquire:
@@ -75,13 +74,10 @@ def test_the_end_of_a_failed_jobs_log_is_told(told: list[str]) -> None:
     logs.mkdir(parents=True)
     (logs / "acquire-14.log").write_text(LOG.format(ended="returned non-zero exit status 1."))
     (logs / "acquire-114.log").write_text("of another job\n")
-    said = failed(told, LogEvent.JOB_ERROR, **of_job(SUFFIX, "14", log=["nothing.log"]))
-    assert said.splitlines() == [
-        "rfpipe: acquire failed as job 14",
-        "    glass/dual/L00/capture: level 0: 16 patterns",
-        "    ValueError: the glass broke",
-        "    (.snakemake/cluster_logs/acquire-14.log)",
-    ]
+    said = failed(told, LogEvent.JOB_ERROR, **of_job(None, "14", log=["nothing.log"]))
+    assert said.startswith("rfpipe: acquire failed as job 14\n")
+    assert "    ValueError: the glass broke\n" in said
+    assert said.endswith("    (.snakemake/cluster_logs/acquire-14.log)")
 
 
 def test_a_job_that_was_killed_says_by_what(told: list[str]) -> None:
@@ -100,40 +96,12 @@ def test_a_group_is_told_of_once(told: list[str]) -> None:
     failed(told, LogEvent.PROGRESS)
     assert len(told) == 1
     said = failed(told, LogEvent.GROUP_ERROR, aux_logs=[], job_error_info=jobs)
-    assert "run again without groups to see why" in said
+    assert "it left no log" in said
 
 
 def test_a_job_that_left_no_log_may_not_see_the_folder(told: list[str]) -> None:
     said = failed(told, LogEvent.JOB_ERROR, **of_job(SUFFIX, "10", log=["nothing.log"]))
     assert "does its machine see this folder" in said
-
-
-def sinfo(folder: Path, says: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    program = folder / "sinfo"
-    program.write_text(f"#!/bin/sh\nprintf '{says}'\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(folder))
-
-
-def test_a_group_larger_than_any_node_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    sinfo(tmp_path, "1\\n2\\n", monkeypatch)
-    check_groups({}, 64)
-    check_groups({"small": 8}, 2)
-    check_groups({"small": 2}, 64)
-    with pytest.raises(ConfigError, match=r"small=8 jobs .* ask for 4 .*has 2\. Add --cores 2"):
-        check_groups({"small": 8, "other": 3}, 4)
-
-
-@pytest.mark.parametrize("says", ["", "16+\\n", None])
-def test_what_is_not_known_of_nodes_is_let_pass(
-    says: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    if says is not None:
-        sinfo(tmp_path, says, monkeypatch)
-    check_groups({"small": 8}, 64)
 
 
 @pytest.mark.parametrize(

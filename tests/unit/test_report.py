@@ -32,7 +32,7 @@ from rfpipe.report.text import number, percent, size
 from rfpipe.scenes import RELIGHTING_PATTERNS
 from rfpipe.stages import relight
 from rfpipe.stages.evaluating import evaluate
-from rfpipe.stages.results import write_bundle
+from rfpipe.stages.folder import write_bundle
 from rfpipe.stages.verification import compare
 from rfpipe.store import open_arrays, write_arrays, write_manifest
 from rfpipe.transport.dense import DenseTransport

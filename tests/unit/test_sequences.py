@@ -16,8 +16,7 @@ from rfpipe.rigs import OperatorRig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.stages import capture
 from rfpipe.stages.capture import brackets_of
-from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.stages.results import write_bundle
+from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.store import FrameStore
 from rfpipe.testing import RigContract
 

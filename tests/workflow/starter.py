@@ -40,7 +40,7 @@ _OF_SNAKEMAKE = (
     "rfpipe.scenes.rooms",
     "rfpipe.stages.jobs.ends",
     "rfpipe.stages.plan",
-    "rfpipe.stages.checking.again",
+    "rfpipe.stages.jobs.ends",
 )
 _OF_JOBS = (
     "colour",

@@ -16,7 +16,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import StoreError
 from rfpipe.methods import get_method, options_of
 from rfpipe.rigs import OperatorRig
-from rfpipe.stages.disk import disk_bytes
+from rfpipe.stages.forecast import disk_bytes
 from rfpipe.stages.plan import Plan
 from rfpipe.store import bytes_on_disk
 

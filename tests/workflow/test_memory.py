@@ -25,7 +25,7 @@ from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, merge, normalize
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.results import write_bundle
+from rfpipe.stages.folder import write_bundle
 from rfpipe.stages.jobs.workers import Resources
 
 shape, count = (40, 50), int(sys.argv[2])

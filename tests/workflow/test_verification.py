@@ -23,7 +23,7 @@ from rfpipe.keys import LOOK_KEY, VERIFICATION_KEY
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, verification
-from rfpipe.stages.checking.run import check
+from rfpipe.stages.checking import check
 from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.plan import Plan

@@ -14,16 +14,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.workflow.harness import TINY, Workflow
-from tests.workflow.stagewise import CAMERA, SHAPE, FaultyRig, damage, left, matrix_rig
+from tests.workflow.stagewise import CAMERA, FaultyRig, damage, left, matrix_rig
 from tests.workflow.stagewise import acquire as acquire_matrix
 
 from rfpipe.calibration.folder import CalibrationFolder
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.errors import IntegrityError
-from rfpipe.stages.brackets import Brackets
-from rfpipe.stages.checking.run import check, command_for
-from rfpipe.stages.folder import AcquisitionFolder
-from rfpipe.store import read_manifest, write_manifest
+from rfpipe.stages.checking import check, command_for
 
 
 def acquire(path: Path, method: str = "symmetric") -> list[tuple[int, ...]]:
@@ -163,16 +160,13 @@ def test_a_run_heals_what_it_finds_damaged_and_shows_no_pattern(
     assert "CAPTURING ANEW" not in caplog.text
 
 
-@pytest.mark.parametrize("copies", [True, False], ids=["copy", "schedule and journal"])
 @pytest.mark.parametrize("after", ["fingerprint", '"shape"', "channels", None])
 def test_a_damaged_header_of_a_capture_heals(
-    intact: Path, results: Path, after: str | None, copies: bool, caplog: pytest.LogCaptureFixture
+    intact: Path, results: Path, after: str | None, caplog: pytest.LogCaptureFixture
 ) -> None:
     run = results / "matrix" / "symmetric"
     header = run / "L02/capture.zarr/zarr.json"
     text = header.read_text()
-    if not copies:  # as earlier versions left it
-        header.with_name("header.json").unlink()
     for name in ("transport.json", "L02/capture.json"):
         (run / name).unlink()
     if after is None:
@@ -209,29 +203,6 @@ def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:
     command = command_for(finding)
     assert command.startswith(f"rm -rf {folder.manifest('dark')} && rfpipe calibrate RIG.yaml")
     assert command.endswith(str(folder.path))
-
-
-@pytest.mark.parametrize("told_by", ["manifest", "header"])
-def test_frames_of_unknown_settings_are_not_taken_for_others(results: Path, told_by: str) -> None:
-    run = results / "matrix" / "symmetric"
-    store, manifest = run / "L02/capture.zarr", run / "L02/capture.json"
-    (store / "header.json").unlink()
-    count = read_manifest(manifest)["patterns"]
-    if told_by == "manifest":
-        (store / "zarr.json").unlink()
-        write_manifest(manifest, {**read_manifest(manifest), "fingerprint": "0" * 32})
-    else:
-        manifest.unlink()
-        other_digit(store / "zarr.json", "exposures")
-    before = left(store)
-    others = Brackets(
-        matrix_rig(noise=CAMERA), AcquisitionFolder(store.parents[1]), store, "level 2", count,
-        {"patterns": count, "other": 1},
-        lambda first, last: (np.zeros((last - first, *SHAPE), np.float32), []),
-    )  # fmt: skip
-    with pytest.raises(IntegrityError, match="aren't known to be those"):
-        others.settle("recapture")
-    assert left(store) == before
 
 
 def test_a_running_acquisition_is_left_alone(results: Path) -> None:

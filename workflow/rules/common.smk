@@ -6,7 +6,6 @@ import rfpipe
 from rfpipe.config import load_config, parse_config, read_yaml
 from rfpipe.errors import ConfigError
 from rfpipe.provenance import code_digest
-from rfpipe.stages.folder import next_level
 from rfpipe.stages.jobs.workers import machine_memory_mb
 from rfpipe.stages.plan import code_of, plan_of, rig_of, stages_of
 

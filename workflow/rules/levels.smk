@@ -1,6 +1,7 @@
 # The levels of an acquisition: how many have patterns to show turns out on the way.
 
 from rfpipe.stages.folder import STAGES_LOG
+from rfpipe.store import read_manifest
 
 
 def refined(wildcards, before=None):
@@ -13,7 +14,7 @@ def refined(wildcards, before=None):
             "level": f"{level:02d}",
         }
         found.append(checkpoints.refine.get(**number).output[0])
-        level = next_level(Path(found[-1]))
+        level = read_manifest(Path(found[-1]))["next"]
     return found
 
 

@@ -36,8 +36,7 @@ def plan(
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
-    from rfpipe.stages.disk import shown_bytes
-    from rfpipe.stages.forecast import forecast
+    from rfpipe.stages.forecast import forecast, shown_bytes
     from rfpipe.stages.jobs import workers
     from rfpipe.store import files
 
@@ -75,7 +74,7 @@ def plan(
 
 
 def _shown(rows: pd.DataFrame) -> pd.DataFrame:
-    from rfpipe.stages.disk import shown_bytes
+    from rfpipe.stages.forecast import shown_bytes
 
     shown = rows[["scene", "method"]].copy()
     for name, column in (("rays", "rays"), ("levels", "levels"), ("patterns", "patterns")):

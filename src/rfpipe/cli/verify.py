@@ -10,9 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from rfpipe.stages.checking.stores import Checked, Finding
-
-__all__ = ["verify"]
+    from rfpipe.stages.checked import Checked
 
 
 def verify(
@@ -45,28 +43,27 @@ def verify(
     whose pictures are damaged. Of a report it is checked, too, that no figure is missing or blank
     and no link leads to nothing. Exit status 1 when anything is wrong.
     """
-    from rfpipe.stages.checking.run import bytes_below, check, command_for
+    from tqdm import tqdm
 
-    if sys.stderr.isatty() and folder.is_dir():
-        from tqdm import tqdm
+    from rfpipe.stages.checking import check, command_for
 
-        with tqdm(total=bytes_below(folder), unit="B", unit_scale=True, leave=False) as bar:
-            checked = check(folder, bar.update)
-    else:
-        checked = check(folder)
+    quiet = not sys.stderr.isatty()
+    with tqdm(unit="B", unit_scale=True, leave=False, disable=quiet) as bar:
+        checked = check(folder, bar.update)
+    commands = [command_for(finding) for finding in checked.findings]
     if as_json:
-        typer.echo(json.dumps(_plain(folder, checked), indent=2))
+        typer.echo(json.dumps(_plain(folder, checked, commands), indent=2))
     else:
-        _print(folder, checked)
+        _print(folder, checked, commands)
     removals = checked.removals()
     if mend and removals:
         from rfpipe.store.files import remove_tree
 
         for path in removals:
             remove_tree(path)
-        agains = dict.fromkeys(command_for(each).rpartition(" && ")[2] for each in checked.findings)
-        again = " && ".join(filter(None, agains))
-        typer.echo(f"removed {len(removals)} files and folders; now run: {again}", err=as_json)
+        again = dict.fromkeys(command.rpartition(" && ")[2] for command in commands if command)
+        said = f"removed {len(removals)} files and folders; now run: {' && '.join(again)}"
+        typer.echo(said, err=as_json)
         return
     pages = [
         place / "index.html" for place in (folder, folder / "report", folder / "results/report")
@@ -84,14 +81,15 @@ def _page_faults(page: Path) -> list[str]:
     return check_page(page)
 
 
-def _print(folder: Path, checked: Checked) -> None:
+def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
     from rfpipe.store.places import as_address
 
     named = as_address(folder) or folder
-    for finding in checked.findings:
-        typer.echo(f"{finding.path}: {finding.what}")
-        for line in _advice(finding):
-            typer.echo(f"    {line}")
+    copy = "copy it again from where it came from; nothing here can make it anew"
+    for finding, command in zip(checked.findings, commands, strict=True):
+        typer.echo(f"{finding.path}: {finding.what}\n    mend: {command or copy}")
+        if finding.mend.cost:
+            typer.echo(f"    cost: {finding.mend.cost}")
     for note in checked.notes:
         typer.echo(f"note: {note}")
     amount = (
@@ -109,33 +107,21 @@ def _print(folder: Path, checked: Checked) -> None:
         )
 
 
-def _advice(finding: Finding) -> list[str]:
-    from rfpipe.stages.checking.run import command_for
-
-    command = command_for(finding)
-    if not command:
-        return ["mend: copy it again from where it came from; nothing here can make it anew"]
-    return [f"mend: {command}", *([f"cost: {finding.mend.cost}"] if finding.mend.cost else [])]
-
-
-def _plain(folder: Path, checked: Checked) -> dict[str, Any]:
-    from rfpipe.stages.checking.run import command_for
-
+def _plain(folder: Path, checked: Checked, commands: list[str]) -> dict[str, Any]:
+    counts = {name: getattr(checked, name) for name in ("stores", "manifests", "files", "bytes")}
+    findings = [
+        {
+            "path": str(finding.path),
+            "what": finding.what,
+            "mend": command or None,
+            "cost": finding.mend.cost or None,
+        }
+        for finding, command in zip(checked.findings, commands, strict=True)
+    ]
     return {
         "folder": str(folder),
-        "whole": not checked.findings,
-        "stores": checked.stores,
-        "manifests": checked.manifests,
-        "files": checked.files,
-        "bytes": checked.bytes,
+        "whole": not findings,
+        **counts,
         "notes": checked.notes,
-        "findings": [
-            {
-                "path": str(finding.path),
-                "what": finding.what,
-                "mend": command_for(finding) or None,
-                "cost": finding.mend.cost or None,
-            }
-            for finding in checked.findings
-        ],
+        "findings": findings,
     }

@@ -29,7 +29,7 @@ from rfpipe.report.inputs import Inputs, load_inputs
 from rfpipe.report.origin import RESULTS_NAME, provenance_of
 from rfpipe.report.placing import place
 from rfpipe.report.text import ray_size
-from rfpipe.stages.results import FILES, write_files
+from rfpipe.stages.folder import FILES, write_files
 from rfpipe.store.files import write_atomically
 
 

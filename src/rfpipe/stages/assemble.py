@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.folder import AcquisitionFolder, standing
 from rfpipe.stages.merger import REFERENCES, read_floodlit
 from rfpipe.stages.normalize import masked_rays
 from rfpipe.stages.plan import Plan
-from rfpipe.stages.results import standing
 from rfpipe.store import write_manifest
 from rfpipe.transport import Transport, save_transport
 from rfpipe.transport.filling import fill_from_transpose

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,14 +15,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import CaptureError, IntegrityError, LockedError, StaleStoreError, StoreError
+from rfpipe.errors import CaptureError, LockedError, StaleStoreError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.progress import Progress
-from rfpipe.store import FrameStore, StoreLock, read_manifest, rebuild_header, restore_header
-from rfpipe.store.places import METADATA
+from rfpipe.store import FrameStore, StoreLock, restore_header
 
 Keys = list[tuple[int, ...]]
 """A key a pattern: for the rig's random numbers, and for messages."""
@@ -88,8 +88,8 @@ class Brackets:
         ----------
         batch : int
             Patterns shown, then stored, at a time.
-        watch : Watcher, optional
-            Takes looks between the patterns, see `rfpipe.stages.watch`.
+        watch : rfpipe.stages.watch.Watcher, optional
+            Takes looks between the patterns.
 
         Raises
         ------
@@ -106,13 +106,15 @@ class Brackets:
                     self.name, done, self.count, frames.missing(1)[0][0],
                 )  # fmt: skip
             with Progress(self.name, self.count, done, shown=progress) as bar:
-                for first, last in _cut(frames.missing(batch), watch):
-                    if watch:
-                        watch.before(first)
-                    taken = self.take(frames, first, last)
-                    if watch:
-                        watch.after(first, taken)
-                    bar.advance(last - first)
+                for start, stop in frames.missing(batch):
+                    looks = watch.due(start, stop) if watch else ()
+                    for first, last in pairwise([start, *looks, stop]):
+                        if watch:
+                            watch.before(first)
+                        taken = self.take(frames, first, last)
+                        if watch:
+                            watch.after(first, taken)
+                        bar.advance(last - first)
             if watch:
                 watch.before(self.count)
             return self.entry(frames)
@@ -132,7 +134,7 @@ class Brackets:
 
         A store of something else is renamed, its fingerprint in its new name. Back at the settings
         that it was made with, it is found again, so that the rig needn't be. If its pictures were
-        dropped after their merge, it is removed. A damaged header heals.
+        dropped after their merge, it is removed. A damaged header is restored from its copy.
 
         Raises
         ------
@@ -141,24 +143,23 @@ class Brackets:
         LockedError
             When another process writes the store.
         IntegrityError
-            When the header is damaged, and is none of a store of these brackets.
+            When the header and its copy are damaged.
         """
         if not self.folder.is_kept:
             return
-        if self.path.exists():
-            self._heal()
+        if self.path.exists() and restore_header(self.path):
+            _log.warning("%s: its header was damaged or missing; restored", self.path)
+        fitting = self._aside(self.made_for)
         with StoreLock(self.path):
-            fitting = self._aside(self.made_for)
             if self.path.exists():
                 with FrameStore.open(self.path) as old:
                     if old.fingerprint == self.made_for:
                         return
                     captured = int(old.done.sum())
-                    place = self._aside(old.fingerprint)
+                place = self._aside(old.fingerprint)
                 if captured and not fitting.exists():
-                    self._say_anew(old, place, when_changed)
-                if place.exists():  # of a change that was undone before it was captured
-                    FrameStore.discard(place)
+                    self._say_anew(old, captured, place, when_changed)
+                FrameStore.discard(place)  # of a change that was undone before it was captured
                 self.path.rename(place)
                 if old.dropped or not captured:
                     FrameStore.discard(place)
@@ -191,52 +192,13 @@ class Brackets:
             )
         return block
 
-    def _heal(self) -> None:
-        """Restore a damaged header, which must not be taken for that of other settings."""
-        if restore_header(self.path):
-            _log.warning("%s: its header was damaged or missing; restored", self.path)
-        with suppress(StoreError):
-            held = FrameStore.open(self.path)
-            # from here on only stores without a copy can be damaged
-            if fingerprint(held.attributes) == held.fingerprint and (
-                held.fingerprint != self.made_for or (held.shape, held.dtype) == self._layout
-            ):
-                return
-        if self._is_of_others or not rebuild_header(
-            self.path, lambda path: replace(self, path=path).recording()
-        ):
-            raise IntegrityError(
-                f"{self.path / METADATA}: damaged, and its frames aren't known to be those that "
-                "are to be captured now. Restore this file, or the settings that they were "
-                f"captured with; or move {self.path} away, and all of its patterns are shown again"
-            )
-        _log.warning(
-            "%s: its header was damaged or missing; made again from the schedule and the journal, "
-            "so that no pattern has to be shown again for it", self.path,
-        )  # fmt: skip
-
-    @property
-    def _is_of_others(self) -> bool:
-        """Whether the store is of other patterns or another rig, as far as anything still tells."""
-        name = self.path.stem
-        with suppress(StoreError):
-            held = FrameStore.open(self.path)
-            if self.made_for not in (held.fingerprint, fingerprint(held.attributes)):
-                return True  # more than one thing is wrong with it
-        try:
-            stated = read_manifest(self.path.with_name("capture.json"))
-        except StoreError:
-            return False
-        part = stated if name == "capture" else stated.get(name, {})
-        return bool(part.get("fingerprint", self.made_for) != self.made_for)
-
     def _aside(self, made_for: str) -> Path:
         name = f"{self.path.stem}.{made_for[:_NAMED_DIGITS]}{self.path.suffix}"
         return self.path.with_name(name)
 
-    def _say_anew(self, old: FrameStore, place: Path, when_changed: str) -> None:
+    def _say_anew(self, old: FrameStore, count: int, place: Path, when_changed: str) -> None:
         """Refuse to capture anew, or say that it is about to happen."""
-        count, changed = int(old.done.sum()), differing(old.attributes, self.shown)
+        changed = differing(old.attributes, self.shown)
         kept = (
             "were dropped after their merge (capture.keep_raw)"
             if old.dropped
@@ -300,10 +262,12 @@ def take_shared(
             references, path=place, name=f"{name} brackets for all", count=last - first,
             shown=shown, patterns=patterns,
         )  # fmt: skip
-        with _waiting_for(place.with_suffix(".taking")):
-            shared.settle()
-            if shared.count_missing():
+        while shared.count_missing():
+            with suppress(LockedError):  # by who takes the same ones
+                shared.settle()
                 shared.capture(batch)
+                break
+            time.sleep(_POLL_SECONDS)
         with FrameStore.open(place) as taken, references.recording() as frames:
             for begin, end in missing:
                 frames.write(begin, taken.read(begin - first, end - first))
@@ -311,24 +275,15 @@ def take_shared(
         _log.info(text, last - first, references.count, place.name)
 
 
-@contextmanager
-def _waiting_for(path: Path) -> Iterator[None]:
-    """Hold a lock, once whoever takes the same brackets has taken them."""
-    lock = StoreLock(path)
-    while True:
-        with suppress(LockedError):
-            lock.acquire()
-            break
-        time.sleep(_POLL_SECONDS)
-    try:
-        yield
-    finally:
-        lock.release()
-
-
 def differing(old: dict[str, Any], new: dict[str, Any]) -> str:
     """Say which settings differ, such as ``patterns 64 -> 72, rig.seed 1 -> 2``."""
-    before, after = _flat(old), _flat(new)
+    import pandas as pd
+
+    plain = (json.loads(json.dumps(each, sort_keys=True)) for each in (old, new))
+    before, after = (
+        {str(name): str(values[0]) for name, values in pd.json_normalize([each]).items()}
+        for each in plain
+    )
     changed = [
         f"{name} {before.get(name, 'unset')} -> {after.get(name, 'unset')}"
         for name in sorted({*before, *after})
@@ -336,20 +291,3 @@ def differing(old: dict[str, Any], new: dict[str, Any]) -> str:
     ]
     more = len(changed) - _SHOWN_DIFFERENCES
     return ", ".join(changed[:_SHOWN_DIFFERENCES]) + (f" and {more} more" if more > 0 else "")
-
-
-def _flat(value: Any, name: str = "") -> dict[str, str]:
-    """Name each setting by its place, such as ``rig.sensor.bits``."""
-    if isinstance(value, list | tuple) and any(isinstance(item, dict) for item in value):
-        value = {str(index): item for index, item in enumerate(value)}
-    if isinstance(value, dict):
-        parts = [_flat(item, f"{name}.{key}" if name else key) for key, item in value.items()]
-        return {key: text for part in parts for key, text in part.items()}
-    return {name: str(list(value) if isinstance(value, tuple) else value)}
-
-
-def _cut(runs: Iterable[tuple[int, int]], watch: Any) -> Iterator[tuple[int, int]]:
-    """Cut runs of items where looks are to be taken between them."""
-    for first, last in runs:
-        due = watch.due(first, last) if watch else ()
-        yield from pairwise([first, *due, last])

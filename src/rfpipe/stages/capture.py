@@ -19,8 +19,8 @@ from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import sequence_patterns
 from rfpipe.stages.brackets import Brackets, Keys, Shared, take_shared
-from rfpipe.stages.disk import check_disk, disk_bytes
 from rfpipe.stages.folder import REFERENCE, SYMMETRY, AcquisitionFolder, name_of
+from rfpipe.stages.forecast import check_disk, disk_bytes
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.stages.watch import watching_level
@@ -72,7 +72,7 @@ def run(
     drift_patterns : int
         Patterns from one look at the floodlit image to the next, from level 1 on; 0 for none.
     watching : mapping, optional
-        "mode", "looks" and "mutual_error" of `rfpipe.stages.watch.watching_level`.
+        Of `rfpipe.stages.watch.watching_level`: "mode", "looks" and "mutual_error".
     share : {"none", "black", "all"}
         Reference brackets to share, see `rfpipe.stages.brackets.take_shared`.
     resources : Resources, optional
@@ -94,19 +94,19 @@ def run(
     if _stands(folder, level, of_level, before):
         _log.info("%s: all %d patterns are captured", of_level.name, of_level.count)
         return
-    for part in (*before.values(), of_level):
+    parts = (*before.values(), of_level)
+    for part in parts:
         part.settle(when_patterns_change)
     off, on = _counts(rig, references)
     if level == 0:
         take_shared(share, folder, before[REFERENCE], off, batch_patterns)
-    to_capture = sum(part.count_missing() for part in (*before.values(), of_level))
+    to_capture = sum(part.count_missing() for part in parts)
     if to_capture and folder.is_kept:
         merged = folder.store(level, "merge")  # of a capture before: replaced
         camera = rig.sensor, tuple(rig.camera_shape), rig.channels
         need = disk_bytes(*camera, to_capture, of_level.count)
-        check_disk(
-            of_level.name, need, folder.path, bytes_on_disk(merged) if merged.exists() else 0
-        )
+        present = bytes_on_disk(merged) if merged.exists() else 0
+        check_disk(of_level.name, need, folder.path, present)
         _warm_up(rig, folder, 60 * warm_up_minutes)
     counted_before = _counted_by(rig)
     # A sequence is stored when it is complete: long ones, as loading takes most of their time;
@@ -121,22 +121,24 @@ def run(
     beside: dict[str, Any] = {} if level else _write_sensor(folder, rig.sensor)
     for name, part in before.items():
         beside[name] = {**part.capture(batch, progress=progress), **facts[name]}
-    with watching_level(
-        of_level, level, drift_patterns if level else 0, **(watching or {})
-    ) as watch:
+    looks_every = drift_patterns if level else 0
+    with watching_level(of_level, level, looks_every, **(watching or {})) as watch:
         captured = of_level.capture(batch, watch, progress=progress)
         beside |= watch.entries()
-    is_counts = rig.sensor.frame_dtype == COUNTS
     manifest = {
         "stage": "capture",
         "level": level,
         "patterns": of_level.count,
-        "units": COUNT_UNIT if is_counts else RADIANCE_UNIT,
+        "units": COUNT_UNIT if rig.sensor.frame_dtype == COUNTS else RADIANCE_UNIT,
         "exposures_s": list(rig.sensor.exposures),
         "rig": of_level.shown["rig"],
         **captured,
         **beside,
-        "devices": _difference(_counted_by(rig), counted_before),
+        "devices": {
+            # devices that began anew since count from 0
+            name: count - had if count >= (had := counted_before.get(name, 0)) else count
+            for name, count in _counted_by(rig).items()
+        },
     }
     folder.write_manifest(level, "capture", manifest)
 
@@ -150,10 +152,7 @@ def brackets_of(
 ) -> tuple[Brackets, dict[str, Brackets]]:
     """Return a level's brackets, and those that are captured before them, by their stores' names.
 
-    Parameters
-    ----------
-    references, symmetry_frames
-        As of `run`.
+    Parameters are those of `run`.
     """
     schedule = read_schedule(folder, level)
     described = frame_settings(rig) if folder.is_kept else {}
@@ -169,25 +168,15 @@ def brackets_of(
 
     before: dict[str, Brackets] = {}
     if level == 0:
-        before[REFERENCE] = brackets(
-            REFERENCE, "reference brackets", off + on, partial(reference_patterns, shape, off),
-            {"black_frames": off, "floodlit_frames": on},
-        )  # fmt: skip
+        patterns = partial(reference_patterns, shape, off)
+        shown: dict[str, Any] = {"black_frames": off, "floodlit_frames": on}
+        before[REFERENCE] = brackets(REFERENCE, "reference brackets", off + on, patterns, shown)
     if level == 0 and symmetry_frames:
-        before[SYMMETRY] = brackets(
-            SYMMETRY, "brackets of random patterns", symmetry_frames,
-            partial(symmetry_patterns, shape, symmetry_frames),
-            {"symmetry_frames": symmetry_frames},
-        )  # fmt: skip
-    count = schedule.count
-    of_level = brackets(
-        "capture",
-        name_of(level),
-        count,
-        of_schedule,
-        {"patterns": count, "shown": schedule.digest()},
-    )  # fmt: skip
-    return of_level, before
+        patterns = partial(symmetry_patterns, shape, symmetry_frames)
+        shown, name = {"symmetry_frames": symmetry_frames}, "brackets of random patterns"
+        before[SYMMETRY] = brackets(SYMMETRY, name, symmetry_frames, patterns, shown)
+    shown = {"patterns": schedule.count, "shown": schedule.digest()}
+    return brackets("capture", name_of(level), schedule.count, of_schedule, shown), before
 
 
 def reference_patterns(
@@ -269,13 +258,11 @@ def _warm_up(rig: Rig, folder: AcquisitionFolder, seconds: float) -> None:
     white = np.ones((1, *rig.projector_shape), np.float32)
     began, index, before = monotonic(), 0, 0.0
     while (rest := seconds - (monotonic() - began)) > 0:
-        frames = rig.capture(white, [(WARM_UP_KEY, index)])
-        brightness = float(frames.mean(dtype=np.float64))
+        brightness = float(rig.capture(white, [(WARM_UP_KEY, index)]).mean(dtype=np.float64))
         if before:
-            _log.info(
-                "warming up: %.0f s to go, the picture's mean changed by %+.2f %%",
-                rest, 100 * (brightness / before - 1),
-            )  # fmt: skip
+            change = 100 * (brightness / before - 1)
+            text = "warming up: %.0f s to go, the picture's mean changed by %+.2f %%"
+            _log.info(text, rest, change)
         before, index = brightness, index + 1
         sleep(min(_SECONDS_BETWEEN_LOOKS, max(0.0, seconds - (monotonic() - began))))
 
@@ -285,14 +272,6 @@ def _counted_by(rig: Rig) -> dict[str, int]:
     counts: dict[str, dict[str, int]] = getattr(rig, "statistics", None) or {}
     return {
         f"{device} {what}": count for device, of in counts.items() for what, count in of.items()
-    }
-
-
-def _difference(after: dict[str, int], before: dict[str, int]) -> dict[str, int]:
-    """Return what was counted between; devices that began anew since count from 0."""
-    return {
-        name: count - before.get(name, 0) if count >= before.get(name, 0) else count
-        for name, count in after.items()
     }
 
 

@@ -51,15 +51,7 @@ def of_job(job: Any) -> Capture:
 def by_simulation(
     scene: Mapping[str, Any], camera: Mapping[str, Any] | None, threads: int, **rig: Any
 ) -> Capture:
-    """Return the capture stage of a simulated rig.
-
-    Parameters
-    ----------
-    scene, camera : mapping
-        Settings of the scene, and of the camera; None for exact radiance.
-    **rig
-        Of `rfpipe.rigs.SimulatedRig`.
-    """
+    """Return the capture stage of a `SimulatedRig`, of settings of a scene and of a camera."""
     from rfpipe.config import CameraConfig, SceneSettings
     from rfpipe.photometry import sensor_from_config
     from rfpipe.rigs import SimulatedRig
@@ -73,15 +65,7 @@ def by_simulation(
 def by_pictures(
     offline: Mapping[str, Any], camera: Mapping[str, Any] | None, **rays: Any
 ) -> Capture:
-    """Return the capture stage of an offline rig, which says which pictures are missing.
-
-    Parameters
-    ----------
-    offline, camera : mapping
-        Settings of the offline rig and of its camera.
-    **rays
-        ``camera_shape``, ``projector_shape`` and ``channels``.
-    """
+    """Return the capture stage of an offline rig, which says which pictures are missing."""
     from rfpipe.config import CameraConfig, OfflineConfig
     from rfpipe.rigs.offline import offline_rig
 
@@ -139,9 +123,7 @@ def by_server(
     def connected() -> RemoteRig:
         if placing is not None:
             placing.place(folder.path.parent.name)
-        rig = RemoteRig(
-            url, read_token(None if token_file is None else Path(token_file)), patience_seconds
-        )
+        rig = RemoteRig(url, read_token(Path(token_file) if token_file else None), patience_seconds)
         try:
             _check_rays(rig, rays, url)
             if level == 0:
@@ -194,16 +176,14 @@ def _check_rays(rig: RemoteRig, rays: Mapping[str, Any], name: str) -> None:
         ("camera rays (camera_shape; null for a coaxial rig)", "camera_shape"),
         ("channels", "channels"),
     ):
-        held, expected = np.array(getattr(rig, key)), np.array(rays[key])
-        if not np.array_equal(held, expected):
+        held, expected = (
+            tuple(value) if key != "channels" else value for value in (getattr(rig, key), rays[key])
+        )
+        if held != expected:
             raise CaptureError(
-                f"{name}: the rig has {_shown(held)} {what}; the settings of the scene say "
-                f"{_shown(expected)}. Set them to the rig's"
+                f"{name}: the rig has {held} {what}; the settings of the scene say {expected}. "
+                "Set them to the rig's"
             )
-
-
-def _shown(value: NDArray[Any]) -> Any:
-    return tuple(value.tolist()) if value.ndim else int(value)
 
 
 def _begun(
@@ -256,10 +236,9 @@ class _BegunRig:
     @property
     def statistics(self) -> dict[str, dict[str, int]]:
         """What the rig's devices counted since it was connected to."""
-        counts = {} if self._rig is None else self._rig.statistics
         return {
             device: {what: n - self._before.get(device, {}).get(what, 0) for what, n in of.items()}
-            for device, of in counts.items()
+            for device, of in (self._rig.statistics if self._rig else {}).items()
         }
 
     def describe(self) -> dict[str, Any]:

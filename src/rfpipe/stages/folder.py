@@ -1,11 +1,15 @@
 """Where the stages of one acquisition leave what they make: on files, or in memory.
 
-On files each stage has a store and, written last, a small manifest that says that it is complete.
+On files each stage has a store and, written last, a small manifest that says that it is complete. A
+store knows the fingerprint of all that it was made from. Where the workflow runs a stage, Snakemake
+has found that it is due and has removed its manifest; in a loop over the stages, `standing` tells
+what is left to do.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import logging
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from itertools import takewhile
@@ -17,8 +21,8 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import DamagedStageError, IntegrityError, StoreError
 from rfpipe.keys import VERIFICATION_KEY
+from rfpipe.provenance import versions
 from rfpipe.stages.jobs.job import stage_log
-from rfpipe.stages.results import standing, write_bundle
 from rfpipe.store import (
     ArrayBundle,
     FrameStore,
@@ -30,6 +34,7 @@ from rfpipe.store import (
     write_arrays,
     write_manifest,
 )
+from rfpipe.store.files import digest_of
 from rfpipe.store.places import Place
 from rfpipe.units import RADIANCE, RADIANCE_UNIT
 
@@ -48,10 +53,74 @@ STAGES_LOG = "stages.log"
 Where it is newer than level 0's schedule, Snakemake does all stages again; no light is taken again.
 """
 
-_STAGES = ("schedule", "capture", "merge", "normalize", "refine")
+STAGES = ("schedule", "capture", "merge", "normalize", "refine")
+"""Of a level, in their order."""
+
+FILES = "files.json"
+"""Name of the manifest of a report's files."""
+
+_log = logging.getLogger(__name__)
 
 Arrays = Mapping[str, NDArray[Any]]
 Facts = dict[str, Any]
+
+
+def standing(manifest: Path, made_from: str) -> dict[str, Any] | None:
+    """Return a manifest whose store was made from the same things, else None.
+
+    One that says anything else, or is damaged, is removed: its store is about to change.
+
+    Parameters
+    ----------
+    made_from : str
+        Fingerprint of all that the stage would make its store from.
+    """
+    store = manifest.with_suffix(".zarr")
+    try:
+        stated = read_manifest(manifest)
+        # a schedule's manifest says nothing but what is to be shown
+        known = stated if "fingerprint" in stated else open_arrays(store).attributes
+    except IntegrityError as error:
+        _log.warning("made anew, since it is damaged: %s", error)
+    except StoreError:
+        pass
+    else:
+        if known.get("fingerprint") == made_from and store.exists():
+            return stated
+    manifest.unlink(missing_ok=True)
+    return None
+
+
+def write_bundle(
+    manifest: Path,
+    made_from: str,
+    arrays: Mapping[str, NDArray[Any]],
+    facts: dict[str, Any],
+    **more: Any,
+) -> None:
+    """Write a bundle of arrays and, beside it, its manifest.
+
+    Parameters
+    ----------
+    made_from : str
+        Fingerprint of all that it is made from.
+    facts : dict
+        Plain data for the manifest: stage, level, units, counts.
+    **more
+        Plain data for the store alone.
+    """
+    store = manifest.with_suffix(".zarr")
+    made = {"fingerprint": made_from, "versions": versions()}
+    write_arrays(store, arrays, {"facts": facts, **made, **more})
+    write_manifest(manifest, {**facts, **open_arrays(store).entry(), **made})
+
+
+def write_files(manifest: Path, files: Iterable[Path]) -> None:
+    """Write a manifest with the digests of files that lie beside it or below."""
+    digests = {
+        path.relative_to(manifest.parent).as_posix(): digest_of(path.read_bytes()) for path in files
+    }
+    write_manifest(manifest, {"files": digests})
 
 
 @dataclass(frozen=True)
@@ -95,7 +164,7 @@ class AcquisitionFolder:
     def write(
         self, level: int, stage: str, made_from: str, arrays: Arrays, facts: Facts, **more: Any
     ) -> None:
-        """Write arrays and manifest of a stage; see `rfpipe.stages.results.write_bundle`."""
+        """Write arrays and manifest of a stage; see `write_bundle`."""
         write_bundle(self.manifest(level, stage), made_from, arrays, facts, **more)
 
     def write_part(self, level: int, part: str, arrays: Arrays, **about: Any) -> Facts:
@@ -238,18 +307,6 @@ class _Opened(Mapping[str, NDArray[Any]]):
         return len(self.bundle.names)
 
 
-def next_level(refined: Path) -> int | None:
-    """Return the level that follows a refined one, by its manifest; None where none has patterns.
-
-    Raises
-    ------
-    StoreError, IntegrityError
-        When the manifest is missing or damaged.
-    """
-    following: int | None = read_manifest(refined)["next"]
-    return following
-
-
 def name_of(level: int) -> str:
     """Return what messages call a level."""
     return "verification" if level == VERIFICATION else f"level {level}"
@@ -292,9 +349,9 @@ def with_followers(manifest: Path) -> list[Path]:
 
     Snakemake makes a missing file again only for one that follows from it and is missing, too.
     """
-    if manifest.stem not in _STAGES:
+    if manifest.stem not in STAGES:
         return [manifest]
-    rest = _STAGES[_STAGES.index(manifest.stem) :]
+    rest = STAGES[STAGES.index(manifest.stem) :]
     return [manifest.with_name(f"{stage}.json") for stage in rest]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,7 +28,7 @@ from rfpipe.stages.merger import (
     read_merger,
     runs,
 )
-from rfpipe.stages.watch import DRIFT, MOVES, measure_drift, measure_moves
+from rfpipe.stages.watch import DRIFT, MOVES, measure_looks
 from rfpipe.store import FrameStore, drop, open_arrays, to_disk
 from rfpipe.units import RADIANCE_UNIT, SATURATION_FRACTION
 
@@ -114,8 +115,8 @@ def run(
                 facts |= symmetry.measured(folder, merger)
             else:
                 merger = read_merger(sensor, folder, saturation_fraction)
-            gains, drift = measure_drift(folder, merger, level, divide_out=divide_out_drift)
-            facts |= drift | measure_moves(folder, merger, level)
+            gains, looks = measure_looks(folder, merger, level, divide_out=divide_out_drift)
+            facts |= looks
             facts |= _merge(merger, gains, folder, level, facts, resources or Resources(), progress)
         folder.write_manifest(level, "merge", facts)
     if not keep_raw:
@@ -177,25 +178,25 @@ def _merge(
     image_shape = merger.floodlit.shape
     chunk = chunk_patterns(image_shape)
     total = LevelSum.zero(image_shape)
-    with folder.frames(level, "capture") as frames:
+    with ExitStack() as stack:
+        frames = stack.enter_context(folder.frames(level, "capture"))
         count = frames.shape[0]
         pieces = runs(count, image_shape)
         # a run is a shard, so that no two workers ever write the same one
         run_chunks = max(-(-(last - first) // chunk) for first, last in pieces or [(0, 1)])
-        shape = (count, 2, *image_shape)
-        with (
-            folder.merging(level, shape, facts["fingerprint"], (chunk, run_chunks)) as (
-                images, writer,
-            ),
-            Progress(f"{name_of(level)} merge", count, quick=True, shown=progress) as bar,
-        ):  # fmt: skip
-            work = _MergeRun(merger, gains, frames, writer, chunk)
-            with resources.workers(work.bytes_in_hand, folder.store(level, "merge").parent) as some:
-                for first, digests, of_run in some.results(work, pieces):
-                    images.enter(first, digests)
-                    total.join(of_run)
-                    bar.advance(of_run.count)
-            entry = images.entry()
+        layout, shape = (chunk, run_chunks), (count, 2, *image_shape)
+        merging = folder.merging(level, shape, facts["fingerprint"], layout)
+        images, writer = stack.enter_context(merging)
+        name = f"{name_of(level)} merge"
+        bar = stack.enter_context(Progress(name, count, quick=True, shown=progress))
+        work = _MergeRun(merger, gains, frames, writer, chunk)
+        place = folder.store(level, "merge").parent
+        workers = stack.enter_context(resources.workers(work.bytes_in_hand, place))
+        for first, digests, of_run in workers.results(work, pieces):
+            images.enter(first, digests)
+            total.join(of_run)
+            bar.advance(of_run.count)
+        entry = images.entry()
     samples = count * int(np.prod(image_shape))
     if total.saturated:
         _log.warning(

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.provenance import fingerprint
-from rfpipe.stages.folder import AcquisitionFolder
+from rfpipe.stages.folder import AcquisitionFolder, write_bundle
 from rfpipe.stages.merger import read_floodlit
-from rfpipe.stages.results import write_bundle
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport

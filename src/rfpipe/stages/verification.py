@@ -19,11 +19,10 @@ from rfpipe.errors import StoreError, VerificationError
 from rfpipe.patterns import Schedule
 from rfpipe.provenance import fingerprint
 from rfpipe.stages import merge
-from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of
+from rfpipe.stages.folder import VERIFICATION, AcquisitionFolder, name_of, standing, write_bundle
 from rfpipe.stages.jobs.job import stage_log
 from rfpipe.stages.jobs.workers import Resources
 from rfpipe.stages.merger import REFERENCES
-from rfpipe.stages.results import standing, write_bundle
 from rfpipe.stages.schedule import read_schedule, write_schedule
 from rfpipe.stages.unseen import NAMES, unseen_patterns
 from rfpipe.stages.watch import DRIFT, MOVES, MUTUAL

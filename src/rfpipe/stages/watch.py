@@ -2,8 +2,8 @@
 
 Drift: the floodlit image, again and again, tells what the lamp does. Moves: so does a fine random
 pattern whether the rig moved: half a pixel changes every ray of it by half, where white light
-changes at edges alone; a change of the lamp changes all rays alike, and is taken off. Reciprocity:
-the pictures of a coaxial rig themselves tell, for nothing, whether it still is one.
+changes at edges alone. Reciprocity: the pictures of a coaxial rig themselves tell, for nothing,
+whether it still is one.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import logging
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.blocks import RayDomain
 from rfpipe.calibration.reciprocity import Reciprocity
 from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import CaptureError, StoreError
@@ -42,10 +42,8 @@ MUTUAL = "reciprocity"
 LOOK_PATTERNS = 8
 """So that a rig that moved is noticed within ten patterns, at an eighth more of them."""
 
-# Standard deviations from which on a change counts as one: among hundreds of cells, noise has 4.
+# Standard deviations from which on a change counts as one.
 _SIGNIFICANCE = 5.0
-# Cells, along either side of an image, whose change is looked at by itself.
-_CELLS = 16
 # A change of the picture, relative to its norm, that is worth a word: half a pixel makes fifty
 # times as much, and a lamp that changes here and there a tenth.
 _MOVED = 0.02
@@ -75,6 +73,117 @@ def look_count(patterns: int, every: int) -> int:
 def look_positions(patterns: int, every: int) -> Double:
     """Return before which pattern each look is taken."""
     return np.minimum(np.arange(look_count(patterns, every)) * every, patterns).astype(np.float64)
+
+
+class Change(NamedTuple):
+    """How a bracket differs from a picture of the same pattern.
+
+    Attributes
+    ----------
+    gain, deviation : ndarray of float64, shape (C,)
+        Its light relative to the picture's, and the standard deviation.
+    rest : float
+        What differs beyond brightness and noise, relative to the picture's norm; 0 where nothing.
+    """
+
+    gain: Double
+    deviation: Double
+    rest: float
+
+
+def change(merger: Merger, known: Merged, bracket: NDArray[Any]) -> Change:
+    """Compare a bracket (1, E, ...) with a merged picture (1, *camera_shape, C)."""
+    later = merger.merge(bracket, 0)
+    both = np.isfinite(known.variance[0]) & np.isfinite(later.variance[0])
+    was, now, v_was, v_now = (
+        np.where(both, image[0], 0).reshape(-1, image.shape[-1]).astype(np.float64)
+        for image in (known.radiance, later.radiance, known.variance, later.variance)
+    )
+    total = was.sum(axis=0)
+    over = np.where(total > 0, total, 1)
+    gain = np.where(total > 0, now.sum(axis=0) / over, 1)
+    noise = v_now + gain**2 * v_was
+    square = float(np.square(now - gain * was).sum() - noise.sum())
+    chance = _SIGNIFICANCE * np.sqrt(2 * np.square(noise).sum()) + _NOISE_KNOWN * noise.sum()
+    light = float((np.square(gain * was) - gain**2 * v_was).sum())
+    rest = np.sqrt(square / light) if light > 0 and square > chance else 0.0
+    return Change(gain, np.sqrt(noise.sum(axis=0)) / over, float(rest))
+
+
+def _known(folder: AcquisitionFolder, merger: Merger, name: str) -> Merged | None:
+    """Return what looks are compared with: the floodlit image, or the first look of its kind."""
+    if name == DRIFT:
+        return Merged(merger.floodlit[None], merger.floodlit_variance[None], 0)
+    for store in sorted(folder.path.glob(f"L[0-9]*/{name}.zarr")):
+        try:
+            with FrameStore.open(store) as frames:
+                return merger.merge(frames.read(0, 1), 0)
+        except StoreError:  # not taken yet, or damaged
+            continue
+    return None
+
+
+def measure_looks(
+    folder: AcquisitionFolder, merger: Merger, level: int, *, divide_out: bool
+) -> tuple[Double | None, dict[str, Any]]:
+    """Measure and log what the looks at a level tell.
+
+    Returns
+    -------
+    gains : ndarray of float64, shape (patterns, C), or None
+        Brightness at each pattern, between the looks, to divide by; None not to divide.
+    facts : dict
+        For the manifest, of each kind of look that was taken.
+    """
+    captured = folder.read_manifest(level, "capture")
+    gains, facts = None, {}
+    for name in (each for each in (DRIFT, MOVES) if each in captured):
+        known, every = _known(folder, merger, name), captured[name]["every"]
+        with folder.frames(level, "capture", name) as frames:
+            taken = (frames.read(n, n + 1) for n in range(frames.shape[0]))
+            looks = [change(merger, known, bracket) for bracket in taken if known]
+        rest = [float(f"{look.rest:.4g}") for look in looks]
+        if name == MOVES:
+            moved = max(rest, default=0.0) > _MOVED
+            facts[MOVES] = {"every": every, "change": rest, "moved": moved}
+            continue
+        gain, deviation = np.stack([x.gain for x in looks]), np.stack([x.deviation for x in looks])
+        _log_drift(level, gain, deviation, max(rest), divide_out)
+        facts[DRIFT] = {
+            "every": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
+            "local": rest, "divided_out": divide_out,
+        }  # fmt: skip
+        if divide_out:
+            at = np.arange(captured["patterns"]) + 0.5
+            looked = look_positions(captured["patterns"], every)
+            gains = np.stack([np.interp(at, looked, of_channel) for of_channel in gain.T], axis=1)
+    return gains, facts
+
+
+def _log_drift(level: int, gain: Double, deviation: Double, rest: float, divided: bool) -> None:
+    span = gain.max(axis=0) - gain.min(axis=0)
+    is_change = span > _SIGNIFICANCE * np.sqrt(2) * deviation.max(axis=0)
+    largest, noise = float(np.where(is_change, span, 0).max()), float(deviation.max())
+    if not largest and not rest:
+        text = "%s: the light kept steady, to its noise of %.2g %%, in %d looks"
+        _log.info(text, name_of(level), 100 * noise, len(gain))
+        return
+    advice = "it is divided out" if divided else "merge.divide_out_drift would divide it out"
+    _log.warning(
+        "%s: the light changed by %.2g %% (noise %.2g %%) in %d looks; %s. Parts of the image "
+        "changed by %.2g %% more, which stays: check for stray light and for what moved",
+        name_of(level), 100 * largest, 100 * noise, len(gain), advice, 100 * rest,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Looks:
+    """Brackets of one pattern, taken again and again between those of a level."""
+
+    name: str
+    brackets: Brackets
+    frames: Any
+    every: int
 
 
 @contextmanager
@@ -109,102 +218,32 @@ def watching_level(
         merger = read_merger(of_level.rig.sensor, folder, SATURATION_FRACTION)
     is_coaxial = bool(folder.read_manifest(level, "schedule").get("coaxial"))
     shape = of_level.rig.projector_shape
-    white = np.ones(shape, np.float32)
     lit = random_signs(shape, 1, 1, seed=15)[0] > 0
     fine = np.asarray(lit if lit.any() else ~lit, np.float32)
     every = looks_every(looks, is_coaxial) if mode != "off" else 0
+    mutual = None
+    if mode != "off" and is_coaxial and 0 < level < VERIFICATION and merger and of_level.count:
+        mutual = _Mutual(of_level, level, merger, mutual_error)
     with ExitStack() as stack:
         begun = [
-            _begin(stack, of_level, level, DRIFT, "drift watch", DRIFT_KEY, white, drift_patterns),
-            _begin(stack, of_level, level, MOVES, "look at the rig", LOOK_KEY, fine, every),
+            _begin(stack, of_level, level, DRIFT, DRIFT_KEY, np.ones_like(fine), drift_patterns),
+            _begin(stack, of_level, level, MOVES, LOOK_KEY, fine, every),
         ]
-        mutual = None
-        if mode != "off" and is_coaxial and 0 < level < VERIFICATION and merger is not None:
-            mutual = _Mutual.begin(of_level, level, merger, mutual_error, mode == "refuse")
-        looks_of_level = [look for look in begun if look]
-        yield Watcher(of_level, level, merger, looks_of_level, mutual, mode == "refuse")
-
-
-@dataclass(frozen=True)
-class Watcher:
-    """Takes the looks of a level, and holds its pictures against each other."""
-
-    of_level: Brackets
-    level: int
-    merger: Merger | None
-    looks: Sequence[_Looks]
-    mutual: _Mutual | None
-    refuse: bool
-
-    def due(self, first: int, last: int) -> Sequence[int]:
-        """Return the positions between two patterns at which a look is due."""
-        steps = [look.every for look in self.looks]
-        return sorted({at for n in steps for at in range((first // n + 1) * n, last, n)})
-
-    def before(self, position: int) -> None:
-        """Take the looks that are due before the pattern at `position`, or after the last one."""
-        for look in self.looks:
-            at_end = position == self.of_level.count
-            index = look.brackets.count - 1 if at_end else position // look.every
-            if not look.frames.done[index]:
-                self._tell(look, position, look.brackets.take(look.frames, index, index + 1))
-
-    def after(self, first: int, brackets: NDArray[Any]) -> None:
-        """Judge captured brackets, from pattern `first` on."""
-        if self.mutual:
-            self.mutual.judge(first, brackets)
-
-    def entries(self) -> dict[str, Any]:
-        """Return what the level's manifest says of all of it."""
-        looks = {
-            look.name: {**look.brackets.entry(look.frames), "every": look.every}
-            for look in self.looks
-        }
-        return {**looks, **({MUTUAL: self.mutual.facts()} if self.mutual else {})}
-
-    def _tell(self, look: _Looks, position: int, bracket: NDArray[Any]) -> None:
-        """Say what a look shows; CaptureError where the rig moved and that ends the capture."""
-        if self.merger is None:
-            return
-        if look.name == DRIFT:
-            gain, deviation, local = brightness(self.merger, bracket, 0)
-            _log.info(
-                "drift watch before pattern %d: %s of the floodlit image's light (noise %.2g %%); "
-                "parts of the image differ by up to %.2g %%",
-                position, ", ".join(f"{100 * part:.2f} %" for part in gain),
-                100 * deviation.max(), 100 * float(local),
-            )  # fmt: skip
-            return
-        first = _first_look(self.of_level.folder, self.merger)
-        change = _change(self.merger, first, bracket) if first else 0.0
-        if change <= _MOVED:
-            return
-        text = (
-            f"{name_of(self.level)}, before pattern {position}: the rig or the scene moved: the "
-            f"same pattern looks different by {change:.1%} from how it looked first, whatever the "
-            "lamp does. Pictures from before and after don't fit together"
+        watcher = Watcher(
+            of_level, level, merger, [each for each in begun if each], mutual, mode == "refuse"
         )
-        if self.refuse:
-            raise CaptureError(
-                f"{text}. What is captured is kept: put things back, or remove the acquisition's "
-                "folder and begin anew; capture.watch: warn goes on regardless"
-            )
-        _log.warning("%s", text)
-
-
-@dataclass(frozen=True)
-class _Looks:
-    name: str
-    brackets: Brackets
-    frames: Any
-    every: int
+        if mutual:
+            for index, bracket in _captured(of_level):
+                watcher.after(index, bracket)
+        yield watcher
 
 
 def _begin(
     stack: ExitStack, of_level: Brackets, level: int,
-    name: str, title: str, key: int, pattern: NDArray[np.float32], every: int,
+    name: str, key: int, pattern: NDArray[np.float32], every: int,
 ) -> _Looks | None:  # fmt: skip
     path, patterns = of_level.folder.store(level, name), of_level.count
+    title = {DRIFT: "drift watch", MOVES: "look at the rig"}[name]
     if of_level.count_missing() < patterns:  # it was begun
         if path.exists():
             restore_header(path)
@@ -231,227 +270,121 @@ def _begin(
     return _Looks(name, brackets, stack.enter_context(brackets.recording()), every)
 
 
-# --- what looks tell: the lamp
+def _captured(of_level: Brackets) -> Iterator[tuple[int, NDArray[Any]]]:
+    """Yield the brackets of a level that are captured already, one by one, with their numbers."""
+    if of_level.count_missing() == of_level.count:
+        return
+    with FrameStore.open(of_level.path) as frames:
+        for index in map(int, np.flatnonzero(frames.done & (not frames.dropped))):
+            try:
+                yield index, frames.read(index, index + 1)
+            except StoreError:  # it will be captured, and judged, again
+                continue
 
 
-def brightness(merger: Merger, bracket: NDArray[Any], index: int) -> tuple[Double, Double, Double]:
-    """Compare one look's bracket (1, E, ...) of the floodlit pattern with that of level 0.
+@dataclass(frozen=True)
+class Watcher:
+    """Takes the looks of a level, and holds its pictures against each other."""
 
-    Returns
-    -------
-    gain, deviation : ndarray of float64, shape (C,)
-        Its light, relative, and the standard deviation.
-    local : ndarray of float64, shape ()
-        Largest significant change of a sixteenth by a sixteenth of the image beyond that of the
-        whole, relative; 0 where none is.
+    of_level: Brackets
+    level: int
+    merger: Merger | None
+    looks: Sequence[_Looks]
+    mutual: _Mutual | None
+    refuse: bool
 
-    Raises
-    ------
-    CaptureError
-        When the floodlit image has a channel without light.
-    """
-    merged = merger.merge(bracket, index)
-    seen, seen_variance, known, known_variance = (
-        _cells(image)
-        for image in (
-            merged.radiance[0], merged.variance[0], merger.floodlit, merger.floodlit_variance,
-        )
-    )  # fmt: skip
-    total = known.sum(axis=0)
-    if not (total > 0).all():
-        raise CaptureError(
-            "the floodlit image has a channel without light, so that drift can't be watched: set "
-            "capture.drift_minutes to null"
-        )
-    gain = seen.sum(axis=0) / total
-    variance = seen_variance.sum(axis=0) + gain**2 * known_variance.sum(axis=0)
-    expected = known * gain
-    noise = np.sqrt(seen_variance + gain**2 * known_variance)
-    significant = np.abs(seen - expected) > _SIGNIFICANCE * noise
-    change = np.divide(
-        np.abs(seen - expected), expected, out=np.zeros_like(seen), where=expected > 0
-    )
-    local = np.where(significant, change, 0).max(initial=0.0)
-    return gain, np.sqrt(variance) / total, np.asarray(local)
+    def due(self, first: int, last: int) -> Sequence[int]:
+        """Return the positions between two patterns at which a look is due."""
+        steps = [look.every for look in self.looks]
+        return sorted({at for n in steps for at in range((first // n + 1) * n, last, n)})
 
+    def before(self, position: int) -> None:
+        """Take the looks that are due before the pattern at `position`, or after the last one.
 
-def _cells(image: NDArray[np.float32]) -> Double:
-    """Sum an image (*camera_shape, C) over the cells of its views, ``(cells, C)``."""
-    *shape, channels = image.shape
-    planes = image.reshape(*RayDomain(tuple(shape)).stack_shape, channels).astype(np.float64)
-    rows, columns = (
-        np.arange(min(extent, _CELLS)) * extent // min(extent, _CELLS)
-        for extent in planes.shape[1:3]
-    )
-    sums = np.add.reduceat(np.add.reduceat(planes, rows, axis=1), columns, axis=2)
-    return sums.reshape(-1, channels)
+        Raises
+        ------
+        CaptureError
+            Where a look shows that the rig moved, and that is to end the capture.
+        """
+        for look in self.looks:
+            at_end = position == self.of_level.count
+            index = look.brackets.count - 1 if at_end else position // look.every
+            if look.frames.done[index]:
+                continue
+            bracket = look.brackets.take(look.frames, index, index + 1)
+            if self.merger is None:
+                continue
+            known = _known(self.of_level.folder, self.merger, look.name)
+            if known is None:
+                continue
+            gain, deviation, rest = change(self.merger, known, bracket)
+            if look.name == DRIFT:
+                light = ", ".join(f"{100 * part:.2f} %" for part in gain)
+                _log.info(
+                    "drift watch before pattern %d: %s of the floodlit image's light (noise %.2g "
+                    "%%); parts of the image differ by %.2g %%",
+                    position, light, 100 * deviation.max(), 100 * rest,
+                )  # fmt: skip
+            elif rest > _MOVED:
+                self._say(
+                    f"before pattern {position}: the rig or the scene moved: the same pattern "
+                    f"looks different by {rest:.1%} from how it looked first, whatever the lamp "
+                    "does. Pictures from before and after don't fit together",
+                    "put things back, or remove the acquisition's folder and begin anew",
+                )
 
+    def after(self, first: int, brackets: NDArray[Any]) -> None:
+        """Judge captured brackets, from pattern `first` on; CaptureError as `before`."""
+        for index, deviations, error in self.mutual.alarms(first, brackets) if self.mutual else ():
+            self._say(
+                f"pattern {index}: light doesn't go from camera to projector as it comes "
+                f"({deviations:.0f} standard deviations): taking the rig for a coaxial one makes "
+                f"an error of at least {error:.1%} in this picture. The two devices are not "
+                "aligned any more, or never were",
+                "align them and remove the acquisition's folder to begin anew, or use a method "
+                "for any rig, such as dual photography",
+            )
 
-def measure_drift(
-    folder: AcquisitionFolder, merger: Merger, level: int, *, divide_out: bool
-) -> tuple[Double | None, dict[str, Any]]:
-    """Measure and log what a drift watch saw of a level.
+    def entries(self) -> dict[str, Any]:
+        """Return what the level's manifest says of all of it."""
+        looks = {
+            look.name: {**look.brackets.entry(look.frames), "every": look.every}
+            for look in self.looks
+        }
+        mutual = self.mutual
+        if mutual and not mutual.in_order:  # the facts are the same however the capture went
+            mutual = mutual.anew()
+            for captured in _captured(self.of_level):
+                list(mutual.alarms(*captured))
+        return {**looks, **({MUTUAL: mutual.facts} if mutual else {})}
 
-    Returns
-    -------
-    gains : ndarray of float64, shape (patterns, C), or None
-        Brightness at each pattern, between the looks, to divide by; None not to divide.
-    facts : dict
-        For the manifest; empty where nothing watched.
-    """
-    captured = folder.read_manifest(level, "capture")
-    if DRIFT not in captured:
-        return None, {}
-    every, patterns = captured[DRIFT]["every"], captured["patterns"]
-    with folder.frames(level, "capture", DRIFT) as frames:
-        looks = [brightness(merger, frames.read(n, n + 1), n) for n in range(frames.shape[0])]
-    gain, deviation, local = (np.stack(part) for part in zip(*looks, strict=True))
-    span = gain.max(axis=0) - gain.min(axis=0)
-    is_change = span > _SIGNIFICANCE * np.sqrt(2) * deviation.max(axis=0)
-    change = float(np.where(is_change, span, 0).max(initial=0.0))
-    noise, parts = float(deviation.max(initial=0.0)), float(local.max(initial=0.0))
-    if change or parts:
-        advice = "it is divided out" if divide_out else "merge.divide_out_drift would divide it out"
-        _log.warning(
-            "%s: the light changed by %.2g %% (noise %.2g %%) in %d looks; %s. Parts of the image "
-            "changed by up to %.2g %% more, which stays: check for stray light and for what moved",
-            name_of(level), 100 * change, 100 * noise, len(gain), advice, 100 * parts,
-        )  # fmt: skip
-    else:
-        _log.info(
-            "%s: the light kept steady, to its noise of %.2g %%, in %d looks",
-            name_of(level), 100 * noise, len(gain),
-        )  # fmt: skip
-    facts = {
-        "every": every, "gain": gain.tolist(), "deviation": deviation.tolist(),
-        "local": local.tolist(), "divided_out": divide_out,
-    }  # fmt: skip
-    gains = None
-    if divide_out:
-        at, known = np.arange(patterns) + 0.5, look_positions(patterns, every)
-        gains = np.stack([np.interp(at, known, of_channel) for of_channel in gain.T], axis=1)
-    return gains, {DRIFT: facts}
-
-
-# --- what looks tell: the rig's place
-
-
-def measure_moves(folder: AcquisitionFolder, merger: Merger, level: int) -> dict[str, Any]:
-    """Return what each look at the rig changed by, for the manifest; empty where nothing looked."""
-    captured = folder.read_manifest(level, "capture")
-    if MOVES not in captured:
-        return {}
-    first = _first_look(folder, merger)
-    with folder.frames(level, "capture", MOVES) as frames:
-        changes = [
-            _change(merger, first, frames.read(n, n + 1)) if first else 0.0
-            for n in range(frames.shape[0])
-        ]
-    facts = {
-        "every": captured[MOVES]["every"],
-        "change": [float(f"{change:.4g}") for change in changes],
-        "moved": any(change > _MOVED for change in changes),
-    }
-    return {MOVES: facts}
-
-
-def _first_look(folder: AcquisitionFolder, merger: Merger) -> Merged | None:
-    """Return an acquisition's first look, merged; None where there is none yet."""
-    for store in sorted(folder.path.glob(f"L[0-9]*/{MOVES}.zarr")):
-        try:
-            with FrameStore.open(store) as frames:
-                if frames.done[0]:
-                    return merger.merge(frames.read(0, 1), 0)
-        except StoreError:
-            continue
-    return None
-
-
-def _change(merger: Merger, first: Merged, bracket: NDArray[Any]) -> float:
-    """Return how a look's bracket (1, E, ...) differs from the first look, relative to its norm.
-
-    Beyond brightness and noise; 0 where that is all.
-    """
-    later = merger.merge(bracket, 0)
-    known = np.isfinite(first.variance[0]) & np.isfinite(later.variance[0])
-    was, now, v_was, v_now = (
-        np.where(known, image[0], 0).reshape(-1, image.shape[-1]).astype(np.float64)
-        for image in (first.radiance, later.radiance, first.variance, later.variance)
-    )
-    over = np.square(was).sum(axis=0)
-    gain = np.where(over > 0, (was * now).sum(axis=0) / np.where(over > 0, over, 1), 1)
-    noise = v_now + gain**2 * v_was
-    light = float((np.square(gain * was)).sum() - (gain**2 * v_was).sum())
-    if light <= 0:
-        return 0.0
-    square = float(np.square(now - gain * was).sum() - noise.sum())
-    chance = _SIGNIFICANCE * np.sqrt(2 * np.square(noise).sum()) + _NOISE_KNOWN * noise.sum()
-    return float(np.sqrt(max(square, 0.0) / light)) if square > chance else 0.0
-
-
-# --- what the patterns themselves tell
+    def _say(self, what: str, advice: str) -> None:
+        text = f"{name_of(self.level)}, {what}"
+        if self.refuse:
+            raise CaptureError(
+                f"{text}. What is captured is kept: {advice}; capture.watch: warn goes on "
+                "regardless"
+            )
+        _log.warning("%s; capture.watch: refuse would stop here", text)
 
 
 class _Mutual:
     """Holds the pictures of a level against each other and those of the levels above."""
 
-    def __init__(
-        self, of_level: Brackets, level: int, merger: Merger, worth_a_word: float, refuse: bool
-    ) -> None:
-        self._of_level, self._level, self._merger = of_level, level, merger
-        self._worth_a_word, self._refuse, self._silent = worth_a_word, refuse, False
+    def __init__(self, of_level: Brackets, level: int, merger: Merger, worth_a_word: float) -> None:
+        self.anew = partial(_Mutual, of_level, level, merger, worth_a_word)
+        self._merger, self._worth_a_word = merger, worth_a_word
         self._patterns = read_schedule(of_level.folder, level).batch
         self._reciprocity = Reciprocity(merger.floodlit, merger.floodlit_variance)
-        self._in_order = True
-        self._judged = 0
+        self.in_order = True
         self._first: int | None = None
-        self._deviations = self._error = 0.0
+        self._judged, self._deviations, self._error = 0, 0.0, 0.0
+        for above in range(1, level):
+            self._enter(of_level.folder, above)
 
-    @classmethod
-    def begin(cls, of_level: Brackets, *about: Any, silent: bool = False) -> _Mutual | None:
-        """Judge what is captured of a level; None where there is nothing to be held against."""
-        self = cls(of_level, *about)
-        if not self._merger.floodlit.any() or not of_level.count:
-            return None
-        self._silent = silent
-        for above in range(1, self._level):
-            self._enter(above)
-        if of_level.count_missing() < of_level.count:
-            with FrameStore.open(of_level.path) as frames:
-                if frames.dropped:
-                    return None
-                for index in map(int, np.flatnonzero(frames.done)):
-                    try:
-                        brackets = frames.read(index, index + 1)
-                    except StoreError:  # it will be captured, and judged, again
-                        continue
-                    self.judge(index, brackets)
-        return self
-
-    def judge(self, first: int, brackets: NDArray[Any]) -> None:
-        """Judge brackets, from pattern `first` on; CaptureError where one is to end the capture."""
-        merged = self._merger.merge(brackets, first)
-        patterns = self._patterns(first, first + len(brackets))
-        for offset, pattern in enumerate(patterns):
-            index = first + offset
-            residual = self._reciprocity.judge(
-                pattern, merged.radiance[offset], merged.variance[offset]
-            )
-            self._in_order &= index == self._judged
-            self._judged += 1
-            self._deviations = max(self._deviations, residual.deviations)
-            if residual.is_wrong(self._worth_a_word):
-                self._error = max(self._error, residual.error)
-                self._say(index, residual.deviations, residual.error)
-
+    @property
     def facts(self) -> dict[str, Any]:
-        """Return what the level's manifest says: the same however the capture went."""
-        if not self._in_order:
-            again = _Mutual.begin(
-                self._of_level, self._level, self._merger, self._worth_a_word, False, silent=True
-            )
-            if again:
-                return again.facts()
+        """What the level's manifest says."""
         return {
             "judged": self._judged,
             "deviations": float(f"{self._deviations:.4g}"),
@@ -459,26 +392,24 @@ class _Mutual:
             "first": self._first,
         }
 
-    def _say(self, index: int, deviations: float, error: float) -> None:
-        is_first, self._first = self._first is None, index if self._first is None else self._first
-        text = (
-            f"{name_of(self._level)}, pattern {index}: light doesn't go from camera to projector "
-            f"as it comes ({deviations:.0f} standard deviations): taking the rig for a coaxial "
-            f"one makes an error of at least {error:.1%} in this picture. The two devices are not "
-            "aligned any more, or never were"
-        )
-        if self._refuse:
-            raise CaptureError(
-                f"{text}. What is captured is kept: align them and remove the acquisition's folder "
-                "to begin anew, or use a method for any rig, such as dual photography; "
-                "capture.watch: warn goes on regardless"
-            )
-        if is_first and not self._silent:
-            _log.warning("%s; capture.watch: refuse would stop here", text)
+    def alarms(self, first: int, brackets: NDArray[Any]) -> Iterator[tuple[int, float, float]]:
+        """Judge brackets; yield number, deviations and error of the level's first wrong one."""
+        merged = self._merger.merge(brackets, first)
+        images = zip(merged.radiance, merged.variance, strict=True)
+        patterns = self._patterns(first, first + len(brackets))
+        for index, (pattern, image) in enumerate(zip(patterns, images, strict=True), first):
+            residual = self._reciprocity.judge(pattern, *image)
+            self.in_order &= index == self._judged
+            self._judged += 1
+            self._deviations = max(self._deviations, residual.deviations)
+            if residual.is_wrong(self._worth_a_word):
+                self._error = max(self._error, residual.error)
+                if self._first is None:
+                    self._first = index
+                    yield index, residual.deviations, residual.error
 
-    def _enter(self, level: int) -> None:
+    def _enter(self, folder: AcquisitionFolder, level: int) -> None:
         """Make witnesses of a level's first pictures."""
-        folder = self._of_level.folder
         if not folder.exists(level, "merge"):
             return
         try:

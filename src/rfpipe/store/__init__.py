@@ -7,7 +7,7 @@ and locks do without it.
 from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays
 from rfpipe.store.files import bytes_on_disk, to_disk
 from rfpipe.store.frames import FrameStore, drop
-from rfpipe.store.headers import header_is_whole, keep_header, rebuild_header, restore_header
+from rfpipe.store.headers import header_is_whole, keep_header, restore_header
 from rfpipe.store.items import ItemWriter
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import read_manifest, write_manifest
@@ -23,7 +23,6 @@ __all__ = [
     "keep_header",
     "open_arrays",
     "read_manifest",
-    "rebuild_header",
     "restore_header",
     "to_disk",
     "write_arrays",

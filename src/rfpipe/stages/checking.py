@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,21 +12,25 @@ from typing import Any
 from rfpipe.errors import InputError, StoreError
 from rfpipe.keys import VERIFICATION_KEY
 from rfpipe.stages.capture import SENSOR
-from rfpipe.stages.checking.again import RUN, run_again, shell_path
-from rfpipe.stages.checking.published import check_place
-from rfpipe.stages.checking.stores import RESTORE, Checked, Finding, Mend, check_store
-from rfpipe.stages.checking.stores import first_sentence as damage_of
-from rfpipe.stages.folder import REFERENCE, SYMMETRY, with_followers
+from rfpipe.stages.checked import (
+    RESTORE,
+    Checked,
+    Finding,
+    Mend,
+    check_place,
+    check_store,
+    damage_of,
+)
+from rfpipe.stages.folder import FILES, REFERENCE, STAGES, SYMMETRY, with_followers
+from rfpipe.stages.jobs.ends import RUN, run_again
 from rfpipe.stages.merge import SUMS
 from rfpipe.stages.merger import REFERENCES
-from rfpipe.stages.results import FILES
 from rfpipe.stages.verification import MANIFEST as VERIFICATION
 from rfpipe.stages.watch import DRIFT, MOVES
 from rfpipe.store import StoreLock, open_arrays, read_manifest
 from rfpipe.store.files import digest_of
 from rfpipe.store.places import as_address, locate
 
-_STAGES = ("schedule", "capture", "merge", "normalize", "refine")
 # Stores of a level that the manifest of another name is about.
 _OWNERS = dict.fromkeys((REFERENCE, SYMMETRY, DRIFT, MOVES, SENSOR), "capture") | dict.fromkeys(
     (SUMS, REFERENCES), "merge"
@@ -61,7 +66,8 @@ def check(folder: Path, progress: Callable[[int], object] | None = None) -> Chec
         )
     if check_place(place, checked):
         return checked
-    for root in _roots(folder):
+    inside = [each for each in (folder / "results", folder / "calibration") if each.is_dir()]
+    for root in inside if (folder / "results").is_dir() else [folder]:
         _check_below(root, checked)
     if not checked.stores + checked.manifests + checked.files and not checked.notes:
         raise InputError(
@@ -71,34 +77,20 @@ def check(folder: Path, progress: Callable[[int], object] | None = None) -> Chec
     return checked
 
 
-def bytes_below(folder: Path) -> int:
-    """Return the bytes of all files that a check may read."""
-    return sum(
-        file.stat().st_size
-        for root in _roots(folder)
-        for file in root.rglob("*")
-        if file.is_file() and not file.is_symlink()
-    )
-
-
 def command_for(finding: Finding) -> str:
     """Return the shell command that mends a finding; none where only a copy does."""
     if finding.mend.how == "restore":
         return ""
     path = Path(str(finding.path)).absolute()
-    results = next((each for each in (path, *path.parents) if each.name == "results"), path.parent)
-    again = run_again(results)
     if finding.mend.how == "calibrate":
         of_steps = (each.parent for each in path.parents if each.name == "steps")
-        again = f"rfpipe calibrate RIG.yaml --output {shell_path(next(of_steps, path.parent))}"
-    if not finding.mend.remove:
-        return again
-    return f"rm -rf {' '.join(map(shell_path, finding.mend.remove))} && {again}"
-
-
-def _roots(folder: Path) -> list[Path]:
-    inside = [place for place in (folder / "results", folder / "calibration") if place.is_dir()]
-    return inside if (folder / "results").is_dir() else [folder]
+        output = str(next(of_steps, path.parent))
+        again = shlex.join(["rfpipe", "calibrate", "RIG.yaml", "--output", output])
+    else:
+        above = (each for each in (path, *path.parents) if each.name == "results")
+        again = run_again(next(above, path.parent))
+    gone = shlex.join(map(str, finding.mend.remove))
+    return f"rm -rf {gone} && {again}" if gone else again
 
 
 def _check_below(folder: Path, checked: Checked) -> None:
@@ -128,56 +120,46 @@ def _is_manifest(path: Path) -> bool:
     if path.name == RUN or path.with_suffix(".zarr").exists():
         return True
     content = path.read_bytes()
-    if b'"checksum"' not in content:
-        return False
     try:
-        return "checksum" in json.loads(content)
+        return b'"checksum"' in content and "checksum" in json.loads(content)
     except ValueError:
         return True
 
 
-def _read(path: Path, checked: Checked, mend: Mend) -> dict[str, Any]:
-    """Read a manifest; nothing where it is missing or damaged, which is a finding."""
-    checked.manifests += 1
-    try:
-        checked.facts[path] = read_manifest(path)
-    except StoreError as error:
-        checked.wrong(path, damage_of(error, path), mend)
-    return checked.facts.get(path, {})
-
-
 def _check_manifest(path: Path, checked: Checked) -> None:
     """Check a manifest by itself, and the stores and files beside it that it is about."""
-    facts = _read(path, checked, _mend(path))
-    if not facts:
-        return  # its stores are checked alone
+    checked.manifests += 1
+    try:
+        facts = checked.facts[path] = read_manifest(path)
+    except StoreError as error:  # its stores are checked alone
+        checked.wrong(path, damage_of(error, path), _mend(path))
+        return
     entries = {path.stem: facts, **{key: it for key, it in facts.items() if isinstance(it, dict)}}
     for name, entry in entries.items():
         store = path.with_name(f"{name}.zarr")
         # a calibration calls the digest of its store arrays
         stated = next((entry[key] for key in ("digest", "arrays") if key in entry), None)
         is_told = entry is facts or name in _OWNERS
-        is_due = stated or store.exists() or facts.get("stage") == "schedule"
-        if store in checked.seen or not (is_told and is_due):
+        of_patterns = facts.get("stage") == "schedule"
+        if store in checked.seen or not (is_told and (stated or store.exists() or of_patterns)):
             continue
         damage, digest = check_store(store, checked, entry.get("fingerprint"))
         if stated and digest not in (None, stated):
             damage.append(f"isn't the store of {path.name}: its digest is {digest}, not {stated}")
-        of_patterns = facts.get("stage") == "schedule" and not damage
-        if of_patterns and open_arrays(store).attributes["facts"] != facts:
+        if of_patterns and not damage and open_arrays(store).attributes["facts"] != facts:
             damage.append(f"holds other patterns than {path.name} says")
         for what in damage:
             checked.wrong(store, what, _mend(path, store))
     for name, digest in facts.get("files", {}).items():
         file = path.parent / name
+        content = file.read_bytes() if file.is_file() else None
         checked.files += 1
-        if not file.is_file():
+        checked.read(len(content or b""))
+        if content is None:
             checked.wrong(file, "is missing", _mend(path, file))
-        elif digest_of(file.read_bytes()) != digest:
+        elif digest_of(content) != digest:
             what = f"is altered: its digest isn't that of {path.name}"
             checked.wrong(file, what, _mend(path, file))
-        else:
-            checked.read(file.stat().st_size)
 
 
 def _check_alone(path: Path, checked: Checked) -> None:
@@ -195,10 +177,11 @@ def _check_acquisition(folder: Path, checked: Checked) -> None:
     levels = sorted(place for place in folder.glob("L*") if _LEVEL.fullmatch(place.name))
     transport = folder / "transport.json"
     for level in levels:
-        _check_level(level, _STAGES, checked, is_complete=transport.exists())
-    if (folder / "verification").is_dir():
+        _check_level(level, STAGES, int(level.name[1:]), checked, transport.exists())
+    pictures = folder / "verification"
+    if pictures.is_dir():
         is_complete = (folder / VERIFICATION).exists()
-        _check_level(folder / "verification", _STAGES[:3], checked, is_complete=is_complete)
+        _check_level(pictures, STAGES[:3], VERIFICATION_KEY, checked, is_complete)
     if not transport.exists():
         checked.notes.append(
             f"{folder}: not finished, {len(levels)} levels begun; the next run goes on there"
@@ -209,13 +192,11 @@ def _check_acquisition(folder: Path, checked: Checked) -> None:
 
 
 def _check_level(
-    level: Path, stages: Sequence[str], checked: Checked, *, is_complete: bool
+    level: Path, stages: Sequence[str], number: int, checked: Checked, is_complete: bool
 ) -> None:
-    of_level: dict[str, dict[str, Any]] = {}
-    for stage in stages:
+    of_level = {stage: checked.facts.get(level / f"{stage}.json", {}) for stage in stages}
+    for stage, facts in of_level.items():
         manifest = level / f"{stage}.json"
-        facts = of_level[stage] = checked.facts.get(manifest, {})
-        number = VERIFICATION_KEY if level.name == "verification" else int(level.name[1:])
         if is_complete and not manifest.exists():
             checked.wrong(manifest, "is missing", _mend(manifest))
         elif facts and (facts["stage"], facts["level"]) != (stage, number):
@@ -259,31 +240,24 @@ def _mend(manifest: Path, damaged: Path | None = None) -> Mend:
         return Mend("run", (folder,), "the light of this scene is recorded again")
     if folder.name == "verification":
         return Mend("run", (manifest, folder.with_name(VERIFICATION)))
-    if name == "sweep_times.json":
-        gone = (manifest, *(folder / f"sweep.{suffix}" for suffix in ("json", "zarr", "csv")))
-        return Mend("run", gone, "the sweep is acquired again")
     if name == FILES and (folder / "index.html").is_file():  # which the workflow knows of
         tables = tuple(each for each in (damaged,) if each and each.parent.name == "tables")
         return Mend("run", (*tables, folder / "index.html"))
-    return _mend_level(manifest) if _LEVEL.fullmatch(folder.name) else Mend("run", (manifest,))
-
-
-def _mend_level(manifest: Path) -> Mend:
-    folder = manifest.parent
-    transport = folder.with_name("transport.json")
-    gone, cost = with_followers(manifest), ""
+    if not _LEVEL.fullmatch(folder.name):
+        return Mend("run", (manifest,))
+    gone, cost = tuple(with_followers(manifest)), ""
     if manifest.stem == "capture":
         cost = (
             "what is whole stays; the damaged patterns are shown again, so the scene must stand as "
             "it did"
         )
     elif manifest.stem == "merge" and (folder / "capture.zarr" / "dropped.json").exists():
-        gone = [manifest, *_captured(folder.parent)]
+        gone = (manifest, *_captured(folder.parent))
         cost = (
             "the raw exposures were dropped after their merge (capture.keep_raw): ALL patterns are "
             "taken again. A copy of the folder, if there is one, is better"
         )
-    return Mend("run", tuple(dict.fromkeys((*gone, transport))), cost)
+    return Mend("run", tuple(dict.fromkeys((*gone, folder.with_name("transport.json")))), cost)
 
 
 def _captured(folder: Path) -> Iterator[Path]:
