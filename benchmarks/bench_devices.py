@@ -1,6 +1,7 @@
 """Milliseconds of the devices that need no hardware: results/bench/devices.csv.
 
-Usage: ``python -m benchmarks.bench_devices``. Needs Xvfb. Medians over repeats: a picture on the
+Usage: ``python -m benchmarks.bench_devices``. Needs a display of 1080 x 1920 pixels, such
+as ``xvfb-run -s "-screen 0 1920x1080x24"`` gives it. Medians over repeats: a picture on the
 projector's window, an exposure of pylon's emulated camera, a bracket of the bench; and an exposure
 of each other driver on its library's virtual camera, before the bench's scene, of those installed.
 """
@@ -21,7 +22,6 @@ from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.build import rig_from_config
 from rfpipe.rigs.cameras.pylon import PylonCamera
-from rfpipe.rigs.displays import XServer
 from rfpipe.rigs.window import WindowProjector
 
 REPEATS = 50
@@ -47,7 +47,7 @@ def median_ms(step: Callable[[], object]) -> float:
 
 def window(shape: tuple[int, int]) -> float:
     picture = np.random.default_rng(0).random(shape, np.float32)
-    with XServer(shape) as display, WindowProjector(display.name, settle_seconds=0) as projector:
+    with WindowProjector(shape=shape, settle_seconds=0) as projector:
         return median_ms(lambda: projector.show(picture))
 
 

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from rfpipe.errors import InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.cameras.bracket import chosen
+from rfpipe.rigs.cameras.bracket import BenchCamera, chosen
 from rfpipe.rigs.cameras.genicam import GenicamCamera, GenicamOptions, RefusedError
 from rfpipe.rigs.optics import Scenery
 from rfpipe_devices.aravis_library import (
@@ -96,6 +96,7 @@ class AravisCamera(GenicamCamera):
         self.nodes.execute("TriggerSoftware")
 
     def _expect(self) -> None:
+        """Make room for one more frame: the library has none of its own."""
         call("arv_stream_push_buffer", self._stream, call("arv_buffer_new_allocate", self._payload))
 
     def _next(self, seconds: float) -> tuple[Counts | None, str]:
@@ -124,8 +125,10 @@ class AravisCamera(GenicamCamera):
             self._payload = max(self._payload, self.nodes.integer("PayloadSize"))
         return shape
 
-    def _start(self) -> None:
+    def _start(self, room: int = 0) -> None:
         self._stream = tried("arv_device_create_stream", self._device, None, None)
+        for _ in range(room):
+            self._expect()
         self.nodes.execute("AcquisitionStart")
 
     def _stop(self) -> None:
@@ -162,27 +165,19 @@ class PreparedCamera(AravisCamera):
         """Lay counts (H, W) before the camera."""
         self.frame = counts.astype(np.uint8 if bits == 8 else "<u2").tobytes()
 
-    def _start(self) -> None:
+    def _start(self, room: int = 0) -> None:
         fake = call("arv_fake_device_get_fake_camera", self._device)
         call("arv_fake_camera_set_fill_pattern", fake, self._fill, None, None)
         call("arv_fake_camera_set_trigger_frequency", fake, 1000.0)  # looks for a trigger so often
-        super()._start()
+        super()._start(room)
 
     def _copy(self, buffer: int, *_: Any) -> None:
         """Fill the library's buffer with the picture; is called by a thread of its own."""
         ctypes.memmove(call("arv_buffer_get_data", buffer, None), self.frame, len(self.frame))
 
 
-class AravisBenchCamera(PreparedCamera):
-    """Aravis' fake camera on the bench in software, each picture made when it is triggered.
-
-    Parameters
-    ----------
-    scenery : Scenery
-    sensor : CameraModel
-        The camera as the rig has it; its exposures are set, its noise is not used.
-    options
-        As `AravisCamera` has them; serial and shape are the bench's.
+class AravisBenchCamera(BenchCamera, PreparedCamera):
+    """Aravis' fake camera on the bench in software.
 
     Raises
     ------
@@ -192,47 +187,27 @@ class AravisBenchCamera(PreparedCamera):
         When its fake camera has no such pixel format.
     """
 
+    kind = "bench of aravis"
+
     def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
         if scenery.camera.bits != (16 if sensor.bayer is None else 8):
             raise InputError(
                 f"sensor.bits is {scenery.camera.bits}; the bench with camera.driver aravis, which "
                 "is Aravis' fake camera, has Mono16, or a colour mosaic of 8 bits"
             )
-        self._scenery = scenery
-        self._armed_for: float | None = None
         self._filled = threading.Event()
-        super().__init__(sensor, **{**options, "shape": scenery.path.camera_shape})
-
-    def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
-        return super().describe() | {"kind": "bench of aravis"} | self._scenery.describe()
-
-    def arm(self, exposure: float, count: int) -> None:
-        """Wait for triggers by the bench's projector; see `SequenceCamera`."""
-        self._armed_for = exposure
-        super().arm(exposure, count)
-
-    def collect(self) -> NDArray[np.uint16]:
-        """Return the frames since `arm`; see `SequenceCamera`."""
-        frames = super().collect()
-        self._armed_for = None
-        return frames
+        super().__init__(scenery, sensor, **{**options, "shape": scenery.path.camera_shape})
 
     def trigger(self) -> None:
         """Take a frame while armed, as the projector's signal would have it."""
-        if self._armed_for is not None:
-            self._before_trigger(self._armed_for)
+        if self._armed is not None:
+            self._before_trigger(self._armed[0])
             self._filled.clear()
-            super()._expect()
+            self._expect()
             self._filled.wait(self._options.timeout_seconds)
 
-    def _frame(self, exposure: float) -> tuple[NDArray[np.uint16] | None, str]:
-        self._armed_for = None  # also after an `arm` that failed
-        return super()._frame(exposure)
-
-    def _expect(self) -> None:
-        if self._armed_for is None:  # the fake camera fills whatever it has, triggered or not
-            super()._expect()
+    def _start(self, room: int = 0) -> None:  # noqa: ARG002
+        super()._start()  # the fake camera fills whatever it has, triggered or not
 
     def _copy(self, buffer: int, *_: Any) -> None:
         super()._copy(buffer)

@@ -203,7 +203,6 @@ class AravisNodes:
         return int(tried("arv_device_get_integer_feature_value", self.device, name.encode()))
 
     def number(self, name: str) -> float | None:
-        """Return a number; None where the camera doesn't tell it."""
         kind = self._kind(name)
         if kind not in ("float", "integer"):
             return None
@@ -214,7 +213,6 @@ class AravisNodes:
         return float(taken)
 
     def is_writable(self, name: str) -> bool:
-        """Tell whether the camera has the setting, and takes values for it now."""
         node = call("arv_device_get_feature", self.device, name.encode())
         if not node or not tried("arv_device_is_feature_available", self.device, name.encode()):
             return False
@@ -223,7 +221,6 @@ class AravisNodes:
         return is_writable and not tried("arv_gc_feature_node_is_locked", node)
 
     def write(self, name: str, value: Value) -> Value:
-        """Make one setting, or raise RefusedError with the values that the camera takes."""
         kind = self._kind(name)
         try:
             if kind is None:
@@ -232,25 +229,22 @@ class AravisNodes:
                 least, largest = self.bounds(name)
                 if not least <= float(value) <= largest:
                     raise AravisError("out of range")
-            tried(f"arv_device_set_{kind}_feature_value", self.device, name.encode(), _plain(value))
+            plain = value.encode() if isinstance(value, str) else value
+            tried(f"arv_device_set_{kind}_feature_value", self.device, name.encode(), plain)
             taken = tried(f"arv_device_get_{kind}_feature_value", self.device, name.encode())
         except (AravisError, ctypes.ArgumentError) as error:
-            raise RefusedError(
-                f"camera: refuses {name} = {value}: {error}{self._would_take(name, kind)}"
-            ) from error
+            raise RefusedError(str(error)) from error
         if kind == "string":
             return _text(taken)
         return bool(taken) if kind == "boolean" else taken
 
     def execute(self, name: str) -> None:
-        """Run a command of the camera."""
         tried("arv_device_execute_command", self.device, name.encode())
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """Return the least and the largest value of a number."""
         kind = self._kind(name)
         if kind not in ("float", "integer"):
-            raise RefusedError(f"camera: has no number {name}")
+            raise RefusedError(f"the camera has no number {name}")
         number = c_double if kind == "float" else c_int64
         least, largest = number(), number()
         tried(
@@ -260,7 +254,6 @@ class AravisNodes:
         return least.value, largest.value
 
     def choices(self, name: str) -> tuple[str, ...]:
-        """Return the values of an enumeration."""
         count = c_uint()
         names = tried(
             "arv_device_dup_available_enumeration_feature_values_as_strings",
@@ -287,22 +280,6 @@ class AravisNodes:
             if is_a(node, call(f"arv_gc_{of}_get_type")):
                 return kind
         return "integer"
-
-    def _would_take(self, name: str, kind: str | None) -> str:
-        """Return the values of a setting for an error message."""
-        try:
-            if kind == "string":
-                return f". It takes {', '.join(self.choices(name))}"
-            if kind in ("float", "integer"):
-                least, largest = self.bounds(name)
-                return f". It takes {least:g} to {largest:g}"
-        except AravisError:
-            pass
-        return ""
-
-
-def _plain(value: Value) -> Any:
-    return value.encode() if isinstance(value, str) else value
 
 
 def _text(value: bytes | None) -> str:

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import logging
 import re
-import shutil
-import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +22,7 @@ from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures.dng import dng_bytes
 from rfpipe.pictures.raw import Raw, read_raw
-from rfpipe.rigs.cameras.bracket import (
-    BracketCamera,
-    TimeoutSeconds,
-)
+from rfpipe.rigs.cameras.bracket import BenchCamera, BracketCamera, TimeoutSeconds
 from rfpipe.rigs.devices import Offset, PictureExtent
 from rfpipe.rigs.optics import Scenery
 from rfpipe_devices.gphoto_library import (
@@ -145,6 +140,7 @@ class PhotoCamera(BracketCamera):
         When two exposures have one nearest time.
     """
 
+    kind = "gphoto2"
     Options = PhotoOptions
     bench = "rfpipe_devices.gphoto:PhotoBenchCamera"
     advice = "Check its cable, battery and card, and that its mode dial is at M"
@@ -163,10 +159,8 @@ class PhotoCamera(BracketCamera):
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
-        return {
-            "kind": "gphoto2",
+        return super().describe() | {
             "model": self._model,
-            "shape": list(self.shape),
             "offset": list(self._options.offset),
             "iso": self._options.iso,
             "shutter": [self._times[exposure].name for exposure in self.sensor.exposures],
@@ -370,16 +364,8 @@ class PhotoCamera(BracketCamera):
             photo.close()
 
 
-class PhotoBenchCamera(PhotoCamera):
-    """libgphoto2's virtual camera, each of its raw files made when it is released.
-
-    Parameters
-    ----------
-    scenery : Scenery
-    sensor : CameraModel
-        The camera as the rig has it; its exposures are set, its noise is not used.
-    settings
-        As `PhotoCamera` has them; the folder is the bench's.
+class PhotoBenchCamera(BenchCamera, PhotoCamera):
+    """libgphoto2's virtual camera on the bench, each of its raw files made when it is released.
 
     Raises
     ------
@@ -389,46 +375,33 @@ class PhotoBenchCamera(PhotoCamera):
         When the bench's camera has no colour mosaic.
     """
 
-    def __init__(self, scenery: Scenery, sensor: CameraModel, **settings: Any) -> None:
+    kind = "bench of gphoto2"
+
+    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
         if scenery.camera.bayer is None:
             raise InputError(
                 "sensor.bayer is null; the bench with camera.driver gphoto2 makes raw files of a "
                 "colour mosaic: set it to RGGB, and bench.scene.channels to 3"
             )
-        self._scenery = scenery
-        self._folder = Path(tempfile.mkdtemp(prefix="rfpipe-bench-"))
-        self._put(np.zeros(scenery.path.camera_shape, np.uint16), 1.0)
+        self._folder = self._new_folder()
+        self._put(scenery.camera, np.zeros(scenery.path.camera_shape, np.uint16), 1.0)
         self._released = 0
         # to delete a picture takes the virtual camera a quarter of a second
         own = {"virtual": str(self._folder), "keep_pictures": True}
-        try:
-            super().__init__(sensor, **{**settings, **own})
-        except BaseException:
-            shutil.rmtree(self._folder, ignore_errors=True)
-            raise
-
-    def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
-        return super().describe() | {"kind": "bench of gphoto2"} | self._scenery.describe()
-
-    def close(self) -> None:
-        """Give the camera back; closing twice is no error."""
-        super().close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        super().__init__(scenery, sensor, **{**options, **own})
 
     def _before_trigger(self, exposure: float) -> None:
         if self._released == 20:  # it is full after 26, and only a new session empties it
             self._restart()
-        self._put(self._scenery.frame(exposure), exposure)
+        self._put(self._scenery.camera, self._scenery.frame(exposure), exposure)
         self._released += 1
 
     def _connect(self) -> None:
         super()._connect()
         self._released = 0
 
-    def _put(self, counts: NDArray[np.uint16], seconds: float) -> None:
+    def _put(self, true: CameraModel, counts: Counts, seconds: float) -> None:
         """Lay a raw file before the virtual camera, which knows only the length that it had."""
-        true = self._scenery.camera
         assert true.bayer is not None
         made = self._folder / "next"
         made.write_bytes(

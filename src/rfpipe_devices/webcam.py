@@ -22,10 +22,7 @@ from pydantic import Field
 from rfpipe.config.base import Settings, Text
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.rigs.cameras.bracket import (
-    BracketCamera,
-    load_library,
-)
+from rfpipe.rigs.cameras.bracket import BenchCamera, BracketCamera, load_library
 from rfpipe.rigs.devices import PictureExtent
 from rfpipe.rigs.optics import Scenery
 
@@ -104,6 +101,7 @@ class Webcam(BracketCamera):
         What bends or adapts counts and could not be switched off.
     """
 
+    kind = "webcam"
     Options = WebcamOptions
     bench = "rfpipe_devices.webcam:WebcamBenchCamera"
     advice = "Check its cable and hub, and that no other program uses it"
@@ -128,11 +126,9 @@ class Webcam(BracketCamera):
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
-        return {
-            "kind": "webcam",
+        return super().describe() | {
             "device": str(self._options.device),
             "backend": self._options.backend,
-            "shape": list(self.shape),
             "channels": self.channels,
             "fourcc": self._options.fourcc,
             "skip_frames": self._options.skip_frames,
@@ -346,31 +342,14 @@ class VirtualUvc:
         """Let go."""
 
 
-class WebcamBenchCamera(Webcam):
-    """A virtual webcam on the bench in software, each frame made when it is asked for.
+class WebcamBenchCamera(BenchCamera, Webcam):
+    """A virtual webcam on the bench in software, each frame made when it is asked for."""
 
-    Parameters
-    ----------
-    scenery : Scenery
-    sensor : CameraModel
-        The camera as the rig has it; its exposures are set, its noise is not used.
-    options
-        As `Webcam` has them; device and shape are the bench's.
-
-    Raises
-    ------
-    CaptureError
-        When OpenCV is missing.
-    """
+    kind = "bench of webcam"
 
     def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
-        self._scenery = scenery
         own = {"device": "of the bench", "shape": scenery.path.camera_shape}
-        super().__init__(sensor, **{**options, **own})
-
-    def describe(self) -> dict[str, Any]:
-        """Plain data for fingerprints and manifests: all that shapes a frame."""
-        return super().describe() | {"kind": "bench of webcam"} | self._scenery.describe()
+        super().__init__(scenery, sensor, **{**options, **own})
 
     def _opened(self) -> VirtualUvc:
         dark = np.zeros((*self._scenery.path.camera_shape, 3), np.uint8)

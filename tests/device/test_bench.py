@@ -1,32 +1,24 @@
-"""The optical bench in software: what comes through window and camera driver is the simulation.
+"""The optical bench in software: what comes through projector and camera driver is the simulation.
 
-And the rig's contract on it, as on any rig of hardware; all on either kind of display.
+And the rig's contract on it, as on any rig of hardware.
 """
 
-import os
-import signal
-import subprocess
-import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from tests.waiting import wait_until
 
 from rfpipe.config import RigConfig, parse_rig_config
-from rfpipe.errors import CaptureError
+from rfpipe.errors import ConfigError
 from rfpipe.keys import BLACK_LEVEL_KEY
 from rfpipe.photometry import MergeOptions
 from rfpipe.rigs import DeviceRig
 from rfpipe.rigs.bench import optical_path
 from rfpipe.rigs.build import rig_from_config
-from rfpipe.rigs.displays import XServer
 from rfpipe.testing import CameraContract, ProjectorContract, RigContract
-
-pytestmark = pytest.mark.usefixtures("either_display")
 
 RAYS = (8, 10)
 
@@ -67,7 +59,7 @@ def bench(**changes: Any) -> DeviceRig:
 
 
 @pytest.fixture(scope="module")
-def rig(either_display: str) -> Iterator[DeviceRig]:
+def rig() -> Iterator[DeviceRig]:
     with bench() as rig:
         yield rig
 
@@ -99,7 +91,7 @@ class TestBenchProjector(ProjectorContract):
         return rig.projector
 
     def read_back(self, projector):  # type: ignore[no-untyped-def]
-        return projector.display.pixels[..., 0].astype(np.float32) / 255
+        return projector.scenery.codes.astype(np.float32) / 255
 
 
 def merged(rig: DeviceRig, patterns: np.ndarray):  # type: ignore[no-untyped-def]
@@ -151,14 +143,9 @@ def test_the_camera_has_its_own_numbers() -> None:
         assert rig.sensor.describe()["black_level_counts"] == 64
 
 
-def test_a_lost_display_names_the_pattern(monkeypatch: pytest.MonkeyPatch) -> None:
-    with bench() as rig:
-        projector: Any = rig.projector
-        monkeypatch.setattr(projector, "_reopen_seconds", 0.0)
-        monkeypatch.setattr(projector, "_before_opening", lambda: None)  # it stays away
-        projector._server.close()
-        with pytest.raises(CaptureError, match=r"pattern \(3, 14\): projector on display"):
-            rig.capture(np.ones((1, *RAYS), np.float32), [(3, 14)])
+def test_a_picture_that_does_not_fit_the_display() -> None:
+    with pytest.raises(ConfigError, match=r"\(60, 71\) pixels at \(0, 0\) doesn't fit"):
+        bench(projector={"options": {"shape": [60, 71]}})
 
 
 def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -168,68 +155,6 @@ def test_nothing_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert list(tmp_path.iterdir())
     rig.close()
     assert not list(tmp_path.iterdir())
-
-
-def test_a_killed_bench_leaves_no_process_behind(tmp_path: Path, either_display: str) -> None:
-    code = (
-        "import sys, json, time, os\n"
-        "from rfpipe.config import parse_rig_config\n"
-        "from rfpipe.rigs.build import rig_from_config\n"
-        "rig = rig_from_config(parse_rig_config(json.loads(sys.argv[1]), 'bench'))\n"
-        "window = rig.projector._window._process.pid\n"
-        "print(window, rig.projector.display.name, flush=True)\n"
-        "time.sleep(60)\n"
-    )
-    plain = settings().model_dump_json()
-    process = subprocess.Popen(
-        [sys.executable, "-W", "ignore", "-c", code, plain],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "TMPDIR": str(tmp_path)},
-    )
-    assert process.stdout is not None
-    window, name = process.stdout.readline().split()
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    process.stdout.close()
-    assert name.startswith("memory:") is (either_display == "memory")
-    ends = [Path(f"/proc/{window}")]
-    if either_display == "x server":
-        ends.append(Path(f"/tmp/.X11-unix/X{name.removeprefix(':')}"))
-    wait_until(lambda: not any(path.exists() for path in ends), "the end of window and display")
-
-
-@pytest.mark.needs("xvfb")
-@pytest.mark.parametrize("either_display", ["x server"], indirect=True)
-def test_a_display_that_is_killed_costs_a_pattern(either_display: str) -> None:
-    """kill -9 of the X server, in the midst of patterns, of a bracket, and of its window.
-
-    Another server takes its display once, which then has a picture of its own.
-    """
-    patterns = (np.random.default_rng(0).random((12, *RAYS)) < 0.5).astype(np.float32)
-    with bench() as undisturbed, bench(seed=1) as rig, ExitStack() as thief:
-        expected = merged(undisturbed, patterns)
-        expose, taken = rig.camera.expose, []
-
-        def failing_camera() -> np.ndarray:
-            taken.append(0)
-            if len(taken) in (11, 15):  # after eight black ones, before and after an exposure
-                os.kill(rig.projector.display.pid, signal.SIGKILL)
-            if len(taken) == 15:
-                os.waitpid(rig.projector.display.pid, 0)
-                with suppress(CaptureError):  # taken by another test, as well
-                    thief.enter_context(XServer((10, 10), name=rig.projector.display.name))
-            frames = expose()
-            if len(taken) == 18:
-                os.kill(rig.projector.display.pid, signal.SIGKILL)
-            return frames
-
-        rig.camera.expose = failing_camera
-        images = merged(rig, patterns)
-        assert rig.statistics["projector"]["reopened"] == 3
-        assert len(taken) <= 8 + 12 + 3
-    deviation = (images.radiance - expected.radiance) / np.sqrt(images.variance + expected.variance)
-    assert np.square(deviation).mean() == pytest.approx(1, abs=0.1)
 
 
 def test_a_knock_moves_the_picture_from_then_on() -> None:

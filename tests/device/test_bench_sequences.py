@@ -1,4 +1,4 @@
-"""Sequences through a real window and the real camera driver: its emulated camera, triggered."""
+"""Sequences through the bench and the real camera driver: its emulated camera, triggered."""
 
 import threading
 from collections.abc import Iterator
@@ -10,14 +10,12 @@ from tests.device.test_bench import RAYS, bench
 from rfpipe.errors import CaptureError
 from rfpipe.rigs import DeviceRig
 
-pytestmark = pytest.mark.usefixtures("either_display")
-
 TRIGGERED = {"camera": {"options": {"sequence_line": "Software", "timeout_seconds": 0.5}}}
 COUNT = 9
 
 
 @pytest.fixture(scope="module")
-def rig(either_display: str) -> Iterator[DeviceRig]:
+def rig() -> Iterator[DeviceRig]:
     with bench(**TRIGGERED) as rig:
         yield rig
 

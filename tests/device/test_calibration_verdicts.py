@@ -201,17 +201,17 @@ def test_a_device_that_fails_leaves_a_report(
 ) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text(json.dumps(settings()))
-    from rfpipe.rigs.bench import BenchCamera
+    from rfpipe.rigs.cameras.pylon import PylonBenchCamera
 
-    expose, left = BenchCamera.expose, [20]
+    expose, left = PylonBenchCamera.expose, [20]
 
-    def failing(camera: BenchCamera) -> Any:
+    def failing(camera: PylonBenchCamera) -> Any:
         left[0] -= 1
         if left[0] < 0:
             raise CaptureError("the camera is lost")
         return expose(camera)
 
-    monkeypatch.setattr(BenchCamera, "expose", failing)
+    monkeypatch.setattr(PylonBenchCamera, "expose", failing)
     folder = tmp_path / "calibration"
     done = CliRunner().invoke(app, ["calibrate", str(rig), "--output", str(folder)])
     assert isinstance(done.exception, CaptureError)

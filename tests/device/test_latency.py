@@ -12,12 +12,6 @@ from rfpipe.rigs.build import devices_from_config
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(autouse=True)
-def _in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The delay is the bench's: an X server would add nothing but its start."""
-    monkeypatch.setenv("PATH", "")
-
-
 def measured(delay: float, settle: float):  # type: ignore[no-untyped-def]
     config = settings(
         bench={"display_delay_seconds": delay},

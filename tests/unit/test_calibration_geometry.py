@@ -29,8 +29,7 @@ from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel, MergeOptions
 from rfpipe.rigs.device_rig import DeviceRig
-from rfpipe.rigs.geometry import apply_homography, pixel_middles
-from rfpipe.rigs.layout import DARK, ProjectorLayout
+from rfpipe.rigs.layout import DARK, ProjectorLayout, apply_homography, pixel_middles
 from rfpipe.scenes.relighting import relighting_patterns
 
 HOMOGRAPHY = np.array([[4.1, 0.12, 3.0], [-0.2, 3.9, 5.0], [2e-4, -1e-4, 1.0]])

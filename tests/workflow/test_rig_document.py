@@ -17,7 +17,7 @@ from rfpipe import open_transport
 from rfpipe.calibration.correspondence import fit_map
 from rfpipe.config import load_rig_config
 from rfpipe.rigs.bench import optical_path
-from rfpipe.rigs.geometry import pixel_middles
+from rfpipe.rigs.layout import pixel_middles
 from rfpipe.scenes import relighting_patterns, scene_from_config
 from rfpipe.stages.evaluating.metrics import relative_rms
 from rfpipe.stages.relight import images_of

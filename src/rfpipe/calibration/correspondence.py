@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.defects import MAD_TO_DEVIATION
-from rfpipe.rigs.geometry import apply_homography, pixel_middles
+from rfpipe.rigs.layout import apply_homography, pixel_middles
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]

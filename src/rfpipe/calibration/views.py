@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from rfpipe.calibration.correspondence import LEAST_POINTS, SmoothMap, map_of_pixels, points_of
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
-from rfpipe.rigs.geometry import Quadrilateral, apply_homography, homography
-from rfpipe.rigs.layout import ProjectorLayout
+from rfpipe.rigs.layout import ProjectorLayout, Quadrilateral, apply_homography, homography
 
 Double = NDArray[np.float64]
 Mask = NDArray[np.bool_]

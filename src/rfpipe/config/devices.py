@@ -78,10 +78,9 @@ def _check_corners(name: str, corners: Corners, views: int) -> None:
 
 
 class BenchConfig(Settings):
-    """The optical bench in software: a scene between the projector's window and the camera.
+    """The optical bench in software: a scene between the projector's pictures and the camera.
 
-    It is one to the programs around it, too: window, X server (where Xvfb is installed) and camera
-    driver are the real ones, the camera is the driver's emulated one.
+    The camera driver is the real one, its camera the driver's emulated one.
     """
 
     scene: SerializeAsAny[SceneSettings] = Field(

@@ -152,8 +152,8 @@ def generated() -> dict[str, str]:
         "bench.yaml": _file_of(
             rig_of_bench,
             schema,
-            "The optical bench in software: a rig without hardware, of a window (in memory, where "
-            f"Xvfb isn't installed) and a camera driver. {made}, as rig.yaml.",
+            "The optical bench in software: a rig without hardware, of a display in memory, a "
+            f"scene and a real camera driver. {made}, as rig.yaml.",
         ),
     }
 

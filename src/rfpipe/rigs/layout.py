@@ -1,4 +1,4 @@
-"""Which ray of its domain each pixel of a projector belongs to."""
+"""Where the rays of a domain lie in a picture: homographies, and the ray of each pixel."""
 
 from __future__ import annotations
 
@@ -13,19 +13,123 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain, ray_shape
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.geometry import (
-    Quadrilateral,
-    apply_homography,
-    centred_corners,
-    homography,
-    lie_within,
-    pixel_middles,
-)
 
 Float = NDArray[np.float32]
+Double = NDArray[np.float64]
+Quadrilateral = Sequence[tuple[float, float]]
+"""(x, y) of the upper left, upper right, lower right and lower left corner of a view's rays, in
+pixels from the picture's upper left corner: a pixel's middle lies at halves."""
 
 DARK = -1
 """What stands in a layout for a pixel that belongs to no ray."""
+
+_TILT = np.array([(0.020, -0.010), (0.012, 0.018), (-0.016, 0.012), (-0.024, -0.020)])
+"""How far corners are moved, in fractions of the width and the height: less than the margin."""
+
+
+def pixel_middles(shape: tuple[int, ...]) -> Double:
+    """Return (x, y) of the pixels' middles, from the picture's corner: (H, W, 2)."""
+    y, x = np.mgrid[: shape[0], : shape[1]] + 0.5
+    return np.stack([x, y], axis=-1)
+
+
+def lie_within(points: NDArray[Any], shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Whether points (..., 2), as (x, y), lie on a picture (H, W); NaN doesn't."""
+    return np.asarray(((points >= 0) & (points < np.array(shape[::-1]))).all(axis=-1))
+
+
+def apply_homography(matrix: NDArray[Any], points: NDArray[Any]) -> Double:
+    """Map points (..., 2); the ones behind the plane are NaN or infinite."""
+    x, y, w = np.moveaxis(points @ matrix[:, :2].T + matrix[:, 2], -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.stack([x / w, y / w], axis=-1)
+
+
+def homography(shape: tuple[int, ...], corners: Quadrilateral) -> Double:
+    """Return the matrix (3, 3) from a view's plane of rays, of a domain `shape`, to a picture.
+
+    Raises
+    ------
+    InputError
+        When the corners don't span a quadrilateral.
+    """
+    plane = _rectangle((0, 0), RayDomain(shape).image_shape[::-1])
+    rows = []
+    for (x, y), (u, v) in zip(plane, corners, strict=True):
+        rows.append([x, y, 1, 0, 0, 0, -u * x, -u * y, u])
+        rows.append([0, 0, 0, x, y, 1, -v * x, -v * y, v])
+    system = np.array(rows, np.float64)
+    try:
+        matrix = np.append(np.linalg.solve(system[:, :8], system[:, 8]), 1.0).reshape(3, 3)
+        np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        raise InputError(f"the corners {list(corners)} span no quadrilateral") from None
+    return matrix
+
+
+def centred_corners(
+    shape: tuple[int, ...], picture_shape: tuple[int, int], views: tuple[int, int] = (1, 1)
+) -> list[Quadrilateral]:
+    """Return the corners of views side by side in the middle, each ray a square of whole pixels.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        The ray domain.
+    picture_shape : (int, int)
+        Height and width in pixels.
+    views : (int, int)
+        Rows and columns of views.
+
+    Raises
+    ------
+    InputError
+        When a ray doesn't get a pixel.
+    """
+    image = RayDomain(shape).image_shape
+    height, width = (extent * count for extent, count in zip(image, views, strict=True))
+    side = min(picture_shape[0] // height, picture_shape[1] // width)
+    if side < 1:
+        raise InputError(
+            f"layout: {(height, width)} rays don't fit into a picture of {picture_shape} pixels; "
+            "a ray needs at least one pixel"
+        )
+    first = (picture_shape[1] - side * width) // 2, (picture_shape[0] - side * height) // 2
+    size = side * image[1], side * image[0]
+    return [_rectangle(place, size) for place in _places(views, first, size)]
+
+
+def tilted_corners(
+    shape: tuple[int, ...], picture_shape: tuple[int, int], views: tuple[int, int] = (1, 1)
+) -> list[Quadrilateral]:
+    """Return the corners of views in cells side by side, turned and distorted a little.
+
+    Parameters as `centred_corners`; the rays keep their aspect.
+    """
+    height, width = RayDomain(shape).image_shape
+    cell = picture_shape[1] / views[1], picture_shape[0] / views[0]
+    side = 0.9 * min(cell[0] / width, cell[1] / height)
+    size = side * width, side * height
+    first = (cell[0] - size[0]) / 2, (cell[1] - size[1]) / 2
+    moved = [np.array(_rectangle(at, size)) + _TILT * size for at in _places(views, first, cell)]
+    return [[(float(x), float(y)) for x, y in corners] for corners in moved]
+
+
+def _rectangle(first: tuple[float, float], size: Sequence[float]) -> Quadrilateral:
+    """Return the corners of an upright rectangle; (x, y) of both."""
+    (left, top), (right, bottom) = first, (first[0] + size[0], first[1] + size[1])
+    return [(left, top), (right, top), (right, bottom), (left, bottom)]
+
+
+def _places(
+    views: tuple[int, int], first: tuple[float, float], step: tuple[float, float]
+) -> list[tuple[float, float]]:
+    """Return (x, y) of cells in rows and columns, row by row."""
+    return [
+        (first[0] + column * step[0], first[1] + row * step[1])
+        for row in range(views[0])
+        for column in range(views[1])
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,12 +189,6 @@ class ProjectorLayout:
                 f"layout: the ray domain {domain_shape} has views; a grid lays out one image "
                 "(H, W). Where the views lie on the projector is found by calibration"
             )
-        side = min(extent // rays for extent, rays in zip(display_shape, domain_shape, strict=True))
-        if side < 1:
-            raise InputError(
-                f"layout: {domain_shape} rays don't fit into a picture of {display_shape} pixels; "
-                "a ray needs at least one pixel"
-            )
         return cls.within(centred_corners(domain_shape, display_shape), domain_shape, display_shape)
 
     @classmethod
@@ -135,23 +233,9 @@ class ProjectorLayout:
         return np.bincount(lit, minlength=prod(self.shape))
 
     def picture(self, pattern: NDArray[Any]) -> Float:
-        """Return the picture of a pattern.
-
-        Parameters
-        ----------
-        pattern : ndarray of float32, shape `shape`
-            Weights in [0, 1].
-
-        Returns
-        -------
-        ndarray of float32, shape (Hp, Wp)
-            The weight of each pixel's ray, 0 where it has none.
-        """
-        weights = np.zeros(prod(self.shape) + 1, np.float32)
-        weights[:-1] = np.asarray(pattern, np.float32).reshape(-1)
-        # DARK, the last index, takes the zero behind the rays
-        picture: Float = weights[self.ray_of_pixel]
-        return picture
+        """Return the picture (Hp, Wp) of a pattern: each pixel's weight, 0 where it has no ray."""
+        weights = np.append(np.asarray(pattern, np.float32).ravel(), np.float32(0))
+        return np.asarray(weights[self.ray_of_pixel])  # DARK is the last index
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests."""

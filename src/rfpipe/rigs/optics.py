@@ -1,4 +1,4 @@
-"""The light's way on the bench in software: from a display through a scene to the camera."""
+"""The light's way on the bench in software: from a projector through a scene to the camera."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.provenance import fingerprint
-from rfpipe.rigs.geometry import (
+from rfpipe.rigs.layout import (
+    DARK,
+    ProjectorLayout,
     Quadrilateral,
     apply_homography,
     homography,
     lie_within,
 )
-from rfpipe.rigs.layout import DARK, ProjectorLayout
 from rfpipe.transport.operators import PatternOperator
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-    from rfpipe.rigs.displays import VirtualDisplay
-
 Float = NDArray[np.float32]
 Double = NDArray[np.floating[Any]]
+Codes = NDArray[np.uint8]
 
 SAMPLES = 8
 """Points a side at which each camera pixel looks into the scene."""
@@ -78,10 +78,8 @@ class OpticalPath:
         direct: NDArray[Any] | None = None,
         ambient: float = 0.0,
     ) -> None:
-        self.shape = shape
-        self.projector_shape = projector_shape
-        self.camera_shape = camera_shape
-        self.channels = scene.channels
+        self.shape, self.channels = shape, scene.channels
+        self.projector_shape, self.camera_shape = projector_shape, camera_shape
         self._scene = scene
         self._ambient = np.float32(ambient)
         self._to_projector = [homography(shape, corners) for corners in projector_corners]
@@ -99,16 +97,9 @@ class OpticalPath:
         self._seen = self._sampling()
 
     def radiance(self, light: NDArray[Any]) -> Float:
-        """Return what the camera sees.
+        """Return what the camera sees, float32 (*camera_shape, C).
 
-        Parameters
-        ----------
-        light : ndarray, shape projector_shape
-            Light of each projector pixel, 1 at most.
-
-        Returns
-        -------
-        ndarray of float32, shape (*camera_shape, C)
+        `light`, of the projector's shape, is that of each projector pixel, 1 at most.
         """
         of_pixels = np.asarray(light, np.float32).ravel()[self._lit]
         rays = self._rays[self._lit]
@@ -123,17 +114,10 @@ class OpticalPath:
         return seen.reshape(*self.camera_shape, self.channels) + self._ambient
 
     def projector_points(self, camera_points: ArrayLike) -> Double:
-        """Return where projector and camera look at one point of the scene.
+        """Return where the projector aims at what the camera sees at points (..., 2).
 
-        Parameters
-        ----------
-        camera_points : array_like, shape (..., 2)
-            (x, y) from the corner of the camera's picture, as in `Quadrilateral`.
-
-        Returns
-        -------
-        ndarray of float64, shape (..., 2)
-            (x, y) from the corner of the projector's picture; NaN where the camera sees no ray.
+        Both are (x, y) from the picture's corner, as in `Quadrilateral`; NaN where the camera sees
+        no ray.
         """
         points = np.asarray(camera_points, np.float64)
         aimed = np.full(points.shape, np.nan)
@@ -177,14 +161,12 @@ class OpticalPath:
 
 
 class Scenery:
-    """What the camera of a bench looks at, and the camera's true numbers.
+    """A bench's display, the scene before it, and the true numbers of the camera that looks.
+
+    As a display it is drawn by `rfpipe.rigs.window.WindowProjector`.
 
     Parameters
     ----------
-    display : VirtualDisplay
-        Where the projector's window lies.
-    offset : (int, int)
-        Rows and columns of its upper left corner on the display.
     path : OpticalPath
     light_of_code : ndarray of float32, shape (256,)
         The projector's true response.
@@ -197,12 +179,15 @@ class Scenery:
     knock : (int, int, int), optional
         Exposures before a knock against the projector, and the pixels down and to the right that
         its picture lies from then on.
+
+    Attributes
+    ----------
+    codes : ndarray of uint8, shape path.projector_shape
+        The picture that was drawn last.
     """
 
     def __init__(
         self,
-        display: VirtualDisplay,
-        offset: tuple[int, int],
         path: OpticalPath,
         light_of_code: Float,
         camera: CameraModel,
@@ -210,18 +195,26 @@ class Scenery:
         delay_seconds: float = 0.0,
         knock: tuple[int, int, int] | None = None,
     ) -> None:
-        self.path = path
-        self.camera = camera
-        self._display, self._offset, self._light = display, offset, light_of_code
-        self._seed, self._delay, self._knock = seed, delay_seconds, knock
-        self._drawn: deque[tuple[float, NDArray[np.uint8]]] = deque(maxlen=16)
+        self.path, self.camera = path, camera
+        self.shape = path.projector_shape
+        self.codes: Codes = np.zeros(self.shape, np.uint8)
+        self._light, self._seed = light_of_code, seed
+        self._delay, self._knock = delay_seconds, knock
+        self._drawn: deque[tuple[float, Codes]] = deque(maxlen=16)
         self._number = 0
-        self._seen: tuple[NDArray[np.uint8], Float] | None = None
+        self._seen: tuple[Codes, Float] | None = None
 
-    def draw(self) -> None:
-        """Note when the window was drawn, where its light comes late."""
-        if self._delay:
-            self._drawn.append((time.monotonic(), self._window()))
+    def draw(self, codes: Codes) -> None:
+        """Draw a picture; its light may come late."""
+        self.codes = codes
+        self._drawn.append((time.monotonic(), codes))
+
+    def is_undisturbed(self) -> bool:
+        """Nothing else is drawn on this display."""
+        return True
+
+    def close(self) -> None:
+        """Leave the display as it is."""
 
     def frame(self, exposure: float) -> NDArray[np.uint16]:
         """Return the counts (Hc, Wc[, 3]) of the next frame, each with noise of its own."""
@@ -245,26 +238,14 @@ class Scenery:
             **({} if self._knock is None else {"knock": list(self._knock)}),
         }
 
-    def _window(self) -> NDArray[np.uint8]:
-        """Return the codes in the window now, (H, W)."""
-        (top, left), (height, width) = self._offset, self.path.projector_shape
-        return self._display.pixels[top : top + height, left : left + width, 1].copy()
-
-    def _lit(self) -> NDArray[np.uint8]:
-        """Return the codes that are lit now: those of the window, late or moved by a knock."""
-        now = time.monotonic()
-        lit = [codes for when, codes in tuple(self._drawn) if when <= now - self._delay]
-        codes = lit[-1] if lit else self._window()
+    def _lit(self) -> Codes:
+        """Return the codes that are lit now: those drawn, late or moved by a knock."""
+        drawn, lit_since = tuple(self._drawn), time.monotonic() - self._delay
+        late = (codes for when, codes in drawn[::-1] if when <= lit_since)
+        codes = next(late, drawn[0][1] if drawn else self.codes)
         if self._knock is None or self._number <= self._knock[0]:
             return codes
-        moved = np.zeros_like(codes)
-        (rows, more_rows), (columns, more_columns) = map(_shifted, self._knock[1:])
-        moved[rows, columns] = codes[more_rows, more_columns]
+        from scipy.ndimage import shift
+
+        moved: Codes = shift(codes, self._knock[1:], order=0)
         return moved
-
-
-def _shifted(pixels: int) -> tuple[slice, slice]:
-    """Return where moved pixels come to lie along an axis, and where they lay."""
-    if pixels > 0:
-        return slice(pixels, None), slice(None, -pixels)
-    return slice(None, pixels or None), slice(-pixels, None)

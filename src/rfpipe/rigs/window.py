@@ -13,7 +13,7 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,6 +140,23 @@ class _LostWindowError(CaptureError):
         )
 
 
+class Drawable(Protocol):
+    """A window, or what stands for one."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+
+    def draw(self, codes: Codes) -> None:
+        """Draw a picture, and wait until it is drawn."""
+
+    def is_undisturbed(self) -> bool:
+        """Tell whether the last picture stood where it was drawn, and nothing hid it."""
+
+    def close(self) -> None:
+        """Close it."""
+
+
 class WindowProjector(Closing):
     """A projector as a monitor: a borderless window with one pixel for each of its pixels.
 
@@ -152,21 +169,10 @@ class WindowProjector(Closing):
 
     Parameters
     ----------
-    display : str, optional
-        X display such as ``":0"``, or that of `rfpipe.rigs.displays.memory_display`; None takes
-        that of the environment's DISPLAY.
-    screen : int
-        Number of the monitor.
-    offset : (int, int)
-        Pixels from the monitor's upper and left edge.
-    shape : (int, int), optional
-        Height and width in pixels; None for all of the monitor from `offset` on.
-    settle_seconds : float
-        Wait after a picture was drawn.
+    display, screen, offset, shape, settle_seconds, reopen_seconds
+        As `WindowOptions` has them.
     response : ndarray, shape (256,), or path, optional
         Light measured at each code, see `code_table`, or a file of it, see `read_response`.
-    reopen_seconds : float
-        How long to try to open a lost window again before `show` fails, at least 0.
 
     Attributes
     ----------
@@ -205,7 +211,7 @@ class WindowProjector(Closing):
         self._closing = threading.Event()
         self._lost: _LostWindowError | None = None
         self.statistics = {"shown": 0, "reopened": 0, "disturbed": 0}
-        self._window: _WindowProcess | None = _WindowProcess(self._display, self._settings)
+        self._window: Drawable | None = self._open()
         self.shape = self._window.shape
 
     def show(self, picture: Float) -> None:
@@ -248,8 +254,9 @@ class WindowProjector(Closing):
         with self._lock:
             self._drop()
 
-    def _before_opening(self) -> None:
-        """Is called before a lost window is opened again; a real display needs nothing more."""
+    def _open(self) -> Drawable:
+        """Return a new window."""
+        return _WindowProcess(self._display, self._settings)
 
     def _draw(self, codes: Codes) -> None:
         """Draw a picture, in a window opened again where it is lost."""
@@ -279,11 +286,10 @@ class WindowProjector(Closing):
         self._lost = self._lost or error
         self._drop()
 
-    def _opened(self) -> _WindowProcess:
+    def _opened(self) -> Drawable:
         """Return the window, opened again if it is lost."""
         if self._window is None:
-            self._before_opening()
-            self._window = _WindowProcess(self._display, self._settings)
+            self._window = self._open()
             if self._window.shape != self.shape:
                 raise _LostWindowError(
                     self._display,

@@ -8,13 +8,10 @@ a pair: the window's shape at first, then a bool; and None, or an error's text a
 """
 
 import json
-import os
 import signal
 import sys
-from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,9 +22,6 @@ EVENT_SECONDS = 0.05
 
 DRIVERS = ("x11", "wayland", "windows", "cocoa")
 """SDL's drivers that show something; without a display it takes one that doesn't."""
-
-MEMORY = "memory:"
-"""Before the file of a display that is an array (H, W, 3) of bytes, of `rfpipe.rigs.displays`."""
 
 SDL_CENTRED_ON_DISPLAY = 0x2FFF0000
 """SDL_WINDOWPOS_CENTERED_DISPLAY(0)."""
@@ -50,10 +44,18 @@ class Window:
         driver = pygame.display.get_driver()
         if driver not in DRIVERS:
             raise WindowError(f"no display answers (SDL fell back to its driver {driver!r})")
-        sizes = pygame.display.get_desktop_sizes()
-        monitors = [size[::-1] for size in sizes]
-        self.shape = fitting_shape(monitors, screen, offset, shape)
-        height, width = monitors[screen]
+        monitors = pygame.display.get_desktop_sizes()
+        if screen >= len(monitors):
+            raise WindowError(f"there is no monitor {screen}; this display has {len(monitors)}")
+        width, height = monitors[screen]
+        rows, columns = shape or (height - offset[0], width - offset[1])
+        self.shape = rows, columns
+        lower, right = offset[0] + rows, offset[1] + columns
+        if min(self.shape) < 1 or lower > height or right > width:
+            raise WindowError(
+                f"a picture of {self.shape} pixels at {tuple(offset)} doesn't fit on "
+                f"monitor {screen}, {(height, width)}"
+            )
         centred = (SDL_CENTRED_ON_DISPLAY | screen,) * 2
         whole = pygame.Window("rfpipe", (width, height), centred, borderless=True, hidden=True)
         left, top = whole.position  # a window as large as its monitor lies at its origin
@@ -117,64 +119,7 @@ class Window:
         pygame.event.pump()
 
 
-class MemoryWindow:
-    """A window on a display that is an array in a file: where there is no X server."""
-
-    def __init__(
-        self, path: Path, screen: int, offset: tuple[int, int], shape: tuple[int, int] | None
-    ) -> None:
-        try:
-            display = np.load(path, mmap_mode="r+")
-        except OSError as error:
-            raise WindowError(f"no display answers ({error})") from error
-        self.shape = fitting_shape([display.shape[:2]], screen, offset, shape)
-        (top, left), (height, width) = offset, self.shape
-        self._path = path
-        self._pixels = display[top : top + height, left : left + width]
-        self.draw(np.zeros(self.shape, np.uint8))
-
-    def draw(self, codes: NDArray[np.uint8]) -> None:
-        """Draw a picture, which all who map the file see at once."""
-        if not self._path.exists():
-            raise WindowError("the display is gone")
-        self._pixels[...] = codes[..., None]
-
-    def handle_events(self) -> None:
-        """Do nothing: there is no window manager, and no other window."""
-
-    def is_undisturbed(self) -> bool:
-        """Whether the display is still there."""
-        return self._path.exists()
-
-
-def fitting_shape(
-    monitors: Sequence[tuple[int, ...]],
-    screen: int,
-    offset: tuple[int, int],
-    shape: tuple[int, int] | None,
-) -> tuple[int, int]:
-    """Return the window's height and width: as asked for, or all of the monitor from `offset`."""
-    if screen >= len(monitors):
-        raise WindowError(f"there is no monitor {screen}; this display has {len(monitors)}")
-    monitor = monitors[screen]
-    height, width = shape or (monitor[0] - offset[0], monitor[1] - offset[1])
-    lower, right = offset[0] + height, offset[1] + width
-    if min(height, width) < 1 or lower > monitor[0] or right > monitor[1]:
-        raise WindowError(
-            f"a picture of {(height, width)} pixels at {tuple(offset)} doesn't fit on monitor "
-            f"{screen}, {monitor}"
-        )
-    return height, width
-
-
-def open_window(display: str, **settings: Any) -> Window | MemoryWindow:
-    """Open a window on the display of that name."""
-    if display.startswith(MEMORY):
-        return MemoryWindow(Path(display.removeprefix(MEMORY)), **settings)
-    return Window(**settings)
-
-
-def serve(window: Window | MemoryWindow, connection: Any) -> None:
+def serve(window: Window, connection: Any) -> None:
     """Draw the pictures that come in until there are no more."""
     connection.send((window.shape, None))
     while True:
@@ -194,8 +139,7 @@ def main() -> None:
     connection: Any = Connection(int(sys.argv[1]))
     with suppress(EOFError, OSError):  # the parent is gone
         try:
-            window = open_window(os.environ.get("DISPLAY", ""), **json.loads(sys.argv[2]))
-            serve(window, connection)
+            serve(Window(**json.loads(sys.argv[2])), connection)
         except WindowError as error:
             connection.send((None, str(error)))
             sys.exit(1)

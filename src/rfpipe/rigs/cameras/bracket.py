@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import logging
+import shutil
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from importlib import import_module
+from pathlib import Path
+from tempfile import mkdtemp
 from typing import Annotated, Any, ClassVar
+from weakref import finalize
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +22,7 @@ from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, installing
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.devices import Closing
+from rfpipe.rigs.optics import Scenery
 
 Counts = NDArray[np.uint16]
 
@@ -55,6 +60,8 @@ class BracketCamera(Closing, ABC):
     ----------
     Options : type
         The driver's settings, ``timeout_seconds`` among them where its library waits for none.
+    kind : str
+        The driver's name in descriptions.
     attempts, reconnects, reconnect_seconds : int, int, float
         Times that a frame is taken, that a lost camera is looked for, and the wait before each: a
         server's clients ask for longer.
@@ -70,6 +77,7 @@ class BracketCamera(Closing, ABC):
     """
 
     Options: ClassVar[type[Settings]]
+    kind: ClassVar[str]
     attempts: ClassVar[int] = 4
     reconnects: ClassVar[int] = 5
     reconnect_seconds: ClassVar[float] = 2.0
@@ -95,6 +103,10 @@ class BracketCamera(Closing, ABC):
             for index, exposure in enumerate(self.sensor.exposures):
                 frames[index] = self._exposure(exposure).reshape(frames.shape[1:])
         return frames
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return {"kind": self.kind, "shape": list(self.shape)}
 
     def close(self) -> None:
         """Give the camera back; closing twice is no error."""
@@ -192,6 +204,40 @@ class BracketCamera(Closing, ABC):
             f"last: {problem}. Check its power, cable and network, and that no other program took "
             "it"
         )
+
+
+class BenchCamera(BracketCamera):
+    """A driver's virtual camera before a bench's scenery; mixed into the driver.
+
+    Parameters
+    ----------
+    scenery : Scenery
+    sensor : CameraModel
+        The camera as the rig has it; its exposures are set, its noise is not used.
+    options
+        As the driver has them; what says which camera it is, and the frames' shape, is the bench's.
+    """
+
+    _remove: Callable[[], object] = staticmethod(lambda: None)
+
+    def __init__(self, scenery: Scenery, sensor: CameraModel, **options: Any) -> None:
+        self._scenery = scenery
+        super().__init__(sensor, **options)
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints and manifests: all that shapes a frame."""
+        return super().describe() | self._scenery.describe()
+
+    def _new_folder(self) -> Path:
+        """Return a folder for the virtual camera's pictures, which ends with the camera."""
+        folder = mkdtemp(prefix="rfpipe-bench-")
+        self._remove = finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        return Path(folder)
+
+    def close(self) -> None:
+        """Give the camera back; closing twice is no error."""
+        super().close()
+        self._remove()
 
 
 def load_library(module: str, extra: str) -> Any:

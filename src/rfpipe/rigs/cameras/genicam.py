@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
 from abc import abstractmethod
+from contextlib import suppress
 from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
@@ -114,7 +114,7 @@ class Nodes(Protocol):
         """Tell whether the camera has the setting, and takes values for it now."""
 
     def write(self, name: str, value: Value) -> Value:
-        """Give a setting a value, and return what the camera took; RefusedError if it doesn't."""
+        """Give a setting a value, and return what the camera took; RefusedError says why not."""
 
     def execute(self, name: str) -> None:
         """Run a command of the camera."""
@@ -145,7 +145,6 @@ class GenicamCamera(BracketCamera):
         When no pixel format has the sensor's bits.
     """
 
-    kind: ClassVar[str]
     Options = GenicamOptions
 
     def __init__(self, sensor: CameraModel, **options: Any) -> None:
@@ -157,7 +156,7 @@ class GenicamCamera(BracketCamera):
         self._pixel_format = f"{mosaic}{sensor.bits}"
         self._serial = self._options.serial
         self._model = ""
-        self._collector: _Collector | None = None
+        self._armed: tuple[float, int] | None = None
 
     @property
     @abstractmethod
@@ -169,8 +168,8 @@ class GenicamCamera(BracketCamera):
         """Find and open the camera; note its serial number and model."""
 
     @abstractmethod
-    def _start(self) -> None:
-        """Start taking a frame at each trigger."""
+    def _start(self, room: int = 0) -> None:
+        """Start taking a frame at each trigger, with room for so many that nobody fetches yet."""
 
     @abstractmethod
     def _stop(self) -> None:
@@ -188,27 +187,16 @@ class GenicamCamera(BracketCamera):
         """Wait until the camera takes a trigger; tell whether it does so within `seconds`."""
         return True
 
-    def _expect(self) -> None:
-        """Make room for one more frame, where the library has none of its own."""
-
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes a frame."""
-        return {
-            "kind": self.kind,
+        return super().describe() | {
             "model": self._model,
             "serial": self._serial,
-            "shape": list(self.shape),
             "pixel_format": self._pixel_format,
             "offset": list(self._options.offset),
             "gain_db": self._options.gain_db,
             "nodes": dict(sorted(self._options.nodes.items())),
         }
-
-    def close(self) -> None:
-        """Give the camera back; closing twice is no error."""
-        with self._lock:
-            self._disarm()  # or frames would be fetched of a camera that isn't there
-        super().close()
 
     @property
     def can_be_triggered(self) -> bool:
@@ -232,36 +220,43 @@ class GenicamCamera(BracketCamera):
             When the camera is lost, or refuses the line.
         """
         with self._lock:
-            self._disarm()
             self._check_open()
             try:
                 self._stop()
                 self._set_exposure(exposure)
                 self._set_trigger(str(self._options.sequence_line))
-                self._start()
+                self._start(count)
             except CaptureError:  # it is there, and refuses
                 self._by_software()
                 raise
             except self.faults as error:
                 self._drop()
                 raise CaptureError(f"{self._name}: {self._said(error)}") from error
-            self._collector = _Collector(self, count, exposure + self._options.timeout_seconds)
+            self._armed = exposure, count
 
     def collect(self) -> Counts:
         """Return the frames since `arm`; as `SequenceCamera` has it."""
         with self._lock:
-            collector, self._collector = self._collector, None
-            if collector is None:
+            if self._armed is None:
                 raise CaptureError(f"{self._name}: isn't armed")
-            collector.finish()
-            frames, failed = collector.frames, collector.failed
-            self.statistics["frames"] += len(frames)
+            (exposure, count), self._armed = self._armed, None
+            item = self.sensor.frame_shape(self.shape, self.channels)[1:]
+            frames, taken, failed = np.empty((count, *item), np.uint16), 0, 0
+            with suppress(*self.faults):  # of a lost camera what is missing is played again
+                while taken + failed < count and not self._is_lost():
+                    frame, problem = self._next(exposure + self._options.timeout_seconds)
+                    if frame is None and not problem:
+                        break
+                    if frame is None or frame.shape != self.shape:
+                        failed += 1
+                    else:
+                        frames[taken] = frame.reshape(item)
+                        taken += 1
+            self.statistics["frames"] += taken
             self.statistics["failed"] += failed
-            self.statistics["timed_out"] += collector.count - len(frames) - failed
+            self.statistics["timed_out"] += count - taken - failed
             self._by_software()
-        item = self.sensor.frame_shape(self.shape, self.channels)[1:]
-        good = [frame.reshape(item) for frame in frames if frame.shape == self.shape]
-        return np.stack(good) if good else np.zeros((0, *item), np.uint16)
+        return frames[:taken]
 
     def _frame(self, exposure: float) -> tuple[Counts | None, str]:
         seconds = exposure + self._options.timeout_seconds
@@ -300,13 +295,6 @@ class GenicamCamera(BracketCamera):
     def _restart(self) -> None:
         self._stop()
         self._start()
-
-    def _disarm(self) -> None:
-        """Stop fetching frames of a sequence that nobody collects."""
-        collector, self._collector = self._collector, None
-        if collector is not None:
-            collector.patience = 0.0
-            collector.finish()
 
     def _by_software(self) -> None:
         """Go back to triggers by this program; a camera that can't is looked for at the next."""
@@ -375,7 +363,7 @@ class GenicamCamera(BracketCamera):
                 f"camera: an exposure of {exposure:g} s is not in its range, {least / 1e6:g} to "
                 f"{largest / 1e6:g} s; change sensor.exposures"
             )
-        taken = float(self.nodes.write(name, wanted))
+        taken = float(self._write(name, wanted))
         if abs(taken - wanted) > 1e-3 * wanted:  # the merge trusts the nominal times
             raise CaptureError(
                 f"camera: rounds an exposure of {exposure:g} s to {taken / 1e6:g} s; set "
@@ -390,58 +378,21 @@ class GenicamCamera(BracketCamera):
 
     def _set(self, name: str, value: Value) -> None:
         """Make one setting, and compare the camera's value: numbers may be rounded by 2 %."""
-        taken = self.nodes.write(name, value)
+        taken = self._write(name, value)
         is_near = isinstance(value, float) and math.isclose(
             float(taken), value, rel_tol=0.02, abs_tol=1e-6
         )
         if not is_near and taken != value:
             raise CaptureError(f"camera: takes {name} = {taken} where {value} was asked for")
 
-
-class _Collector:
-    """Fetches frames of a sequence as they come, so that a library never runs out of buffers.
-
-    `patience` is the time in seconds without a frame after which no more is waited for, once the
-    sequence is over. The camera's `_next` is no one else's until `finish`.
-    """
-
-    QUEUE = 32
-    """Frames that a camera's library has room for at once."""
-
-    def __init__(self, camera: GenicamCamera, count: int, patience: float) -> None:
-        self.count, self.patience = count, patience
-        self.frames: list[Counts] = []
-        self.failed = 0
-        self._camera = camera
-        self._room = min(count, self.QUEUE)
-        for _ in range(self._room):
-            camera._expect()
-        self._is_over = threading.Event()
-        self._thread = threading.Thread(target=self._fetch, name="frames", daemon=True)
-        self._thread.start()
-
-    def finish(self) -> None:
-        """Wait for the last frames."""
-        self._is_over.set()
-        self._thread.join()
-
-    def _fetch(self) -> None:
-        quiet, poll = 0.0, 0.1
-        while len(self.frames) + self.failed < self.count:
-            try:
-                frame, problem = self._camera._next(poll)
-                if frame is None and not problem:
-                    quiet += poll
-                    if self._is_over.is_set() and quiet >= self.patience:
-                        return
-                    continue
-                if self._room < self.count:
-                    self._camera._expect()
-                    self._room += 1
-            except self._camera.faults:
-                return  # the camera is lost: what is missing is played again
-            quiet = 0.0
-            if frame is None:
-                self.failed += 1
-            else:
-                self.frames.append(frame)
+    def _write(self, name: str, value: Value) -> Value:
+        """Make one setting, and return what the camera took; else say which values it takes."""
+        nodes, takes = self.nodes, ""
+        try:
+            return nodes.write(name, value)
+        except RefusedError as error:
+            with suppress(Exception):
+                takes = f". It takes {' to '.join(f'{bound:g}' for bound in nodes.bounds(name))}"
+            with suppress(Exception):
+                takes = f". It takes {', '.join(nodes.choices(name))}"
+            raise RefusedError(f"camera: refuses {name} = {value}: {error}{takes}") from error
