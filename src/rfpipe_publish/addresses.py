@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import base64
 import io
-import logging
 import mimetypes
 import os
 import re
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import IO, Any, cast
-from urllib.parse import SplitResult, unquote, urlsplit
+from urllib.parse import SplitResult, quote, unquote, urlsplit
 
 from rfpipe.config.addresses import check_bucket
 from rfpipe.errors import InputError, StoreError, UnreachableError, installing
@@ -28,11 +26,8 @@ _READING: dict[str, Any] = {"timeout": timedelta(days=1), "read_timeout": timede
 _WRITING: dict[str, Any] = {"timeout": timedelta(seconds=120), "connect_timeout": "10s"}
 _PART_BYTES, _PARTS_AT_ONCE = 5 * 2**20, 2
 _RETRIES: dict[str, Any] = {"max_retries": 4, "retry_timeout": timedelta(seconds=60)}
-# How often a whole upload is begun anew, and after how long.
-_ATTEMPTS, _SECONDS_BETWEEN = 3, 5.0
-# Of a zip file's end: the directory of some thousand files, and the metadata written before it.
-_TAIL_BYTES = 256 * 2**10
-# A request takes as long as half a MB on a usual line, so that reading on costs little.
+# Of a zip file's end, the directory of some thousand files, and the metadata written before it;
+# and what is read ahead: a request takes as long as half a MB on a usual line.
 _AHEAD_BYTES = 256 * 2**10
 # What lies between two parts that are wanted and is fetched with them rather than asked twice.
 _BETWEEN_BYTES = 32 * 2**10
@@ -46,8 +41,6 @@ _CREDENTIALS = (
     "AWS_CONTAINER_CREDENTIALS_RELATIVE_URI",
     "AWS_CONTAINER_CREDENTIALS_FULL_URI",
 )
-
-_log = logging.getLogger(__name__)
 
 
 class ObjectPlace(Place):
@@ -72,10 +65,8 @@ class ObjectPlace(Place):
         return cls(*_connect(address, _READING))
 
     def __str__(self) -> str:
-        key = self.key
-        if not self._is_s3:  # can be copied into another program
-            key = key.replace("%", "%25").replace("?", "%3F").replace("#", "%23")
-        return f"{self._root}/{key}".rstrip("/")
+        # can be copied into another program
+        return f"{self._root}/{self.key if self._is_s3 else quote(self.key)}".rstrip("/")
 
     def at(self, key: str) -> ObjectPlace:
         return ObjectPlace(self._store, key, self._root)
@@ -85,36 +76,33 @@ class ObjectPlace(Place):
             return bytes(self._store.get(self.key).bytes())
 
     def read_ranges(self, ranges: Sequence[Range]) -> list[bytes]:
-        parts: list[bytes] = []
+        starts, ends = zip(*ranges, strict=True) if ranges else ((), ())
         with _errors(str(self)):
-            if all(start >= 0 and stop is not None for start, stop in ranges) and ranges:
-                starts, ends = zip(*ranges, strict=True)
-                found = self._store.get_ranges(
-                    self.key, starts=starts, ends=ends, coalesce=_BETWEEN_BYTES
-                )
-                return [bytes(part) for part in found]
-            for start, stop in ranges:
-                if stop is not None or not start:
-                    return super().read_ranges(ranges)
-                wanted = {"suffix": -start} if start < 0 else {"offset": start}
-                parts.append(bytes(self._store.get(self.key, options={"range": wanted}).bytes()))
-        return parts
+            if ends == (None,) and starts[0] < 0:
+                return [self._end(-starts[0])[0]]
+            if None in ends or not ends:
+                return super().read_ranges(ranges)
+            found = self._store.get_ranges(
+                self.key, starts=starts, ends=ends, coalesce=_BETWEEN_BYTES
+            )
+            return [bytes(part) for part in found]
 
-    def end(self) -> tuple[bytes, int]:
+    def _end(self, nbytes: int) -> tuple[bytes, int]:
         """Return the last bytes of a file, and its size."""
+        found = self._store.get(self.key, options={"range": {"suffix": nbytes}})
+        return bytes(found.bytes()), int(found.meta["size"])
+
+    def open(self) -> IO[bytes]:
+        """Open a file, to be read by ranges; its end, a zip's directory, comes with the first."""
         try:
             with _errors(str(self)):
-                found = self._store.get(self.key, options={"range": {"suffix": _TAIL_BYTES}})
-                return bytes(found.bytes()), int(found.meta["size"])
+                tail, size = self._end(_AHEAD_BYTES)
         except UnreachableError:
             with suppress(Exception):  # the first error tells more
                 if self._store.head(self.key)["size"] == 0:  # no range could be asked for
-                    return b"", 0
+                    return io.BytesIO()
             raise
-
-    def open(self) -> IO[bytes]:
-        """Open a file, to be read by ranges."""
-        return cast(IO[bytes], io.BufferedReader(_Ranged(self), _AHEAD_BYTES))
+        return cast(IO[bytes], io.BufferedReader(_Ranged(self, tail, size), _AHEAD_BYTES))
 
     def files(self) -> list[str]:
         if not self._is_s3:
@@ -146,11 +134,6 @@ class Bucket(ObjectPlace):
 
     Credentials, region and endpoint come from the environment: ``AWS_ACCESS_KEY_ID``,
     ``AWS_SECRET_ACCESS_KEY``, ``AWS_SESSION_TOKEN``, ``AWS_REGION``, ``AWS_ENDPOINT_URL``.
-
-    Raises
-    ------
-    InputError
-        When it is no such address, or the environment has no credentials.
     """
 
     def __init__(self, address: str) -> None:
@@ -158,18 +141,10 @@ class Bucket(ObjectPlace):
             check_bucket(address)
         except ValueError as error:
             raise InputError(f"{address}: {error}") from None
-        if not any(os.environ.get(name) for name in _CREDENTIALS):
-            raise InputError(
-                f"{address}: the environment has no credentials to write there; set "
-                "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, and AWS_ENDPOINT_URL for a server "
-                "other than Amazon's"
-            )
         super().__init__(*_connect(address, _WRITING))
 
     def put(self, name: str, content: Path | bytes) -> None:
         """Write an object, which replaces an older one once it is whole.
-
-        What the connection breaks is sent again.
 
         Raises
         ------
@@ -178,33 +153,21 @@ class Bucket(ObjectPlace):
         """
         place = self / name
         kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
-        for attempt in range(1, _ATTEMPTS + 1):
-            try:
-                with _errors(str(place), "written"):
-                    self._store.put(
-                        place.key,
-                        content,
-                        attributes={"Content-Type": kind},
-                        chunk_size=_PART_BYTES,
-                        max_concurrency=_PARTS_AT_ONCE,
-                    )
-                return
-            except UnreachableError as error:
-                if attempt == _ATTEMPTS:
-                    raise
-                _log.warning("%s; sent again", error)
-                time.sleep(attempt * _SECONDS_BETWEEN)
-
-    def at(self, key: str) -> ObjectPlace:
-        return ObjectPlace(self._store, key, self._root)
+        with _errors(str(place), "written"):
+            self._store.put(
+                place.key,
+                content,
+                attributes={"Content-Type": kind},
+                chunk_size=_PART_BYTES,
+                max_concurrency=_PARTS_AT_ONCE,
+            )
 
 
 class _Ranged(io.RawIOBase):
-    """A file behind an address; its end, a zip file's directory, comes with the first request."""
+    """A file behind an address, of which the last bytes are known."""
 
-    def __init__(self, place: ObjectPlace) -> None:
-        self._place = place
-        self._tail, self._size = place.end()
+    def __init__(self, place: ObjectPlace, tail: bytes, size: int) -> None:
+        self._place, self._tail, self._size = place, tail, size
         self._position = 0
 
     def readable(self) -> bool:
@@ -213,25 +176,18 @@ class _Ranged(io.RawIOBase):
     def seekable(self) -> bool:
         return True
 
-    def tell(self) -> int:
-        return self._position
-
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         base = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._size}[whence]
-        if base + offset < 0:
-            raise OSError(f"{self._place}: no place {base + offset} in a file")
-        self._position = base + offset
+        self._position = max(0, base + offset)
         return self._position
 
     def readinto(self, buffer: Any) -> int:
         start, stop = self._position, min(self._position + len(buffer), self._size)
-        if stop <= start:
-            return 0
         tail = self._size - len(self._tail)
-        content = self._tail[start - tail : stop - tail] if start >= tail else b""
-        if start < tail:
-            stop = min(stop, tail)
-            content = self._place.read_ranges([(start, stop)])[0]
+        if start < min(stop, tail):
+            (content,) = self._place.read_ranges([(start, min(stop, tail))])
+        else:
+            content = self._tail[start - tail : max(0, stop - tail)]
         buffer[: len(content)] = content
         self._position += len(content)
         return len(content)
@@ -239,7 +195,6 @@ class _Ranged(io.RawIOBase):
 
 def _connect(address: str, client: dict[str, Any]) -> tuple[Any, str, str]:
     """Return the obstore store of an address's server or bucket, the key in it, and its root."""
-    parts = _checked(address)
     try:
         from obstore.exceptions import BaseError
         from obstore.store import HTTPStore, S3Store
@@ -248,69 +203,58 @@ def _connect(address: str, client: dict[str, Any]) -> tuple[Any, str, str]:
             f"{address}: to read behind an address needs the extra publish; download it, or "
             f"{installing('publish')}"
         ) from error
-    host = parts.netloc.rpartition("@")[2]
-    root = f"{parts.scheme}://{host}"
-    options: dict[str, Any] = {"allow_http": True, **client}
+    settings: dict[str, Any] = {
+        "client_options": {"allow_http": True, **client},
+        "retry_config": _RETRIES,
+    }
     try:
-        if parts.scheme == "s3":
-            signed = any(os.environ.get(name) for name in _CREDENTIALS)
-            unsigned: Any = {} if signed else {"skip_signature": True}
-            bucket: Any = S3Store(
-                host,
-                client_options=cast(Any, options),
-                retry_config=cast(Any, _RETRIES),
-                **unsigned,
-            )
-            return bucket, parts.path.strip("/"), root
+        if address.startswith("s3:"):
+            parts = _bucket_of(address)
+            if not any(os.environ.get(name) for name in _CREDENTIALS):
+                settings["skip_signature"] = True
+            root = f"s3://{parts.netloc}"
+            return S3Store(parts.netloc, **settings), parts.path.strip("/"), root
+        parts = _split(address)
         if parts.username is not None:  # which obstore leaves out
             user = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
             encoded = base64.b64encode(user.encode()).decode()
-            options["default_headers"] = {"Authorization": f"Basic {encoded}"}
-        server = HTTPStore.from_url(
-            f"{root}/", client_options=cast(Any, options), retry_config=cast(Any, _RETRIES)
-        )
+            settings["client_options"]["default_headers"] = {"Authorization": f"Basic {encoded}"}
+        root = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}"
+        return HTTPStore.from_url(f"{root}/", **settings), unquote(parts.path).strip("/"), root
     except (ValueError, BaseError) as error:
         raise InputError(
-            f"{address}: can't be opened: {_reason(error)}; check the address"
-            + (" and the environment's AWS_..." if parts.scheme == "s3" else "")
+            f"{address}: {_reason(error)}; check the address, of s3:// the environment's AWS_..."
         ) from None
-    return server, unquote(parts.path).strip("/"), root
 
 
-def _checked(address: str) -> SplitResult:
-    """Return the parts of an address; InputError where it, or the environment, is wrong."""
-    try:
-        parts = _split(address, ("http", "https", "s3"))
-        if parts.scheme == "s3":
-            if parts.username is not None:
-                raise ValueError(
-                    "names a user; give credentials as AWS_ACCESS_KEY_ID and "
-                    "AWS_SECRET_ACCESS_KEY in the environment"
-                )
-            if not _BUCKET.fullmatch(parts.netloc):  # which obstore dies of, as of a wrong endpoint
-                raise ValueError(f"{parts.netloc!r} can't be a bucket")
-            for name in filter(os.environ.__contains__, _ENDPOINTS):
-                try:
-                    _split(os.environ[name], ("http", "https"))
-                except ValueError:
-                    raise ValueError(
-                        f"the environment's {name} is {os.environ[name]!r}; expected the server's "
-                        "address, such as https://objects.example.org, or none for Amazon's"
-                    ) from None
-    except ValueError as error:
-        raise InputError(f"{address}: {error}") from None
+def _bucket_of(address: str) -> SplitResult:
+    """Return the parts of a bucket's address; ValueError where it or the environment is wrong."""
+    parts = urlsplit(address)
+    if not _BUCKET.fullmatch(parts.netloc) or parts.query or parts.fragment:
+        raise ValueError(
+            "should be a bucket, or a folder or object in one, such as s3://lab/desk; credentials "
+            "stand in the environment, as AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+        )
+    for name in filter(os.environ.__contains__, _ENDPOINTS):
+        try:  # obstore dies of a wrong one
+            _split(os.environ[name])
+        except ValueError:
+            raise ValueError(
+                f"the environment's {name} is {os.environ[name]!r}; expected the server's "
+                "address, such as https://objects.example.org, or none for Amazon's"
+            ) from None
     return parts
 
 
-def _split(address: str, schemes: tuple[str, ...]) -> SplitResult:
+def _split(address: str) -> SplitResult:
     parts = urlsplit(address)
-    scheme, port = parts.scheme.lower(), parts.port
-    if scheme not in schemes or not parts.hostname or port == 0 or parts.query or parts.fragment:
+    wrong = parts.scheme not in ("http", "https") or not parts.hostname or parts.port == 0
+    if wrong or parts.query or parts.fragment:
         raise ValueError(
             "expected http://, https:// or s3:// with a host or bucket and a path, and without '?' "
             "or '#'"
         )
-    return parts._replace(scheme=scheme)
+    return parts
 
 
 @contextmanager
@@ -323,33 +267,34 @@ def _errors(place: str, action: str = "read") -> Iterator[None]:
         UnauthenticatedError,
     )
 
-    is_s3 = place.startswith("s3:")
-    what = "the credentials of the environment and AWS_ENDPOINT_URL" if is_s3 else "the address"
+    what = "the address"
+    if place.startswith("s3:"):
+        what = (
+            "the credentials of the environment (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY) and "
+            "AWS_ENDPOINT_URL"
+        )
     # none of them chained: obstore's own message shows the address as it was given
     try:
         yield
-    except NotSupportedError as error:
-        raise StoreError(
-            f"{place}: can't be read: {_reason(error)}; its server doesn't answer range requests, "
-            "or answers a page of its own, such as one to log in: check the address, or download "
-            "it and open the file"
-        ) from None
-    except (PermissionDeniedError, UnauthenticatedError) as error:
-        raise StoreError(
-            f"{place}: can't be {action}: {_reason(error)}; check {what} and who may read it"
-        ) from None
     except (BaseError, FileNotFoundError) as error:
+        kind = StoreError
         if "NoSuchBucket" in str(error):
-            raise StoreError(
-                f"{place}: can't be {action}: there is no such bucket; make it, or check the "
-                "address and AWS_ENDPOINT_URL"
-            ) from None
-        if isinstance(error, FileNotFoundError):
+            advice = "there is no such bucket; make it, or check the address and AWS_ENDPOINT_URL"
+        elif isinstance(error, FileNotFoundError):
             raise FileNotFoundError(place) from None
-        raise UnreachableError(
-            f"{place}: can't be {action}: {_reason(error)}; check the network and {what}, then run "
-            "again: an upload goes on where it stopped"
-        ) from None
+        elif isinstance(error, NotSupportedError):
+            advice = (
+                "its server doesn't answer range requests, or answers a page of its own, such as "
+                "one to log in: check the address, or download it and open the file"
+            )
+        elif isinstance(error, PermissionDeniedError | UnauthenticatedError):
+            advice = f"check {what} and who may read it"
+        else:
+            kind = UnreachableError
+            advice = (
+                f"check the network and {what}, then run again: an upload goes on where it stopped"
+            )
+        raise kind(f"{place}: can't be {action}: {_reason(error)}; {advice}") from None
 
 
 def _reason(error: Exception) -> str:

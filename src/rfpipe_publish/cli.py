@@ -5,18 +5,20 @@ from __future__ import annotations
 import sys
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from rfpipe.errors import InputError
 
-if TYPE_CHECKING:
-    from rfpipe_publish.run import Run
-
 Folder = Annotated[
     Path, typer.Argument(metavar="FOLDER", help="A run's folder, in which its 'results' lie.")
 ]
+
+_QUESTIONS = {
+    "creators": "Creator, as 'Family, Given; ORCID; affiliation'",
+    "license": "Licence, by its name in the SPDX list, such as CC-BY-4.0",
+}
 
 
 def publish(
@@ -40,19 +42,6 @@ def publish(
             metavar="NAME",
             help="Who is to be cited: 'Family, Given; ORCID; affiliation'; may be repeated.",
         ),
-    ] = None,
-    title: Annotated[str | None, typer.Option(help="Title; the report's by default.")] = None,
-    description: Annotated[str | None, typer.Option(help="What it is, in a few sentences.")] = None,
-    publisher: Annotated[str | None, typer.Option(help="Who keeps it, such as Zenodo.")] = None,
-    doi: Annotated[str | None, typer.Option(help="Its DOI, if it has one already.")] = None,
-    keywords: Annotated[
-        list[str] | None, typer.Option("--keyword", help="May be repeated.")
-    ] = None,
-    version: Annotated[
-        str | None, typer.Option(help="Version of the data, 1.0.0 at first.")
-    ] = None,
-    published: Annotated[
-        str | None, typer.Option("--date", help="Of publication, YYYY-MM-DD; at first, today.")
     ] = None,
     captured: Annotated[
         bool,
@@ -79,28 +68,23 @@ def publish(
 
     The crate is a Workflow Run RO-Crate with DataCite and Croissant metadata, SHA-256 of every
     file, and a ten-line example that relights it from a folder, a zip file or an address. Licence
-    and creators are asked for once and kept in FOLDER/publication.yaml, which may be edited; the
-    options change what is kept there. Without a terminal, give --license and --creator.
+    and creators are asked for once and kept in FOLDER/publication.yaml, with a title, a version
+    and more to edit. Without a terminal, give --license and --creator.
     """
-    from rfpipe_publish.citation import Citation, Creator, checked, kept_values, write_citation
+    from rfpipe_publish.metadata import CITATION_FILE, kept_values, write_citation
     from rfpipe_publish.publication import publish as write
     from rfpipe_publish.run import find_run
 
     run = find_run(folder)
-    given: dict[str, Any] = {
-        "title": title,
-        "description": description,
-        "creators": [Creator.parse(text).model_dump() for text in creator or []],
-        "license": license_,
-        "publisher": publisher,
-        "published": published,
-        "version": version,
-        "keywords": keywords,
-        "doi": doi,
-    }
-    values = kept_values(run.folder) | {name: value for name, value in given.items() if value}
-    citation = checked(Citation, _completed(values, run))
-    write_citation(run.folder, citation)
+    known = {"title": run.title, "description": run.description, "published": date.today()}
+    values: dict[str, Any] = known | kept_values(run.folder)
+    values |= {"license": license_} if license_ else {}
+    values |= {"creators": creator} if creator else {}
+    for name, question in _QUESTIONS.items():
+        if not values.get(name) and sys.stdin.isatty():
+            answer = typer.prompt(f"{question} (kept in {run.folder / CITATION_FILE})")
+            values[name] = [answer] if name == "creators" else answer
+    citation = write_citation(run.folder, values)
     place = output or run.folder / "publication.zip"
     files, nbytes = write(
         run,
@@ -122,33 +106,6 @@ def publish(
         )
     if run.incomplete:
         typer.echo(f"left out, since they aren't complete: {', '.join(run.incomplete)}", err=True)
-
-
-def _completed(values: dict[str, Any], run: Run) -> dict[str, Any]:
-    """Fill in what nobody has said yet; ask for it where that is for a person to say."""
-    from rfpipe_publish.citation import CITATION_FILE, Creator
-
-    values.setdefault("title", run.title)
-    values.setdefault("description", run.description)
-    values.setdefault("published", date.today().isoformat())
-    options = {"creators": "--creator 'Family, Given'", "license": "--license CC-BY-4.0"}
-    missing = [name for name in options if not values.get(name)]
-    if missing and not sys.stdin.isatty():
-        raise InputError(
-            f"{run.folder / CITATION_FILE}: {' and '.join(missing)} aren't known; give "
-            f"{' and '.join(options[name] for name in missing)}, once: they are kept"
-        )
-    if missing:
-        typer.echo(f"Asked once, and kept in {run.folder / CITATION_FILE}:")
-        values["title"] = typer.prompt("Title", default=values["title"])
-    if "creators" in missing:
-        names = [typer.prompt("Creator, as 'Family, Given; ORCID; affiliation'")]
-        while name := typer.prompt("Another creator (empty for none)", default="").strip():
-            names.append(name)
-        values["creators"] = [Creator.parse(name).model_dump() for name in names]
-    if "license" in missing:
-        values["license"] = typer.prompt("Licence (SPDX name)", default="CC-BY-4.0")
-    return values
 
 
 def keep(
@@ -202,7 +159,7 @@ def pack(
     same files.
     """
     from rfpipe.transport.storage import STORE_NAME
-    from rfpipe_publish.packed import pack as store
+    from rfpipe_publish.places import pack as store
 
     if not results.is_dir():
         raise InputError(f"{results}: is no folder; give a run's results")
@@ -237,9 +194,8 @@ def unpack(
     output: Annotated[Path, typer.Option("--output", "-o", help="The folder to write.")],
 ) -> None:
     """Write the files of a packed run as they were; each is checked."""
-    from rfpipe_publish.packed import PackedPlace, packed_in
-    from rfpipe_publish.packed import unpack as write
-    from rfpipe_publish.places import locate
+    from rfpipe_publish.places import PackedPlace, locate, packed_in
+    from rfpipe_publish.places import unpack as write
 
     place = locate(packed)
     found = place if isinstance(place, PackedPlace) else packed_in(place)

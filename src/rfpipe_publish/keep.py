@@ -14,14 +14,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from rfpipe.errors import StoreError
 from rfpipe.store import StoreLock
 from rfpipe.store.files import remove_tree
 from rfpipe.store.places import content_of
 from rfpipe.transport.storage import MANIFEST, ZIP_NAME
 from rfpipe_publish.addresses import Bucket
-from rfpipe_publish.run import Acquisition, Run, Source, files_of_store
-from rfpipe_publish.writing import measured, write_zip
+from rfpipe_publish.run import Run, files_below
+from rfpipe_publish.writing import Source, measured, write_zip
 
 _SECONDS_BETWEEN_LISTS = 5.0
 
@@ -55,14 +54,13 @@ def keep(run: Run, address: str, tell: Callable[[str], object] = lambda _: None)
     Raises
     ------
     InputError
-        When it is no such address, or the environment has no credentials.
+        When it is no such address.
     IntegrityError
         When a transport is damaged, or isn't the one that its manifest is about.
     LockedError
         When another process keeps this run.
     StoreError
-        When the bucket is missing or may not be written, its server doesn't answer, or an object
-        isn't what was sent.
+        When the bucket is missing or may not be written, or its server doesn't answer.
     """
     bucket = Bucket(address)
     made = run.results / ".keep"
@@ -70,17 +68,24 @@ def keep(run: Run, address: str, tell: Callable[[str], object] = lambda _: None)
     with StoreLock(made):
         try:
             listed = _List(bucket)
-            _warn_of_others(listed, run, str(bucket))
+            own = {f"{acquisition.name}/{ZIP_NAME}" for acquisition in run.acquisitions}
+            others = [name for name in {*listed.digests} - own if name.endswith(f"/{ZIP_NAME}")]
+            if others:
+                _log.warning(
+                    "%s: has %d transports that this run hasn't, such as %s: of scenes that were "
+                    "removed, or of another run, which needs an address of its own",
+                    *(bucket, len(others), min(others)),
+                )
             for name, source in _objects(run, made):
                 digest, size = measured(source)
                 kept.objects += 1
                 kept.nbytes += size
                 if not listed.has(name, digest, size):
                     tell(name)
-                    listed.send(name, source, digest, size)
+                    listed.send(name, source, digest)
                     kept.sent += 1
                     kept.nbytes_sent += size
-            listed.finish()
+            listed.write()
         finally:
             remove_tree(made)
     return kept
@@ -93,75 +98,42 @@ class _List:
         self._bucket = bucket
         self._sizes = bucket.sizes()
         lines = (content_of(bucket / MANIFEST) or b"").decode(errors="replace").splitlines()
-        listed = {line[66:]: line[:64] for line in lines}
-        self.digests = {name: listed[name] for name in listed if name in self._sizes}
-        self._changed = self.digests != listed
-        self._written = time.monotonic()
+        self._written = {line[66:]: line[:64] for line in lines}
+        self.digests = {name: of for name, of in self._written.items() if name in self._sizes}
+        self._time = time.monotonic()
 
     def has(self, name: str, digest: str, size: int) -> bool:
-        return self.digests.get(name) == digest and self._sizes.get(name) == size
+        return self.digests.get(name) == digest and self._sizes[name] == size
 
-    def send(self, name: str, source: Source, digest: str, size: int) -> None:
+    def send(self, name: str, source: Source, digest: str) -> None:
         if self.digests.pop(name, None) is not None:
-            self._write()  # nobody is told that the old one is there
+            self.write()  # nobody is told that the old one is there
         self._bucket.put(name, source)
-        self.digests[name], self._sizes[name] = digest, size
-        self._changed = True
-        if time.monotonic() - self._written > _SECONDS_BETWEEN_LISTS:
-            self._write()
+        self.digests[name] = digest
+        if time.monotonic() - self._time > _SECONDS_BETWEEN_LISTS:
+            self.write()
 
-    def finish(self) -> None:
-        """Compare the sizes of all objects with what was sent, and write the list."""
-        found = self._bucket.sizes()
-        wrong = sorted(name for name in self.digests if found.get(name) != self._sizes[name])
-        for name in wrong:
-            del self.digests[name]
-        if self._changed or wrong:
-            self._write()
-        if wrong:
-            raise StoreError(
-                f"{self._bucket}: {', '.join(wrong)} isn't there as it was sent; does somebody "
-                "else write there? Run again: what is whole stays"
-            )
-
-    def _write(self) -> None:
-        lines = (f"{digest}  {name}\n" for name, digest in sorted(self.digests.items()))
-        self._bucket.put(MANIFEST, "".join(lines).encode())
-        self._written = time.monotonic()
-
-
-def _warn_of_others(listed: _List, run: Run, address: str) -> None:
-    """Say that transports are there which this run doesn't have: those of the same name go."""
-    own = {f"{acquisition.name}/{ZIP_NAME}" for acquisition in run.acquisitions}
-    others = sorted(name for name in {*listed.digests} - own if name.endswith(f"/{ZIP_NAME}"))
-    if others:
-        _log.warning(
-            "%s: has %d transports that this run hasn't, such as %s: of scenes that were removed, "
-            "or of another run, whose objects of the same names are replaced; each run needs an "
-            "address of its own",
-            *(address, len(others), others[0]),
-        )
+    def write(self) -> None:
+        """Bring the list into the bucket, where it isn't the one there."""
+        if self.digests != self._written:
+            lines = (f"{digest}  {name}\n" for name, digest in sorted(self.digests.items()))
+            self._bucket.put(MANIFEST, "".join(lines).encode())
+            self._written, self._time = dict(self.digests), time.monotonic()
 
 
 def _objects(run: Run, made: Path) -> Iterator[tuple[str, Source]]:
     """Yield name and source of all objects; zip files are there until the next is asked for."""
-    for acquisition in run.acquisitions:
-        acquisition.check()
-        yield _zipped(acquisition, "transport", made / ZIP_NAME)
-    for acquisition in run.acquisitions:
-        if (acquisition.folder / "relight.json").is_file():
-            yield _zipped(acquisition, "relight", made / "relight.zip")
-    provenance = made / "provenance.zip"
-    files = [*run.manifests()]
-    if files:
-        write_zip(provenance, files)
-        yield provenance.name, provenance
+    for stage in ("transport", "relight"):
+        for found in run.acquisitions:
+            store, manifest = f"{stage}.zarr", f"{stage}.json"
+            if (found.folder / manifest).is_file():
+                if stage == "transport":
+                    found.check()
+                files = [*files_below(found.folder / store, store)]
+                write_zip(made / f"{stage}.zip", [*files, (manifest, found.folder / manifest)])
+                yield f"{found.name}/{stage}.zip", made / f"{stage}.zip"
+    manifests = [*run.manifests()]
+    if manifests:
+        write_zip(made / "provenance.zip", manifests)
+        yield "provenance.zip", made / "provenance.zip"
     yield from run.report_files()
-
-
-def _zipped(acquisition: Acquisition, stage: str, output: Path) -> tuple[str, Path]:
-    """Make a zip file of a stage's store and manifest."""
-    store, manifest = f"{stage}.zarr", f"{stage}.json"
-    files = [*files_of_store(acquisition.folder / store, store)]
-    write_zip(output, [*files, (manifest, acquisition.folder / manifest)])
-    return f"{acquisition.name}/{output.name}", output

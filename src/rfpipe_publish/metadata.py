@@ -1,99 +1,299 @@
-"""How machines read a publication: DataCite 4.5 for a DOI, Croissant 1.0 for the tables."""
+"""How a publication is cited: kept as YAML beside a run, told to people and to machines."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from datetime import date
 from pathlib import Path
-from typing import Any
+from re import fullmatch
+from typing import Annotated, Any
 
-from rfpipe_publish.citation import Citation, Creator
+import yaml
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
+from rfpipe.config.base import Settings
+from rfpipe.config.problems import explained
+from rfpipe.config.reading import read_yaml
+from rfpipe.errors import InputError
+from rfpipe.store.files import write_atomically
+from rfpipe.version import __version__
+
+CITATION_FILE = "publication.yaml"
+"""Where a citation is kept, in the folder that holds a run's results."""
+
+CRATE_FILE = "ro-crate-metadata.json"
+
+_UNPUBLISHED = ":unav"  # DataCite's word for what isn't known yet
+_SPDX = r"[A-Za-z0-9][A-Za-z0-9.+-]*-[A-Za-z0-9.+-]*[0-9][A-Za-z0-9.+-]*"
 _CR = "http://mlcommons.org/croissant/"
-_TERMS = (
-    "citeAs", "column", "containedIn", "equivalentProperty", "extract", "field", "fileObject",
-    "fileProperty", "fileSet", "format", "includes", "isLiveDataset", "jsonPath", "key", "md5",
-    "parentField", "path", "recordSet", "references", "regex", "repeated", "replace",
-    "samplingRate", "separator", "source", "subField", "transform",
-)  # fmt: skip
-_CONTEXT: dict[str, Any] = {
-    "@language": "en",
-    "@vocab": "https://schema.org/",
-    "sc": "https://schema.org/",
-    "cr": _CR,
-    "rai": f"{_CR}RAI/",
-    "dct": "http://purl.org/dc/terms/",
-    "conformsTo": "dct:conformsTo",
-    "data": {"@id": "cr:data", "@type": "@json"},
-    "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
-    "examples": {"@id": "cr:examples", "@type": "@json"},
-    **{term: f"cr:{term}" for term in _TERMS},
-}
 _TYPES = {"i": "sc:Integer", "f": "sc:Float"}
+_PROFILES = {
+    "https://w3id.org/ro/wfrun/process/0.5": "Process Run Crate",
+    "https://w3id.org/ro/wfrun/workflow/0.5": "Workflow Run Crate",
+    "https://w3id.org/workflowhub/workflow-ro-crate/1.0": "Workflow RO-Crate",
+}
+# used here, and not in the context of RO-Crate 1.1
+_TERMS = {
+    "creditText": "http://schema.org/creditText",
+    "sha256": "https://w3id.org/ro/terms/workflow-run#sha256",
+}
+
+Graph = dict[str, dict[str, Any]]
 
 
-def croissant(
-    citation: Citation,
-    files: Mapping[str, tuple[str, str]],
-    tables: Mapping[str, Path],
-    stores: Mapping[str, str],
-) -> dict[str, Any]:
-    """Return a publication's Croissant metadata (JSON-LD).
+def _like(pattern: str, expected: str) -> AfterValidator:
+    """Check a text by a pattern, whose first group is what is kept."""
+
+    def read(text: str) -> str:
+        found = fullmatch(pattern, text)
+        if found is None:
+            raise ValueError(f"should be {expected}")
+        return found[1]
+
+    return AfterValidator(read)
+
+
+def _checked_digit(orcid: str) -> str:
+    """Check an ORCID iD by its last digit (ISO 7064, 11-2)."""
+    total = 0
+    for digit in orcid.replace("-", "")[:15]:
+        total = (total + int(digit)) * 2
+    if "0123456789X"[(12 - total % 11) % 11] != orcid[-1]:
+        raise ValueError("should be an ORCID iD, whose last digit fits the others")
+    return orcid
+
+
+Line = Annotated[str, Field(min_length=1, max_length=4000, pattern=r"\S")]
+License = Annotated[
+    str,
+    _like(
+        rf"(https?://\S+|{_SPDX}|MIT|ISC|Unlicense|WTFPL)",
+        "a licence's name in the SPDX list, such as CC-BY-4.0, CC0-1.0, CC-BY-SA-4.0, or the "
+        "address of its text",
+    ),
+]
+Orcid = Annotated[
+    str,
+    _like(
+        r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])",
+        "an ORCID iD such as 0000-0002-1825-0097",
+    ),
+    AfterValidator(_checked_digit),
+]
+Doi = Annotated[
+    str,
+    _like(
+        r"(?:https://doi\.org/|doi:)?(10\.\d{4,9}/\S+)",
+        "a DOI such as 10.5281/zenodo.1234567",
+    ),
+]
+
+
+class Creator(Settings):
+    """One who is to be cited; read from ``Family, Given; ORCID; affiliation``, too."""
+
+    name: Line
+    orcid: Orcid | None = None
+    affiliation: Line | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_text(cls, given: object) -> object:
+        if not isinstance(given, str):
+            return given
+        parts = (part.strip() for part in given.split(";", 2))
+        return {name: part for name, part in zip(cls.model_fields, parts, strict=False) if part}
+
+    @property
+    def url(self) -> str | None:
+        """Address of the ORCID iD."""
+        return f"https://orcid.org/{self.orcid}" if self.orcid else None
+
+    @property
+    def kind(self) -> str:
+        """A person, by the comma of the name or the ORCID iD, or an organisation (schema.org)."""
+        return "Person" if "," in self.name or self.orcid else "Organization"
+
+
+class Citation(Settings):
+    """What a publication is cited by.
+
+    Attributes
+    ----------
+    license : str
+        Name in the SPDX list, such as CC-BY-4.0, or the address of its text.
+    publisher : str
+        Who keeps the publication: a repository; ``":unav"`` while that isn't known.
+    """
+
+    title: Line
+    description: Line
+    creators: tuple[Creator, ...] = Field(
+        min_length=1, description="each as 'Family, Given; ORCID; affiliation'; or give --creator"
+    )
+    license: License = Field(description="its name in the SPDX list; or give --license")
+    publisher: Line = _UNPUBLISHED
+    published: date
+    version: Annotated[str, Field(pattern=r"^\d+\.\d+\.\d+$")] = "1.0.0"
+    keywords: tuple[Line, ...] = ("light transport", "reflectance field", "relighting")
+    doi: Doi | None = None
+
+    @property
+    def license_url(self) -> str:
+        """Address of the licence's text."""
+        is_address = self.license.startswith("http")
+        return self.license if is_address else f"https://spdx.org/licenses/{self.license}"
+
+    @property
+    def doi_url(self) -> str | None:
+        """The DOI as an address."""
+        return f"https://doi.org/{self.doi}" if self.doi else None
+
+    @property
+    def text(self) -> str:
+        """The citation on one line."""
+        names = "; ".join(creator.name for creator in self.creators)
+        publisher = "" if self.publisher == _UNPUBLISHED else f" {self.publisher}."
+        return (
+            f"{names} ({self.published.year}): {self.title}. Version {self.version}.{publisher} "
+            f"Data set. {self.doi_url or ''}"
+        ).rstrip()
+
+
+def kept_values(folder: Path) -> dict[str, Any]:
+    """Return what is kept of a citation in a run's folder, unchecked."""
+    path = folder / CITATION_FILE
+    kept = read_yaml(path) if path.exists() else {}
+    return kept if isinstance(kept, dict) else {str(kept): ""}
+
+
+def write_citation(folder: Path, values: Mapping[str, Any]) -> Citation:
+    """Keep a citation in a run's folder, so that nobody is asked again.
+
+    Raises
+    ------
+    InputError
+        With all that is missing or wrong.
+    """
+    path = folder / CITATION_FILE
+    given = {name: value for name, value in values.items() if value is not None}
+    try:
+        citation = Citation.model_validate(given)
+    except ValidationError as error:
+        lines = [f"{path}: {line}" for line in explained(Citation, error, given)]
+        raise InputError("\n".join(lines)) from None
+    text = _yaml(citation.model_dump(mode="json", exclude_none=True))
+    write_atomically(path, f"# What 'rfpipe publish' cites this run by; edit it.\n{text}".encode())
+    return citation
+
+
+def _yaml(data: dict[str, Any]) -> str:
+    return str(yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=98))
+
+
+def cff(citation: Citation) -> str:
+    """Return how to cite a publication, as a Citation File Format file."""
+    authors = [
+        {"name": creator.name, **({"orcid": creator.url} if creator.url else {})}
+        for creator in citation.creators
+    ]
+    return _yaml(
+        {
+            "cff-version": "1.2.0",
+            "message": "If you use these data, please cite them.",
+            "type": "dataset",
+            "title": citation.title,
+            "version": citation.version,
+            "date-released": citation.published.isoformat(),
+            "abstract": citation.description,
+            "keywords": list(citation.keywords),
+            "license-url" if citation.license.startswith("http") else "license": citation.license,
+            "authors": authors,
+            **({"doi": citation.doi} if citation.doi else {}),
+        }
+    )
+
+
+def datacite(citation: Citation) -> dict[str, Any]:
+    """Return DataCite's metadata of a publication (schema 4.5)."""
+    creators = []
+    for creator in citation.creators:
+        names: dict[str, Any] = {"name": creator.name}
+        if creator.orcid:
+            scheme = {"nameIdentifierScheme": "ORCID", "schemeUri": "https://orcid.org"}
+            names["nameIdentifiers"] = [{"nameIdentifier": creator.url, **scheme}]
+        if creator.affiliation:
+            names["affiliation"] = [{"name": creator.affiliation}]
+        kind = {"Person": "Personal", "Organization": "Organizational"}[creator.kind]
+        creators.append({**names, "nameType": kind})
+    return {
+        **({"doi": citation.doi} if citation.doi else {}),
+        "creators": creators,
+        "titles": [{"title": citation.title}],
+        "publisher": {"name": citation.publisher},
+        "publicationYear": str(citation.published.year),
+        "types": {"resourceType": "Light transport", "resourceTypeGeneral": "Dataset"},
+        "subjects": [{"subject": word} for word in citation.keywords],
+        "dates": [{"date": citation.published.isoformat(), "dateType": "Issued"}],
+        "version": citation.version,
+        "rightsList": [{"rights": citation.license, "rightsUri": citation.license_url}],
+        "descriptions": [{"description": citation.description, "descriptionType": "Abstract"}],
+        "schemaVersion": "http://datacite.org/schema/kernel-4",
+    }
+
+
+def _dataset(citation: Citation) -> dict[str, Any]:
+    """Return what schema.org says of every data set."""
+    return {
+        "name": citation.title,
+        "description": citation.description,
+        "datePublished": citation.published.isoformat(),
+        "version": citation.version,
+        "keywords": ", ".join(citation.keywords),
+    }
+
+
+def croissant(citation: Citation, tables: Mapping[str, tuple[Path, str]]) -> dict[str, Any]:
+    """Return the Croissant 1.0 metadata (JSON-LD) of a publication's CSV tables.
 
     Parameters
     ----------
     citation : Citation
-    files : mapping of str to (str, str)
-        Media type and SHA-256 of the files that it describes one by one, by name.
-    tables : mapping of str to Path
-        The CSV files among them.
-    stores : mapping of str to str
-        What each transport's folder is, by name.
+    tables : mapping of str to (Path, str)
+        Files and their SHA-256, by name.
     """
-    distribution: list[dict[str, Any]] = [
-        {
-            "@type": "cr:FileObject",
-            "@id": name,
-            "name": name,
-            "contentUrl": name,
-            "encodingFormat": kind,
-            "sha256": digest,
-        }
-        for name, (kind, digest) in files.items()
-    ]
-    distribution += [
-        {
-            "@type": "cr:FileSet",
-            "@id": name.rstrip("/"),
-            "name": name.rstrip("/"),
-            "description": meaning,
-            "encodingFormat": "application/vnd+zarr",
-            "includes": f"{name}**",
-        }
-        for name, meaning in stores.items()
-    ]
-    creators = [
-        {
-            "@type": "sc:Person" if creator.is_person else "sc:Organization",
-            "name": creator.name,
-            **({"url": creator.orcid_url} if creator.orcid else {}),
-        }
-        for creator in citation.creators
-    ]
+    terms = ("citeAs", "column", "extract", "field", "fileObject", "recordSet", "source")
     return {
-        "@context": _CONTEXT,
+        "@context": {
+            "@language": "en",
+            "@vocab": "https://schema.org/",
+            "sc": "https://schema.org/",
+            "cr": _CR,
+            "conformsTo": "http://purl.org/dc/terms/conformsTo",
+            "dataType": {"@id": "cr:dataType", "@type": "@vocab"},
+            **{term: f"cr:{term}" for term in terms},
+        },
         "@type": "sc:Dataset",
         "conformsTo": f"{_CR}1.0",
-        "name": citation.title,
-        "description": citation.description,
+        **_dataset(citation),
         "license": citation.license_url,
         "url": citation.doi_url or "./",
-        "version": citation.version,
-        "datePublished": citation.published.isoformat(),
         "citeAs": citation.text,
-        "creator": creators,
-        "keywords": list(citation.keywords),
-        "distribution": distribution,
-        "recordSet": [_records(name, file) for name, file in tables.items()],
+        "creator": [
+            {"@type": f"sc:{creator.kind}", "name": creator.name} for creator in citation.creators
+        ],
+        "distribution": [
+            {
+                "@type": "cr:FileObject",
+                "@id": name,
+                "name": name,
+                "contentUrl": name,
+                "encodingFormat": "text/csv",
+                "sha256": digest,
+            }
+            for name, (_, digest) in tables.items()
+        ],
+        "recordSet": [_records(name, file) for name, (file, _) in tables.items()],
     }
 
 
@@ -102,64 +302,122 @@ def _records(name: str, file: Path) -> dict[str, Any]:
     import pandas as pd
 
     label = file.stem
-    return {
-        "@type": "cr:RecordSet",
-        "@id": label,
-        "name": label,
-        "field": [
-            {
-                "@type": "cr:Field",
-                "@id": f"{label}/{column}",
-                "name": column,
-                "dataType": "sc:Text"
-                if values.isna().all()
-                else _TYPES.get(values.dtype.kind, "sc:Text"),
-                "source": {"fileObject": {"@id": name}, "extract": {"column": column}},
-            }
-            for column, values in pd.read_csv(file).items()
-        ],
-    }
-
-
-def datacite(citation: Citation, nbytes: int) -> dict[str, Any]:
-    """Return DataCite's metadata (schema 4.5) of a publication of so many bytes."""
-    rights: dict[str, str] = {"rights": citation.license, "rightsUri": citation.license_url}
-    if not citation.license.startswith("http"):
-        rights |= {
-            "rightsIdentifier": citation.license,
-            "rightsIdentifierScheme": "SPDX",
-            "schemeUri": "https://spdx.org/licenses/",
+    fields = [
+        {
+            "@type": "cr:Field",
+            "@id": f"{label}/{column}",
+            "name": column,
+            "dataType": "sc:Text"
+            if values.isna().all()
+            else _TYPES.get(values.dtype.kind, "sc:Text"),
+            "source": {"fileObject": {"@id": name}, "extract": {"column": column}},
         }
-    return {
-        **({"doi": citation.doi} if citation.doi else {}),
-        "creators": [_creator(creator) for creator in citation.creators],
-        "titles": [{"title": citation.title, "lang": "en"}],
-        "publisher": {"name": citation.publisher},
-        "publicationYear": str(citation.published.year),
-        "types": {"resourceType": "Light transport", "resourceTypeGeneral": "Dataset"},
-        "subjects": [{"subject": word} for word in citation.keywords],
-        "dates": [{"date": citation.published.isoformat(), "dateType": "Issued"}],
-        "language": "en",
-        "sizes": [f"{nbytes} bytes"],
-        "formats": ["application/vnd+zarr", "image/x-exr", "text/csv", "text/html"],
-        "version": citation.version,
-        "rightsList": [rights],
-        "descriptions": [
-            {"description": citation.description, "descriptionType": "Abstract", "lang": "en"}
-        ],
-        "schemaVersion": "http://datacite.org/schema/kernel-4",
-    }
+        for column, values in pd.read_csv(file).items()
+    ]
+    return {"@type": "cr:RecordSet", "@id": label, "name": label, "field": fields}
 
 
-def _creator(creator: Creator) -> dict[str, Any]:
-    names: dict[str, Any] = {"name": creator.name}
-    family, comma, given = creator.name.partition(",")
-    if comma:
-        people = {"familyName": family.strip(), "givenName": given.strip()}
-        names |= {"nameType": "Personal", **people}
-    if creator.orcid:
-        scheme = {"nameIdentifierScheme": "ORCID", "schemeUri": "https://orcid.org"}
-        names["nameIdentifiers"] = [{"nameIdentifier": creator.orcid_url, **scheme}]
-    if creator.affiliation:
-        names["affiliation"] = [{"name": creator.affiliation}]
-    return names
+def crate(
+    citation: Citation,
+    parts: Mapping[str, Mapping[str, Any]],
+    *,
+    workflow: str | None,
+    settings: Sequence[str],
+    outputs: Sequence[str],
+    times: tuple[str, str],
+) -> dict[str, Any]:
+    """Return the RO-Crate 1.1 metadata (JSON-LD): what each file is and how it came about.
+
+    Parameters
+    ----------
+    citation : Citation
+    parts : mapping of str to mapping
+        Properties of every file and folder, by name; the names of folders end in a slash.
+    workflow : str, optional
+        Name of the workflow's main file. Without one it is a Process Run Crate, rfpipe itself
+        being what ran.
+    settings, outputs : sequence of str
+        Names of what the run was given, and of what it made: of parts.
+    times : tuple of str
+        When the run began and ended, ISO 8601.
+    """
+    graph: Graph = {}
+    files = [
+        _add(graph, name, "Dataset" if name.endswith("/") else "File", **properties)
+        for name, properties in parts.items()
+    ]
+    creators = []
+    for number, creator in enumerate(citation.creators, 1):
+        person: dict[str, Any] = {"name": creator.name}
+        if creator.affiliation:
+            person["affiliation"] = _add(
+                graph, f"#affiliation-{number}", "Organization", name=creator.affiliation
+            )
+        creators.append(_add(graph, creator.url or f"#creator-{number}", creator.kind, **person))
+    instrument = _add(
+        graph, "#rfpipe", "SoftwareApplication", name="rfpipe", softwareVersion=__version__
+    )
+    root: dict[str, Any] = {**_dataset(citation), "creator": creators, "author": creators}
+    if workflow:
+        instrument = root["mainEntity"] = _workflow(graph, workflow, parts[workflow], instrument)
+    if citation.publisher != _UNPUBLISHED:
+        root["publisher"] = _add(graph, "#publisher", "Organization", name=citation.publisher)
+    if citation.doi:
+        root["identifier"] = citation.doi_url
+    profiles = [
+        _add(graph, key, "CreativeWork", name=name, version=key.rpartition("/")[2])
+        for key, name in [*_PROFILES.items()][: None if workflow else 1]
+    ]
+    root["license"] = _add(
+        graph,
+        citation.license_url,
+        "CreativeWork",
+        name=citation.license,
+        description=f"The licence {citation.license}.",
+    )
+    root["mentions"] = _add(
+        graph,
+        "#run",
+        "CreateAction",
+        name="Acquisition of these results",
+        startTime=times[0],
+        endTime=times[1],
+        instrument=instrument,
+        agent=creators,
+        object=[{"@id": name} for name in settings],
+        result=[{"@id": name} for name in outputs],
+    )
+    root |= {"creditText": citation.text, "conformsTo": profiles, "hasPart": files}
+    about = _add(graph, "./", "Dataset", **root)
+    conforms = [{"@id": "https://w3id.org/ro/crate/1.1"}, *profiles[2:]]
+    _add(graph, CRATE_FILE, "CreativeWork", conformsTo=conforms, about=about)
+    context = ["https://w3id.org/ro/crate/1.1/context", _TERMS]
+    return {"@context": context, "@graph": [*graph.values()]}
+
+
+def _add(graph: Graph, key: str, kind: str | Sequence[str], **properties: Any) -> dict[str, str]:
+    """Add an entity, and return what refers to it."""
+    graph[key] = {"@id": key, "@type": kind, **properties}
+    return {"@id": key}
+
+
+def _workflow(
+    graph: Graph, name: str, properties: Mapping[str, Any], software: dict[str, str]
+) -> dict[str, str]:
+    language = _add(
+        graph,
+        "https://w3id.org/workflowhub/workflow-ro-crate#snakemake",
+        "ComputerLanguage",
+        name="Snakemake",
+        url={"@id": "https://snakemake.readthedocs.io"},
+    )
+    return _add(
+        graph,
+        name,
+        ("File", "SoftwareSourceCode", "ComputationalWorkflow"),
+        **properties,
+        programmingLanguage=language,
+        hasPart=software,
+        version=__version__,
+        license="https://spdx.org/licenses/MIT",
+    )

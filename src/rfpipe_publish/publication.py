@@ -3,59 +3,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
-from pathlib import Path
+import mimetypes
+from collections.abc import Collection, Iterator
+from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError, StoreError, installing
+from rfpipe.errors import InputError
 from rfpipe.pictures.images import write_image
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merger import REFERENCES
-from rfpipe.transport.storage import MANIFEST
-from rfpipe_publish.citation import Citation
-from rfpipe_publish.crate import METADATA_FILE, crate_metadata
-from rfpipe_publish.metadata import croissant, datacite
-from rfpipe_publish.pages import CITATION, EXAMPLE, PREVIEW, pages
-from rfpipe_publish.run import SETTINGS, Acquisition, Run, Source, files_of_store, settings_of
-from rfpipe_publish.writing import Writer, writing
+from rfpipe.transport.storage import MANIFEST, STORE_NAME
+from rfpipe.version import __version__
+from rfpipe_publish.metadata import CRATE_FILE, Citation, cff, crate, croissant, datacite
+from rfpipe_publish.run import SETTINGS, Acquisition, Run, files_below, settings_of
+from rfpipe_publish.writing import Source, Writer, size_of, writing
 
 _WORKFLOW = "source/Snakefile"
 _REPORT = "results/report/index.html"
+_EXAMPLE, _PREVIEW = "read.py", "ro-crate-preview.html"
 _FORMATS = {
     ".cff": "application/yaml",
-    ".css": "text/css",
-    ".csv": "text/csv",
     ".exr": "image/x-exr",
-    ".html": "text/html",
     ".js": "text/javascript",
-    ".json": "application/json",
     ".jsonl": "application/jsonl",
     ".md": "text/markdown",
-    ".png": "image/png",
-    ".py": "text/x-python",
-    ".wasm": "application/wasm",
     ".yaml": "application/yaml",
-}
-_MEANINGS = {
-    "results/catalogue/index.html": "the catalogue: each acquisition with a small picture, its "
-    "figures and what the table says of it",
-    EXAMPLE: "opens a transport and relights it: ten lines of Python",
-    "results/report/": "the report: index.html, its tables, figures and numbers",
-    "results/report/view/": "pages to paint with light in, in any browser",
-    "pictures/": "of each acquisition the floodlit picture (radiance) and the black level (counts)",
-    SETTINGS: "all settings that shaped the results, to run them again",
-    "calibration/": "the rig's calibration",
-    "provenance/": "the manifests of all stages: what was shown and captured, and its digests",
-    "source/": "the workflow that was run",
-    METADATA_FILE: "what each file is and how it came about (Workflow Run RO-Crate)",
-    "datacite.json": "metadata to register a DOI with (DataCite 4.5)",
-    "croissant.json": "the tables field by field, for machines (Croissant 1.0)",
-    CITATION: "how to cite it",
-    MANIFEST: "SHA-256 of every file",
 }
 # EXR files have the time of writing, which would change the bytes: that of the zip file's members.
 _TIMELESS = {"DateTime": "1980:01:01 00:00:00"}
@@ -98,12 +74,8 @@ def publish(
     IntegrityError
         When a transport is damaged, or isn't the one that its manifest is about.
     StoreError
-        When a package is missing, the disk is full or the folder isn't writable.
+        When the disk is full or the folder isn't writable.
     """
-    try:
-        import rocrate.rocrate  # noqa: F401
-    except ImportError as error:
-        raise StoreError(f"to publish, {installing('publish')}") from error
     output = output.absolute()
     _check_output(run, output, overwrite)
     settings = settings_of(run, config)
@@ -113,12 +85,11 @@ def publish(
     data = list(_data(run, calibrated, captured=captured))
     if settings is not None:
         data.append((SETTINGS, settings))
-    needed = sum(len(s) if isinstance(s, bytes) else s.stat().st_size for _, s in data)
-    with writing(output, needed) as writer:
+    with writing(output, sum(size_of(source) for _, source in data)) as writer:
         for name, source in data:
             writer.add(name, source)
         _add_metadata(writer, run, citation)
-        return len(writer.sizes), sum(writer.sizes.values())
+        return len(writer.written), sum(size for _, size in writer.written.values())
 
 
 def _check_output(run: Run, output: Path, overwrite: bool) -> None:
@@ -141,18 +112,18 @@ def _check_output(run: Run, output: Path, overwrite: bool) -> None:
 def _data(run: Run, calibration: Path | None, *, captured: bool) -> Iterator[tuple[str, Source]]:
     """Yield name and source of all that isn't made for the publication."""
     for acquisition in run.acquisitions:
-        yield from files_of_store(acquisition.store, acquisition.store_name)
+        yield from files_below(acquisition.folder / STORE_NAME, acquisition.store_name)
     for acquisition in run.acquisitions:
         yield f"{acquisition.name}/transport.json", acquisition.folder / "transport.json"
         yield from _reference_pictures(acquisition)
     yield from run.report_files()
     yield from run.captured() if captured else run.manifests()
     if calibration is not None:
-        yield from _tree("calibration", calibration, calibration.rglob("*"))
+        yield from files_below(calibration, "calibration")
     source = Path(__file__).parents[2]  # where rfpipe runs from its sources
     if (source / "Snakefile").is_file() and (source / "workflow").is_dir():
-        files = [source / "Snakefile", *(source / "workflow").rglob("*")]
-        yield from _tree("source", source, files)
+        yield _WORKFLOW, source / "Snakefile"
+        yield from files_below(source / "workflow", "source/workflow")
 
 
 def _calibration_of(run: Run, given: Path | None) -> Path | None:
@@ -166,14 +137,6 @@ def _calibration_of(run: Run, given: Path | None) -> Path | None:
     return folder if rig == "remote" and (folder / "calibration.json").is_file() else None
 
 
-def _tree(top: str, folder: Path, files: Any) -> Iterator[tuple[str, Path]]:
-    for file in sorted(files):
-        inside = file.relative_to(folder)
-        kept = not any(part.startswith((".", "__pycache__")) for part in inside.parts)
-        if kept and file.is_file() and file.suffix != ".log":
-            yield f"{top}/{inside.as_posix()}", file
-
-
 def _reference_pictures(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
     """Yield name and content of an acquisition's reference pictures."""
     folder = AcquisitionFolder(acquisition.folder)
@@ -181,16 +144,13 @@ def _reference_pictures(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]
         return
     arrays, _ = folder.read(0, "merge", REFERENCES)
     where = f"pictures/{acquisition.scene}/{acquisition.method}"
-    floodlit = arrays["floodlit"].reshape(*acquisition.facts["camera_shape"], -1)
     for suffix in ("exr", "png"):
-        yield f"{where}/floodlit.{suffix}", encoded(floodlit, suffix)
+        yield f"{where}/floodlit.{suffix}", encoded(arrays["floodlit"], suffix)
     for exposure, counts in enumerate(arrays["black"]):
         # a mosaic's has no channels
         has_channels = counts.ndim > 2 and counts.shape[-1] in (1, 3)
-        yield (
-            f"{where}/black_{exposure}.exr",
-            encoded(counts if has_channels else counts[..., None], "exr"),
-        )
+        picture = counts if has_channels else counts[..., None]
+        yield f"{where}/black_{exposure}.exr", encoded(picture, "exr")
 
 
 def encoded(image: NDArray[Any], suffix: str) -> bytes:
@@ -203,69 +163,67 @@ def encoded(image: NDArray[Any], suffix: str) -> bytes:
 
 
 def _add_metadata(writer: Writer, run: Run, citation: Citation) -> None:
-    """Write what is made for the publication: pages, metadata and, last, the manifest."""
-    stores = {f"{found.store_name}/": found.about for found in run.acquisitions}
-    described = {
-        name: (_format(name), digest)
-        for name, digest in writer.digests.items()
-        if name.endswith((".csv", ".exr")) and ".zarr/" not in name
-    }
+    """Write what is made for the publication: metadata, pages and, last, the manifest."""
     tables = {
-        name: run.folder / name for name in described if name.startswith("results/report/tables/")
+        name: (run.folder / name, digest)
+        for name, (digest, _) in writer.written.items()
+        if name.startswith("results/report/tables/") and name.endswith(".csv")
     }
-    for name, data in {
-        "datacite.json": datacite(citation, sum(writer.sizes.values())),
-        "croissant.json": croissant(citation, described, tables, stores),
-    }.items():
-        text = json.dumps(data, indent=2, ensure_ascii=False) + "\n"
-        writer.add(name, text.encode())
-    made = (EXAMPLE, CITATION, METADATA_FILE, MANIFEST)
-    present = [*writer.digests, *made]
-    has_report = _REPORT in writer.digests
-    meanings = stores | {
-        name: meaning
-        for name, meaning in _MEANINGS.items()
-        if any(each == name or (name[-1] == "/" and each.startswith(name)) for each in present)
-        and (has_report or name != "results/report/")
-    }
-    about = pages(run, citation, meanings, writer.digests)
-    preview = about.pop(PREVIEW)
-    for name, content in about.items():
-        writer.add(name, content)
-    parts = {
-        name: {
-            "name": name,
-            "encodingFormat": _format(name),
-            "contentSize": str(writer.sizes[name]),
-            "sha256": digest,
-            **({"description": _MEANINGS[name]} if name in _MEANINGS else {}),
-        }
-        for name, digest in writer.digests.items()
-        if ".zarr/" not in name
-    }
-    for name in writer.digests:
-        store, found, _ = name.partition(".zarr/")
-        if found:
-            name_of = f"{store}.zarr/"
-            about_it = {"description": stores[name_of]} if name_of in stores else {}
-            parts[name_of] = {
-                "name": name_of,
-                "encodingFormat": "application/vnd+zarr",
-                **about_it,
-            }
-    metadata = crate_metadata(
-        citation,
-        parts,
-        workflow=_WORKFLOW if _WORKFLOW in writer.digests else None,
-        settings=[name for name in (SETTINGS,) if name in writer.digests],
-        outputs=[*stores, *([_REPORT] if has_report else [])],
-        times=run.times,
-    )
-    writer.add(PREVIEW, preview)
-    writer.add(METADATA_FILE, metadata.encode())
-    lines = [f"{digest}  {name}\n" for name, digest in sorted(writer.digests.items())]
+    writer.add("datacite.json", _json(datacite(citation)))
+    writer.add("croissant.json", _json(croissant(citation, tables)))
+    writer.add("CITATION.cff", cff(citation).encode())
+    pages = _pages(run, citation, writer.written)
+    preview = pages.pop(_PREVIEW)
+    for name, page in pages.items():
+        writer.add(name, page)
+    writer.add(CRATE_FILE, _json(_crate(writer, run, citation)))
+    writer.add(_PREVIEW, preview)
+    lines = [f"{digest}  {name}\n" for name, (digest, _) in sorted(writer.written.items())]
     writer.add(MANIFEST, "".join(lines).encode())
 
 
-def _format(name: str) -> str:
-    return _FORMATS.get(Path(name).suffix, "text/plain")
+def _json(data: dict[str, Any]) -> bytes:
+    return (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode()
+
+
+def _pages(run: Run, citation: Citation, names: Collection[str]) -> dict[str, bytes]:
+    """Return what a reader sees first, by name: an example that runs, and pages about it."""
+    from jinja2 import Environment, PackageLoader, select_autoescape
+
+    templates = Environment(
+        loader=PackageLoader("rfpipe_publish", "."),
+        autoescape=select_autoescape(["html.j2"]),
+        keep_trailing_newline=True,
+    )
+    folders = {f"{folder}/" for name in names for folder in PurePosixPath(name).parents}
+    values: dict[str, Any] = {"run": run, "citation": citation, "version": __version__}
+    values["names"] = {*names, *folders}
+    pages = {}
+    for name in (_EXAMPLE, "README.md", _PREVIEW):
+        pages[name] = templates.get_template(f"{name}.j2").render(values)
+        values.setdefault("example", pages[name])
+    return {name: page.encode() for name, page in pages.items()}
+
+
+def _crate(writer: Writer, run: Run, citation: Citation) -> dict[str, Any]:
+    """Describe all files but those of stores, which are described as wholes."""
+    parts: dict[str, dict[str, str]] = {}
+    for name, (digest, size) in writer.written.items():
+        store, inside, _ = name.partition(".zarr/")
+        if inside:
+            parts[f"{store}.zarr/"] = {"encodingFormat": "application/vnd+zarr"}
+        else:
+            kind = _FORMATS.get(Path(name).suffix) or mimetypes.guess_type(name)[0] or "text/plain"
+            parts[name] = {"encodingFormat": kind, "contentSize": str(size), "sha256": digest}
+    for found in run.acquisitions:
+        parts[f"{found.store_name}/"]["description"] = found.about
+    named = {name: {"name": name, **of} for name, of in parts.items()}
+    stores = [f"{found.store_name}/" for found in run.acquisitions]
+    return crate(
+        citation,
+        named,
+        workflow=_WORKFLOW if _WORKFLOW in named else None,
+        settings=[name for name in (SETTINGS,) if name in named],
+        outputs=[*stores, *(name for name in (_REPORT,) if name in named)],
+        times=run.times,
+    )

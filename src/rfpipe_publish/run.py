@@ -18,7 +18,8 @@ from rfpipe.errors import InputError, IntegrityError
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.store.places import METADATA
 from rfpipe.transport.storage import STORE_NAME, transports_in
-from rfpipe_publish.packed import packed_in
+from rfpipe_publish.places import packed_in
+from rfpipe_publish.writing import Source
 
 SETTINGS = "settings.yaml"
 """Under which the settings are published."""
@@ -26,9 +27,6 @@ SETTINGS = "settings.yaml"
 _TO_LOGS = re.compile(rb' <a href="[^"]*\.log">log</a>')  # which stay at home
 _LEFT_OUT = (".log", ".benchmark.tsv", ".asked", ".tmp")
 _MOST_NAMED = 6
-
-Source = Path | bytes
-"""A file, or its content."""
 
 
 @dataclass(frozen=True)
@@ -46,11 +44,6 @@ class Acquisition:
         return f"results/{self.scene}/{self.method}"
 
     @property
-    def store(self) -> Path:
-        """Where its transport lies."""
-        return self.folder / STORE_NAME
-
-    @property
     def store_name(self) -> str:
         """Name of its transport in a publication."""
         return f"{self.name}/{STORE_NAME}"
@@ -63,10 +56,11 @@ class Acquisition:
 
     def check(self) -> None:
         """Raise IntegrityError unless the transport is whole, and that of its manifest."""
-        bundle = open_arrays(self.store)
+        store = self.folder / STORE_NAME
+        bundle = open_arrays(store)
         if bundle.digest != self.facts["digest"]:
             raise IntegrityError(
-                f"{self.store}: has the digest {bundle.digest}; its manifest says "
+                f"{store}: has the digest {bundle.digest}; its manifest says "
                 f"{self.facts['digest']}. Run 'rfpipe verify', which tells what mends it"
             )
         for name in bundle.names:
@@ -129,23 +123,29 @@ class Run:
     @property
     def times(self) -> tuple[str, str]:
         """When it began and ended, in UTC, as its manifests' files say."""
-        files = [
-            file for found in self.acquisitions for file in found.folder.rglob("*.json")
-            if file.parent.suffix != ".zarr" and file.name != METADATA
-        ]  # fmt: skip
-        seconds = [file.stat().st_mtime for file in files]
+        files = [found.folder / "transport.json" for found in self.acquisitions]
+        seconds = [file.stat().st_mtime for file in [*files, *dict(self.manifests()).values()]]
         first, last = (datetime.fromtimestamp(int(t), UTC) for t in (min(seconds), max(seconds)))
         return first.isoformat(), last.isoformat()
 
     def report_files(self) -> Iterator[tuple[str, Source]]:
         """Yield name and source of the pages: report, viewers and catalogue."""
-        report = self.results / "report"
-        yield from self._below(report if (report / "index.html").is_file() else report / "view")
-        for name, file in self._below(self.results / "catalogue"):
+        report = "results/report"
+        if not (self.folder / report / "index.html").is_file():
+            report += "/view"
+        yield from files_below(self.folder / report, report)
+        for name, file in files_below(self.results / "catalogue", "results/catalogue"):
             if file.suffix == ".html":
                 yield name, _TO_LOGS.sub(b"", file.read_bytes())
             elif file.suffix != ".json":
                 yield name, file
+
+    def captured(self) -> Iterator[tuple[str, Path]]:
+        """Yield name and place of all that the acquisitions left but the transports."""
+        for found in self.acquisitions:
+            for name, file in files_below(found.folder, found.name):
+                if f"/{STORE_NAME}/" not in name and not name.endswith("/transport.json"):
+                    yield name, file
 
     def manifests(self) -> Iterator[tuple[str, Path]]:
         """Yield name and place of the stages' manifests: what was captured, and its digests.
@@ -156,19 +156,22 @@ class Run:
             if file.suffix == ".json" and ".zarr/" not in name:
                 yield name.replace("results/", "provenance/", 1), file
 
-    def captured(self) -> Iterator[tuple[str, Path]]:
-        """Yield name and place of all that the acquisitions left but the transports."""
-        for found in self.acquisitions:
-            for name, file in self._below(found.folder):
-                if f"/{STORE_NAME}/" not in name and not name.endswith("/transport.json"):
-                    yield name, file
 
-    def _below(self, folder: Path) -> Iterator[tuple[str, Path]]:
-        for file in sorted(folder.rglob("*")):
-            inside = file.relative_to(self.folder)
-            hidden = any(part.startswith(".") for part in inside.parts)
-            if file.is_file() and not hidden and not file.name.endswith(_LEFT_OUT):
-                yield inside.as_posix(), file
+def files_below(folder: Path, name: str) -> Iterator[tuple[str, Path]]:
+    """Yield name and place of a folder's files but logs, in the order in which stores are read.
+
+    What describes the whole comes first, and what describes an array before its numbers, so that
+    few ranges of a zip file hold all of it.
+    """
+
+    def order(file: Path) -> tuple[tuple[bool, str], ...]:
+        return tuple((part != METADATA, part) for part in file.relative_to(folder).parts)
+
+    for file in sorted(folder.rglob("*"), key=order):
+        inside = file.relative_to(folder)
+        hidden = any(part.startswith((".", "__pycache__")) for part in inside.parts)
+        if file.is_file() and not hidden and not file.name.endswith(_LEFT_OUT):
+            yield f"{name}/{inside.as_posix()}", file
 
 
 def find_run(folder: Path) -> Run:
@@ -182,14 +185,12 @@ def find_run(folder: Path) -> Run:
         if len(more) == 1:  # else a study's, not an acquisition's
             place = folder / "results" / scene / method
             found.append(Acquisition(scene, method, place, read_manifest(place / "transport.json")))
-    packed = packed_in(folder) or packed_in(folder / "results")
-    if packed and not found:
-        raise InputError(
-            f"{packed}: is a packed run; publish it as it was: 'rfpipe collection unpack {packed} "
-            f"-o {folder}_whole/results', then 'rfpipe publish {folder}_whole'. Or give the packed "
-            "folder itself to others: rfpipe.open_collection reads it"
-        )
     if not found:
+        if packed_in(folder) or packed_in(folder / "results"):
+            raise InputError(
+                f"{folder}: is a packed run; publish what 'rfpipe collection unpack' makes of it. "
+                "Or give the packed folder itself to others: rfpipe.open_collection reads it"
+            )
         raise InputError(
             f"{folder}: has no results/<scene>/<method>/{STORE_NAME}; give the folder of a run, "
             "in which 'results' lies, after the run is complete"
@@ -204,22 +205,6 @@ def find_run(folder: Path) -> Run:
             f"{results}: damaged ({type(error).__name__}: {error}); remove the report and run again"
         ) from error
     return Run(folder, found, settings)
-
-
-def files_of_store(store: Path, name: str) -> Iterator[tuple[str, Path]]:
-    """Yield name and place of a store's files, in the order in which they are read.
-
-    What describes the whole comes first, and what describes an array before its numbers, so that
-    few ranges of a zip file hold all of it.
-    """
-    files = [file for file in store.rglob("*") if file.is_file()]
-
-    def order(file: Path) -> tuple[tuple[bool, str], ...]:
-        inside = file.relative_to(store).parts
-        return tuple((part != METADATA, part) for part in inside)
-
-    for file in sorted(files, key=order):
-        yield f"{name}/{file.relative_to(store).as_posix()}", file
 
 
 def settings_of(run: Run, config: Path | None) -> bytes | None:
@@ -246,10 +231,7 @@ def settings_of(run: Run, config: Path | None) -> bytes | None:
 
 def _without_unset_methods(value: Any) -> Any:
     """Leave out each method section's empty name: as a section of the file it has one."""
-    if isinstance(value, dict):
-        return {
-            name: _without_unset_methods(found)
-            for name, found in value.items()
-            if found is not None or name != "method"
-        }
-    return value
+    if not isinstance(value, dict):
+        return value
+    found = {name: _without_unset_methods(of) for name, of in value.items()}
+    return {name: of for name, of in found.items() if of is not None or name != "method"}

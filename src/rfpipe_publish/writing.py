@@ -15,6 +15,9 @@ from rfpipe.errors import InputError
 from rfpipe.store import StoreLock
 from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors
 
+Source = Path | bytes
+"""A file, or its content."""
+
 _BLOCK_BYTES = 2**20
 _LARGE = 2**31  # above, a zip entry needs 64-bit sizes, which must be said before it is written
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of zip files: the time of writing would change the bytes
@@ -27,25 +30,21 @@ class Writer:
 
     Attributes
     ----------
-    digests : dict of str to str
-        SHA-256 of every file written, by its name.
-    sizes : dict of str to int
-        Bytes of every file written.
+    written : dict of str to (str, int)
+        SHA-256 and bytes of every file, by its name.
     """
 
     def __init__(self, target: zipfile.ZipFile | Path) -> None:
         self._target = target
-        self.digests: dict[str, str] = {}
-        self.sizes: dict[str, int] = {}
+        self.written: dict[str, tuple[str, int]] = {}
         self._stores: set[str] = set()
 
-    def add(self, name: str, source: Path | bytes) -> None:
+    def add(self, name: str, source: Source) -> None:
         """Write a file, a copy of another or some bytes; StoreError when it can't be."""
-        if name in self.digests:
+        if name in self.written:
             raise InputError(f"{name}: stands twice in a publication")
-        size = len(source) if isinstance(source, bytes) else source.stat().st_size
-        with self._opened(name, size) as target:
-            self.digests[name], self.sizes[name] = measured(source, target)
+        with self._opened(name, size_of(source)) as target:
+            self.written[name] = measured(source, target)
 
     def _opened(self, name: str, size: int) -> IO[bytes]:
         if isinstance(self._target, Path):
@@ -59,7 +58,12 @@ class Writer:
         return self._target.open(_entry(name, 0o100644 << 16), "w", force_zip64=size >= _LARGE)
 
 
-def measured(source: Path | bytes, target: IO[bytes] | None = None) -> tuple[str, int]:
+def size_of(source: Source) -> int:
+    """Return the bytes of a file."""
+    return len(source) if isinstance(source, bytes) else source.stat().st_size
+
+
+def measured(source: Source, target: IO[bytes] | None = None) -> tuple[str, int]:
     """Return SHA-256 and size of a file, and copy it."""
     digest = hashlib.sha256()
     with storage_errors(source if isinstance(source, Path) else "", "reading"):
@@ -74,7 +78,6 @@ def measured(source: Path | bytes, target: IO[bytes] | None = None) -> tuple[str
 
 def _entry(name: str, attributes: int) -> zipfile.ZipInfo:
     info = zipfile.ZipInfo(name, _EPOCH)
-    info.compress_type = zipfile.ZIP_STORED
     info.create_system = 3  # Unix, on every machine
     info.external_attr = attributes
     return info
@@ -85,7 +88,7 @@ def writing(output: Path, needed_bytes: int) -> Iterator[Writer]:
     """Write a zip file, where the name ends so, or else a folder; it replaces what stands there.
 
     It is written beside its place and renamed at the end, so that an interrupted publication
-    leaves nothing there, or the one before; the next one begins anew.
+    leaves nothing there, or the one before.
     """
     new = hidden_sibling(output, "new")
     with StoreLock(output), storage_errors(output, "publishing", needed_bytes):
@@ -93,14 +96,14 @@ def writing(output: Path, needed_bytes: int) -> Iterator[Writer]:
         try:
             if output.suffix.lower() == ".zip":
                 with new.open("wb") as file:
-                    with zipfile.ZipFile(file, "w", strict_timestamps=False) as archive:
+                    with zipfile.ZipFile(file, "w") as archive:
                         yield Writer(archive)
                     file.flush()
                     os.fsync(file.fileno())
             else:
                 new.mkdir(parents=True)
                 yield Writer(new)
-            if output.is_dir() or not new.is_file():
+            if output.is_dir() or new.is_dir():
                 remove_tree(output)
             new.replace(output)
         except BaseException:
@@ -108,9 +111,9 @@ def writing(output: Path, needed_bytes: int) -> Iterator[Writer]:
             raise
 
 
-def write_zip(output: Path, files: Iterable[tuple[str, Path]]) -> None:
+def write_zip(output: Path, files: Iterable[tuple[str, Source]]) -> None:
     """Write files by their names; the same files give the same bytes."""
     files = list(files)
-    with writing(output, sum(file.stat().st_size for _, file in files)) as writer:
-        for name, file in files:
-            writer.add(name, file)
+    with writing(output, sum(size_of(source) for _, source in files)) as writer:
+        for name, source in files:
+            writer.add(name, source)

@@ -16,8 +16,8 @@ from rfpipe.transport.footprints import FootprintTransport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe.transport.sum import SumTransport
-from rfpipe_publish.packed import pack
-from rfpipe_publish.run import files_of_store
+from rfpipe_publish.places import pack
+from rfpipe_publish.run import files_below
 
 SHAPE = (9, 24, 28)
 STORE = "results/field/symmetric/transport.zarr"
@@ -73,7 +73,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / STORE).parent.mkdir(parents=True)
     save_transport(light_field(), folder / STORE, "uint8")
     with zipfile.ZipFile(folder / "crate.zip", "w") as archive:
-        for name, file in files_of_store(folder / STORE, STORE):
+        for name, file in files_below(folder / STORE, STORE):
             archive.write(file, name)
     return folder
 
@@ -116,12 +116,12 @@ def test_a_view_is_fetched_from_a_bucket_by_ranges(
     run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, validators: str
 ) -> None:
     """Of nine views one shares in a fifth of the pairs, a part of it in fewer of their blocks."""
-    pack(run, [file for _, file in files_of_store(run / STORE, STORE)], tmp_path / "packed")
+    pack(run, [file for _, file in files_below(run / STORE, STORE)], tmp_path / "packed")
     light = np.random.default_rng(3).random(SHAPE, np.float32)
     expected = rfpipe.open_transport(run / STORE).relight(light)
-    stored = sum(file.stat().st_size for _, file in files_of_store(run / STORE, STORE))
+    stored = sum(file.stat().st_size for _, file in files_below(run / STORE, STORE))
     with s3_server(validators) as behind, proxy(behind) as bucket:
-        for name, file in [*files_of_store(run / STORE, STORE), ("crate.zip", run / "crate.zip")]:
+        for name, file in [*files_below(run / STORE, STORE), ("crate.zip", run / "crate.zip")]:
             put(f"{behind}/{BUCKET}/{name}", file.read_bytes())
         for file in filter(Path.is_file, (tmp_path / "packed").rglob("*")):
             name = file.relative_to(tmp_path).as_posix()

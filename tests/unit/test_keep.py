@@ -139,7 +139,6 @@ def test_results_are_sent_once_and_read_from_there(run: Path, address: str, faul
 def test_what_the_network_and_the_server_break_is_sent_again(
     run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bucket_module, "_SECONDS_BETWEEN", 0.01)
     faults.fail, faults.cut, faults.seconds = 2, 2, 0.02
     assert kept(run, address).sent == 9
     assert (faults.fail, faults.cut) == (0, 0)
@@ -150,7 +149,6 @@ def test_what_the_network_and_the_server_break_is_sent_again(
 def test_a_server_that_stays_broken_is_said_and_the_next_run_goes_on(
     fault: str, run: Path, address: str, faults: Faults, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bucket_module, "_SECONDS_BETWEEN", 0.0)
     monkeypatch.setattr(bucket_module, "_RETRIES", {"max_retries": 1})
     send, sent = bucket_module.Bucket.put, []
 
@@ -177,12 +175,9 @@ def test_missing_buckets_rights_and_credentials_are_said(
     with pytest.raises(StoreError, match="no such bucket; make it"):
         kept(run, "s3://nobody/run")
     faults.deny = True
-    with pytest.raises(StoreError, match="Not now; check the cred"):
+    with pytest.raises(StoreError, match=r"Not now; check the cred.*AWS_SECRET_ACCESS_KEY\)"):
         kept(run, address)
     assert listed(address) == {}
-    monkeypatch.delenv("AWS_ACCESS_KEY_ID")
-    with pytest.raises(InputError, match="AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"):
-        kept(run, address)
     for wrong in ("https://host/run", "s3://key:secret@lab/run"):
         with pytest.raises(InputError, match="should be a bucket") as refused_here:
             kept(run, wrong)

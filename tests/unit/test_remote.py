@@ -24,7 +24,7 @@ from rfpipe.transport import save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
 from rfpipe_publish import addresses
-from rfpipe_publish.run import files_of_store
+from rfpipe_publish.run import files_below
 
 SHAPE = (24, 28)
 DESK = "results/desk/symmetric/transport.zarr"
@@ -50,15 +50,15 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name).parent.mkdir(parents=True)
         save_transport(transport, folder / name, "uint8")
     with zipfile.ZipFile(folder / "crate.zip", "w") as archive:
-        for name, file in files_of_store(folder / DESK, DESK):
+        for name, file in files_below(folder / DESK, DESK):
             archive.write(file, name)
         archive.writestr("README.md", "of a publication")
     with zipfile.ZipFile(folder / "both.zip", "w") as archive:
         for store in (DESK, SHELF):
-            for name, file in files_of_store(folder / store, store):
+            for name, file in files_below(folder / store, store):
                 archive.write(file, name)
     with zipfile.ZipFile(folder / "store.zip", "w") as archive:
-        for name, file in files_of_store(folder / DESK, ""):
+        for name, file in files_below(folder / DESK, ""):
             archive.write(file, name.lstrip("/"))
     return folder
 
@@ -108,7 +108,7 @@ def test_a_zip_file_behind_an_address_takes_few_requests(
 
 def test_what_is_not_used_is_not_fetched(run: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "large.zip", "w") as archive:
-        for name, file in files_of_store(run / DESK, DESK):
+        for name, file in files_below(run / DESK, DESK):
             archive.write(file, name)
         archive.writestr("frames.bin", bytes(8_000_000))
         archive.writestr("README.md", "last")
@@ -227,8 +227,8 @@ def test_the_password_of_an_address_reaches_its_server(one_file: type[Handler]) 
         ("http://[::1", "Invalid IPv6"),
         ("http://host:99999/crate.zip", "out of range"),
         ("https://user:pw@/crate.zip", "with a host"),
-        ("s3://key:geheim@lab/run", "AWS_SECRET_ACCESS_KEY in the environment"),
-        ("s3://La b/run", "'La b' can't be a bucket"),
+        ("s3://key:geheim@lab/run", "environment, as AWS_ACCESS_KEY_ID"),
+        ("s3://La b/run", "should be a bucket"),
     ],
 )
 def test_what_can_not_be_an_address_is_said(address: str, says: str) -> None:
@@ -352,7 +352,7 @@ def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch)
 def bucket(run: Path, validators: str) -> Iterator[str]:
     """A bucket of a local S3 server, with the run in it; its endpoint."""
     with s3_server(validators) as endpoint:
-        files = [*files_of_store(run / DESK, DESK), *files_of_store(run / SHELF, SHELF)]
+        files = [*files_below(run / DESK, DESK), *files_below(run / SHELF, SHELF)]
         for name, file in [*files, ("crate.zip", run / "crate.zip")]:
             put(f"{endpoint}/{BUCKET}/{name}", file.read_bytes())
         yield endpoint

@@ -15,7 +15,7 @@ import rfpipe
 from rfpipe.pictures.images import read_image
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.merger import read_floodlit
-from rfpipe_publish.citation import Citation, checked
+from rfpipe_publish.metadata import Citation
 from rfpipe_publish.publication import publish
 from rfpipe_publish.run import find_run
 
@@ -51,8 +51,7 @@ print(json.dumps([problems, len(rows)]))
 @pytest.fixture(scope="module")
 def crate(undisturbed: Workflow, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A published run, unpacked from its zip file, which lies beside it."""
-    citation = checked(
-        Citation,
+    citation = Citation.model_validate(
         {
             "title": "Two wedges",
             "description": "Light transport of two wedges.",
