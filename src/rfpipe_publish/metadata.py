@@ -11,8 +11,7 @@ from typing import Annotated, Any
 import yaml
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from rfpipe.config.base import Settings
-from rfpipe.config.problems import explained
+from rfpipe.config.base import Settings, explained
 from rfpipe.config.reading import read_yaml
 from rfpipe.errors import InputError
 from rfpipe.store.files import write_atomically
@@ -180,7 +179,7 @@ def write_citation(folder: Path, values: Mapping[str, Any]) -> Citation:
     try:
         citation = Citation.model_validate(given)
     except ValidationError as error:
-        lines = [f"{path}: {line}" for line in explained(Citation, error, given)]
+        lines = [f"{path}: {line}" for line in explained(error)]
         raise InputError("\n".join(lines)) from None
     text = _yaml(citation.model_dump(mode="json", exclude_none=True))
     write_atomically(path, f"# What 'rfpipe publish' cites this run by; edit it.\n{text}".encode())
