@@ -26,7 +26,8 @@ from rfpipe.errors import CaptureError, ConfigError, InputError, RfpipeError
 from rfpipe.photometry import CameraModel
 from rfpipe.pictures import read_picture
 from rfpipe.pictures.dng import dng_bytes
-from rfpipe.rigs.offline import check_pictures, offline_rig, read_sheet
+from rfpipe.rigs.offline import offline_rig, read_sheet
+from rfpipe.rigs.offline_pictures import check_pictures
 from rfpipe.stages.plan import Plan, plan_of, stages_of
 
 SCRIPT = Path(__file__).parents[1] / "examples" / "photographer.py"
@@ -253,7 +254,7 @@ def test_rays_in_a_part_of_larger_pictures() -> None:
     ("changes", "message"),
     [
         ({"capture": {"rig": "offline", "drift_minutes": 3}}, "drift_minutes should be null"),
-        ({"offline": {"picture_shape": [4, 4]}}, "set together"),
+        ({"offline": {"picture_shape": [4, 4]}}, "both be set"),
         ({"scenes": {"a": {"kind": "captured"}, "b": {"kind": "captured"}}}, "rig offline"),
     ],
 )

@@ -95,8 +95,8 @@ def _tell(acquisition: str, sheet: Sheet | None, folder: Path, config: Path) -> 
     about: dict[str, Any] = sheet.about
     each = ", ".join(f"{seconds:g}" for seconds in sheet.exposures_s)
     typer.echo(
-        f"{acquisition}: level {about['level']} asks for {sheet.patterns} patterns"
-        f"{' and 3 markers' if sheet.has_markers else ''}. Show {sheet.folder}/*.png in their "
-        f"order, take of each the exposures {each} s, put the pictures into "
-        f"{sheet.folder / 'pictures'}, then: rfpipe import {sheet.folder}"
+        f"{acquisition}: level {about['level']} asks for {len(sheet.patterns)} patterns "
+        f"and 3 markers. Show {sheet.folder}/*.png in their order, take of each the exposures "
+        f"{each} s, put the pictures into {sheet.folder / 'pictures'}, then: rfpipe import "
+        f"{sheet.folder}"
     )

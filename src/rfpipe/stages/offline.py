@@ -11,8 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, PicturesNeeded
-from rfpipe.rigs.offline import OfflineRig, Sheet, check_pictures, offline_rig, read_sheet
-from rfpipe.rigs.offline.sheet import MANIFEST, write_sheet
+from rfpipe.rigs.offline import (
+    MANIFEST,
+    OfflineRig,
+    Sheet,
+    offline_rig,
+    read_sheet,
+    write_sheet,
+)
+from rfpipe.rigs.offline_pictures import Checked, check_pictures
 from rfpipe.stages import acquisition, capture
 from rfpipe.stages.folder import AcquisitionFolder
 from rfpipe.stages.jobs.workers import Resources
@@ -21,7 +28,6 @@ from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:
     from rfpipe.config import Config
-    from rfpipe.rigs.offline import Checked
 
 PICTURES = "pictures"
 """Folder beside a sheet's patterns for what is taken of them."""
@@ -138,15 +144,12 @@ class OfflineAcquisition:
                     f"{pictures}: holds pictures of patterns that aren't asked for any more, since "
                     "settings or code changed; move them away, then write the patterns again"
                 )
-        sheet = write_sheet(
-            rig, own, asked, about,
-            gamma=self.settings.offline.projector_gamma, markers=True,
-        )  # fmt: skip
+        sheet = write_sheet(rig, own, asked, about, self.settings.offline.projector_gamma)
         pictures.mkdir(exist_ok=True)
         return sheet
 
     def read(self, sheet: Sheet, pictures: Path, *, anyway: bool = False) -> Checked:
-        """Check the pictures of a sheet; see `rfpipe.rigs.offline.check_pictures`."""
+        """Check the pictures of a sheet; see `rfpipe.rigs.offline_pictures.check_pictures`."""
         return check_pictures(self.rig(), sheet, pictures, anyway=anyway)
 
     @property
@@ -170,7 +173,7 @@ def _same(old: Sheet, rig: OfflineRig, asked: list[Any]) -> bool:
     from rfpipe.provenance import fingerprint
 
     wanted = [(key, fingerprint(np.asarray(pattern, np.float32))) for key, pattern in asked]
-    held = [(each.key, each.pattern) for each in old.shown if each.key is not None]
+    held = [(each.key, each.pattern) for each in old.patterns]
     return (
         held == wanted
         and old.exposures_s == tuple(rig.camera_sensor.exposures)

@@ -1,28 +1,38 @@
-"""A rig that shows nothing itself: its pictures are taken by somebody, somewhere, and read in."""
+"""Rigs without a cable: a sheet of pictures goes out, and brackets come back as pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError, PicturesNeeded
+from rfpipe.errors import InputError, PicturesNeeded, StoreError
+from rfpipe.keys import BLACK_LEVEL_KEY, FLOODLIT_KEY, SYMMETRY_KEY
 from rfpipe.photometry.camera import sensor_from_config
 from rfpipe.photometry.sensor import Sensor
+from rfpipe.pictures import write_code_picture
+from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.calibrated import load_calibration, resampled_sensor
 from rfpipe.rigs.layout import DARK, ProjectorLayout
+from rfpipe.store import read_manifest, write_manifest
 
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig, OfflineConfig
     from rfpipe.photometry.resampling import Resampling
 
 Float = NDArray[np.float32]
+
+MANIFEST = "patterns.json"
+"""Beside the pictures that it names."""
+
+_NAMES = {BLACK_LEVEL_KEY: "black", FLOODLIT_KEY: "white", SYMMETRY_KEY: "random"}
 
 
 class OfflineRig:
@@ -80,7 +90,6 @@ class OfflineRig:
         self.picture_shape = RayDomain(self.camera_shape).picture_shape
         if resampling is not None:
             self.picture_shape = resampling.camera_shape
-        self._frame_shape = self.sensor.frame_shape(self.camera_shape, channels)
 
     def capture(self, patterns: Float, keys: Sequence[Key]) -> NDArray[Any]:
         """Return the brackets that were taken of patterns; see `rfpipe.rigs.Rig.capture`.
@@ -91,7 +100,8 @@ class OfflineRig:
             When those of some pattern are still to be taken.
         """
         patterns = check_patterns(patterns, keys, self.projector_shape)
-        frames = np.empty((len(patterns), *self._frame_shape), self.sensor.frame_dtype)
+        shape = self.sensor.frame_shape(self.camera_shape, self.channels)
+        frames = np.empty((len(patterns), *shape), self.sensor.frame_dtype)
         for index, (pattern, key) in enumerate(zip(patterns, keys, strict=True)):
             taken = self.bracket and self.bracket(tuple(key), pattern)
             if taken is None:
@@ -99,7 +109,7 @@ class OfflineRig:
                     f"the pictures of pattern {tuple(key)} are still to be taken: 'rfpipe "
                     "patterns' writes what to show, 'rfpipe import' reads what was taken"
                 )
-            frames[index] = taken.reshape(self._frame_shape)
+            frames[index] = taken.reshape(shape)
         return frames
 
     def picture(self, pattern: Float) -> Float:
@@ -156,16 +166,142 @@ def _within(corners: Any, shape: tuple[int, ...], picture_shape: tuple[int, int]
 
     from rfpipe.photometry.resampling import Resampling
 
-    ray = ProjectorLayout.within(corners, shape, picture_shape).ray_of_pixel.ravel()
-    pixels = np.flatnonzero(ray != DARK)
-    count = np.bincount(ray[pixels], minlength=prod(shape))
+    layout = ProjectorLayout.within(corners, shape, picture_shape)
+    ray, count = layout.ray_of_pixel.ravel(), layout.pixels_of_ray
     if not count.all():
         raise InputError(
             f"offline.camera_corners: {np.count_nonzero(count == 0)} of {prod(shape)} rays have no "
             f"pixel in pictures of {picture_shape}; check the corners, or take a smaller shape"
         )
+    pixels = np.flatnonzero(ray != DARK)
     weights = (1 / count[ray[pixels]]).astype(np.float32)
     whole = prod(shape), prod(picture_shape)
     return Resampling(
         shape, picture_shape, csr_array((weights, (ray[pixels], pixels)), shape=whole)
     )
+
+
+class Shown(BaseModel):
+    """A picture to show, and to take a bracket of.
+
+    Attributes
+    ----------
+    file : str
+        Its name in the folder.
+    key : tuple of int, or None
+        The pattern's key; None of a marker.
+    pattern : str
+        Fingerprint of its weights.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    file: str
+    key: Key | None
+    pattern: str
+
+
+class Sheet(BaseModel):
+    """All that is to be shown before an acquisition can go on.
+
+    Attributes
+    ----------
+    folder : Path
+    about : dict
+        Plain data: settings file, results' folder, scene, method, level.
+    exposures_s : tuple of float
+        Of each bracket, ascending, in seconds.
+    picture_size : (int, int)
+        Height and width of the pictures to be taken.
+    shown : tuple of Shown
+        In the order of showing: a marker and its opposite, the patterns, the opposite again.
+    """
+
+    model_config = ConfigDict(frozen=True)
+
+    folder: Path
+    about: dict[str, Any]
+    exposures_s: tuple[float, ...]
+    picture_size: tuple[int, int]
+    shown: tuple[Shown, ...]
+
+    @property
+    def patterns(self) -> list[Shown]:
+        """What is to be shown, markers left out."""
+        return [each for each in self.shown if each.key is not None]
+
+
+def write_sheet(
+    rig: OfflineRig,
+    folder: Path,
+    asked: Iterable[tuple[Key, NDArray[np.float32]]],
+    about: dict[str, Any],
+    gamma: float,
+) -> Sheet:
+    """Write the pictures of patterns that are asked for, and last the manifest.
+
+    Parameters
+    ----------
+    rig : OfflineRig
+    folder : Path
+        Made where it isn't there; an older sheet in it is replaced.
+    asked : iterable of (key, pattern)
+    about : dict
+    gamma : float
+        Of the projector.
+
+    Raises
+    ------
+    StoreError
+        When the folder can't be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / MANIFEST).unlink(missing_ok=True)
+        for old in folder.glob("[0-9]*_*.png"):
+            old.unlink()
+    except OSError as error:
+        raise StoreError(f"{folder}: can't be written: {error.strerror}") from error
+    shown: list[Shown] = []
+
+    def show(name: str, key: Key | None, pattern: NDArray[np.float32]) -> None:
+        file = f"{len(shown):04d}_{name}.png"
+        write_code_picture(folder / file, rig.picture(pattern), gamma)
+        shown.append(Shown(file=file, key=key, pattern=fingerprint(pattern)))
+
+    # two by two fields of light and dark
+    height, width = rig.projector_shape[-2:]
+    row, column = np.indices(rig.projector_shape)[-2:]
+    marker = ((2 * row // height + 2 * column // width) % 2 == 0).astype(np.float32)
+    show("marker", None, marker)
+    show("marker", None, 1 - marker)
+    for key, pattern in asked:
+        show(_NAMES.get(key[0], "pattern"), key, np.asarray(pattern, np.float32))
+    show("marker", None, 1 - marker)
+    sheet = Sheet(
+        folder=folder,
+        about=about,
+        exposures_s=rig.camera_sensor.exposures,
+        picture_size=rig.picture_shape,
+        shown=tuple(shown),
+    )
+    write_manifest(folder / MANIFEST, sheet.model_dump(mode="json", exclude={"folder"}))
+    return sheet
+
+
+def read_sheet(folder: Path) -> Sheet:
+    """Read a sheet.
+
+    Raises
+    ------
+    InputError
+        When there is none in the folder.
+    IntegrityError
+        When its manifest is damaged.
+    """
+    if not (folder / MANIFEST).is_file():
+        raise InputError(
+            f"{folder}: holds no {MANIFEST}; give the folder that 'rfpipe patterns' wrote, with "
+            "the pictures taken in its folder 'pictures', or named by --pictures"
+        )
+    return Sheet.model_validate({**read_manifest(folder / MANIFEST), "folder": folder})

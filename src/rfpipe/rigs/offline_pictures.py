@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,7 @@ from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures import Header, picture_files, read_header, read_picture
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import Key
-from rfpipe.rigs.offline.rig import OfflineRig
-from rfpipe.rigs.offline.sheet import Sheet
+from rfpipe.rigs.offline import OfflineRig, Sheet
 from rfpipe.units import SATURATION_FRACTION
 
 Picture = tuple[Header, Path]
@@ -89,19 +88,19 @@ def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool 
     files = picture_files(folder)
     step = len(sheet.exposures_s)
     expected = step * len(sheet.shown)
-    surplus = len(files) - expected
-    if surplus < 0 or (surplus and not sheet.has_markers):
+    if len(files) < expected:
         raise CaptureError(
             f"{folder}: holds {len(files)} pictures; {len(sheet.shown)} patterns of {step} "
             f"exposures each make {expected}, as {sheet.folder} says. Check that the first and "
             "the last are there, and none twice"
         )
     pictures = [(_checked_header(rig, path), path) for path in files]
-    if sheet.has_markers:
-        first = _first_of_series(rig, pictures, sheet, folder)
-        pictures = pictures[first : first + expected]
+    first = _first_of_series(rig, pictures, sheet, folder)
+    pictures = pictures[first : first + expected]
     is_timed = all(header.exposure_s is not None for header, _ in pictures)
-    notes = [f"{surplus} pictures before or after the markers are left out"] if surplus else []
+    notes = []
+    if surplus := len(files) - expected:
+        notes.append(f"{surplus} pictures before or after the markers are left out")
     if step > 1 and not is_timed:
         notes.append(
             "not all pictures say their exposure time: each bracket is taken to go from the "
@@ -115,12 +114,10 @@ def check_pictures(rig: OfflineRig, sheet: Sheet, folder: Path, *, anyway: bool 
         if shown.key is not None:
             of_key[shown.key] = tuple(path for _, path in bracket)
     patterns = {shown.key: shown.pattern for shown in sheet.shown if shown.key is not None}
-    checked = Checked(rig, of_key, patterns, notes)
-    wrong = _brightness(checked, sheet)
+    wrong = _wrong_light(rig, of_key)
     if wrong and not anyway:
         raise CaptureError(f"{folder}: {'; '.join(wrong)}. To take them all the same: --anyway")
-    notes += wrong
-    return checked
+    return Checked(rig, of_key, patterns, notes + wrong)
 
 
 def _checked_header(rig: OfflineRig, path: Path) -> Header:
@@ -153,49 +150,44 @@ def _first_of_series(rig: OfflineRig, pictures: list[Picture], sheet: Sheet, fol
     """Return the picture at which the series begins: marker, opposite, patterns, opposite."""
     step = len(sheet.exposures_s)
     last = step * (len(sheet.shown) - 1)
-    surplus = len(pictures) - last - step
+    firsts = range(len(pictures) - last - step + 1)
 
-    @lru_cache(maxsize=3 * (surplus + 1))
+    @cache
     def image(start: int) -> NDArray[np.float32]:
+        """Return the light of a bracket."""
         frames = (_pixels(rig, path) for _, path in pictures[start : start + step])
         light: NDArray[np.float32] = sum(_small(frame) for frame in frames)  # type: ignore[assignment]
         return light
 
-    firsts = range(surplus + 1)
-    timed = [first for first in firsts if _begins_a_bracket(rig, pictures, first, sheet)]
-    # none: the messages about single brackets explain more
+    def is_bracket(start: int) -> bool:
+        seconds = sorted(header.exposure_s or 0 for header, _ in pictures[start : start + step])
+        return all(map(_is_exposure, seconds, sheet.exposures_s))
+
+    # where no exposure times fit, the messages about single brackets explain more
     fitting = [
         first
-        for first in timed or firsts
+        for first in list(filter(is_bracket, firsts)) or firsts
         if _is_same(image(first + step), image(first + last), image(first))
     ]
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
-        raise CaptureError(
-            f"{folder}: the markers fit pictures {', '.join(str(one + 1) for one in fitting)} as "
-            "the first; take away those that don't belong to the series"
+        problem = (
+            f"the markers fit pictures {', '.join(str(one + 1) for one in fitting)} as the first; "
+            "take away those that don't belong to the series"
         )
-    if not surplus and _is_same(image(0), image(last - step), image(last)):
-        raise CaptureError(
-            f"{folder}: the markers stand the other way round: the pictures are in reverse order. "
-            "Name them in the order in which they were taken"
+    elif len(firsts) == 1 and _is_same(image(0), image(last - step), image(last)):
+        problem = (
+            "the markers stand the other way round: the pictures are in reverse order. Name them "
+            "in the order in which they were taken"
         )
-    raise CaptureError(
-        f"{folder}: the series doesn't begin with the marker and its opposite and end with the "
-        "opposite, as it was to be shown: a picture is missing or out of order, or these are of "
-        "another series. Names are sorted by the numbers in them"
-    )
-
-
-def _begins_a_bracket(rig: OfflineRig, pictures: list[Picture], first: int, sheet: Sheet) -> bool:
-    """Tell whether a picture's and the next ones' exposure times are those of two brackets."""
-    step = len(sheet.exposures_s)
-    seconds = [header.exposure_s or 0 for header, _ in pictures[first : first + 2 * step]]
-    if not all(seconds[:step]) or not isinstance(rig.camera_sensor, CameraModel):
-        return True  # nobody can tell
-    ordered = sorted(seconds[:step]) + sorted(seconds[step:])
-    return all(map(_is_exposure, ordered, 2 * sheet.exposures_s))
+    else:
+        problem = (
+            "the series doesn't begin with the marker and its opposite and end with the opposite, "
+            "as it was to be shown: a picture is missing or out of order, or these are of another "
+            "series. Names are sorted by the numbers in them"
+        )
+    raise CaptureError(f"{folder}: {problem}")
 
 
 def _is_exposure(seconds: float, expected: float) -> bool:
@@ -232,29 +224,25 @@ def _by_exposure(bracket: list[Picture], exposures: tuple[float, ...], name: str
     return ordered
 
 
-def _brightness(checked: Checked, sheet: Sheet) -> list[str]:
+def _wrong_light(rig: OfflineRig, files: dict[Key, tuple[Path, ...]]) -> list[str]:
     """Return the faults of the pictures' light."""
-    rig, sensor = checked.rig, checked.rig.camera_sensor
+    sensor = rig.camera_sensor
     if not isinstance(sensor, CameraModel):
         return []
-    wrong = []
-    top = SATURATION_FRACTION * sensor.white_level
+    wrong, top = [], SATURATION_FRACTION * sensor.white_level
+    shortest = [bracket[0] for bracket in files.values()]
     saturated = [
-        shown.file
-        for shown in sheet.shown
-        if shown.key is not None
-        and (_pixels(rig, checked.files[shown.key][0]) >= top).mean() > MOST_SATURATED
+        path.name for path in shortest if (_pixels(rig, path) >= top).mean() > MOST_SATURATED
     ]
     if saturated:
         more = f" and {len(saturated) - 1} more" if len(saturated) > 1 else ""
         wrong.append(
-            f"the pictures of {saturated[0]}{more} have over {MOST_SATURATED:.0%} of their pixels "
-            f"saturated in the shortest exposure, {sensor.exposures[0]:g} s: add a shorter one, or "
-            "dim the projector"
+            f"{saturated[0]}{more} have over {MOST_SATURATED:.0%} of their pixels saturated in the "
+            f"shortest exposure, {sensor.exposures[0]:g} s: add a shorter one, or dim the projector"
         )
     white, black = (FLOODLIT_KEY, 0), (BLACK_LEVEL_KEY, 0)
-    if white in checked.files and black in checked.files:
-        lit, dark = (_pixels(rig, checked.files[key][-1]).mean() for key in (white, black))
+    if white in files and black in files:
+        lit, dark = (_pixels(rig, files[key][-1]).mean() for key in (white, black))
         if lit - dark < LEAST_LIGHT * sensor.white_level:
             wrong.append(
                 f"the white picture's longest exposure has {lit - dark:.1f} counts of light on "
